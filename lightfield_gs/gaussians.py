@@ -1,0 +1,127 @@
+"""A set of 3D Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from lightfield_gs.errors import InputError
+
+SH_COEFFICIENTS = (1, 4, 9, 16)  # (degree + 1)^2, degree 0..3
+
+
+@dataclass
+class Gaussians:
+    """N Gaussians, or B sets of N, in right-handed world axes (Kerbl et al., "3D Gaussian Splatting", 2023).
+
+    All fields are floating-point tensors of one dtype on one device. `...` is empty, or the batch dimension B.
+
+    means:       [..., N, 3] centres, scene units.
+    quaternions: [..., N, 4] rotations wxyz, any length but zero; normalized where they are used.
+    scales:      [..., N, 3] standard deviations along the rotated axes, scene units, > 0.
+    opacities:   [..., N] in (0, 1].
+    sh:          [..., N, K, 3] spherical harmonics of red, green and blue; K = (degree + 1)^2, degree 0..3;
+                 colour = max(0, 0.5 + sum), in the (sRGB-coded) colour space of the training images.
+    """
+
+    means: torch.Tensor
+    quaternions: torch.Tensor
+    scales: torch.Tensor
+    opacities: torch.Tensor
+    sh: torch.Tensor
+
+    @property
+    def count(self) -> int:
+        """N, the number of Gaussians in each set."""
+        return self.means.shape[-2]
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0..3."""
+        return SH_COEFFICIENTS.index(self.sh.shape[-2])
+
+    @property
+    def device(self) -> torch.device:
+        return self.means.device
+
+    @property
+    def dtype(self) -> torch.dtype:
+        return self.means.dtype
+
+    @property
+    def is_batched(self) -> bool:
+        """Whether the tensors have the leading batch dimension B."""
+        return self.means.ndim == 3
+
+    def fields(self) -> dict[str, torch.Tensor]:
+        """The five tensors by name."""
+        return {"means": self.means, "quaternions": self.quaternions, "scales": self.scales,
+                "opacities": self.opacities, "sh": self.sh}
+
+    def to(self, *args, **kwargs) -> "Gaussians":
+        """As torch.Tensor.to, on every field."""
+        return Gaussians(**{name: tensor.to(*args, **kwargs) for name, tensor in self.fields().items()})
+
+    def detach(self) -> "Gaussians":
+        """The same data outside the autograd graph."""
+        return Gaussians(**{name: tensor.detach() for name, tensor in self.fields().items()})
+
+    def validate(self) -> "Gaussians":
+        """Returns self.
+
+        Raises InputError that names the field and the first bad index: wrong shape, dtype or device, NaN or infinity,
+        scale not above 0, opacity outside [0, 1] (zero is invisible, but no error), zero quaternion.
+        """
+        self._validate_layout()
+        for name, tensor in self.fields().items():
+            _require(torch.isfinite(tensor), name, tensor, "a finite number")
+        _require(self.scales > 0, "scales", self.scales, "a standard deviation > 0")
+        _require((self.opacities >= 0) & (self.opacities <= 1), "opacities", self.opacities, "0..1")
+        _require((self.quaternions != 0).any(-1), "quaternions", self.quaternions, "not all four zero")
+        return self
+
+    def _validate_layout(self) -> None:
+        means = self.means
+        for name, tensor in self.fields().items():
+            if not isinstance(tensor, torch.Tensor):
+                raise InputError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
+        if means.ndim not in (2, 3):
+            raise InputError(f"means: expected shape [N, 3] or [B, N, 3], got {list(means.shape)}")
+        if means.dtype not in (torch.float32, torch.float64):
+            raise InputError(f"means: expected float32 or float64, got {means.dtype}")
+        lead = means.shape[:-1]
+        shapes = {"means": (*lead, 3), "quaternions": (*lead, 4), "scales": (*lead, 3), "opacities": lead,
+                  "sh": (*lead, self.sh.shape[-2] if self.sh.ndim >= 2 else 0, 3)}
+        for name, tensor in self.fields().items():
+            if tuple(tensor.shape) != tuple(shapes[name]):
+                raise InputError(f"{name}: expected shape {list(shapes[name])} beside means {list(means.shape)}, "
+                                 f"got {list(tensor.shape)}")
+            if tensor.dtype != means.dtype or tensor.device != means.device:
+                raise InputError(f"{name}: expected {means.dtype} on {means.device} as means, "
+                                 f"got {tensor.dtype} on {tensor.device}")
+        if self.sh.shape[-2] not in SH_COEFFICIENTS:
+            raise InputError(f"sh: expected 1, 4, 9 or 16 coefficients (degree 0..3), got {self.sh.shape[-2]}")
+
+    @staticmethod
+    def load(path: str | Path) -> "Gaussians":
+        """Reads a standard 3DGS .ply: float32, CPU. See lightfield_gs.io.ply.read_ply."""
+        from lightfield_gs.io.ply import read_ply
+
+        return read_ply(path)
+
+    def save(self, path: str | Path) -> None:
+        """Writes a standard 3DGS .ply. See lightfield_gs.io.ply.write_ply."""
+        from lightfield_gs.io.ply import write_ply
+
+        write_ply(path, self)
+
+
+def _require(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str) -> None:
+    """Raises InputError for the first index where `good` is false."""
+    if bool(good.all()):
+        return
+    index = tuple(int(i) for i in (~good).nonzero()[0])
+    value = tensor[index].tolist()
+    raise InputError(f"{name}{list(index)}: expected {expected}, got {value}")

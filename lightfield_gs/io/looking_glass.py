@@ -1,0 +1,67 @@
+"""The calibration file of a Looking Glass display, visual.json."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from lightfield_gs.errors import InputError
+
+_LIMIT_BYTES = 1 << 20
+
+
+def panel_fields(source: str | Path | dict[str, Any], views: int) -> dict[str, Any]:
+    """Fields of Panel from visual.json or the mapping in it.
+
+    Used are pitch (lenses per inch across the axis), slope, center (lens widths), DPI, screenW, screenH, and
+    optionally viewCone (degrees), flipSubp and invView. P_e = 3 DPI / (pitch cos(atan(1/slope))), tan(theta) = -1/slope,
+    D_0 = 1.5 + 3 (H - 0.5)/slope - center P_e.
+    Raises InputError when the file cannot be read, or a value is missing or makes no sense.
+    """
+    where = "Looking Glass calibration" if isinstance(source, dict) else str(source)
+    data = source if isinstance(source, dict) else _read_json(Path(source))
+    pitch, slope, center, dpi, width, height = (
+        _number(data, key, where) for key in ("pitch", "slope", "center", "DPI", "screenW", "screenH"))
+    if pitch <= 0 or dpi <= 0 or abs(slope) < 0.1:
+        raise InputError(f"{where}: expected pitch > 0, DPI > 0 and |slope| >= 0.1, got {pitch}, {dpi}, {slope}")
+    line_number = 3 * dpi / (pitch * math.cos(math.atan(1 / slope)))
+    fields = {"width_px": width, "height_px": height, "views": views, "line_number": line_number,
+              "slant_tan": -1 / slope, "phase": 1.5 + 3 * (height - 0.5) / slope - center * line_number,
+              "pixel_pitch_mm": 25.4 / dpi, "name": "looking-glass"}
+    if "viewCone" in data:
+        fields["cone_deg"] = _number(data, "viewCone", where)
+    if "flipSubp" in data and _number(data, "flipSubp", where):
+        fields["subpixel_order"] = "BGR"
+    if "invView" in data:  # 1 on every display as shipped: their view value is N - x
+        fields["invert_views"] = _number(data, "invView", where) == 0
+    for key in ("flipImageX", "flipImageY"):
+        if key in data and _number(data, key, where):
+            raise InputError(f"{where}: {key} is set; mirrored displays are not supported, turn the display instead")
+    return fields
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > _LIMIT_BYTES:
+            raise InputError(f"{path}: {path.stat().st_size} bytes is too long for a visual.json")
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not JSON: {' '.join(str(error).split())[:200]}") from error
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: expected an object of calibration values, got {type(data).__name__}")
+    return data
+
+
+def _number(data: dict[str, Any], key: str, where: str) -> float:
+    if key not in data:
+        raise InputError(f"{where}: missing {key}; a visual.json has pitch, slope, center, DPI, screenW, screenH")
+    value = data[key]
+    if isinstance(value, dict):
+        value = value.get("value")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(f"{where}: {key} must be a number, got {str(value)[:60]!r}")
+    return value

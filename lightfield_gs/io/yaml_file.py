@@ -1,0 +1,75 @@
+"""YAML mappings with known keys."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import json
+import re
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+from lightfield_gs.errors import InputError
+from lightfield_gs.io.atomic import atomic_path
+
+_LIMIT_BYTES = 1 << 20
+
+
+def read_mapping(path: str | Path, required: Collection[str], optional: Collection[str]) -> dict[str, Any]:
+    """The mapping in a YAML file (at most 1 MiB).
+
+    Raises InputError when the file cannot be read, is not a mapping, lacks a required key or has an unknown one.
+    """
+    import yaml
+
+    path = Path(path)
+    try:
+        if path.stat().st_size > _LIMIT_BYTES:
+            raise InputError(f"{path}: {path.stat().st_size} bytes is too long for a YAML file of settings")
+        data = yaml.load(path.read_text(encoding="utf-8"), _loader())
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    except (UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"{path} is not YAML: {reason}") from error
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: expected a mapping 'key: value', got {type(data).__name__}")
+    check_keys(data, required, optional, str(path))
+    return data
+
+
+@functools.cache
+def _loader() -> type:
+    """SafeLoader without aliases (a small file could grow without bound) and with 1e-5 as a number (YAML 1.2)."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        def compose_node(self, parent, index):
+            if self.check_event(yaml.AliasEvent):
+                raise yaml.YAMLError("aliases are not allowed")
+            return super().compose_node(parent, index)
+
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
+                                 list("-+0123456789"))
+    return Loader
+
+
+def check_keys(data: dict[str, Any], required: Collection[str], optional: Collection[str], where: str) -> None:
+    """Raises InputError that names unknown keys with the nearest known one, and missing keys."""
+    known = [*required, *optional]
+    for key in data:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), known, 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+            raise InputError(f"{where}: unknown key '{str(key)[:60]}'; {hint}")
+    missing = [key for key in required if key not in data]
+    if missing:
+        raise InputError(f"{where}: missing {', '.join(missing)}")
+
+
+def write_mapping(path: str | Path, data: dict[str, Any]) -> None:
+    """Writes a mapping of JSON-like values, one key a line, atomically; floats keep every digit."""
+    with atomic_path(path) as temporary:
+        lines = [f"{key}: {json.dumps(value)}\n" for key, value in data.items()]
+        temporary.write_text("".join(lines), encoding="utf-8")

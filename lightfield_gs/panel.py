@@ -1,0 +1,207 @@
+"""A slanted-lenticular panel: which of its views every sub-pixel shows.
+
+For row i from the top, column j and place k of a sub-pixel within its pixel, left to right, all 0-based
+(Shi et al., Photonics 2025, 12(3), 279, section 3; van Berkel 1999):
+    D = 3 j + 3 i tan(slant) + k + phase            x = N frac(D / line_number)            n = floor(x)
+evaluated in wrapping 64-bit fixed point, so that every implementation agrees bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightfield_gs.errors import InputError
+from lightfield_gs.io.yaml_file import read_mapping, write_mapping
+from lightfield_gs.paths import config_path
+
+MAX_SIZE_PX = 65536
+MAX_VIEWS = 65536
+DEFAULT_PANEL = "65in-8k-96v"
+_WORD = 1 << 64
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Geometry of a panel and its lens. Raises InputError when made with values that make no sense.
+
+    width_px, height_px: size in whole pixels, 1..65536.
+    views: number N of views behind a lens, 1..65536.
+    line_number: P_e, width of a lens along a row, in sub-pixels, > 0.
+    slant_tan: tangent of the angle between lens axis and columns; positive leans like "/".
+    phase: D_0, place of the panel's first sub-pixel against the lens edge, in sub-pixels.
+    subpixel_order: "RGB" or "BGR", left to right.
+    invert_views: True on a panel wired the other way: view 0 goes to the left-most eye.
+    cone_deg: full angle that the N views span, in (0, 180).
+    viewing_distance_mm: eye to lens, > 0, or None when not known.
+    pixel_pitch_mm: width (and height) of a pixel, > 0, or None when not known.
+    name: for messages and metadata.
+    """
+
+    width_px: int
+    height_px: int
+    views: int
+    line_number: float
+    slant_tan: float
+    phase: float = 0.0
+    subpixel_order: str = "RGB"
+    invert_views: bool = False
+    cone_deg: float = 40.0
+    viewing_distance_mm: float | None = None
+    pixel_pitch_mm: float | None = None
+    name: str = "panel"
+
+    def __post_init__(self) -> None:
+        for key, low, high in (("width_px", 1, MAX_SIZE_PX), ("height_px", 1, MAX_SIZE_PX), ("views", 1, MAX_VIEWS)):
+            self._set(key, whole_number(f"panel: {key}", getattr(self, key), low, high))
+        for key, low, high in (("line_number", 1e-3, 1e6), ("slant_tan", -10, 10), ("phase", -1e12, 1e12),
+                               ("cone_deg", 1e-6, 180), ("viewing_distance_mm", 1e-3, 1e9),
+                               ("pixel_pitch_mm", 1e-6, 1e6)):
+            if getattr(self, key) is not None or key not in ("viewing_distance_mm", "pixel_pitch_mm"):
+                self._set(key, real_number(f"panel: {key}", getattr(self, key), low, high))
+        if self.cone_deg >= 180:
+            raise InputError(f"panel: cone_deg must be below 180, got {self.cone_deg}")
+        if self.subpixel_order not in ("RGB", "BGR"):
+            raise InputError(f"panel: subpixel_order must be RGB or BGR, got {self.subpixel_order!r}")
+        if not isinstance(self.invert_views, bool):
+            raise InputError(f"panel: invert_views must be true or false, got {self.invert_views!r}")
+        self._set("name", str(self.name))
+
+    def _set(self, key: str, value: Any) -> None:
+        object.__setattr__(self, key, value)
+
+    # Where panels come from
+
+    @staticmethod
+    def load(source: str | Path) -> "Panel":
+        """A panel by name (configs/panels), from a YAML file, or from a Looking Glass visual.json."""
+        if str(source).lower().endswith(".json"):
+            return Panel.from_looking_glass(source)
+        return Panel.from_yaml(source)
+
+    @staticmethod
+    def from_yaml(source: str | Path) -> "Panel":
+        """A panel from a YAML file with the fields of this class, or by the name of one in configs/panels.
+
+        Raises InputError when it cannot be read, or names an unknown or missing key.
+        """
+        text = str(source)
+        is_file = text.lower().endswith((".yaml", ".yml")) or "/" in text or Path(text).is_file()
+        path = Path(source) if is_file else config_path("panels", text)
+        required = ("width_px", "height_px", "views", "line_number", "slant_tan")
+        data = read_mapping(path, required, [f.name for f in fields(Panel) if f.name not in required])
+        return Panel(**{"name": path.stem, **data})
+
+    @staticmethod
+    def from_physical(*, width_px: int, height_px: int, views: int, lens_pitch_mm: float, slant_tan: float,
+                      viewing_distance_mm: float, lens_gap_mm: float, pixel_pitch_mm: float, phase: float = 0.0,
+                      subpixel_order: str = "RGB", invert_views: bool = False, cone_deg: float | None = None,
+                      name: str = "panel") -> "Panel":
+        """A panel from its measures in mm.
+
+        lens_pitch_mm is measured across the lens axis; lens_gap_mm is the air-equivalent distance of lens and
+        sub-pixels; a sub-pixel is a third of pixel_pitch_mm wide. Without cone_deg the cone follows from the gap.
+        Source: Shi et al. 2025, P_e = (L + L_g)/L * P_l / (cos(theta) p_sub); the paper omits p_sub.
+        Raises InputError.
+        """
+        pitch, gap, distance, pixel = (
+            real_number(f"panel: {key}", value, 1e-6, 1e9)
+            for key, value in (("lens_pitch_mm", lens_pitch_mm), ("lens_gap_mm", lens_gap_mm),
+                               ("viewing_distance_mm", viewing_distance_mm), ("pixel_pitch_mm", pixel_pitch_mm)))
+        slant = real_number("panel: slant_tan", slant_tan, -10, 10)
+        lens_width = (distance + gap) / distance * pitch / math.cos(math.atan(slant))  # in mm along a row
+        if cone_deg is None:
+            cone_deg = 2 * math.degrees(math.atan(lens_width / (2 * gap)))
+        return Panel(width_px=width_px, height_px=height_px, views=views, line_number=lens_width / (pixel / 3),
+                     slant_tan=slant, phase=phase, subpixel_order=subpixel_order, invert_views=invert_views,
+                     cone_deg=cone_deg, viewing_distance_mm=distance, pixel_pitch_mm=pixel, name=name)
+
+    @staticmethod
+    def from_looking_glass(source: str | Path | dict[str, Any], *, views: int = 96) -> "Panel":
+        """A panel from a Looking Glass calibration: visual.json, or the mapping in it.
+
+        Its values may be plain numbers or {"value": number}. Raises InputError when one is missing or makes no sense.
+        """
+        from lightfield_gs.io.looking_glass import panel_fields
+
+        return Panel(**panel_fields(source, views))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields that are known, as from_yaml reads them."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Writes the panel as from_yaml reads it, every digit kept."""
+        write_mapping(path, self.to_dict())
+
+    # Lens phase
+
+    def phase_steps(self) -> tuple[int, int, int]:
+        """(s0, sx, sy), integers mod 2^64: the phase of sub-pixel (i, j, k) is s0 + sx (3 j + k) + sy i mod 2^64.
+
+        In units of 2^-64 lens widths, exact and rounded up: so a sub-pixel that lies exactly on the border of two
+        views (line_number a whole number, say) falls on the upper one, as floor() demands; the sum is less than
+        2^-45 too large.
+        """
+        lens, slant, phase = (Fraction(value) for value in (self.line_number, self.slant_tan, self.phase))
+        return tuple(math.ceil(_WORD * step / lens) % _WORD for step in (phase, Fraction(1), 3 * slant))
+
+    def place(self, channel: int) -> int:
+        """Place k, left to right, of image channel 0, 1, 2 (red, green, blue) within its pixel."""
+        return channel if self.subpixel_order == "RGB" else 2 - channel
+
+    def phase_rows(self, rows_per_chunk: int = 64) -> Iterator[tuple[slice, np.ndarray]]:
+        """Chunks of rows and their lens phases uint64 [rows, W, 3], indexed by image channel."""
+        s0, sx, sy = (np.uint64(step) for step in self.phase_steps())
+        places = np.array([self.place(channel) for channel in range(3)], np.uint64)
+        across = sx * (3 * np.arange(self.width_px, dtype=np.uint64)[:, None] + places)
+        for first in range(0, self.height_px, rows_per_chunk):
+            rows = slice(first, min(first + rows_per_chunk, self.height_px))
+            down = s0 + sy * np.arange(rows.start, rows.stop, dtype=np.uint64)
+            yield rows, down[:, None, None] + across
+
+    def view_map(self, continuous: bool = False) -> np.ndarray:
+        """The view of every sub-pixel, [H, W, 3] by image channel: n int32 in 0..N-1, or x float64 in [0, N)."""
+        out = np.empty((self.height_px, self.width_px, 3), np.float64 if continuous else np.int32)
+        for rows, phase in self.phase_rows():
+            out[rows] = self.view_position(phase) if continuous else self.view_index(phase)
+        return out
+
+    def view_index(self, phase: np.ndarray) -> np.ndarray:
+        """Integer views n, int32, of lens phases uint64: the high word of phase * N."""
+        views, half = np.uint64(self.views), np.uint64(32)
+        low = (phase & np.uint64(0xFFFFFFFF)) * views >> half
+        return ((phase >> half) * views + low >> half).astype(np.int32)
+
+    def view_position(self, phase: np.ndarray) -> np.ndarray:
+        """Continuous views x in [0, N), float64, of lens phases uint64."""
+        # The upper 53 bits convert exactly, so x cannot round up to N.
+        return (phase >> np.uint64(11)).astype(np.float64) * (2.0**-53 * self.views)
+
+
+def whole_number(what: str, value: Any, low: int, high: int) -> int:
+    """`value` as an int in low..high; raises InputError."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)) or value != value // 1:
+        raise InputError(f"{what} must be a whole number, got {_shown(value)}")
+    if not low <= value <= high:
+        raise InputError(f"{what} must be {low}..{high}, got {_shown(value)}")
+    return int(value)
+
+
+def real_number(what: str, value: Any, low: float, high: float) -> float:
+    """`value` as a float in low..high; raises InputError."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise InputError(f"{what} must be a number, got {_shown(value)}")
+    if not low <= value <= high:  # false for NaN
+        raise InputError(f"{what} must be {low:g}..{high:g}, got {_shown(value)}")
+    return float(value)
+
+
+def _shown(value: Any) -> str:
+    return " ".join(repr(value).split())[:80]
