@@ -61,7 +61,7 @@ def _elements(path: Path, lines: list[str]) -> list[Element]:
                 continue
             case ["format", kind, _]:
                 file_format = kind
-            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 19:
+            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 32:
                 found.append((name, int(count), []))
             case ["property", "list", _, _, _] if found:
                 found[-1] = (*found[-1][:2], None)
