@@ -1,0 +1,56 @@
+# Everything a fresh machine needs: `make demo` and `make test` set it up themselves.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
+NATIVE_SOURCES := CMakeLists.txt $(shell find csrc -type f)
+PHOTO := lightfield_gs/data/cat.png
+
+.PHONY: setup demo test bench clean
+
+setup: $(VENV)/.installed
+
+# The 8K light-field image of a photo, and what an eye sees of it.
+demo: setup
+	mkdir -p demo
+	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
+
+test: setup
+	$(BIN)/python -m pytest -q tests
+
+bench: setup
+	$(BIN)/lightfield-gs bench --scene sheet:128,sheet:512,cloud:262144 --cone 5,40 --json bench.json
+
+clean:
+	rm -rf build demo bench.json $(VENV)/.installed
+
+# Compiler, and headers that CMake would else download: installed as root, named otherwise.
+$(VENV)/.system:
+	@missing=""; \
+	if command -v dpkg-query >/dev/null; then \
+	  for package in $(DEBIAN_PACKAGES); do \
+	    dpkg-query -W -f '$${Status}' $$package 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$package"; \
+	  done; \
+	fi; \
+	if [ -n "$$missing" ] && [ "$$(id -u)" = 0 ]; then \
+	  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends $$missing; \
+	elif [ -n "$$missing" ]; then \
+	  echo "make: not installed:$$missing; to install: sudo apt-get install$$missing"; \
+	  echo "make: going on without: CMake downloads GLM and Highway where they are missing"; \
+	fi
+	@command -v c++ >/dev/null || { echo "make: no C++ compiler; install g++ (Debian: sudo apt-get install g++)"; exit 1; }
+	@mkdir -p $(VENV) && touch $@
+
+# torch comes from the constraint, as its CPU build; no other may get in.
+$(VENV)/.python: constraints.txt | $(VENV)/.system
+	$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install -q -c constraints.txt torch || { \
+	  echo "make: if this package index has no CPU build of torch, try"; \
+	  echo "make:   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu make $(MAKECMDGOALS)"; exit 1; }
+	$(BIN)/python -m pip install -q -c constraints.txt scikit-build-core pybind11 ninja
+	@touch $@
+
+$(VENV)/.installed: pyproject.toml $(NATIVE_SOURCES) $(VENV)/.python
+	$(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[test]'
+	@touch $@

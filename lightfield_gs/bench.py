@@ -1,0 +1,190 @@
+"""`lightfield-gs bench`: how long a light-field image takes, where the time goes, and how right it is.
+
+A row for every scene, cone and method. Times are those of `encode` to 8 bits, from Gaussians in memory to the image in memory;
+errors are those of the very image that was timed, against the float64 oracle rounded to 8 bits likewise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from lightfield_gs import bench_training
+from lightfield_gs.bench_scenes import ZERO_DEPTH, load_scene
+from lightfield_gs.errors import InputError
+from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.rig import Rig
+
+METHODS = ("direct", "classic")
+ORACLE_SAMPLES = 20_000
+ORACLE_SEED = 1
+SECONDS_PER_METHOD = 60.0  # no further repeat once a method has run for so long
+PSNR_CAP_DB = 120.0  # of images without any error
+
+
+@dataclass(frozen=True)
+class OracleSamples:
+    """Random sub-pixels (rows, columns, channels [M]) and the 8-bit values [M] that they must have."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    channels: np.ndarray
+    values: np.ndarray
+
+    def errors(self, image: torch.Tensor) -> dict[str, float]:
+        """psnr_db, max_error_255 (in units of 1/255) and share_over_1 (share off by more than 1/255) of an 8-bit image."""
+        shown = image[self.rows, self.columns, self.channels].cpu().numpy()
+        error = np.abs(shown.astype(np.int64) - self.values)
+        mean_square = np.mean((error / 255) ** 2)
+        psnr_db = PSNR_CAP_DB if mean_square == 0 else min(PSNR_CAP_DB, -10 * np.log10(mean_square))
+        return {"psnr_db": float(psnr_db), "max_error_255": int(error.max()), "share_over_1": float(np.mean(error > 1))}
+
+
+def oracle_samples(gaussians: Gaussians, panel: Panel, rig: Rig, count: int = ORACLE_SAMPLES) -> OracleSamples:
+    """Random sub-pixels of a panel, before a white background, by lightfield_gs.reference."""
+    from lightfield_gs.reference import subpixel_colours
+
+    random = np.random.default_rng(ORACLE_SEED)
+    rows = random.integers(0, panel.height_px, count)
+    columns = random.integers(0, panel.width_px, count)
+    channels = random.integers(0, 3, count)
+    colours = subpixel_colours(gaussians, panel, rig, rows, columns, channels)
+    return OracleSamples(rows, columns, channels, np.rint(255 * np.clip(colours, 0, 1)).astype(np.int64))
+
+
+def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone_deg: float | None) -> Rig:
+    """The rig of a scene: that of the synthetic ones (module bench_scenes), or automatic framing of a .ply file."""
+    if Path(scene).suffix.lower() == ".ply":
+        rig = Rig.frame(gaussians, panel)
+        return Rig(rig.world_to_camera, rig.focal_px, rig.principal_point_px, rig.zero_depth, cone_deg)
+    focal, centre = (panel.width_px, panel.width_px), (panel.width_px / 2, panel.height_px / 2)
+    return Rig(np.eye(4), focal, centre, ZERO_DEPTH, cone_deg)
+
+
+def time_method(gaussians: Gaussians, panel: Panel, rig: Rig, method: str, repeats: int,
+                threads: int | None = None) -> tuple[torch.Tensor, list[float], dict[str, Any]]:
+    """The image, the times in ms (sorted), and the counters of the run of median time (`stats` of encode)."""
+    from lightfield_gs import encode
+
+    runs, spent = [], 0.0
+    while len(runs) < repeats and (not runs or spent < SECONDS_PER_METHOD):
+        stats: dict[str, Any] = {}
+        begin = time.perf_counter()
+        image = encode(gaussians, panel, rig, method, stats=stats, threads=threads)
+        took = time.perf_counter() - begin
+        spent += took
+        runs.append((1e3 * took, stats))
+    runs.sort(key=lambda run: run[0])
+    return image, [ms for ms, _ in runs], runs[(len(runs) - 1) // 2][1]
+
+
+def bench_scene(scene: str, panel: Panel, cone_deg: float | None, methods: list[str], device: str, repeats: int,
+                threads: int | None = None) -> list[dict[str, Any]]:
+    """Rows of one scene and cone, a method each. Raises InputError."""
+    _progress(f"{scene}: making or reading the scene")
+    gaussians = load_scene(scene)
+    rig = benchmark_rig(scene, gaussians, panel, cone_deg)
+    _progress(f"{scene}: oracle, {ORACLE_SAMPLES} sub-pixels")
+    oracle = oracle_samples(gaussians, panel, rig)
+
+    rows = []
+    for method in methods:
+        _progress(f"{scene}: {method}, at most {repeats} runs")
+        image, times, stats = time_method(gaussians, panel, rig, method, repeats, threads)
+        rows.append({
+            "scene": scene, "gaussians": gaussians.count, "panel": panel.name,
+            "cone_deg": panel.cone_deg if rig.cone_deg is None else rig.cone_deg, "method": method, "device": device,
+            "ms_median": statistics.median(times), "ms_min": times[0], "ms_max": times[-1],
+            "stages_ms": stats["stages_ms"], "pairs": stats["pairs"],
+            "evaluations_per_subpixel": stats["evaluations_per_subpixel"], "work_bytes": stats["work_bytes"],
+            **oracle.errors(image)})
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as text, a line each."""
+    head = ("scene", "Gaussians", "cone", "method", "ms", "min", "max", "pairs", "eval/sub-px", "work MB", "PSNR dB",
+            "max /255", "over 1/255")
+    lines = [(row["scene"], f"{row['gaussians']}", f"{row['cone_deg']:g}", row["method"], f"{row['ms_median']:.0f}",
+              f"{row['ms_min']:.0f}", f"{row['ms_max']:.0f}", f"{row['pairs']}",
+              f"{row['evaluations_per_subpixel']:.1f}", f"{row['work_bytes'] / 1e6:.1f}", f"{row['psnr_db']:.1f}",
+              f"{row['max_error_255']}", f"{row['share_over_1']:.2g}") for row in rows]
+    widths = [max(len(line[column]) for line in (head, *lines)) for column in range(len(head))]
+    text = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths)) for line in (head, *lines)]
+    text += ["stages of " + f"{row['scene']} {row['cone_deg']:g} {row['method']}, ms: "
+             + ", ".join(f"{stage} {ms:.1f}" for stage, ms in row["stages_ms"].items()) for row in rows]
+    return "\n".join(text)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs bench`."""
+    parser.add_argument("what", nargs="?", default="light-field", choices=("light-field", "training-step"),
+                        help="a light-field image, or forward and backward of the rasterizer in a training step")
+    parser.add_argument("--scene", default="sheet:128", help="sheet:S, cloud:N or a .ply; several with commas")
+    parser.add_argument("--panel", default=DEFAULT_PANEL, help="name, YAML or visual.json (default: %(default)s)")
+    parser.add_argument("--cone", help="viewing cone in degrees, several with commas (default: the panel's)")
+    parser.add_argument("--methods", default="direct", help=f"with commas, of {', '.join(METHODS)}")
+    parser.add_argument("--device", default="cpu", help="cpu")
+    parser.add_argument("--repeats", type=int, default=5, help="runs of each, fewer of those beyond a minute")
+    parser.add_argument("--threads", help="threads (default: all cores); several with commas for training-step")
+    parser.add_argument("--json", type=Path, help="where to write the rows")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the benchmark, prints a table to stdout and writes the JSON. Raises InputError."""
+    if args.device != "cpu":
+        raise InputError(f"--device: expected cpu, got {args.device!r}")
+    if args.repeats < 1:
+        raise InputError(f"--repeats: expected 1 or more, got {args.repeats}")
+    threads = _numbers("--threads", args.threads, int)
+    if args.json is not None:
+        check_output_path(args.json)
+    if args.what == "training-step":
+        rows = bench_training.rows(threads, args.repeats)
+        print(bench_training.table(rows))
+    else:
+        rows = _light_field_rows(args, threads)
+        print(table(rows))
+    if args.json is not None:
+        with atomic_path(args.json) as temporary:
+            temporary.write_text(json.dumps({"rows": rows}, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def _light_field_rows(args: argparse.Namespace, threads: list[int | None]) -> list[dict[str, Any]]:
+    methods = args.methods.split(",")
+    if unknown := sorted(set(methods) - set(METHODS)):
+        raise InputError(f"--methods: expected of {', '.join(METHODS)}, got {', '.join(unknown)}")
+    if len(threads) > 1:
+        raise InputError(f"--threads: expected one number for a light-field image, got {args.threads}")
+    panel = Panel.load(args.panel)
+    return [row for scene in args.scene.split(",") for cone in _numbers("--cone", args.cone, float)
+            for row in bench_scene(scene, panel, cone, methods, args.device, args.repeats, threads[0])]
+
+
+def _numbers(option: str, text: str | None, kind: type) -> list[Any]:
+    """The positive numbers of "a,b,c"; [None] when the option was not given."""
+    if text is None:
+        return [None]
+    try:
+        values = [kind(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(0 < value < float("inf") for value in values):
+        raise InputError(f"{option}: expected positive numbers with commas between, got {text!r}")
+    return values
+
+
+def _progress(line: str) -> None:
+    print(f"bench: {line}", file=sys.stderr, flush=True)
