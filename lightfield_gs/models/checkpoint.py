@@ -1,0 +1,43 @@
+"""Checkpoint files: float16 weights as safetensors, with the model's configuration as JSON in the metadata."""
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.errors import InputError
+from lightfield_gs.models.config import ModelConfig
+
+if TYPE_CHECKING:
+    from lightfield_gs.models.splatter_net import SplatterNet
+
+_CONFIG_KEY = "lightfield_gs.model_config"
+
+
+def save_weights(net: "SplatterNet", path: Path, notes: dict[str, str]) -> None:
+    """Write the weights of net to path; the file appears complete or not at all. notes: further metadata."""
+    from safetensors.torch import save_file
+    weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in net.state_dict().items()}
+    scratch = path.with_name(f".{path.name}.{os.getpid()}")
+    save_file(weights, scratch, metadata=notes | {_CONFIG_KEY: json.dumps(net.config.to_dict())})
+    os.replace(scratch, path)
+
+
+def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:
+    """Configuration and float32 weights of a checkpoint. Raises InputError when the file is none."""
+    from safetensors import SafetensorError, safe_open
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            weights = {name: file.get_tensor(name).float() for name in file.keys()}
+        config = json.loads(metadata[_CONFIG_KEY])
+    except FileNotFoundError:
+        raise InputError(f"{path}: found no such checkpoint") from None
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: expected a SplatterNet checkpoint (safetensors with its configuration), "
+                         f"but {' '.join(str(error).split())}") from None
+    return ModelConfig.from_dict(config), weights

@@ -1,0 +1,107 @@
+"""Last stage of the network: raw head outputs become Gaussians in the source camera's axes."""
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.models.config import ModelConfig
+from lightfield_gs.models.initializer import Pixels
+
+# Value of the constant spherical harmonic, 1 / (2 sqrt(pi)): colour = 0.5 + SH_CONSTANT * coefficient.
+SH_CONSTANT = 0.28209479177387814
+# Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it.
+_LOGITS_FIRST, _LOGITS_BEHIND = (1.0, -4.0), (-1.0, -4.0)
+# Standard deviation of an untrained Gaussian in pixel footprints: neighbours 1 apart close into a surface.
+_BASE_SCALE = 0.75
+# Bounds of the logarithm of scale / base. Smaller ones would leave holes in magnified views.
+_LOG_SCALE_RANGE = (-0.7, 2.5)
+
+
+def parameter_groups(sh_degree: int) -> dict[str, int]:
+    """Channels that the heads predict for each Gaussian, in order."""
+    groups = {"depth": 1, "offset": 3, "opacity": 1, "scale": 3, "rotation": 4, "colour": 3}
+    return groups | ({"harmonics": 3 * ((sh_degree + 1) ** 2 - 1)} if sh_degree else {})
+
+
+def _flat(channels: Tensor) -> Tensor:
+    """[B,C,H,W] to [B,H*W,C]."""
+    return channels.flatten(2).transpose(1, 2)
+
+
+def _harmonics(constant: Tensor, rest: Tensor | None) -> Tensor:
+    """Coefficients [B,H*W,K,3] from the constant term [B,3,H,W] and the others [B,3(K-1),H,W] (coefficient-major)."""
+    coefficients = _flat(constant)[:, :, None]
+    return coefficients if rest is None else torch.cat([coefficients, _flat(rest).unflatten(2, (-1, 3))], dim=2)
+
+
+class DeltaComposer(nn.Module):
+    """Base Gaussians from the picture plus predicted changes; layers lie one behind the other on each line of sight.
+
+    Depth is linear in disparity 1/z between far and near, since a step in disparity moves a pixel by the same amount at
+    any depth. Offsets and scales count in footprints of the Gaussian's pixel at its depth, colours are input + change.
+    """
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.layers, self.groups = config.layers, parameter_groups(config.sh_degree)
+        self.far_disparity, self.disparity_range = 1 / config.far, 1 / config.near - 1 / config.far
+        base = (1 / config.base_depth - self.far_disparity) / self.disparity_range
+        self.base_logit = math.log(base / (1 - base))
+
+    def forward(self, raw: Tensor, pixels: Pixels) -> Gaussians:
+        """raw: [B, layers * sum(groups), H, W] float32; zeros give the base Gaussians. N = layers * H * W."""
+        nearness, parts = 1.0, []
+        for index, layer in enumerate(raw.chunk(self.layers, dim=1)):
+            values = dict(zip(self.groups, layer.split(list(self.groups.values()), dim=1)))
+            # The share of the disparity range shrinks from layer to layer: each lies behind the one before.
+            nearness = nearness * torch.sigmoid(values["depth"] + (self.base_logit if index == 0 else 0.0))
+            parts.append(self._layer(values, 1 / (self.far_disparity + self.disparity_range * nearness), pixels, index))
+        return Gaussians(*(torch.cat(fields, dim=1) for fields in zip(*parts)))
+
+    def _layer(self, values: dict[str, Tensor], depth: Tensor, pixels: Pixels, index: int) -> tuple[Tensor, ...]:
+        """Means, quaternions, scales, opacities and harmonics of one layer at depth [B,1,H,W]."""
+        footprint = pixels.footprint * depth
+        reach = footprint if index == 0 else 2 * footprint
+        means = torch.cat([pixels.rays * depth, depth], dim=1) + reach * values["offset"]
+        quaternions = torch.cat([1 + values["rotation"][:, :1], values["rotation"][:, 1:]], dim=1)
+        scales = _BASE_SCALE * footprint * values["scale"].clamp(*_LOG_SCALE_RANGE).exp()
+        inside, outside = _LOGITS_FIRST if index == 0 else _LOGITS_BEHIND
+        opacities = torch.sigmoid(values["opacity"] + outside + (inside - outside) * pixels.mask)
+        constant = (pixels.colour + values["colour"] - 0.5) / SH_CONSTANT
+        harmonics = _harmonics(constant, values.get("harmonics"))
+        return _flat(means), _flat(quaternions), _flat(scales), _flat(opacities)[..., 0], harmonics
+
+
+class AbsoluteComposer(nn.Module):
+    """The activations of Splatter Image (Szymanowicz et al., CVPR 2024, section 3.2 and its supplement)."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.near, self.far, self.groups = config.near, config.far, parameter_groups(config.sh_degree)
+
+    def forward(self, raw: Tensor, pixels: Pixels) -> Gaussians:
+        """raw: [B, sum(groups), H, W] float32. N = H * W."""
+        values = dict(zip(self.groups, raw.split(list(self.groups.values()), dim=1)))
+        depth = self.near + (self.far - self.near) * torch.sigmoid(values["depth"])
+        means = torch.cat([pixels.rays * depth, depth], dim=1) + values["offset"]
+        harmonics = _harmonics(values["colour"], values.get("harmonics"))
+        return Gaussians(_flat(means), _flat(torch.nn.functional.normalize(values["rotation"], dim=1)),
+                         _flat(values["scale"].exp()), _flat(torch.sigmoid(values["opacity"]))[..., 0], harmonics)
+
+    def initialise(self, head: nn.Conv2d, block: int) -> None:
+        """Initial weights of the 1x1 head per group, Xavier gain and bias, as published for objects.
+
+        block: channels of the head per predicted number (pixels of a patch).
+        """
+        settings = {"depth": (1.0, 0.0), "offset": (0.1, 0.0), "opacity": (1.0, -2.0), "scale": (0.003, math.log(0.02)),
+                    "rotation": (1.0, 0.0), "colour": (5.0, 0.0), "harmonics": (0.0, 0.0)}
+        start = 0
+        for group, channels in self.groups.items():
+            gain, bias = settings[group]
+            channels *= block
+            nn.init.xavier_uniform_(head.weight.data[start:start + channels], gain)
+            nn.init.constant_(head.bias.data[start:start + channels], bias)
+            start += channels

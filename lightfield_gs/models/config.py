@@ -1,0 +1,96 @@
+"""Configuration of the network, read from configs/models/*.yaml and stored in every checkpoint."""
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lightfield_gs.errors import InputError
+from lightfield_gs.models.unet import UNetConfig
+
+INPUT_CHANNELS = {"rgb": 3, "rgb_mask_ray": 6}
+COMPOSERS = ("delta", "absolute")
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Everything that determines a network.
+
+    input: "rgb_mask_ray" (colour, mask, ray direction: 6 channels) or "rgb" (colour on white).
+    image_size_px: side of the square input, and of the grid of Gaussians.
+    patch_px: side of the pixel blocks folded into channels before the U-Net and unfolded after it; 2 computes features
+        at half the resolution, for four Gaussians a feature.
+    features: channels between U-Net and heads; 0 applies the heads to as many channels as they predict, as the original.
+    composer: "delta" (base Gaussians + predicted change) or "absolute" (the original's activations).
+    layers: Gaussians per pixel, each layer behind the one before. "absolute" has one.
+    sh_degree: degree of the spherical harmonics, 0..3.
+    near, far: depth range in scene units (the camera is about 1.3 before the object's centre).
+    base_depth: depth of the untrained first layer ("delta" only).
+    photo_focal: focal length assumed for photos, in units of the side of the square round the object.
+    unet: the backbone.
+    """
+    input: str = "rgb_mask_ray"
+    image_size_px: int = 128
+    patch_px: int = 1
+    features: int = 64
+    composer: str = "delta"
+    layers: int = 2
+    sh_degree: int = 0
+    near: float = 0.75
+    far: float = 1.85
+    base_depth: float = 1.1
+    photo_focal: float = 1.4
+    unet: UNetConfig = UNetConfig()
+
+    def __post_init__(self) -> None:
+        """Check every field that a file can get wrong."""
+        step = self.patch_px << (len(self.unet.multipliers) - 1) if self.patch_px > 0 else 1
+        checks = (
+            (self.input in INPUT_CHANNELS, "input", f"one of {', '.join(INPUT_CHANNELS)}"),
+            (self.composer in COMPOSERS, "composer", f"one of {', '.join(COMPOSERS)}"),
+            (self.patch_px >= 1, "patch_px", "at least 1"),
+            (self.image_size_px > 0 and self.image_size_px % step == 0, "image_size_px", f"a multiple of {step}"),
+            (self.features >= 0, "features", "at least 0"),
+            (self.layers >= 1 if self.composer == "delta" else self.layers == 1, "layers", "at least 1 (absolute: 1)"),
+            (0 <= self.sh_degree <= 3, "sh_degree", "0 to 3"),
+            (0 < self.near < self.base_depth < self.far, "base_depth", "0 < near < base_depth < far"),
+            (self.photo_focal > 0, "photo_focal", "positive"),
+        )
+        for good, field, expected in checks:
+            if not good:
+                raise InputError(f"model configuration: {field}: expected {expected}, got {getattr(self, field)!r}")
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "ModelConfig":
+        """Build from a dictionary, as in YAML or in a checkpoint. Raises InputError for unknown fields."""
+        values = dict(values)
+        unet = values.pop("unet", {})
+        for owner, given in ((cls, values), (UNetConfig, unet)):
+            if not isinstance(given, dict):
+                raise InputError(f"model configuration: expected fields with values, got {given!r}")
+            unknown = set(given) - {field.name for field in dataclasses.fields(owner)}
+            if unknown:
+                raise InputError(f"model configuration: unknown field {sorted(unknown)[0]!r}")
+        unet = {name: tuple(value) if isinstance(value, list) else value for name, value in unet.items()}
+        try:
+            return cls(**values, unet=UNetConfig(**unet))
+        except TypeError as error:
+            raise InputError(f"model configuration: {error}") from None
+
+    @classmethod
+    def from_yaml(cls, name: str | Path) -> "ModelConfig":
+        """Read a file, or a named configuration of configs/models ("default", "original")."""
+        import yaml
+
+        from lightfield_gs.paths import config_path
+        path = Path(name) if Path(name).suffix else config_path("models", str(name))
+        try:
+            values = yaml.safe_load(path.read_text())
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise InputError(f"{path}: expected a model configuration in YAML, but {' '.join(str(error).split())}") from None
+        return cls.from_dict(values or {})
+
+    def to_dict(self) -> dict[str, Any]:
+        """The inverse of from_dict."""
+        return dataclasses.asdict(self)

@@ -1,0 +1,114 @@
+"""The network: one picture of an object in, 3D Gaussians out.
+
+Source: Szymanowicz et al., "Splatter Image", CVPR 2024: an image-to-image network whose output pixels are Gaussians.
+Three stages: the initializer describes each pixel, the decoder (U-Net and heads) predicts raw numbers, the composer turns
+them into Gaussians.
+"""
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from lightfield_gs.errors import InputError
+from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.models import crop
+from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, parameter_groups
+from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
+from lightfield_gs.models.initializer import describe_pixels, network_input
+from lightfield_gs.models.unet import UNet
+
+PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"
+# Gaussians fainter than this are never drawn (the rasterizer's own threshold).
+_FAINTEST = 1 / 255
+
+
+class SplatterNet(nn.Module):
+    """Predicts `layers` Gaussians for every pixel of a square picture of an object. See ModelConfig for the choices."""
+
+    def __init__(self, config: ModelConfig = ModelConfig()) -> None:
+        super().__init__()
+        self.config = config
+        predicted = config.layers * sum(parameter_groups(config.sh_degree).values())
+        features = config.features or predicted
+        block = config.patch_px ** 2
+        self.unet = UNet(INPUT_CHANNELS[config.input] * block, features, config.image_size_px // config.patch_px, config.unet)
+        self.head = nn.Conv2d(features, predicted * block, 1)
+        if config.composer == "delta":
+            self.composer: DeltaComposer | AbsoluteComposer = DeltaComposer(config)
+            nn.init.zeros_(self.head.weight)
+            nn.init.zeros_(self.head.bias)
+        else:
+            self.composer = AbsoluteComposer(config)
+            self.composer.initialise(self.head, block)
+
+    def forward(self, images: Tensor, intrinsics: Tensor) -> Gaussians:
+        """Predict the Gaussians of B pictures in the axes of their own cameras (OpenCV: x right, y down, z forward).
+
+        images: [B,4,H,W], RGB premultiplied by alpha and alpha, 0..1. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of
+        those pictures. Returns Gaussians with leading B and N = layers * H * W, float32. H and W must be multiples of
+        patch_px * 2^(levels - 1). The U-Net obeys autocast; heads and composer are float32 always.
+        """
+        pixels = describe_pixels(images, intrinsics)
+        folded = F.pixel_unshuffle(network_input(images, pixels, self.config.input), self.config.patch_px)
+        features = self.unet(folded.contiguous(memory_format=torch.channels_last))
+        with torch.autocast(images.device.type, enabled=False):
+            raw = F.pixel_shuffle(self.head(features.float()), self.config.patch_px)
+            return self.composer(raw, pixels)
+
+    @torch.no_grad()
+    def predict(self, rgba: np.ndarray | Tensor) -> Gaussians:
+        """Gaussians of the object in a photo, in the axes of its camera (at the origin, z forward; object near z = 1.3).
+
+        rgba: [H,W,4] float in 0..1, colours not premultiplied, any size and aspect. The photo is cropped to the object as
+        in training; its camera is taken to look at the middle of that crop with the focal length config.photo_focal.
+        Gaussians that cannot be seen are left out. Raises InputError for other shapes, types or values, or an empty mask.
+        """
+        image = _checked_photo(rgba).to(next(self.parameters()).device)
+        image = torch.cat([image[:3] * image[3:], image[3:]])
+        size = self.config.image_size_px
+        cropped = crop.crop_resize(image, crop.object_square(image[3]), size)
+        focal = self.config.photo_focal * size
+        intrinsics = torch.tensor([[focal, focal, size / 2, size / 2]], device=image.device)
+        was_training = self.training
+        self.eval()
+        try:
+            batch = self(cropped[None], intrinsics)
+        finally:
+            self.train(was_training)
+        seen = batch.opacities[0] >= _FAINTEST
+        fields = (batch.means, F.normalize(batch.quaternions, dim=-1), batch.scales, batch.opacities, batch.sh)
+        return Gaussians(*(field[0][seen].contiguous() for field in fields))
+
+    def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
+        """Write the weights as float16 safetensors, configuration and notes in the metadata."""
+        from lightfield_gs.models.checkpoint import save_weights
+        save_weights(self, Path(path), notes or {})
+
+    @classmethod
+    def from_pretrained(cls, path: str | Path | None = None) -> "SplatterNet":
+        """Load a checkpoint written by save() (None: the one that comes with the package), in eval mode, float32."""
+        from lightfield_gs.models.checkpoint import read_weights
+        config, weights = read_weights(Path(path) if path is not None else PRETRAINED)
+        net = cls(config)
+        wanted = net.state_dict()
+        if {name: tensor.shape for name, tensor in weights.items()} != {name: t.shape for name, t in wanted.items()}:
+            raise InputError(f"{path}: the weights do not fit the configuration stored beside them: the file is damaged")
+        net.load_state_dict(weights)
+        return net.eval()
+
+
+def _checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
+    """The photo as float32 [4,H,W], or InputError."""
+    image = torch.as_tensor(rgba)
+    if image.ndim != 3 or image.shape[2] != 4 or 0 in image.shape:
+        raise InputError(f"photo: expected an array [H,W,4] (RGB and alpha), got {list(image.shape)}")
+    if not image.is_floating_point():
+        raise InputError(f"photo: expected floating point values in 0..1, got {image.dtype}; divide by 255")
+    image = image.to(torch.float32).permute(2, 0, 1)
+    if not bool(torch.isfinite(image).all()) or float(image.min()) < 0 or float(image.max()) > 1:
+        raise InputError("photo: expected values in 0..1, got values outside or not finite")
+    return image

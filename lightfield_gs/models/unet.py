@@ -1,0 +1,151 @@
+"""Residual U-Net: the feature extractor of every network configuration.
+
+The layout is that of Song et al., "Score-Based Generative Modeling through Stochastic Differential Equations", ICLR 2021
+(DDPM++), without noise conditioning: residual blocks that also resample, one skip connection per block, self-attention
+at chosen resolutions and in the middle. Splatter Image (Szymanowicz et al., CVPR 2024) uses it with 128 channels.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+@dataclass(frozen=True)
+class UNetConfig:
+    """Shape and initialisation of a U-Net.
+
+    base_channels: channels at the first level. multipliers: channels of each level in units of base_channels.
+    blocks: residual blocks per level on the way down (one more on the way up).
+    attention_px: side lengths of feature maps (at the network's nominal input size) that get self-attention.
+    heads: attention heads. dropout: probability in [0, 1) inside residual blocks.
+    residual_scale: factor on the sum of the two branches; sqrt(0.5) keeps variances in the original network.
+    zero_init: True starts every residual branch at zero; False uses the original's Xavier-uniform weights (gain 1e-5
+    instead of zero for the second convolution).
+    """
+    base_channels: int = 32
+    multipliers: tuple[int, ...] = (1, 2, 4, 4)
+    blocks: int = 2
+    attention_px: tuple[int, ...] = (16,)
+    heads: int = 4
+    dropout: float = 0.0
+    residual_scale: float = 1.0
+    zero_init: bool = True
+
+
+def _group_norm(channels: int) -> nn.GroupNorm:
+    """At least four channels per group, at most 32 groups, as many as divide the channels evenly."""
+    groups = next(count for count in range(min(32, channels // 4), 0, -1) if channels % count == 0)
+    return nn.GroupNorm(groups, channels, eps=1e-6)
+
+
+def _convolution(inputs: int, outputs: int, kernel: int, *, gain: float | None = None) -> nn.Conv2d:
+    """Same-size convolution; gain: Xavier-uniform with this gain, None: PyTorch's own initialisation."""
+    layer = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2)
+    if gain is not None:
+        nn.init.xavier_uniform_(layer.weight, gain)
+        nn.init.zeros_(layer.bias)
+    return layer
+
+
+def _resample(features: Tensor, factor: float) -> Tensor:
+    """Halve by averaging 2x2 pixels, double by repeating them, or leave alone (factor 1/2, 2, 1)."""
+    if factor == 0.5:
+        return F.avg_pool2d(features, 2)
+    return F.interpolate(features, scale_factor=2.0, mode="nearest") if factor == 2 else features
+
+
+class Attention(nn.Module):
+    """Self-attention over all pixels of a feature map, added to it."""
+
+    def __init__(self, channels: int, config: UNetConfig) -> None:
+        super().__init__()
+        self.heads = config.heads
+        self.norm = _group_norm(channels)
+        gain = None if config.zero_init else math.sqrt(0.2)
+        self.queries_keys_values = _convolution(channels, 3 * channels, 1, gain=gain)
+        self.projection = _convolution(channels, channels, 1, gain=0.0 if config.zero_init else 1e-5)
+
+    def forward(self, features: Tensor) -> Tensor:
+        batch, channels, height, width = features.shape
+        packed = self.queries_keys_values(self.norm(features)).flatten(2)
+        packed = packed.reshape(batch, 3, self.heads, channels // self.heads, height * width).transpose(3, 4)
+        mixed = F.scaled_dot_product_attention(packed[:, 0], packed[:, 1], packed[:, 2])
+        return features + self.projection(mixed.transpose(2, 3).reshape(batch, channels, height, width))
+
+
+class ResidualBlock(nn.Module):
+    """Norm, SiLU, 3x3 convolution, twice, beside a shortcut; may halve or double the resolution."""
+
+    def __init__(self, inputs: int, outputs: int, config: UNetConfig, *, factor: float = 1, attention: bool = False) -> None:
+        super().__init__()
+        gain = None if config.zero_init else 1.0
+        self.outputs, self.factor, self.scale = outputs, factor, config.residual_scale
+        self.norm_1, self.norm_2 = _group_norm(inputs), _group_norm(outputs)
+        self.convolution_1 = _convolution(inputs, outputs, 3, gain=gain)
+        self.dropout = nn.Dropout(config.dropout)
+        self.convolution_2 = _convolution(outputs, outputs, 3, gain=0.0 if config.zero_init else 1e-5)
+        # The original projects the shortcut wherever it resamples; with zero_init that would only cost time.
+        projects = inputs != outputs or (factor != 1 and not config.zero_init)
+        self.shortcut = _convolution(inputs, outputs, 1, gain=gain) if projects else nn.Identity()
+        self.attention = Attention(outputs, config) if attention else None
+
+    def forward(self, features: Tensor) -> Tensor:
+        branch = _resample(F.silu(self.norm_1(features)), self.factor)
+        branch = self.convolution_2(self.dropout(F.silu(self.norm_2(self.convolution_1(branch)))))
+        features = self.shortcut(_resample(features, self.factor))
+        features = (features + branch) * self.scale if self.scale != 1 else features + branch
+        if self.attention is None:
+            return features
+        features = self.attention(features)
+        return features * self.scale if self.scale != 1 else features
+
+
+class UNet(nn.Module):
+    """Maps [B, inputs, H, W] to [B, outputs, H, W]; H and W must be multiples of 2^(levels - 1).
+
+    size_px: the side length for which attention_px is meant; the weights work at any other size too.
+    """
+
+    def __init__(self, inputs: int, outputs: int, size_px: int, config: UNetConfig) -> None:
+        super().__init__()
+        channels = [config.base_channels * m for m in config.multipliers]
+        attends = [size_px >> level in config.attention_px for level in range(len(channels))]
+        gain = None if config.zero_init else 1.0
+        self.stem = _convolution(inputs, channels[0], 3, gain=gain)
+        self.down, self.up = nn.ModuleList(), nn.ModuleList()
+        width, skips = channels[0], [channels[0]]
+        for level, outputs_here in enumerate(channels):
+            if level > 0:
+                self.down.append(ResidualBlock(width, width, config, factor=0.5))
+                skips.append(width)
+            for _ in range(config.blocks):
+                self.down.append(ResidualBlock(width, outputs_here, config, attention=attends[level]))
+                width = outputs_here
+                skips.append(width)
+        self.middle = nn.Sequential(ResidualBlock(width, width, config, attention=True), ResidualBlock(width, width, config))
+        for level, outputs_here in reversed(list(enumerate(channels))):
+            if level < len(channels) - 1:
+                self.up.append(ResidualBlock(width, width, config, factor=2))
+            for index in range(config.blocks + 1):
+                attention = attends[level] and index == config.blocks
+                self.up.append(ResidualBlock(width + skips.pop(), outputs_here, config, attention=attention))
+                width = outputs_here
+        self.norm = _group_norm(width)
+        self.output = _convolution(width, outputs, 3, gain=None if config.zero_init else 0.2)
+
+    def forward(self, image: Tensor) -> Tensor:
+        features = self.stem(image)
+        skips = [features]
+        for block in self.down:
+            features = block(features)
+            skips.append(features)
+        features = self.middle(features)
+        for block in self.up:
+            if block.factor == 1:
+                features = torch.cat([features, skips.pop()], dim=1)
+            features = block(features)
+        return self.output(F.silu(self.norm(features)))

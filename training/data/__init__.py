@@ -1,0 +1,1 @@
+"""Multi-view images of objects: reading, checking, caching, sampling, cropping."""

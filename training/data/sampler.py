@@ -1,0 +1,78 @@
+"""Which objects and views a training step sees: views constrained to a cone about the source view.
+
+Everything here is a function of (seed, step): a resumed run draws what the uninterrupted one would have drawn.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lightfield_gs.errors import InputError
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One training example: object number, source view and target views (numbers within the object)."""
+    object_index: int
+    source: int
+    targets: tuple[int, ...]
+
+
+def angles_from_source(camera_to_world: np.ndarray, source: int) -> np.ndarray:
+    """Azimuth and elevation [V,2] in degrees of each viewing direction, in the axes of the source camera.
+
+    camera_to_world: [V,4,4], OpenCV axes. Azimuth is positive to the right, elevation positive downwards.
+    """
+    directions = camera_to_world[:, :3, 2] @ camera_to_world[source, :3, :3]
+    azimuth = np.arctan2(directions[:, 0], directions[:, 2])
+    elevation = np.arcsin(np.clip(directions[:, 1], -1, 1))
+    return np.degrees(np.stack([azimuth, elevation], axis=-1))
+
+
+def views_in_cone(camera_to_world: np.ndarray, source: int, azimuth_deg: float, elevation_deg: float) -> np.ndarray:
+    """Numbers of the views other than source within +-azimuth_deg and +-elevation_deg of it."""
+    angles = np.abs(angles_from_source(camera_to_world, source))
+    inside = (angles[:, 0] <= azimuth_deg) & (angles[:, 1] <= elevation_deg)
+    inside[source] = False
+    return np.flatnonzero(inside)
+
+
+class ViewSampler:
+    """Draws objects without replacement epoch by epoch, any view as source, targets inside the cone about it.
+
+    poses: camera_to_world [V,4,4] of each object. azimuth_deg, elevation_deg: half widths of the cone; 180 and 90 take
+    every view (the full-sphere arm). Raises InputError when an object has no two views within the cone of each other.
+    """
+
+    def __init__(self, poses: list[np.ndarray], azimuth_deg: float, elevation_deg: float, targets: int, seed: int) -> None:
+        self.targets, self.seed = targets, seed
+        self.candidates = []
+        for index, views in enumerate(poses):
+            near = {source: found for source in range(len(views))
+                    if len(found := views_in_cone(views, source, azimuth_deg, elevation_deg))}
+            if not near:
+                raise InputError(f"object number {index}: no two of its {len(views)} views lie within +-{azimuth_deg:g} degrees "
+                                 f"of azimuth and +-{elevation_deg:g} of elevation: widen the cone or add views")
+            self.candidates.append(near)
+
+    def rng(self, step: int, stream: int = 0) -> np.random.Generator:
+        """The random numbers of a step; further streams serve further purposes (augmentation, backgrounds)."""
+        return np.random.default_rng((self.seed, step, stream))
+
+    def draw(self, step: int, start: int, count: int) -> list[Choice]:
+        """The `count` examples of a step. start: examples drawn by all steps before it."""
+        rng = self.rng(step)
+        return [self._choose(self._object(start + offset), rng) for offset in range(count)]
+
+    def _object(self, position: int) -> int:
+        """The object at a place of the endless sequence of shuffled epochs."""
+        epoch, place = divmod(position, len(self.candidates))
+        return int(np.random.default_rng((self.seed, epoch, 1 << 20)).permutation(len(self.candidates))[place])
+
+    def _choose(self, index: int, rng: np.random.Generator) -> Choice:
+        """A source view and its targets; targets repeat only when the cone holds too few."""
+        near = self.candidates[index]
+        source = int(rng.choice(list(near)))
+        targets = rng.choice(near[source], self.targets, replace=len(near[source]) < self.targets)
+        return Choice(index, source, tuple(int(target) for target in targets))
