@@ -100,14 +100,17 @@ def read_image(path: str | Path, as_stored: bool = False) -> np.ndarray:
     """
     with _opened(path) as source, _native_stderr_silenced():
         spec = source.spec()
-        sample_type = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float") if as_stored else "float"
+        sample_type = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float")
         pixels = source.read_image(0, 0, 0, spec.nchannels, sample_type)
         problem = source.geterror()
         orientation = spec.get_int_attribute("Orientation", 1)
     if pixels is None or problem:
         raise InputError(f"{path} is damaged or cut: {_first_line(problem)}")
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
-    return np.ascontiguousarray(_upright(pixels, orientation))
+    pixels = np.ascontiguousarray(_upright(pixels, orientation))
+    if as_stored or pixels.dtype == np.float32:
+        return pixels
+    return pixels / np.float32(np.iinfo(pixels.dtype).max)  # OpenImageIO's own scaling is not exact
 
 
 @contextlib.contextmanager

@@ -1,0 +1,173 @@
+"""The command line `lightfield-gs`.
+
+Each command imports what it needs when it runs, so that --help is quick.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from lightfield_gs.errors import InputError
+from lightfield_gs.panel import DEFAULT_PANEL
+
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+_VECTOR_OPTIONS = ("--eye", "--background")  # their values may begin with a minus sign
+
+
+class _Parser(argparse.ArgumentParser):
+    """Complains in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see {self.prog} --help")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command; returns the exit code: 0, or 2 after a complaint about the input, in one line on stderr."""
+    signal.signal(signal.SIGTERM, _terminate)
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        args = build_parser(arguments[:1]).parse_args(_joined(arguments))
+        importlib.import_module(args.module).run(args)
+        sys.stdout.flush()
+        return 0
+    except KeyboardInterrupt:
+        return _fail("interrupted", EXIT_INTERRUPTED)
+    except BrokenPipeError:  # of stdout: nobody reads on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (InputError, OSError) as error:
+        return _fail(str(error), EXIT_BAD_INPUT)
+    except MemoryError:
+        return _fail("out of memory; use a smaller scene or panel", EXIT_BAD_INPUT)
+    except RuntimeError as error:
+        if "allocate memory" not in str(error):  # torch says it so
+            raise
+        return _fail("out of memory; use a smaller scene or panel", EXIT_BAD_INPUT)
+
+
+def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """The parser. The options of `bench` are only there when it is the command: its module needs torch."""
+    parser = _Parser("lightfield-gs", description="One photo, or a scene of 3D Gaussians, to the image that a "
+                     "slanted-lenticular 3D panel shows.", allow_abbrev=False)
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=_Parser)
+    _add_encode(commands)
+    _add_simulate(commands)
+    info = commands.add_parser("info", help="say what a file holds", allow_abbrev=False)
+    info.add_argument("file", type=Path, metavar="FILE",
+                      help="a .ply, an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file")
+    info.set_defaults(module="lightfield_gs.commands.info")
+    bench = commands.add_parser("bench", help="measure speed and accuracy", allow_abbrev=False)
+    bench.set_defaults(module="lightfield_gs.bench")
+    if list(command) == ["bench"]:
+        importlib.import_module("lightfield_gs.bench").add_arguments(bench)
+    return parser
+
+
+def _add_encode(commands: argparse._SubParsersAction) -> None:
+    encode = commands.add_parser(
+        "encode", help="a photo or a .ply to the image of a panel", allow_abbrev=False,
+        description="Encodes a photo of one object, or a scene of 3D Gaussians, for a slanted-lenticular panel.")
+    encode.set_defaults(module="lightfield_gs.commands.encode")
+    add = encode.add_argument
+    add("input", type=Path, metavar="INPUT", help="a photo (RGBA, or RGB with --mask, or with a plain background) or a "
+        "standard 3DGS .ply")
+    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
+    add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
+        help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
+    add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
+    add("--save-rig", type=Path, metavar="YAML", help="write the rig that was used")
+    add("--mask", type=Path, metavar="IMAGE", help="cut-out of a photo, of its size: bright or opaque on the object")
+    add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
+    add("--save-gaussians", type=Path, metavar="PLY", help="write the scene as a 3DGS .ply")
+    add("--method", choices=("direct", "classic"), default="direct",
+        help="direct: all sub-pixels in one pass; classic: a picture a view, then interlaced (slow; for comparison)")
+    add("--views", choices=("integer", "continuous"), default="integer",
+        help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)")
+    add("--background", type=_background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
+    add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp, left-eye.png, right-eye.png")
+    add("--bit-depth", type=int, choices=(8, 16, 32), metavar="BITS", help="8, 16 or 32 (float: .exr, .tif); default 8, "
+        ".exr 32")
+    add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")
+    add("--threads", type=_threads, metavar="N", help="number of threads (default: all cores)")
+
+
+def _add_simulate(commands: argparse._SubParsersAction) -> None:
+    simulate = commands.add_parser(
+        "simulate", help="what an eye sees through the lenses", allow_abbrev=False,
+        description="The picture that an eye sees of an encoded image through the lenses, one sample a lens.")
+    simulate.set_defaults(module="lightfield_gs.commands.simulate")
+    add = simulate.add_argument
+    add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
+    add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
+    add("--eye", type=_numbers(3), required=True, metavar="X,Y,Z",
+        help="place of the eye in mm from the panel's centre: right, up, towards the viewer")
+    add("--spread", type=float, default=1.0, metavar="SUBPIXELS",
+        help="width of what a lens lights, in sub-pixels; more is crosstalk (default 1)")
+    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr")
+
+
+def _numbers(count: int):
+    """Parser of `count` comma-separated finite numbers."""
+    def parse(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(word) for word in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise argparse.ArgumentTypeError(f"expected {count} numbers separated by commas, got '{text}'")
+        return values
+    return parse
+
+
+def _background(text: str) -> tuple[float, ...]:
+    values = _numbers(3)(text)
+    if not all(0 <= value <= 1 for value in values):
+        raise argparse.ArgumentTypeError(f"expected red, green and blue in 0..1, got '{text}'")
+    return values
+
+
+def _threads(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text[:9]) <= 1024:
+        raise argparse.ArgumentTypeError(f"expected 1..1024, got '{text}'")
+    return int(text)
+
+
+def _joined(arguments: list[str]) -> list[str]:
+    """`--eye -5,0,600` as `--eye=-5,0,600`: argparse takes the value for an option otherwise."""
+    out: list[str] = []
+    for argument in arguments:
+        if out and out[-1] in _VECTOR_OPTIONS:
+            out[-1] += f"={argument}"
+        else:
+            out.append(argument)
+    return out
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser, namespace, values, option_string=None):
+        from importlib.metadata import version
+
+        print(f"lightfield-gs {version('lightfield-gs')}")
+        parser.exit()
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"lightfield-gs: error: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def _terminate(number: int, frame: object) -> NoReturn:
+    raise SystemExit(128 + number)  # unwinds, so that temporary files go
+
+
+if __name__ == "__main__":
+    sys.exit(main())

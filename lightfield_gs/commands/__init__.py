@@ -1,0 +1,1 @@
+"""What the sub-commands of `lightfield-gs` do; lightfield_gs.cli parses their arguments."""

@@ -1,0 +1,41 @@
+"""`lightfield-gs simulate`: what an eye sees of an encoded image."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from lightfield_gs.commands.stopwatch import Stopwatch
+from lightfield_gs.errors import InputError
+from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
+from lightfield_gs.panel import Panel
+from lightfield_gs.preview import to_integers
+from lightfield_gs.simulate import simulate
+
+
+def run(args: argparse.Namespace) -> None:
+    """Simulates one eye before args.image. Raises InputError."""
+    watch = Stopwatch()
+    path = check_image_path(args.output)
+    panel = _panel_of(args)
+    image = read_image(args.image, as_stored=True)
+    watch.lap("load")
+    seen = simulate(image, panel, args.eye, args.spread)
+    watch.lap("simulate")
+    write_image(path, seen if path.suffix.lower() == ".exr" else to_integers(seen, 8), compression="small")
+    watch.lap("write")
+    print(f"{path}: {seen.shape[1]} x {seen.shape[0]}, one sample a lens, from {tuple(args.eye)} mm")
+    print(watch.line())
+
+
+def _panel_of(args: argparse.Namespace) -> Panel:
+    """The panel named, else the one that the image was encoded for."""
+    if args.panel is not None:
+        return Panel.load(args.panel)
+    stored = read_info(args.image).metadata.get("panel")
+    if stored is None:
+        raise InputError(f"{args.image} does not say which panel it is for; give --panel")
+    try:
+        return Panel(**json.loads(stored))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{args.image}: its panel profile cannot be used ({error}); give --panel") from None

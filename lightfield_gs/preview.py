@@ -1,0 +1,101 @@
+"""A light field on an ordinary screen: contact sheet of views, look-around animation, what the two eyes see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.errors import InputError
+from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.images import write_image
+from lightfield_gs.panel import Panel
+from lightfield_gs.rig import Rig
+from lightfield_gs.simulate import simulate
+
+EYE_SEPARATION_MM = 63.0
+_SHEET_COLUMNS, _SHEET_ROWS = 4, 3
+_SHEET_VIEW_WIDTH_PX, _ANIMATION_WIDTH_PX = 480, 960
+_FRAMES, _FRAME_MS, _WEBP_QUALITY = 24, 60, 85
+
+
+def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, panel: Panel, rig: Rig,
+                  background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> list[Path]:
+    """Writes previews of an encoded light field into `folder` (made if absent) and returns their paths.
+
+    views.png: views from the left-most to the right-most camera, row by row.
+    look-around.webp: a camera that goes from left to right and back.
+    left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, the eyes 63 mm apart at the viewing distance;
+    only where the panel knows its viewing distance and pixel pitch.
+    Views are rendered at a reduced size. Raises InputError.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {folder}: {error.strerror or error}") from error
+    paths = [folder / "views.png", folder / "look-around.webp"]
+    write_image(paths[0], contact_sheet(gaussians, panel, rig, background), compression="small")
+    _write_webp(paths[1], _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX))
+    if panel.viewing_distance_mm is not None and panel.pixel_pitch_mm is not None:
+        for name, side in (("left", -0.5), ("right", 0.5)):
+            eye = (side * EYE_SEPARATION_MM, 0.0, panel.viewing_distance_mm)
+            paths.append(folder / f"{name}-eye.png")
+            write_image(paths[-1], to_integers(simulate(image, panel, eye), 8), compression="small")
+    return paths
+
+
+def contact_sheet(gaussians: Gaussians, panel: Panel, rig: Rig,
+                  background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+    """Views of the light field, left-most camera first, in rows of four: uint8 [H, W, 3]."""
+    views = _views(gaussians, panel, rig, background, _SHEET_COLUMNS * _SHEET_ROWS, _SHEET_VIEW_WIDTH_PX)
+    rows = [np.concatenate(views[i:i + _SHEET_COLUMNS], 1) for i in range(0, len(views), _SHEET_COLUMNS)]
+    return np.concatenate(rows)
+
+
+def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
+    """round((2^bits - 1) clamp(c, 0, 1)) of a float image; bits 8 or 16. NaN becomes 0."""
+    top = (1 << bits) - 1
+    out = np.empty(image.shape, np.uint8 if bits == 8 else np.uint16)
+    for first in range(0, len(image), 256):  # in strips: an 8K frame in float64 would be 700 MB
+        strip = np.nan_to_num(image[first:first + 256].astype(np.float64))
+        out[first:first + 256] = np.floor(np.clip(strip, 0, 1) * top + 0.5)
+    return out
+
+
+def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
+    """The same view of the scene on a panel of another width; a panel is never enlarged."""
+    scale = min(1.0, width_px / panel.width_px)
+    width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
+    scales = width / panel.width_px, height / panel.height_px
+    focal, centre = (tuple(value * s for value, s in zip(pair, scales))
+                     for pair in (rig.focal_px, rig.principal_point_px))
+    return replace(panel, width_px=width, height_px=height), replace(rig, focal_px=focal, principal_point_px=centre)
+
+
+def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float, float, float], count: int,
+           width_px: int) -> list[np.ndarray]:
+    """`count` views spread over the fan, left-most camera first, each uint8 [h, w, 3]."""
+    from lightfield_gs.render import render
+
+    small_panel, small_rig = reduced(panel, rig, width_px)
+    numbers = np.linspace(panel.views - 1, 0, count).round().astype(int)
+    if panel.invert_views:
+        numbers = numbers[::-1]
+    views = []
+    for number in numbers:
+        cameras = small_rig.cameras(small_panel, [int(number)]).to(gaussians.dtype)
+        views.append(to_integers(render(gaussians, cameras, background=background)[0].numpy(), 8))
+    return views
+
+
+def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
+    """A loop of the frames, there and back."""
+    from PIL import Image
+
+    images = [Image.fromarray(frame) for frame in [*frames, *frames[-2:0:-1]]]
+    with atomic_path(path) as temporary:
+        images[0].save(temporary, save_all=True, append_images=images[1:], duration=_FRAME_MS, loop=0,
+                       quality=_WEBP_QUALITY, method=2)
