@@ -113,25 +113,31 @@ class Rig:
                 -(cy + _MARGIN * height) / fy, (height - cy + _MARGIN * height) / fy)
 
     def cameras(self, panel: Panel, views: Sequence[int] | None = None) -> "Cameras":
-        """The cameras of the integer views given (all N when None), float64, in that order.
+        """The cameras of the integer views given (all N when None), float64, in that order: at x = n + 1/2.
+
+        Raises InputError on a view outside 0..N-1.
+        """
+        numbers = np.arange(panel.views) if views is None else np.asarray(list(views), np.int64)
+        if numbers.size and not (0 <= numbers.min() and numbers.max() < panel.views):
+            raise InputError(f"views must be 0..{panel.views - 1}, got {numbers.min()}..{numbers.max()}")
+        return self.cameras_at(panel, numbers + 0.5)
+
+    def cameras_at(self, panel: Panel, x: Sequence[float] | np.ndarray) -> "Cameras":
+        """The cameras at these view coordinates x in [0, N], float64, in that order.
 
         Same rotation; translation t_x - s and principal point cx + fx s / Z0, so that z = zero_depth has no parallax.
-        Raises InputError on a view outside 0..N-1.
         """
         import torch
 
         from lightfield_gs.cameras import Cameras
 
-        numbers = np.arange(panel.views) if views is None else np.asarray(list(views), np.int64)
-        if numbers.size and not (0 <= numbers.min() and numbers.max() < panel.views):
-            raise InputError(f"views must be 0..{panel.views - 1}, got {numbers.min()}..{numbers.max()}")
-        offsets = self.offset(numbers + 0.5, panel)
-        matrices = np.repeat(self.world_to_camera[None], len(numbers), 0)
+        offsets = self.offset(np.asarray(x, np.float64), panel)
+        matrices = np.repeat(self.world_to_camera[None], len(offsets), 0)
         matrices[:, 0, 3] -= offsets
         centres = np.stack([self.principal_point_px[0] + self.focal_px[0] / self.zero_depth * offsets,
-                            np.full(len(numbers), self.principal_point_px[1])], 1)
-        limits = np.concatenate([np.tile(self.jacobian_limits(panel), (len(numbers), 1)), offsets[:, None]], 1)
-        return Cameras(torch.from_numpy(matrices), torch.tensor([self.focal_px] * len(numbers), dtype=torch.float64),
+                            np.full(len(offsets), self.principal_point_px[1])], 1)
+        limits = np.concatenate([np.tile(self.jacobian_limits(panel), (len(offsets), 1)), offsets[:, None]], 1)
+        return Cameras(torch.from_numpy(matrices), torch.tensor([self.focal_px] * len(offsets), dtype=torch.float64),
                        torch.from_numpy(centres), panel.width_px, panel.height_px,
                        jacobian_limits=torch.from_numpy(limits))
 

@@ -1,0 +1,28 @@
+# GLM and Highway: the system's (Debian: libglm-dev, libhwy-dev), else fetched at a pinned hash.
+include(FetchContent)
+
+find_package(glm CONFIG QUIET)
+if(NOT TARGET glm::glm)
+  message(STATUS "GLM not found on the system: fetching it")
+  FetchContent_Declare(glm
+    URL https://github.com/g-truc/glm/archive/refs/tags/1.0.1.tar.gz
+    URL_HASH SHA256=9f3174561fd26904b23f0db5e560971cbf9b3cbda0b280f04d5c379d03bf234c)
+  FetchContent_MakeAvailable(glm)
+endif()
+
+find_package(hwy CONFIG QUIET)
+if(NOT TARGET hwy::hwy)
+  message(STATUS "Highway not found on the system: fetching it")
+  set(HWY_ENABLE_TESTS OFF)
+  set(HWY_ENABLE_EXAMPLES OFF)
+  set(HWY_ENABLE_CONTRIB OFF)
+  set(HWY_ENABLE_INSTALL OFF)
+  set(BUILD_SHARED_LIBS OFF)
+  FetchContent_Declare(hwy
+    URL https://github.com/google/highway/archive/refs/tags/1.2.0.tar.gz
+    URL_HASH SHA256=7e0be78b8318e8bdbf6fa545d2ecb4c90f947df03f7aadc42c1967f019e63343)
+  FetchContent_MakeAvailable(hwy)
+  if(NOT TARGET hwy::hwy)
+    add_library(hwy::hwy ALIAS hwy)
+  endif()
+endif()

@@ -1,0 +1,194 @@
+// The Python module: integers -> pointers, Error -> ValueError. It knows neither torch nor NumPy; ops.py owns every
+// buffer and checks every argument before it hands addresses over. The GIL is released while a stage runs.
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include "base/error.h"
+#include "hwy/highway.h"
+#include "hwy/targets.h"
+#include "pipeline/stages.h"
+
+namespace py = pybind11;
+
+namespace lfgs {
+namespace {
+
+using Address = uintptr_t;
+using NoGil = py::call_guard<py::gil_scoped_release>;
+
+template <class T>
+T* at(Address address) {
+  return reinterpret_cast<T*>(address);
+}
+
+View<double> view_of(const std::vector<double>& world_to_camera, const std::vector<double>& intrinsics,
+                     const std::vector<double>& limits, double zero_depth, const Lens& lens) {
+  require(world_to_camera.size() == 16 && intrinsics.size() == 4 && limits.size() == 5, "a rig is 16 + 4 + 5 numbers");
+  View<double> rig = make_view<double>(world_to_camera.data(), intrinsics.data(), limits.data());
+  rig.sweep = lens.reach();
+  rig.inverse_zero_depth = 1 / zero_depth;
+  return rig;
+}
+
+template <class T>
+void bind_stages(py::module_ m) {
+  using G = Gaussians<T>;
+  auto as_const = [](const G& g) {
+    return Gaussians<const T>{g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh};
+  };
+  py::class_<G>(m, "Gaussians")
+      .def(py::init([](int64_t count, int sh_degree, Address means, Address quaternions, Address scales,
+                       Address opacities, Address sh) {
+             require(sh_degree >= 0 && sh_degree <= 3, "sh_degree must be 0..3");
+             return G{count, sh_degree, at<T>(means), at<T>(quaternions), at<T>(scales), at<T>(opacities), at<T>(sh)};
+           }),
+           py::arg("count"), py::arg("sh_degree"), py::arg("means"), py::arg("quaternions"), py::arg("scales"),
+           py::arg("opacities"), py::arg("sh"));
+  py::class_<Cameras<T>>(m, "Cameras")
+      .def(py::init([](int64_t scenes, int64_t per_scene, int64_t width_px, int64_t height_px, Address world_to_camera,
+                       Address intrinsics, Address limits) {
+             return Cameras<T>{scenes, per_scene, width_px, height_px, at<T>(world_to_camera), at<T>(intrinsics),
+                               at<T>(limits)};
+           }),
+           py::arg("scenes"), py::arg("per_scene"), py::arg("width_px"), py::arg("height_px"),
+           py::arg("world_to_camera"), py::arg("intrinsics"), py::arg("limits"));
+  py::class_<Splats<T>>(m, "Splats")
+      .def(py::init([](int64_t images, int64_t count, int colour_order, Address splats, Address colours,
+                       Address orders) {
+             return Splats<T>{images, count, colour_order, at<Splat<T>>(splats), at<T>(colours), at<int32_t>(orders)};
+           }),
+           py::arg("images"), py::arg("count"), py::arg("colour_order"), py::arg("splats"), py::arg("colours"),
+           py::arg("orders"));
+  py::class_<DenseImages<T>>(m, "DenseImages")
+      .def(py::init([](Address image, Address alpha, Address depth) {
+             return DenseImages<T>{at<T>(image), at<T>(alpha), at<T>(depth)};
+           }),
+           py::arg("image"), py::arg("alpha"), py::arg("depth"));
+  auto read_only = [](const DenseImages<T>& i) { return DenseImages<const T>{i.image, i.alpha, i.depth}; };
+
+  m.def("project_dense", [as_const](const G& g, const Cameras<T>& cameras, const Splats<T>& out, int threads) {
+    project_dense<T>(as_const(g), cameras, out, threads);
+  }, NoGil());
+  m.def("project_dense_backward",
+        [as_const](const G& g, const Cameras<T>& cameras, const Splats<T>& splats, Address first_pair,
+                   Address pair_gradients, const G& out, Address g_world_to_camera, int threads) {
+          project_dense_backward<T>(as_const(g), cameras, splats, at<int64_t>(first_pair), at<T>(pair_gradients), out,
+                                    at<T>(g_world_to_camera), threads);
+        }, NoGil());
+  m.def("project_lens",
+        [as_const](const G& g, const View<double>& rig, const Lens& lens, double tolerance, const Splats<T>& out,
+                   int threads) { return project_lens<T>(as_const(g), rig, lens, tolerance, out, threads); }, NoGil());
+  m.def("project_lens_backward",
+        [as_const](const G& g, const View<double>& rig, const Lens& lens, const Splats<T>& splats, Address first_pair,
+                   Address pair_gradients, const G& out, int threads) {
+          project_lens_backward<T>(as_const(g), rig, lens, splats, at<int64_t>(first_pair), at<T>(pair_gradients), out,
+                                   threads);
+        }, NoGil());
+  m.def("order", [](const Splats<T>& splats, Address order_, Address drawn, int threads) {
+    order<T>(splats, at<int32_t>(order_), at<int64_t>(drawn), threads);
+  }, NoGil());
+  m.def("bin_count", [](const Splats<T>& splats, Address order_, Address drawn, int64_t height_px, const Bins& bins,
+                        int threads) {
+    return bin_count<T>(splats, at<int32_t>(order_), at<int64_t>(drawn), height_px, bins, threads);
+  }, NoGil());
+  m.def("bin_fill", [](const Splats<T>& splats, Address order_, Address drawn, int64_t height_px, const Bins& bins,
+                       int threads) {
+    bin_fill<T>(splats, at<int32_t>(order_), at<int64_t>(drawn), height_px, bins, threads);
+  }, NoGil());
+  m.def("first_pairs", [](const Splats<T>& splats, int64_t height_px, const Bins& bins, Address first_pair,
+                          int threads) {
+    first_pairs<T>(splats, height_px, bins, at<int64_t>(first_pair), threads);
+  }, NoGil());
+  m.def("composite_dense", [](const Splats<T>& splats, const Bins& bins, const Cameras<T>& cameras, Address background,
+                              const DenseImages<T>& out, int threads) {
+    return composite_dense<T>(splats, bins, cameras, at<T>(background), out, threads);
+  }, NoGil());
+  m.def("composite_dense_backward",
+        [read_only](const Splats<T>& splats, const Bins& bins, const Cameras<T>& cameras, Address background,
+                    const DenseImages<T>& images, const DenseImages<T>& gradients, Address first_pair,
+                    Address pair_gradients, Address band_background, int threads) {
+          return composite_dense_backward<T>(splats, bins, cameras, at<T>(background), read_only(images),
+                                             read_only(gradients), at<int64_t>(first_pair), at<T>(pair_gradients),
+                                             at<T>(band_background), threads);
+        }, NoGil());
+  m.def("composite_lens", [](const Splats<T>& splats, const Bins& bins, const Lens& lens, Address background,
+                             Address out, Address out8, int threads) {
+    return composite_lens<T>(splats, bins, lens, at<T>(background), at<T>(out), at<uint8_t>(out8), threads);
+  }, NoGil());
+  m.def("composite_lens_backward",
+        [](const Splats<T>& splats, const Bins& bins, const Lens& lens, Address background, Address image,
+           Address gradient, Address first_pair, Address pair_gradients, Address band_background, int threads) {
+          return composite_lens_backward<T>(splats, bins, lens, at<T>(background), at<T>(image), at<T>(gradient),
+                                            at<int64_t>(first_pair), at<T>(pair_gradients), at<T>(band_background),
+                                            threads);
+        }, NoGil());
+}
+
+std::vector<std::string> simd_targets() {
+  std::vector<std::string> names;
+  for (int64_t left = hwy::SupportedTargets() & HWY_TARGETS; left; left &= left - 1)
+    names.push_back(hwy::TargetName(left & -left));
+  return names;
+}
+
+// Restricts run-time dispatch to one vector instruction set ("" for the best there is).
+void set_simd_target(const std::string& name) {
+  hwy::SetSupportedTargetsForTest(0);
+  int64_t chosen = 0;
+  for (int64_t left = hwy::SupportedTargets() & HWY_TARGETS; left; left &= left - 1)
+    if (hwy::TargetName(left & -left) == name) chosen = left & -left;
+  require(name.empty() || chosen, "SIMD target '" + name + "' is not among simd_targets()");
+  if (chosen) hwy::SetSupportedTargetsForTest(chosen);
+  hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+}
+
+}  // namespace
+}  // namespace lfgs
+
+PYBIND11_MODULE(_core, m) {
+  using namespace lfgs;
+  m.doc() = "Native core of lightfield_gs; use lightfield_gs.ops instead.";
+  py::register_exception_translator([](std::exception_ptr p) {
+    try {
+      if (p) std::rethrow_exception(p);
+    } catch (const Error& e) {
+      PyErr_SetString(PyExc_ValueError, e.what());
+    }
+  });
+  m.attr("version") = LFGS_VERSION;
+  m.attr("BAND_ROWS") = kBandRows;
+  m.attr("SPLAT_FIELDS") = kSplatFields;
+  m.attr("COLOUR_STRIDE") = kColourStride;
+  m.def("band_count", &band_count);
+  m.def("pair_gradient_size", &pair_gradient_size);
+  m.def("simd_targets", &simd_targets);
+  m.def("set_simd_target", &set_simd_target);
+
+  py::class_<Lens>(m, "Lens")
+      .def(py::init([](int64_t width_px, int64_t height_px, int64_t views, uint64_t phase0, uint64_t phase_x,
+                       uint64_t phase_y, double line_number, double slant_tan, double phase, bool bgr, bool continuous,
+                       double offset_start, double offset_step) {
+             return Lens{width_px, height_px, views, phase0, phase_x, phase_y, line_number, slant_tan, phase, bgr,
+                         continuous, offset_start, offset_step};
+           }),
+           py::kw_only(), py::arg("width_px"), py::arg("height_px"), py::arg("views"), py::arg("phase0"),
+           py::arg("phase_x"), py::arg("phase_y"), py::arg("line_number"), py::arg("slant_tan"), py::arg("phase"),
+           py::arg("bgr"), py::arg("continuous"), py::arg("offset_start"), py::arg("offset_step"))
+      .def("reach", &Lens::reach)
+      .def("view_at", [](const Lens& lens, int64_t row, int64_t subpixel) {
+        return integer_view(lens.phase_at(row, subpixel), uint64_t(lens.views));
+      });
+  py::class_<View<double>>(m, "Rig").def(py::init(&view_of), py::kw_only(), py::arg("world_to_camera"),
+                                         py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),
+                                         py::arg("lens"));
+  py::class_<Bins>(m, "Bins").def(py::init([](Address offsets, Address splats) {
+    return Bins{at<int64_t>(offsets), at<int32_t>(splats)};
+  }), py::arg("band_offsets"), py::arg("band_splats"));
+  py::class_<Counters>(m, "Counters")
+      .def_readonly("pairs", &Counters::pairs)
+      .def_readonly("evaluations", &Counters::evaluations)
+      .def_readonly("scratch_bytes", &Counters::scratch_bytes);
+
+  bind_stages<float>(m.def_submodule("float32"));
+  bind_stages<double>(m.def_submodule("float64"));
+}

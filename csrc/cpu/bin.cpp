@@ -1,0 +1,85 @@
+// Stage bin: for every band of every image, the splats whose rows touch it, nearest first.
+#include <algorithm>
+#include <vector>
+
+#include "base/parallel.h"
+#include "math/footprint.h"
+#include "pipeline/stages.h"
+
+namespace lfgs {
+namespace {
+
+struct Bands {
+  int64_t first, last;
+};
+
+template <class T>
+Bands bands_of(const Splat<T>& splat, int64_t height_px) {
+  Range rows = rows_of(splat, height_px);
+  if (rows.last < rows.first) return {0, -1};
+  return {rows.first / kBandRows, rows.last / kBandRows};
+}
+
+// Work items: every image, cut into as many groups of bands as there are threads. Each group reads the whole order,
+// which is cheap, and so needs no second pass to keep the lists sorted.
+template <class T, class Visit>
+void for_each_band(const Splats<T>& splats, const int32_t* order, const int64_t* drawn, int64_t height_px, int threads,
+                   const Visit& visit) {
+  const int64_t bands = band_count(height_px);
+  const int64_t groups = splats.images >= threads ? 1 : std::min<int64_t>(threads, bands);
+  parallel_for(splats.images * groups, threads, [&](int64_t item, int) {
+    const int64_t image = item / groups, group = item % groups;
+    const int64_t begin = bands * group / groups, end = bands * (group + 1) / groups;
+    const Splat<T>* s = splats.splats + image * splats.count;
+    const int32_t* sorted = order + image * splats.count;
+    for (int64_t k = 0; k < drawn[image]; ++k) {
+      const Bands b = bands_of(s[sorted[k]], height_px);
+      for (int64_t band = std::max(b.first, begin); band <= std::min(b.last, end - 1); ++band)
+        visit(image * bands + band, sorted[k]);
+    }
+  });
+}
+
+}  // namespace
+
+template <class T>
+int64_t bin_count(const Splats<T>& splats, const int32_t* order, const int64_t* drawn, int64_t height_px, Bins bins,
+                  int threads) {
+  const int64_t total = splats.images * band_count(height_px);
+  std::fill(bins.band_offsets, bins.band_offsets + total + 1, 0);
+  for_each_band(splats, order, drawn, height_px, threads,
+                [&](int64_t band, int32_t) { ++bins.band_offsets[band + 1]; });
+  for (int64_t band = 0; band < total; ++band) bins.band_offsets[band + 1] += bins.band_offsets[band];
+  return bins.band_offsets[total];
+}
+
+template <class T>
+void bin_fill(const Splats<T>& splats, const int32_t* order, const int64_t* drawn, int64_t height_px, Bins bins,
+              int threads) {
+  const int64_t total = splats.images * band_count(height_px);
+  std::vector<int64_t> next(bins.band_offsets, bins.band_offsets + total);
+  for_each_band(splats, order, drawn, height_px, threads,
+                [&](int64_t band, int32_t splat) { bins.band_splats[next[band]++] = splat; });
+}
+
+template <class T>
+void first_pairs(const Splats<T>& splats, int64_t height_px, Bins bins, int64_t* first_pair, int threads) {
+  const int64_t bands = band_count(height_px);
+  parallel_for(splats.images, threads, [&](int64_t image, int) {
+    int64_t next = bins.band_offsets[image * bands];
+    for (int64_t i = image * splats.count; i < (image + 1) * splats.count; ++i) {
+      const Bands b = bands_of(splats.splats[i], height_px);
+      first_pair[i] = next;
+      next += b.last - b.first + 1;
+    }
+  });
+}
+
+#define LFGS_INSTANTIATE(T)                                                                                   \
+  template int64_t bin_count(const Splats<T>&, const int32_t*, const int64_t*, int64_t, Bins, int);           \
+  template void bin_fill(const Splats<T>&, const int32_t*, const int64_t*, int64_t, Bins, int);               \
+  template void first_pairs(const Splats<T>&, int64_t, Bins, int64_t*, int);
+LFGS_INSTANTIATE(float)
+LFGS_INSTANTIATE(double)
+
+}  // namespace lfgs

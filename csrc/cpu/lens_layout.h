@@ -1,0 +1,74 @@
+// How the panel is cut into cells and tiles; the same for a whole frame.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+
+#include "math/footprint.h"
+#include "pipeline/stages.h"
+#include "scene/lens.h"
+
+namespace lfgs {
+
+struct LensLayout {
+  bool by_lens = true;      // cells are lenses; false: cells are single sub-pixels
+  double pitch = 1;         // cell width, sub-pixels
+  double shear = 0;         // sub-pixels that the cells lean to the left per row
+  double origin = 0;        // cell coordinate (sub-pixels) of the image's top left corner
+  int ordinals = 1;         // most sub-pixels in a cell
+  int cells_per_tile = 8;
+  double s_start = 0, s_step = 0;  // normalized offset s in [-1, 1] = s_start + s_step * x
+  double s_of_ordinal_0 = 0, s_per_ordinal = 0, half_s = 0;  // of the samples at ordinal t: centre, and half spread
+  float half_patch_px = 0;  // half spread in x of a patch's samples at one ordinal, rows apart
+
+  LensLayout(const Lens& lens, int cells_per_patch) {
+    // A lens must hold a few sub-pixels for its phase to be told from its neighbours', and few enough for a 64-bit mask
+    by_lens = lens.line_number >= 3 && lens.line_number <= 63;
+    const double reach = lens.reach();
+    s_start = reach > 0 ? lens.offset_start / reach : 0, s_step = reach > 0 ? lens.offset_step / reach : 0;
+    if (by_lens) {
+      pitch = lens.line_number, shear = 3 * lens.slant_tan, origin = lens.phase;
+      ordinals = int(std::ceil(pitch));
+      const double views_per_ordinal = double(lens.views) / pitch;
+      s_per_ordinal = s_step * views_per_ordinal;
+      s_of_ordinal_0 = s_start + 0.5 * s_per_ordinal;
+      half_s = std::abs(s_step) * (0.5 * views_per_ordinal + (lens.continuous ? 0 : 0.5)) + 1e-6;
+    } else {
+      cells_per_tile = 96;
+    }
+    // A sub-pixel stands up to 1/3 px from its pixel's centre; lens edges are rounded up to whole sub-pixels
+    half_patch_px = float((cells_per_patch - 1) * pitch / 6 + 0.5 + 0.02);
+  }
+
+  int64_t samples() const { return int64_t(kBandRows) * cells_per_tile * ordinals; }
+
+  // x (pixels) of the samples at ordinal 0 of a cell, in the mean.
+  double cell_x(double cell, double row) const {
+    return (cell * pitch - shear * row - origin) / 3 + (by_lens ? 1.0 / 3 : 1.0 / 6);
+  }
+
+  // First sub-pixel of a cell in a row: an estimate, made exact by the fixed-point phase.
+  int64_t cell_start(const Lens& lens, int64_t row, int64_t cell) const {
+    if (!by_lens) return cell;
+    const int64_t m = int64_t(std::ceil(double(cell) * pitch - shear * double(row) - origin));
+    const uint64_t phase = lens.phase_at(row, m);
+    return phase < lens.phase_x ? m : phase >> 63 ? m + 1 : m - 1;
+  }
+
+  // Cells that samples of columns [low, high] (pixels, at row 0 after shearing by shear / 3) belong to.
+  Range cells_of(double low, double high) const {
+    return {int64_t(std::floor((3 * (low - 0.5) + origin) / pitch - 1e-6)),
+            int64_t(std::floor((3 * (high - 0.5) + 2 + origin) / pitch + 1e-6))};
+  }
+
+  // Cells that a band shows.
+  Range cells_of_band(const Lens& lens, int64_t row0) const {
+    const double last_row = double(std::min(row0 + kBandRows, lens.height_px) - 1);
+    const double a = shear * double(row0), b = shear * last_row;
+    return {int64_t(std::floor((std::min(a, b) + origin) / pitch)) - 1,
+            int64_t(std::floor((std::max(a, b) + origin + double(3 * lens.width_px - 1)) / pitch)) + 1};
+  }
+};
+
+}  // namespace lfgs

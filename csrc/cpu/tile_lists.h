@@ -1,0 +1,47 @@
+// Inside one band: which splats touch which tile, in the order given. A counting sort in reused memory.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "math/footprint.h"
+
+namespace lfgs {
+
+class TileLists {
+ public:
+  // tiles_of(id) -> Range of tiles, already clipped to [0, tiles).
+  template <class TilesOf>
+  void build(const int32_t* ids, int64_t count, int64_t tiles, const TilesOf& tiles_of) {
+    ranges_.resize(size_t(count));
+    offsets_.assign(size_t(tiles) + 1, 0);
+    for (int64_t k = 0; k < count; ++k) {
+      const Range r = tiles_of(ids[k]);
+      ranges_[k] = {int32_t(r.first), int32_t(r.last)};
+      for (int64_t t = r.first; t <= r.last; ++t) ++offsets_[t + 1];
+    }
+    for (int64_t t = 0; t < tiles; ++t) offsets_[t + 1] += offsets_[t];
+    next_.assign(offsets_.begin(), offsets_.end() - 1);
+    splats_.resize(size_t(offsets_[tiles]));
+    for (int64_t k = 0; k < count; ++k)
+      for (int32_t t = ranges_[k].first; t <= ranges_[k].last; ++t) splats_[next_[t]++] = ids[k];
+  }
+
+  const int32_t* begin(int64_t tile) const { return splats_.data() + offsets_[tile]; }
+  const int32_t* end(int64_t tile) const { return splats_.data() + offsets_[tile + 1]; }
+  int64_t pairs() const { return int64_t(splats_.size()); }
+  int64_t bytes() const {
+    return int64_t(ranges_.capacity() * sizeof(Tiles) + (offsets_.capacity() + next_.capacity()) * sizeof(int64_t) +
+                   splats_.capacity() * sizeof(int32_t));
+  }
+
+ private:
+  struct Tiles {
+    int32_t first, last;
+  };
+  std::vector<Tiles> ranges_;
+  std::vector<int64_t> offsets_, next_;
+  std::vector<int32_t> splats_;
+};
+
+}  // namespace lfgs

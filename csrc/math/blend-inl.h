@@ -1,0 +1,150 @@
+// What happens at one vector of samples: weight, alpha, over. Shared by both sensors; included once per SIMD target.
+// float runs on full vectors; double on one lane, with the C library's exp2, as the exact twin.
+
+#if defined(LFGS_MATH_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_MATH_BLEND_INL_H_
+#undef LFGS_MATH_BLEND_INL_H_
+#else
+#define LFGS_MATH_BLEND_INL_H_
+#endif
+
+#include <cmath>
+
+#include "hwy/highway.h"
+#include "math/constants.h"
+#include "math/projection.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lfgs {
+namespace HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+// The tag of each precision: as many float lanes as the machine has, one double lane.
+template <class T>
+struct TagOf;
+template <>
+struct TagOf<float> {
+  using type = hn::ScalableTag<float>;
+};
+template <>
+struct TagOf<double> {
+  using type = hn::CappedTag<double, 1>;
+};
+template <class T>
+using Tag = typename TagOf<T>::type;
+
+// 2^x for x in [-126, 1]; anything (but no trap) below. float: relative error < 2e-7. Cost: 10 operations.
+template <class D>
+HWY_INLINE hn::Vec<D> Exp2(D d, hn::Vec<D> x) {
+  if constexpr (sizeof(hn::TFromD<D>) == 8) {
+    return hn::Set(d, std::exp2(hn::GetLane(x)));
+  } else {
+    const hn::RebindToSigned<D> di;
+    const auto magic = hn::Set(d, 12582912.0f);  // 1.5 * 2^23: adding it leaves round(x) in the low bits
+    const auto shifted = hn::Add(x, magic);
+    const auto f = hn::Sub(x, hn::Sub(shifted, magic));
+    auto p = hn::Set(d, 1.327647205e-3f);  // minimax of 2^f on [-1/2, 1/2], relative error 7.5e-8
+    p = hn::MulAdd(p, f, hn::Set(d, 9.675541385e-3f));
+    p = hn::MulAdd(p, f, hn::Set(d, 5.550713274e-2f));
+    p = hn::MulAdd(p, f, hn::Set(d, 2.402211972e-1f));
+    p = hn::MulAdd(p, f, hn::Set(d, 6.931469671e-1f));
+    p = hn::MulAdd(p, f, hn::Set(d, 1.000000072f));
+    return hn::BitCast(d, hn::Add(hn::BitCast(di, p), hn::ShiftLeft<23>(hn::BitCast(di, shifted))));
+  }
+}
+
+// 1 / x for x > 0. float: estimate and one Newton step, relative error < 5e-7.
+template <class D>
+HWY_INLINE hn::Vec<D> Reciprocal(D d, hn::Vec<D> x) {
+  const auto one = hn::Set(d, hn::TFromD<D>(1));
+  if constexpr (sizeof(hn::TFromD<D>) == 8) {
+    return hn::Div(one, x);
+  } else {
+    const auto r = hn::ApproximateReciprocal(x);
+    return hn::MulAdd(r, hn::NegMulAdd(x, r, one), r);
+  }
+}
+
+// Lane i receives table[channel[i]]; the table holds r, g, b and one number of padding.
+template <class D>
+HWY_INLINE hn::Vec<D> Lookup(D d, const hn::TFromD<D>* HWY_RESTRICT table, hn::Vec<hn::RebindToSigned<D>> channel) {
+  if constexpr (sizeof(hn::TFromD<D>) == 8) {
+    return hn::Set(d, table[hn::GetLane(channel)]);
+  } else {
+    return hn::TableLookupLanes(hn::LoadDup128(d, table), hn::IndicesFromVec(d, channel));
+  }
+}
+
+// alpha = min(0.99, 2^power), zero where it is below 1/255 (or power is not a number).
+template <class D>
+HWY_INLINE hn::Vec<D> Alpha(D d, hn::Vec<D> power) {
+  using T = hn::TFromD<D>;
+  const auto alpha = hn::Min(Exp2(d, power), hn::Set(d, T(kMaxAlpha)));
+  return hn::IfThenElseZero(hn::Ge(power, hn::Set(d, T(kLog2MinAlpha))), alpha);
+}
+
+// Gradient sums of one splat over the samples it touches, a vector each; see Splat for the fields.
+template <class D>
+struct SplatSums {
+  using V = hn::Vec<D>;
+  using T = hn::TFromD<D>;
+  V power, power_dy, power_dy2;    // of the exponent, times 1, dy, dy^2
+  V x, x_s, x_dy, x_s_dy;          // of dx = px - m
+  V S, S_s, S_s2;                  // of S(s)
+
+  explicit HWY_INLINE SplatSums(D d) {
+    power = power_dy = power_dy2 = x = x_s = x_dy = x_s_dy = S = S_s = S_s2 = hn::Zero(d);
+  }
+
+  // One camera: g is the gradient of power = log2 o - tau dy^2 - dx^2 / S, e = dx / S.
+  HWY_INLINE void Add(V g, V dy, V e) {
+    AddRows(g, dy);
+    const V ge = hn::Mul(g, e);
+    x = hn::Sub(x, hn::Add(ge, ge));
+    x_dy = hn::NegMulAdd(hn::Add(ge, ge), dy, x_dy);
+    S = hn::MulAdd(ge, e, S);
+  }
+  // A swept splat at the sample's offset s.
+  HWY_INLINE void Add(V g, V dy, V e, V s) {
+    AddRows(g, dy);
+    const V ge = hn::Mul(g, e), gx = hn::Neg(hn::Add(ge, ge)), gx_s = hn::Mul(gx, s);
+    x = hn::Add(x, gx);
+    x_s = hn::Add(x_s, gx_s);
+    x_dy = hn::MulAdd(gx, dy, x_dy);
+    x_s_dy = hn::MulAdd(gx_s, dy, x_s_dy);
+    const V gS = hn::Mul(ge, e), gS_s = hn::Mul(gS, s);
+    S = hn::Add(S, gS);
+    S_s = hn::Add(S_s, gS_s);
+    S_s2 = hn::MulAdd(gS_s, s, S_s2);
+  }
+
+  // Adds the splat's gradient to the numbers at `out`, in the order of its fields.
+  HWY_INLINE void Reduce(D d, const Splat<T>& s, T* HWY_RESTRICT out) const {
+    auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
+    const T gx = sum(x), gx_s = sum(x_s);
+    out[0] -= gx;
+    out[1] -= gx_s;
+    out[2] += 2 * s.tau * sum(power_dy) + s.c0 * gx + s.c1 * gx_s;
+    out[3] += sum(power);
+    out[4] += sum(S);
+    out[5] += sum(S_s);
+    out[6] += sum(S_s2);
+    out[7] -= sum(power_dy2);
+    out[8] -= sum(x_dy);
+    out[9] -= sum(x_s_dy);
+  }
+
+ private:
+  HWY_INLINE void AddRows(V g, V dy) {
+    power = hn::Add(power, g);
+    const V g_dy = hn::Mul(g, dy);
+    power_dy = hn::Add(power_dy, g_dy);
+    power_dy2 = hn::MulAdd(g_dy, dy, power_dy2);
+  }
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lfgs
+HWY_AFTER_NAMESPACE();
+
+#endif  // LFGS_MATH_BLEND_INL_H_

@@ -1,0 +1,15 @@
+// The numbers of the field (Kerbl et al. 2023) that decide which samples a Gaussian touches.
+#pragma once
+
+namespace lfgs {
+
+constexpr double kBlurVariancePx = 0.3;             // added to the diagonal of the 2D covariance, px^2
+constexpr double kMaxAlpha = 0.99;
+constexpr double kMinTransmittance = 1e-4;          // a sample stops before it falls below
+constexpr double kNearDepth = 0.01;
+constexpr double kLog2MinAlpha = -7.994353436858858;  // log2(1/255)
+constexpr double kLog2MaxAlpha = -0.014499569695115;  // log2(0.99)
+constexpr double kHalfLog2e = 0.7213475204444817;     // exp(-q/2) = 2^(-kHalfLog2e q)
+constexpr double kLn2 = 0.6931471805599453;
+
+}  // namespace lfgs

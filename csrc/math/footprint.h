@@ -1,0 +1,56 @@
+// Where a splat may bring a sample above the opacity cut: rows, bands, columns. Bounds err on the wide side.
+#pragma once
+
+#include <cmath>
+
+#include "base/config.h"
+#include "math/constants.h"
+#include "math/projection.h"
+
+namespace lfgs {
+
+struct Range {
+  int64_t first, last;  // empty when last < first
+};
+
+// Pixels (or rows) of [0, size) whose centres lie in [low, high], with a margin for rounding.
+template <class T>
+LFGS_HD Range pixels_within(T low, T high, int64_t size) {
+  const T margin = T(0.01);
+  low = std::ceil(low - T(0.5) - margin), high = std::floor(high - T(0.5) + margin);
+  if (!(low <= high) || high < 0 || low > T(size - 1)) return {0, -1};
+  return {low <= 0 ? 0 : int64_t(low), high >= T(size - 1) ? size - 1 : int64_t(high)};
+}
+
+// Rows of the image that the footprint touches.
+template <class T>
+LFGS_HD Range rows_of(const Splat<T>& s, int64_t height_px) {
+  if (!(s.reach_y >= 0)) return {0, -1};
+  return pixels_within(s.v0 - s.reach_y, s.v0 + s.reach_y, height_px);
+}
+
+// Squared half width, in px^2, of the footprint over rows no nearer to v0 than dy, for the widest camera of the rig.
+template <class T>
+LFGS_HD T square_reach_x(const Splat<T>& s, T dy) {
+  T left = s.S0 - s.S1 + s.S2, right = s.S0 + s.S1 + s.S2;
+  T exponent = s.log2_opacity - T(kLog2MinAlpha) - s.tau * dy * dy;
+  return exponent > 0 ? exponent * (left > right ? left : right) : T(0);
+}
+
+// Interval of shear * (y - 1/2) + x that the footprint covers over rows centres [y_low, y_high] and the whole rig.
+template <class T>
+LFGS_HD bool columns_of(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T& high) {
+  T d1 = y_low - s.v0, d2 = y_high - s.v0;
+  d1 = d1 > -s.reach_y ? d1 : -s.reach_y, d2 = d2 < s.reach_y ? d2 : s.reach_y;
+  const T margin = T(0.01);
+  if (!(d1 <= d2 + 2 * margin)) return false;
+  T nearest = d1 > 0 ? d1 : d2 < 0 ? -d2 : T(0);
+  T half = std::sqrt(square_reach_x(s, nearest)) + margin;
+  T middle = (d1 + d2) / 2, spread = std::fabs(d2 - d1) / 2;
+  T centre = s.u0 + s.c0 * middle + shear * (s.v0 + middle - T(0.5));
+  half += std::fabs(s.c0 + shear) * spread + std::fabs(s.du + s.c1 * middle) + std::fabs(s.c1) * spread;
+  low = centre - half, high = centre + half;
+  return true;
+}
+
+}  // namespace lfgs

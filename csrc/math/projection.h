@@ -1,0 +1,168 @@
+// EWA projection of one Gaussian by a camera, or by all cameras of an off-axis rig at once.
+//
+// With offset s the projected mean and covariance are u(s) = u0 + s du (linear), xx(s) quadratic, xy(s) linear, yy
+// constant (Zwicker et al. 2001 for the camera at s). A splat stores them in conditional form,
+//   -log2 weight = tau dy^2 + (px - m(s))^2 / S(s),   dy = py - v0,
+//   m(s) = u0 + c0 dy + s (du + c1 dy),   S(s) = S0 + S1 s + S2 s^2,
+// with log2(e)/2 folded into tau and 1/S.
+#pragma once
+
+#include <glm/glm.hpp>
+
+#include <cmath>
+
+#include "math/constants.h"
+#include "math/covariance.h"
+#include "scene/view.h"
+
+namespace lfgs {
+
+template <class T>
+struct Splat {
+  T u0, du, v0, log2_opacity;
+  T S0, S1, S2, tau;
+  T c0, c1;
+  T reach_y;  // half height of the footprint in rows; negative: not drawn
+  T depth;    // view-space z
+};
+constexpr int kSplatFields = 12;
+
+// One Gaussian as projection reads it.
+template <class R>
+struct Shape {
+  glm::vec<3, R> mean;
+  glm::vec<4, R> quaternion;  // any length but zero
+  glm::vec<3, R> scale;
+  R opacity;
+};
+
+template <class R>
+struct ViewAdjoint {
+  glm::mat<3, 3, R> rotation{R(0)};
+  glm::vec<3, R> translation{R(0)};
+};
+
+// Everything forward and adjoint share; plain values, recomputed rather than stored.
+template <class R>
+struct Projection {
+  glm::vec<3, R> t;                      // mean in view axes
+  glm::vec<4, R> unit;                   // normalized quaternion
+  R norm;                                // of the quaternion as given
+  glm::mat<3, 3, R> turn, factor;        // view-from-local rotation; the same times the scales
+  Symmetric3<R> V;                       // covariance in view axes
+  R iz, kx, ky;                          // 1/Z, clamped slopes
+  bool x_free, y_free;                   // slopes not clamped
+  R a, b, c, e, g;                       // rows of the Jacobian, and d b / d s
+  R qz, yz, xy0, xy1, yy, iy;
+  bool drawn;
+
+  LFGS_HD Projection(const View<R>& view, const Shape<R>& shape) {
+    t = view.rotation * shape.mean + view.translation;
+    norm = glm::length(shape.quaternion);
+    drawn = t.z >= R(kNearDepth) && shape.opacity * 255 >= 1 && norm > 0;
+    if (!drawn) return;
+
+    // Covariance in view axes
+    unit = shape.quaternion / norm;
+    turn = view.rotation * rotation_of(unit);
+    factor = turn;
+    for (int k = 0; k < 3; ++k) factor[k] *= shape.scale[k];
+    V = times_own_transpose(factor);
+
+    // Jacobian, its slopes clamped at the rig's centre
+    iz = 1 / t.z;
+    R x = (t.x + view.offset) * iz, y = t.y * iz;
+    kx = x < view.x_low ? view.x_low : x > view.x_high ? view.x_high : x;
+    ky = y < view.y_low ? view.y_low : y > view.y_high ? view.y_high : y;
+    x_free = kx == x, y_free = ky == y;
+    a = view.fx * iz, b = -view.fx * (kx - view.offset * iz) * iz;
+    c = view.fy * iz, e = -view.fy * ky * iz;
+    g = view.sweep * view.fx * iz * iz;
+
+    // Projected covariance, conditional on the row
+    qz = a * V.xz + b * V.zz;
+    yz = c * V.yz + e * V.zz;
+    xy0 = a * (c * V.xy + e * V.xz) + b * yz;
+    xy1 = g * yz;
+    yy = c * c * V.yy + 2 * c * e * V.yz + e * e * V.zz + R(kBlurVariancePx);
+    iy = 1 / yy;
+  }
+
+  LFGS_HD Splat<R> splat(const View<R>& view, R opacity) const {
+    Splat<R> s{};
+    s.reach_y = -1;
+    s.depth = t.z;
+    if (!drawn) return s;
+    R xx0 = a * a * V.xx + 2 * a * b * V.xz + b * b * V.zz + R(kBlurVariancePx);
+    s.u0 = view.fx * t.x * iz + view.cx;
+    s.du = view.sweep * view.fx * (view.inverse_zero_depth - iz);
+    s.v0 = view.fy * t.y * iz + view.cy;
+    s.log2_opacity = std::log2(opacity);
+    s.S0 = (xx0 - xy0 * xy0 * iy) / R(kHalfLog2e);
+    s.S1 = (2 * g * qz - 2 * xy0 * xy1 * iy) / R(kHalfLog2e);
+    s.S2 = (g * g * V.zz - xy1 * xy1 * iy) / R(kHalfLog2e);
+    s.tau = R(kHalfLog2e) * iy;
+    s.c0 = xy0 * iy;
+    s.c1 = xy1 * iy;
+    s.reach_y = std::sqrt((s.log2_opacity - R(kLog2MinAlpha)) / s.tau);
+    return s;
+  }
+
+  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat.
+  LFGS_HD void adjoint(const View<R>& view, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
+                       ViewAdjoint<R>& view_out) const {
+    if (!drawn) return;
+    out.opacity += s.log2_opacity / (shape.opacity * R(kLn2));
+
+    // Conditional form -> xx, xy, yy
+    R gS0 = s.S0 / R(kHalfLog2e), gS1 = s.S1 / R(kHalfLog2e), gS2 = s.S2 / R(kHalfLog2e);
+    R g_iy = -gS0 * xy0 * xy0 - 2 * gS1 * xy0 * xy1 - gS2 * xy1 * xy1 + s.tau * R(kHalfLog2e) + s.c0 * xy0 +
+             s.c1 * xy1;
+    R g_xy0 = iy * (s.c0 - 2 * gS0 * xy0 - 2 * gS1 * xy1);
+    R g_xy1 = iy * (s.c1 - 2 * gS1 * xy0 - 2 * gS2 * xy1);
+    R g_yy = -g_iy * iy * iy;
+    R g_qz = 2 * g * gS1;
+    R g_yz = b * g_xy0 + g * g_xy1;
+
+    // -> Jacobian entries
+    R g_a = gS0 * 2 * (a * V.xx + b * V.xz) + g_qz * V.xz + g_xy0 * (c * V.xy + e * V.xz);
+    R g_b = gS0 * 2 * (a * V.xz + b * V.zz) + g_qz * V.zz + g_xy0 * yz;
+    R g_c = g_xy0 * a * V.xy + g_yz * V.yz + g_yy * 2 * (c * V.yy + e * V.yz);
+    R g_e = g_xy0 * a * V.xz + g_yz * V.zz + g_yy * 2 * (c * V.yz + e * V.zz);
+    R g_g = gS1 * 2 * qz + gS2 * 2 * g * V.zz + g_xy1 * yz;
+
+    // -> covariance in view axes -> rotation, scales
+    Symmetric3<R> gV;
+    gV.xx = gS0 * a * a;
+    gV.xz = gS0 * 2 * a * b + g_qz * a + g_xy0 * a * e;
+    gV.zz = gS0 * b * b + gS2 * g * g + g_qz * b + g_yz * e + g_yy * e * e;
+    gV.xy = g_xy0 * a * c;
+    gV.yz = g_yz * c + g_yy * 2 * c * e;
+    gV.yy = g_yy * c * c;
+    glm::mat<3, 3, R> g_turn = times_own_transpose_adjoint(factor, gV);
+    for (int k = 0; k < 3; ++k) {
+      out.scale[k] += glm::dot(g_turn[k], turn[k]);
+      g_turn[k] *= shape.scale[k];
+    }
+    glm::mat<3, 3, R> local = rotation_of(unit);
+    glm::vec<4, R> g_unit = rotation_of_adjoint(unit, glm::transpose(view.rotation) * g_turn);
+    out.quaternion += (g_unit - glm::dot(g_unit, unit) * unit) / norm;
+    view_out.rotation += g_turn * glm::transpose(local);
+
+    // -> mean in view axes; b = -fx (kx - offset iz) iz
+    R g_kx = -view.fx * iz * g_b, g_ky = -view.fy * iz * g_e;
+    R g_iz = view.fx * g_a + view.fy * g_c - view.fx * (kx - 2 * view.offset * iz) * g_b - view.fy * ky * g_e +
+             view.sweep * view.fx * (2 * iz * g_g - s.du) + view.fx * t.x * s.u0 + view.fy * t.y * s.v0;
+    glm::vec<3, R> g_t(view.fx * iz * s.u0, view.fy * iz * s.v0, s.depth);
+    if (x_free) g_t.x += g_kx * iz, g_iz += g_kx * (t.x + view.offset);
+    if (y_free) g_t.y += g_ky * iz, g_iz += g_ky * t.y;
+    g_t.z -= g_iz * iz * iz;
+
+    // -> mean and camera
+    out.mean += glm::transpose(view.rotation) * g_t;
+    view_out.rotation += glm::outerProduct(g_t, shape.mean);
+    view_out.translation += g_t;
+  }
+};
+
+}  // namespace lfgs

@@ -1,0 +1,39 @@
+// What projection needs to know of a camera, or of a whole rig of cameras that share one projection.
+#pragma once
+
+#include <glm/glm.hpp>
+
+#include "base/config.h"
+
+namespace lfgs {
+
+// A pinhole camera (OpenCV axes, pixel centres at i + 0.5). A rig is the same with sweep: its cameras stand on the
+// view x-axis at offset s, with the principal point shifted so that the plane z = zero_depth shows no parallax.
+template <class R>
+struct View {
+  glm::mat<3, 3, R> rotation{R(1)};   // world to camera
+  glm::vec<3, R> translation{R(0)};
+  R fx = 1, fy = 1, cx = 0, cy = 0;   // pixels
+  R x_low = -1, x_high = 1;           // Jacobian clamp of X/Z and Y/Z, taken at the rig's centre (offset 0)
+  R y_low = -1, y_high = 1;
+  R offset = 0;                       // where this camera stands in its rig; only the clamp needs it
+  R sweep = 0;                        // 1: the projection is a polynomial in s; 0: one camera
+  R inverse_zero_depth = 0;           // rig only
+
+  glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }
+};
+
+// world_to_camera: 16 numbers, row-major; intrinsics: fx, fy, cx, cy; limits: x_low, x_high, y_low, y_high, offset.
+template <class R, class T>
+View<R> make_view(const T* world_to_camera, const T* intrinsics, const T* limits) {
+  View<R> v;
+  for (int row = 0; row < 3; ++row) {
+    for (int col = 0; col < 3; ++col) v.rotation[col][row] = world_to_camera[4 * row + col];
+    v.translation[row] = world_to_camera[4 * row + 3];
+  }
+  v.fx = intrinsics[0], v.fy = intrinsics[1], v.cx = intrinsics[2], v.cy = intrinsics[3];
+  v.x_low = limits[0], v.x_high = limits[1], v.y_low = limits[2], v.y_high = limits[3], v.offset = limits[4];
+  return v;
+}
+
+}  // namespace lfgs

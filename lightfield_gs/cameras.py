@@ -1,0 +1,75 @@
+"""Ordinary pinhole cameras, many at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from lightfield_gs.errors import InputError
+
+
+@dataclass
+class Cameras:
+    """C cameras of one image size, or [B, C] of them: C for each of B sets of Gaussians.
+
+    world_to_camera:    [..., C, 4, 4], [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
+    focal_px:           [..., C, 2] (fx, fy), pixels, > 0.
+    principal_point_px: [..., C, 2] (cx, cy), pixels from the outer corner of the first pixel (centres at i + 0.5).
+    width_px, height_px: image size.
+    jacobian_limits:    optional [..., C, 5] (low_x, high_x, low_y, high_y, offset): the limits of X/Z and Y/Z in the
+                        projection's Jacobian, taken at the centre of a rig that this camera stands `offset` to the
+                        right of. None: the camera's own frustum and 15 % of the image beyond each edge (Kerbl et al.).
+    """
+
+    world_to_camera: torch.Tensor
+    focal_px: torch.Tensor
+    principal_point_px: torch.Tensor
+    width_px: int
+    height_px: int
+    jacobian_limits: torch.Tensor | None = None
+
+    def __post_init__(self) -> None:
+        lead = self.world_to_camera.shape[:-2]
+        expected = {"world_to_camera": (*lead, 4, 4), "focal_px": (*lead, 2), "principal_point_px": (*lead, 2)}
+        if self.jacobian_limits is not None:
+            expected["jacobian_limits"] = (*lead, 5)
+        for name, shape in expected.items():
+            found = tuple(getattr(self, name).shape)
+            if found != shape or len(lead) not in (1, 2):
+                raise InputError(f"cameras: {name} must be {['...', 'C', *shape[len(lead):]]}, got {list(found)}")
+        for name in ("width_px", "height_px"):
+            size = getattr(self, name)
+            if not 1 <= size <= 65536:
+                raise InputError(f"cameras: {name} must be 1..65536 pixels, got {size}")
+
+    @property
+    def count(self) -> int:
+        """C."""
+        return self.world_to_camera.shape[-3]
+
+    def intrinsics(self) -> torch.Tensor:
+        """[..., C, 4]: fx, fy, cx, cy."""
+        return torch.cat([self.focal_px, self.principal_point_px], -1)
+
+    def limits(self) -> torch.Tensor:
+        """jacobian_limits, or the default ones, [..., C, 5]."""
+        if self.jacobian_limits is not None:
+            return self.jacobian_limits
+        size = torch.tensor([self.width_px, self.height_px], dtype=self.focal_px.dtype, device=self.focal_px.device)
+        low = -(self.principal_point_px + 0.15 * size) / self.focal_px
+        high = (1.15 * size - self.principal_point_px) / self.focal_px
+        offset = torch.zeros_like(low[..., :1])
+        return torch.cat([low[..., :1], high[..., :1], low[..., 1:], high[..., 1:], offset], -1)
+
+    def select(self, views: slice | list[int] | torch.Tensor) -> "Cameras":
+        """The cameras at these places along C."""
+        limits = None if self.jacobian_limits is None else self.jacobian_limits[..., views, :]
+        return Cameras(self.world_to_camera[..., views, :, :], self.focal_px[..., views, :],
+                       self.principal_point_px[..., views, :], self.width_px, self.height_px, limits)
+
+    def to(self, *args, **kwargs) -> "Cameras":
+        """Every tensor through torch.Tensor.to."""
+        limits = None if self.jacobian_limits is None else self.jacobian_limits.to(*args, **kwargs)
+        return Cameras(self.world_to_camera.to(*args, **kwargs), self.focal_px.to(*args, **kwargs),
+                       self.principal_point_px.to(*args, **kwargs), self.width_px, self.height_px, limits)

@@ -1,0 +1,161 @@
+"""Rendering: ordinary images of Gaussians, and the sub-pixel-encoded image of a panel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs import ops
+from lightfield_gs.cameras import Cameras
+from lightfield_gs.errors import InputError
+from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.panel import Panel
+from lightfield_gs.rig import Rig
+
+METHODS = ("direct", "classic")
+VIEWS = ("integer", "continuous")
+OUTPUTS = {"uint8": torch.uint8, "float32": torch.float32, "float64": torch.float64}
+_MOST_CLASSIC_VIEWS = 65536
+
+
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float] | Tensor = (1.0, 1.0, 1.0),
+           alpha: bool = False, depth: bool = False) -> Tensor | tuple[Tensor, ...]:
+    """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
+
+    gaussians [N, ...] with cameras [C, ...], or gaussians [B, N, ...] with cameras [B, C, ...]; float32 or float64.
+    background: three numbers, or a tensor that broadcasts to [..., C, 3].
+    Returns the image [..., C, H, W, 3]; with alpha and/or depth a tuple (image, alpha [..., C, H, W], depth
+    [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is. Raises InputError.
+    """
+    batched = gaussians.is_batched
+    if batched != (cameras.world_to_camera.dim() == 4):
+        raise InputError(f"batched Gaussians go with cameras [B, C, 4, 4] and single ones with [C, 4, 4], got means "
+                         f"{list(gaussians.means.shape)} and cameras {list(cameras.world_to_camera.shape)}")
+    like = gaussians.means
+    tensors = [t if batched else t.unsqueeze(0) for t in _tensors(gaussians)]
+    views = [t.to(like) if batched else t.to(like).unsqueeze(0)
+             for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
+    colour = _background(background, like).expand(*views[0].shape[:2], 3)
+    image, coverage, weighted_depth = torch.ops.lightfield_gs.render_dense(*tensors, colour, *views, cameras.width_px,
+                                                                           cameras.height_px)
+    out = [image]
+    if alpha:
+        out.append(coverage)
+    if depth:
+        out.append(weighted_depth / coverage.clamp_min(1e-10))
+    out = [t if batched else t.squeeze(0) for t in out]
+    return tuple(out) if len(out) > 1 else out[0]
+
+
+def encode(gaussians: Gaussians, panel: Panel, rig: Rig, method: str = "direct", *, views: str = "integer",
+           background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8", threads: int | None = None,
+           stats: dict[str, Any] | None = None) -> Tensor:
+    """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
+
+    method: "direct" renders only the sub-pixels (all cameras of the rig share one projection and one sort); "classic"
+    renders one dense image per view and interlaces them, the usual way and the cross-check of the other.
+    views: "integer": camera at floor(x) + 1/2; "continuous": at the exact x of the sub-pixel.
+    output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
+    "direct" are differentiable. threads: CPU threads (default: torch's). stats: a dict to fill with stages_ms,
+    pairs, evaluations, evaluations_per_subpixel, work_bytes, gaussians_culled, colour_error.
+    Raises InputError.
+    """
+    if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
+        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {tuple(OUTPUTS)}, got {method!r}, "
+                         f"{views!r} and {output!r}")
+    if gaussians.is_batched:
+        raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
+    if threads is not None and threads < 1:
+        raise InputError(f"threads must be at least 1, got {threads}")
+    precision = torch.float64 if output == "float64" else torch.float32
+    gaussians = gaussians.to(dtype=precision)
+    colour = _background(background, gaussians.means).reshape(-1)
+    counters = ops.Stats()
+    if method == "classic":
+        image = _classic(gaussians, panel, rig, views, colour, output, threads, counters)
+    else:
+        image = _direct(gaussians, panel, rig, views, colour, output, threads, counters)
+    if stats is not None:
+        _report(counters, gaussians.count, panel, method, stats)
+    return image
+
+
+def interlace(views: Tensor, panel: Panel) -> Tensor:
+    """Takes every sub-pixel of a panel from the view that it belongs to: views [N, H, W, 3] -> [H, W, 3], same dtype.
+
+    N = panel.views, H and W the panel's size. Raises InputError.
+    """
+    expected = (panel.views, panel.height_px, panel.width_px, 3)
+    if tuple(views.shape) != expected:
+        raise InputError(f"views must be {list(expected)} for this panel, got {list(views.shape)}")
+    numbers = torch.from_numpy(panel.view_map()).to(device=views.device, dtype=torch.int64)
+    return views.gather(0, numbers.unsqueeze(0)).squeeze(0)
+
+
+def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float], list[int], list[float]]:
+    """rig, lens and lens_shape as torch.ops.lightfield_gs.render_lens takes them."""
+    start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
+    numbers = [*np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist(), *rig.focal_px,
+               *rig.principal_point_px, *rig.jacobian_limits(panel), 0.0, rig.zero_depth]
+    signed = [p - 2**64 if p >= 2**63 else p for p in panel.phase_steps()]
+    lens = [panel.width_px, panel.height_px, panel.views, *signed, int(panel.subpixel_order == "BGR"), int(continuous)]
+    shape = [panel.line_number, panel.slant_tan, panel.phase, start, (end - start) / panel.views]
+    return [float(v) for v in numbers], lens, [float(v) for v in shape]
+
+
+def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
+            threads: int | None, stats: ops.Stats) -> Tensor:
+    arguments = (*_tensors(gaussians), background, *lens_arguments(panel, rig, views == "continuous"))
+    if torch.is_grad_enabled() and output != "uint8" and any(t.requires_grad for t in arguments[:6]):
+        return torch.ops.lightfield_gs.render_lens(*arguments)
+    with torch.no_grad():
+        return ops.lens_forward(*arguments, as_bytes=output == "uint8", stats=stats, threads=threads)
+
+
+@torch.no_grad()
+def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
+             threads: int | None, stats: ops.Stats) -> Tensor:
+    """One dense image per view that the panel shows; with continuous views, one per distinct x."""
+    with stats.stage("plan"):
+        view_map = panel.view_map(views == "continuous")
+        shown = np.unique(view_map)
+        if len(shown) > _MOST_CLASSIC_VIEWS:
+            raise InputError(f"method classic would render {len(shown)} dense images, one per distinct continuous view "
+                             f"(at most {_MOST_CLASSIC_VIEWS}): use method direct, or integer views")
+        x = shown + 0.5 if views == "integer" else shown
+    tensors = [t.unsqueeze(0) for t in _tensors(gaussians)]
+    out = np.empty(view_map.shape, np.uint8 if output == "uint8" else gaussians.means.numpy().dtype)
+    for number, position in zip(shown, x):
+        cameras = rig.cameras_at(panel, [position]).to(dtype=gaussians.dtype)
+        image, _, _ = ops.dense_forward(
+            *tensors, background.view(1, 1, 3), cameras.world_to_camera[None], cameras.intrinsics()[None],
+            cameras.limits()[None], panel.width_px, panel.height_px, stats=stats, threads=threads)
+        with stats.stage("interlace"):
+            image = image[0, 0]
+            if output == "uint8":
+                image = image.clamp_(0, 1).mul_(255).add_(0.5).to(torch.uint8)
+            np.copyto(out, image.numpy(), where=view_map == number)
+    return torch.from_numpy(out)
+
+
+def _tensors(gaussians: Gaussians) -> list[Tensor]:
+    return [gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh]
+
+
+def _background(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
+    colour = torch.as_tensor(background, dtype=like.dtype, device=like.device)
+    if colour.dim() == 0 or colour.shape[-1] != 3 or not bool(torch.isfinite(colour).all()):
+        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {background}")
+    return colour
+
+
+def _report(counters: ops.Stats, count: int, panel: Panel, method: str, out: dict[str, Any]) -> None:
+    renders = panel.views if method == "classic" else 1
+    out.update(stages_ms=dict(counters.stages_ms), pairs=counters.pairs, evaluations=counters.evaluations,
+               evaluations_per_subpixel=counters.evaluations / (3 * panel.width_px * panel.height_px),
+               work_bytes=counters.work_bytes, gaussians_culled=count - counters.gaussians_drawn // renders,
+               colour_error=counters.colour_error)
