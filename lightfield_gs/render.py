@@ -26,19 +26,20 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
            alpha: bool = False, depth: bool = False) -> Tensor | tuple[Tensor, ...]:
     """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
 
-    gaussians [N, ...] with cameras [C, ...], or gaussians [B, N, ...] with cameras [B, C, ...]; float32 or float64.
+    gaussians [N, ...] with cameras [C, ...]; or gaussians [B, N, ...] with cameras [B, C, ...], or with the same
+    cameras [C, ...] for every set. float32 or float64.
     background: three numbers, or a tensor that broadcasts to [..., C, 3].
     Returns the image [..., C, H, W, 3]; with alpha and/or depth a tuple (image, alpha [..., C, H, W], depth
     [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is. Raises InputError.
     """
-    batched = gaussians.is_batched
-    if batched != (cameras.world_to_camera.dim() == 4):
-        raise InputError(f"batched Gaussians go with cameras [B, C, 4, 4] and single ones with [C, 4, 4], got means "
-                         f"{list(gaussians.means.shape)} and cameras {list(cameras.world_to_camera.shape)}")
-    like = gaussians.means
+    like, batched = gaussians.means, gaussians.is_batched
+    views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
+    if cameras.world_to_camera.dim() == 3:
+        views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
+    elif not batched:
+        raise InputError(f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
+                         f"cameras {list(cameras.world_to_camera.shape)}")
     tensors = [t if batched else t.unsqueeze(0) for t in _tensors(gaussians)]
-    views = [t.to(like) if batched else t.to(like).unsqueeze(0)
-             for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     colour = _background(background, like).expand(*views[0].shape[:2], 3)
     image, coverage, weighted_depth = torch.ops.lightfield_gs.render_dense(*tensors, colour, *views, cameras.width_px,
                                                                            cameras.height_px)
