@@ -30,14 +30,14 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command; returns the exit code: 0, or 2 after a complaint about the input, in one line on stderr."""
+    """Runs one command; returns the exit code: the command's, or 2 after a complaint about the input, in one line on stderr."""
     signal.signal(signal.SIGTERM, _terminate)
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
         args = build_parser(arguments[:1]).parse_args(_joined(arguments))
-        importlib.import_module(args.module).run(args)
+        code = importlib.import_module(args.module).run(args) or 0
         sys.stdout.flush()
-        return 0
+        return code
     except KeyboardInterrupt:
         return _fail("interrupted", EXIT_INTERRUPTED)
     except BrokenPipeError:  # of stdout: nobody reads on

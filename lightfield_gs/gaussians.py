@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import torch
 
@@ -74,15 +76,23 @@ class Gaussians:
         Raises InputError that names the field and the first bad index: wrong shape, dtype or device, NaN or infinity,
         scale not above 0, opacity outside [0, 1] (zero is invisible, but no error), zero quaternion.
         """
-        self._validate_layout()
+        self.validate_layout()
+        if self.count == 0:
+            return self
         for name, tensor in self.fields().items():
-            _require(torch.isfinite(tensor), name, tensor, "a finite number")
-        _require(self.scales > 0, "scales", self.scales, "a standard deviation > 0")
-        _require((self.opacities >= 0) & (self.opacities <= 1), "opacities", self.opacities, "0..1")
-        _require((self.quaternions != 0).any(-1), "quaternions", self.quaternions, "not all four zero")
+            low, high = _extremes(tensor)
+            if not (math.isfinite(low) and math.isfinite(high)):
+                _complain(torch.isfinite(tensor), name, tensor, "a finite number")
+            if name == "scales" and low <= 0:
+                _complain(tensor > 0, name, tensor, "a standard deviation > 0")
+            if name == "opacities" and (low < 0 or high > 1):
+                _complain((tensor >= 0) & (tensor <= 1), name, tensor, "0..1")
+        if not self.quaternions.any(-1).all():
+            _complain(self.quaternions.any(-1), "quaternions", self.quaternions, "not all four zero")
         return self
 
-    def _validate_layout(self) -> None:
+    def validate_layout(self) -> None:
+        """Raises InputError that names the field with a wrong type, shape, dtype or device; reads no values."""
         means = self.means
         for name, tensor in self.fields().items():
             if not isinstance(tensor, torch.Tensor):
@@ -118,10 +128,13 @@ class Gaussians:
         write_ply(path, self)
 
 
-def _require(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str) -> None:
+def _extremes(tensor: torch.Tensor) -> tuple[float, float]:
+    """Smallest and largest value; NaN where there is any. One pass, without a temporary."""
+    low, high = tensor.detach().aminmax()
+    return float(low), float(high)
+
+
+def _complain(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str) -> NoReturn:
     """Raises InputError for the first index where `good` is false."""
-    if bool(good.all()):
-        return
     index = tuple(int(i) for i in (~good).nonzero()[0])
-    value = tensor[index].tolist()
-    raise InputError(f"{name}{list(index)}: expected {expected}, got {value}")
+    raise InputError(f"{name}{list(index)}: expected {expected}, got {tensor[index].tolist()}")

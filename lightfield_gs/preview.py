@@ -49,7 +49,7 @@ def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, p
 
 def contact_sheet(gaussians: Gaussians, panel: Panel, rig: Rig,
                   background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
-    """Views of the light field, left-most camera first, in rows of four: uint8 [H, W, 3]."""
+    """Twelve views of the light field, left-most camera first, in rows of four: uint8 [H, W, 3]."""
     views = _views(gaussians, panel, rig, background, _SHEET_COLUMNS * _SHEET_ROWS, _SHEET_VIEW_WIDTH_PX)
     rows = [np.concatenate(views[i:i + _SHEET_COLUMNS], 1) for i in range(0, len(views), _SHEET_COLUMNS)]
     return np.concatenate(rows)
@@ -81,12 +81,12 @@ def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float
     from lightfield_gs.render import render
 
     small_panel, small_rig = reduced(panel, rig, width_px)
-    numbers = np.linspace(panel.views - 1, 0, count).round().astype(int)
+    positions = np.linspace(panel.views - 0.5, 0.5, count)
     if panel.invert_views:
-        numbers = numbers[::-1]
+        positions = positions[::-1]
     views = []
-    for number in numbers:
-        cameras = small_rig.cameras(small_panel, [int(number)]).to(gaussians.dtype)
+    for position in positions:
+        cameras = small_rig.cameras_at(small_panel, [position])
         views.append(to_integers(render(gaussians, cameras, background=background)[0].numpy(), 8))
     return views
 

@@ -76,11 +76,10 @@ def _scene(args: argparse.Namespace, panel: Panel, rig: "Rig | None",
         watch.lap("load")
     else:
         from lightfield_gs.io.photo import load_photo
-        from lightfield_gs.models.splatter_net import SplatterNet
+        from lightfield_gs.models import SplatterNet
 
         photo = load_photo(args.input, args.mask)
-        network = SplatterNet.from_pretrained() if args.checkpoint is None else \
-            SplatterNet.from_pretrained(args.checkpoint)
+        network = SplatterNet.from_pretrained(args.checkpoint)
         watch.lap("load")
         gaussians = network.predict(photo)
         watch.lap("network")

@@ -1,0 +1,259 @@
+"""The command line from outside: files in, files out, one line for every complaint."""
+
+import hashlib
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from lightfield_gs import cli
+from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.io.images import read_image, read_info, write_image
+from lightfield_gs.panel import Panel
+from lightfield_gs.rig import Rig
+
+PANEL = Panel(width_px=96, height_px=60, views=12, line_number=9.848282191911, slant_tan=1 / 6, phase=-3.5, cone_deg=30,
+              viewing_distance_mm=600, pixel_pitch_mm=0.3, name="small")
+
+
+def scene(count=60, seed=0) -> Gaussians:
+    r = torch.Generator().manual_seed(seed)
+    return Gaussians(torch.rand(count, 3, generator=r) - 0.5, torch.randn(count, 4, generator=r),
+                     torch.rand(count, 3, generator=r) * 0.05 + 0.02, torch.rand(count, generator=r) * 0.8 + 0.1,
+                     torch.randn(count, 4, 3, generator=r) * 0.4)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    PANEL.to_yaml("p.yaml")
+    scene().save("s.ply")
+    return tmp_path
+
+
+def run(capsys, line: str) -> str:
+    """Output of a command that must succeed."""
+    code = cli.main(line.split())
+    output = capsys.readouterr()
+    assert code == 0, output.err
+    assert output.err == ""
+    return output.out
+
+
+def complaint(capsys, line: str) -> str:
+    """The one line that a refused command prints."""
+    try:
+        code = cli.main(line.split())
+    except SystemExit as stop:
+        code = stop.code
+    output = capsys.readouterr()
+    assert code == 2, (code, output)
+    assert output.err.startswith("lightfield-gs: error: ") and output.err.count("\n") == 1 and output.out == ""
+    return output.err
+
+
+# encode
+
+def test_encode_writes_the_image_and_says_what_it_took(folder, capsys):
+    out = run(capsys, "encode s.ply -o o.png --panel p.yaml")
+    assert out.splitlines()[0] == "o.png: 96 x 60, 12 views, 60 Gaussians"
+    stages = [part.rsplit(" ", 2)[0] for part in out.splitlines()[1].split(", ")]
+    assert {"load", "project", "composite", "write"} <= set(stages) and stages[-1] == "total"
+    pixels = read_image("o.png", as_stored=True)
+    assert pixels.shape == (60, 96, 3) and pixels.dtype == np.uint8 and 20 < pixels.mean() < 250
+
+
+def test_encode_is_the_library_call(folder, capsys):
+    from lightfield_gs.render import encode
+
+    run(capsys, "encode s.ply -o o.exr --panel p.yaml --save-rig r.yaml --background 0,0.5,1 --views continuous")
+    gaussians = Gaussians.load("s.ply")
+    rig = Rig.frame(gaussians, PANEL)
+    assert Rig.from_yaml("r.yaml").to_dict() == rig.to_dict()
+    expected = encode(gaussians, PANEL, rig, views="continuous", background=(0, 0.5, 1), output="float32").numpy()
+    assert np.array_equal(read_image("o.exr"), expected)
+
+
+def test_bit_depths_agree(folder, capsys):
+    run(capsys, "encode s.ply -o f.exr --panel p.yaml")
+    exact = read_image("f.exr").astype(np.float64).clip(0, 1)
+    for arguments, name, levels in (("", "a.png", 255), ("--bit-depth 16", "b.png", 65535), ("", "a.tif", 255),
+                                    ("--bit-depth 16 --compression small", "b.tiff", 65535)):
+        run(capsys, f"encode s.ply -o {name} --panel p.yaml {arguments}")
+        stored = read_image(name, as_stored=True)
+        assert stored.dtype.itemsize == (1 if levels == 255 else 2)
+        assert np.abs(stored - np.floor(exact * levels + 0.5)).max() <= 1
+        assert (stored != np.floor(exact * levels + 0.5)).mean() < 0.01
+    run(capsys, "encode s.ply -o c.tif --panel p.yaml --bit-depth 32")
+    assert np.array_equal(read_image("c.tif"), read_image("f.exr"))
+
+
+def test_rig_and_gaussians_round_trip(folder, capsys):
+    run(capsys, "encode s.ply -o a.exr --panel p.yaml --save-rig r.yaml --save-gaussians g.ply")
+    run(capsys, "encode g.ply -o b.exr --panel p.yaml --rig r.yaml --threads 1")
+    assert np.abs(read_image("a.exr") - read_image("b.exr")).max() < 2e-4
+
+
+def test_methods_agree(folder, capsys):
+    for method in ("direct", "classic"):
+        run(capsys, f"encode s.ply -o {method}.exr --panel p.yaml --method {method}")
+    error = np.abs(read_image("direct.exr") - read_image("classic.exr"))
+    assert np.quantile(error, 0.999) < 1 / 255
+
+
+def test_metadata(folder, capsys):
+    run(capsys, "encode s.ply -o o.png --panel p.yaml --background 1,0,0")
+    metadata = read_info("o.png").metadata
+    assert Panel(**json.loads(metadata["panel"])) == PANEL
+    assert set(json.loads(metadata["rig"])) == {"world_to_camera", "focal_px", "principal_point_px", "zero_depth"}
+    fields = Gaussians.load("s.ply").fields().values()
+    digest = hashlib.sha256(b"".join(tensor.numpy().astype("<f4").tobytes() for tensor in fields)).hexdigest()
+    assert json.loads(metadata["scene"]) == {"gaussians": 60, "sh_degree": 1, "sha256": digest}
+    assert json.loads(metadata["encoding"]) == {"method": "direct", "views": "integer", "background": [1, 0, 0]}
+    assert json.loads(metadata["versions"])["torch"].startswith("2.")
+    out = run(capsys, "info o.png")
+    assert "image: 96 x 60, 3 channels, uint8" in out and digest in out
+
+
+def test_preview(folder, capsys):
+    run(capsys, "encode s.ply -o o.png --panel p.yaml --preview deep/preview")
+    sheet = read_image("deep/preview/views.png")
+    assert sheet.shape == (3 * 60, 4 * 96, 3)
+    animation = Image.open("deep/preview/look-around.webp")
+    assert animation.n_frames == 24 + 22 and animation.size == (96, 60)  # there and back
+    eyes = [read_image(f"deep/preview/{side}-eye.png") for side in ("left", "right")]
+    assert eyes[0].shape == (round(180 / PANEL.line_number), round(288 / PANEL.line_number), 3)
+    assert not np.array_equal(*eyes)
+    assert len(list((folder / "deep/preview").iterdir())) == 4
+
+
+@pytest.mark.parametrize("invert", [False, True])
+def test_depth_is_not_inside_out(folder, capsys, invert):
+    """A near dot over a far one: to the right eye the near one is further left. In the views and through the lenses."""
+    panel = Panel(**{**PANEL.to_dict(), "width_px": 480, "height_px": 240, "invert_views": invert})
+    panel.to_yaml("q.yaml")
+    colours = torch.tensor([[[1.0, -1, -1]], [[-1, -1, 1]]]) * 0.5 / 0.28209479177387814
+    dots = Gaussians(torch.tensor([[0, -0.15, 0.6], [0, 0.15, 1.6]]), torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1),
+                     torch.tensor([[0.03], [0.08]]).repeat(1, 3), torch.tensor([0.99, 0.99]), colours)
+    dots.save("d.ply")
+    Rig(np.eye(4), (480, 480), (240, 120), 1.0).to_yaml("r.yaml")
+    run(capsys, "encode d.ply -o o.png --panel q.yaml --rig r.yaml --preview v --background 0,0,0")
+    for side, x_mm in (("left", -60), ("right", 60)):
+        run(capsys, f"simulate o.png --eye {x_mm},0,600 -o {side}.png")
+    seen = {side: [columns_of(read_image(f"{side}.png")[..., channel]) for channel in (0, 2)] for side in ("left", "right")}
+    shift = [right - left for left, right in zip(seen["left"], seen["right"])]
+    assert shift[0] < -0.02 and shift[1] > 0.02
+    sheet = read_image("v/views.png").reshape(3, 240, 4, 480, 3)
+    first, last = sheet[0, :, 0], sheet[2, :, 3]  # left-most and right-most camera
+    assert columns_of(last[..., 0]) < columns_of(first[..., 0]) - 0.05
+    assert columns_of(last[..., 2]) > columns_of(first[..., 2]) + 0.05
+
+
+def columns_of(picture: np.ndarray) -> float:
+    """Mean column of what is bright, 0..1."""
+    weight = picture.sum(0)
+    return float((weight * (np.arange(len(weight)) + 0.5)).sum() / weight.sum() / len(weight))
+
+
+# Complaints
+
+@pytest.mark.parametrize("line, words", [
+    ("", "COMMAND"), ("paint x", "invalid choice"), ("encode", "required"), ("encode s.ply", "-o"),
+    ("encode s.ply -o o.jpg", "extension"), ("encode s.ply -o no/o.png", "no folder"), ("encode s.ply -o .", "folder"),
+    ("encode s.ply -o o.png --panel nix", "known: "), ("encode s.ply -o o.png --panel no.yaml", "cannot read"),
+    ("encode s.ply -o o.png --panel s.ply", "unknown name|not YAML"),
+    ("encode s.ply -o o.png --rig no.yaml", "cannot read"), ("encode s.ply -o o.png --rig p.yaml", "unknown key"),
+    ("encode no.ply -o o.png", "cannot read"), ("encode no.jpg -o o.png", "cannot read"),
+    ("encode text.png -o o.png", "not an image"), ("encode cut.ply -o o.png", "cut"),
+    ("encode scene.spz -o o.png", "SPZ"), ("encode s.ply -o o.png --mask m.png", "--mask is for photos"),
+    ("encode s.ply -o o.png --method guess", "invalid choice"), ("encode s.ply -o o.png --views all", "invalid choice"),
+    ("encode s.ply -o o.png --background 1,2,3", "0..1"), ("encode s.ply -o o.png --background -1,0,0", "0..1"),
+    ("encode s.ply -o o.png --background red", "3 numbers"), ("encode s.ply -o o.png --background nan,0,0", "3 numbers"),
+    ("encode s.ply -o o.png --bit-depth 12", "invalid choice"), ("encode s.ply -o o.png --bit-depth 32", "bits"),
+    ("encode s.ply -o o.exr --bit-depth 8", "bits"), ("encode s.ply -o o.png --threads 0", "1..1024"),
+    ("encode s.ply -o o.png --threads many", "1..1024"), ("encode s.ply -o o.png --unknown", "unrecognized"),
+    ("encode s.ply -o o.png --save-rig no/r.yaml", "no folder"), ("encode s.ply -o o.png --save-gaussians no/g.ply", "no folder"),
+    ("encode photo.png -o o.png --checkpoint text.png", "checkpoint"), ("encode photo.png -o o.png --mask wrong.png", "mask"),
+    ("encode busy.png -o o.png", "--mask"), ("encode s.ply -o o.png --preview text.png", "folder"),
+    ("simulate photo.png --eye 0,0,600 -o e.png", "give --panel"), ("simulate o.png --eye 0,0 -o e.png", "3 numbers"),
+    ("simulate photo.png --panel p.yaml --eye 0,0,600 -o e.png", "16 x 16 pixels"),
+    ("simulate plain.png --panel p.yaml --eye 0,0,-600 -o e.png", "above 0"),
+    ("simulate plain.png --panel p.yaml --eye 0,0,600 --spread 0 -o e.png", "spread"),
+    ("simulate plain.png --panel bare.yaml --eye 0,0,600 -o e.png", "lacks viewing_distance_mm and pixel_pitch_mm"),
+    ("info", "required"), ("info no.png", "cannot read"), ("info text.png", "not an image"),
+    ("info text.safetensors", "safetensors"), ("info nix", "known: ")])
+def test_complaints_are_one_line_and_leave_nothing(folder, capsys, line, words):
+    import re
+
+    (folder / "text.png").write_text("hello")
+    (folder / "text.safetensors").write_text("hello")
+    (folder / "scene.spz").write_bytes(b"\0")
+    (folder / "cut.ply").write_bytes((folder / "s.ply").read_bytes()[:-9])
+    (folder / "bare.yaml").write_text("width_px: 96\nheight_px: 60\nviews: 4\nline_number: 9.8\nslant_tan: 0\n")
+    cut_out = np.zeros((16, 16, 4), np.uint8)
+    cut_out[4:12, 4:12] = 255
+    write_image("photo.png", cut_out)
+    write_image("wrong.png", cut_out[:9])
+    write_image("busy.png", np.random.default_rng(0).integers(0, 255, (32, 32, 3), np.uint8))
+    write_image("plain.png", np.zeros((60, 96, 3), np.uint8))
+    before = {path.name for path in folder.iterdir()}
+    if "--panel" not in line and line.startswith("encode") and "-o" in line:
+        line += " --panel p.yaml"
+    assert re.search(words, complaint(capsys, line))
+    after = {path.name for path in folder.iterdir()}
+    # A preview that cannot be made comes after the image, which is whole.
+    assert after - before <= ({"o.png"} if "--preview" in line else set())
+
+
+def test_interrupt(folder, capsys, monkeypatch):
+    monkeypatch.setattr(Panel, "load", lambda source: (_ for _ in ()).throw(KeyboardInterrupt))
+    assert cli.main("encode s.ply -o o.png".split()) == 130
+    assert capsys.readouterr().err == "lightfield-gs: error: interrupted\n"
+
+
+def test_out_of_memory(folder, capsys, monkeypatch):
+    for error in (MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried")):
+        monkeypatch.setattr(Gaussians, "load", lambda path, error=error: (_ for _ in ()).throw(error))
+        assert "out of memory" in complaint(capsys, "encode s.ply -o o.png --panel p.yaml")
+
+
+# info, simulate, help
+
+def test_info(folder, capsys):
+    assert "gaussians: 60\nsh_degree: 1\n" in run(capsys, "info s.ply")
+    assert "line_number: 9.848282191911\n" in run(capsys, "info p.yaml")
+    assert "views: 96\n" in run(capsys, "info 65in-8k-96v")
+    Rig(np.eye(4), (96, 96), (48, 30), 2.0).to_yaml("r.yaml")
+    assert "zero_depth: 2.0\n" in run(capsys, "info r.yaml")
+    (folder / "visual.json").write_text(json.dumps({"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136,
+                                                    "screenW": 7680, "screenH": 4320}))
+    assert "height_px: 4320\n" in run(capsys, "info visual.json")
+
+
+def test_info_of_a_checkpoint(folder, capsys):
+    from safetensors.numpy import save_file
+
+    save_file({"a": np.zeros((3, 4), np.float16), "b": np.zeros(5, np.float16)}, "c.safetensors", {"note": "hello"})
+    out = run(capsys, "info c.safetensors")
+    assert "parameters: 17\ntensors: 2\ntypes: F16\n" in out and "note: hello\n" in out
+
+
+def test_simulate(folder, capsys):
+    from lightfield_gs.simulate import simulate
+
+    image = (PANEL.view_map() * 20).astype(np.uint8)
+    write_image("o.png", image)
+    run(capsys, "simulate o.png --panel p.yaml --eye -31.5,10,600 -o e.exr")
+    assert np.array_equal(read_image("e.exr"), simulate(image, PANEL, (-31.5, 10, 600)))
+
+
+def test_help_says_units_and_is_quick():
+    code = "import sys; from lightfield_gs import cli\ntry: cli.main(sys.argv[1:])\n" \
+           "except SystemExit: pass\nprint([m for m in ('OpenImageIO', 'yaml', 'safetensors') if m in sys.modules])"
+    for command, words in (("--help", "encode"), ("encode --help", "0..1"), ("simulate --help", "in mm")):
+        done = subprocess.run([sys.executable, "-c", code, *command.split()], capture_output=True, text=True, check=True)
+        assert words in done.stdout and done.stdout.splitlines()[-1] == "[]"
