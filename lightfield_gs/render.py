@@ -20,6 +20,7 @@ METHODS = ("direct", "classic")
 VIEWS = ("integer", "continuous")
 OUTPUTS = {"uint8": torch.uint8, "float32": torch.float32, "float64": torch.float64}
 _MOST_CLASSIC_VIEWS = 65536
+_CLASSIC_PIXELS = 4_000_000  # rendered at a time: small images go in batches
 
 
 def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float] | Tensor = (1.0, 1.0, 1.0),
@@ -122,25 +123,43 @@ def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, backgroun
              threads: int | None, stats: ops.Stats) -> Tensor:
     """One dense image per view that the panel shows; with continuous views, one per distinct x."""
     with stats.stage("plan"):
-        view_map = panel.view_map(views == "continuous")
-        shown = np.unique(view_map)
-        if len(shown) > _MOST_CLASSIC_VIEWS:
-            raise InputError(f"method classic would render {len(shown)} dense images, one per distinct continuous view "
-                             f"(at most {_MOST_CLASSIC_VIEWS}): use method direct, or integer views")
-        x = shown + 0.5 if views == "integer" else shown
+        places, x = _views_shown(panel, views == "continuous")
     tensors = [t.unsqueeze(0) for t in _tensors(gaussians)]
-    out = np.empty(view_map.shape, np.uint8 if output == "uint8" else gaussians.means.numpy().dtype)
-    for number, position in zip(shown, x):
-        cameras = rig.cameras_at(panel, [position]).to(dtype=gaussians.dtype)
-        image, _, _ = ops.dense_forward(
-            *tensors, background.view(1, 1, 3), cameras.world_to_camera[None], cameras.intrinsics()[None],
+    pixels = panel.width_px * panel.height_px
+    out = np.empty(3 * pixels, np.uint8 if output == "uint8" else gaussians.means.numpy().dtype)
+    chunk = max(1, _CLASSIC_PIXELS // pixels)
+    for first in range(0, len(x), chunk):
+        cameras = rig.cameras_at(panel, x[first:first + chunk]).to(dtype=gaussians.dtype)
+        images, _, _ = ops.dense_forward(
+            *tensors, background.expand(1, cameras.count, 3), cameras.world_to_camera[None], cameras.intrinsics()[None],
             cameras.limits()[None], panel.width_px, panel.height_px, stats=stats, threads=threads)
         with stats.stage("interlace"):
-            image = image[0, 0]
             if output == "uint8":
-                image = image.clamp_(0, 1).mul_(255).add_(0.5).to(torch.uint8)
-            np.copyto(out, image.numpy(), where=view_map == number)
-    return torch.from_numpy(out)
+                images = images.clamp_(0, 1).mul_(255).add_(0.5).to(torch.uint8)
+            flat = images.view(cameras.count, -1).numpy()
+            if cameras.count == 1:
+                np.copyto(out, flat[0], where=places == first)
+            else:
+                mine = np.flatnonzero((places >= first) & (places < first + cameras.count))
+                out[mine] = flat[places[mine] - first, mine]
+    return torch.from_numpy(out.reshape(panel.height_px, panel.width_px, 3))
+
+
+def _views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]:
+    """For every sub-pixel (flat) its place in x; x: the distinct camera coordinates that the panel shows."""
+    view_map = panel.view_map(continuous).reshape(-1)
+    if not continuous:
+        used = np.bincount(view_map, minlength=panel.views) > 0
+        places = view_map if used.all() else (np.cumsum(used) - 1).astype(np.int32)[view_map]
+        return places, np.flatnonzero(used) + 0.5
+    # Equal up to the rounding of the fixed-point phase; a few rows tell a panel with too many
+    view_map = np.round(view_map, 9)
+    if len(np.unique(view_map[:2**21])) <= _MOST_CLASSIC_VIEWS:
+        x, places = np.unique(view_map, return_inverse=True)
+        if len(x) <= _MOST_CLASSIC_VIEWS:
+            return places, x
+    raise InputError(f"method classic renders one dense image per distinct view, and this panel shows more than "
+                     f"{_MOST_CLASSIC_VIEWS} continuous ones: use method direct, or integer views")
 
 
 def _tensors(gaussians: Gaussians) -> list[Tensor]:
