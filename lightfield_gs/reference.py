@@ -10,6 +10,7 @@ Speed: 20,000 random sub-pixels of 262,144 Gaussians take less than ten seconds 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -108,15 +109,19 @@ def rotations(quaternions: Tensor) -> Tensor:
 def harmonics(directions: Tensor, count: int) -> Tensor:
     """The first `count` (1, 4, 9 or 16) real spherical harmonics [P,K] of unit directions [P,3], with the signs of 3DGS."""
     x, y, z = directions.unbind(-1)
-    xx, yy, zz = x * x, y * y, z * z
     k0, k1, k20, k21, k22, k30, k31, k32, k33 = (
         np.sqrt(value / np.pi) / 4 for value in (4, 12, 5, 60, 15, 7, 21 / 2, 105, 35 / 2))
-    basis = (torch.full_like(x, k0), -k1 * y, k1 * z, -k1 * x,
-             k21 * x * y, -k21 * y * z, k20 * (2 * zz - xx - yy), -k21 * x * z, k22 * (xx - yy),
-             -k33 * y * (3 * xx - yy), 2 * k32 * x * y * z, -k31 * y * (4 * zz - xx - yy),
-             k30 * z * (2 * zz - 3 * xx - 3 * yy),
-             -k31 * x * (4 * zz - xx - yy), k32 * z * (xx - yy), -k33 * x * (xx - 3 * yy))
-    return torch.stack(basis[:count], -1)
+    basis = [torch.full_like(x, k0)]
+    if count > 1:
+        basis += [-k1 * y, k1 * z, -k1 * x]
+    if count > 4:
+        xx, yy, zz = x * x, y * y, z * z
+        basis += [k21 * x * y, -k21 * y * z, k20 * (2 * zz - xx - yy), -k21 * x * z, k22 * (xx - yy)]
+    if count > 9:
+        basis += [-k33 * y * (3 * xx - yy), 2 * k32 * x * y * z, -k31 * y * (4 * zz - xx - yy),
+                  k30 * z * (2 * zz - 3 * xx - 3 * yy), -k31 * x * (4 * zz - xx - yy), k32 * z * (xx - yy),
+                  -k33 * x * (xx - 3 * yy)]
+    return torch.stack(basis, -1)
 
 
 class Projection:
@@ -240,15 +245,17 @@ def _colours(projection: Projection, columns: Tensor, rows: Tensor, offsets: Ten
 def lens_views(panel: Panel, rows: Sequence[int], columns: Sequence[int], channels: Sequence[int],
                continuous: bool = False) -> np.ndarray:
     """View x in [0,N) under which sub-pixels are seen, float64 [M]: exact in fractions, n + 1/2 (n whole) unless continuous."""
-    pitch, slant, phase, views = (Fraction(float(value)) for value in
-                                  (panel.line_number, panel.slant_tan, panel.phase, panel.views))
-    found = []
-    for row, column, channel in zip(rows, columns, channels):
-        place = channel if panel.subpixel_order == "RGB" else 2 - channel
-        lens = (3 * int(column) + 3 * int(row) * slant + int(place) + phase) / pitch
-        x = (lens - lens.numerator // lens.denominator) * views
-        found.append(float(x) if continuous else x.numerator // x.denominator + 0.5)
-    return np.array(found, np.float64)
+    pitch, slant, phase = (Fraction(float(value)) for value in (panel.line_number, panel.slant_tan, panel.phase))
+    # Lens coordinate (D_0 + 3 j + k + 3 i tan) / P_e over one denominator, then whole numbers of any length.
+    steps = (phase / pitch, 1 / pitch, 3 * slant / pitch)
+    unit = math.lcm(*(step.denominator for step in steps))
+    start, across, down = (int(step * unit) for step in steps)
+    found = np.empty(len(rows))
+    for index, (row, column, channel) in enumerate(zip(rows, columns, channels)):
+        place = int(channel) if panel.subpixel_order == "RGB" else 2 - int(channel)
+        x = (start + across * (3 * int(column) + place) + down * int(row)) % unit * panel.views
+        found[index] = x / unit if continuous else x // unit + 0.5
+    return found
 
 
 def _rig_cone_rad(panel: Panel, rig: Rig) -> float:

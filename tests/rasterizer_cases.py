@@ -1,0 +1,94 @@
+"""Small random scenes, cameras and panels for the tests of the rasterizer."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.panel import Panel
+from lightfield_gs.reference import frustum_limits
+from lightfield_gs.rig import Rig
+
+
+def random_scene(count: int, degree: int = 0, seed: int = 0, *, depth: float = 2.0, extent: float = 0.6,
+                 size: float = 0.08, dtype: torch.dtype = torch.float64) -> Gaussians:
+    """`count` Gaussians in a box of half width `extent` at `depth`, flat to round, of any rotation."""
+    random = np.random.default_rng(seed)
+    means = random.uniform(-extent, extent, (count, 3)) + [0, 0, depth]
+    scales = np.exp(random.normal(math.log(size), 0.6, (count, 3)))
+    sh = 0.15 * random.normal(size=(count, (degree + 1) ** 2, 3))
+    sh[:, 0] = random.uniform(-1.5, 1.5, (count, 3))
+    fields = (means, random.normal(size=(count, 4)), scales, random.uniform(0.1, 0.95, count), sh)
+    return Gaussians(*(torch.from_numpy(field).to(dtype) for field in fields))
+
+
+def stacked(scenes: list[Gaussians]) -> Gaussians:
+    """A batch of scenes of one size."""
+    return Gaussians(*(torch.stack(fields) for fields in zip(*(scene.fields().values() for scene in scenes))))
+
+
+def turned_pose(yaw: float, pitch: float, centre: tuple[float, float, float] = (0, 0, 2)) -> np.ndarray:
+    """World-to-camera matrix of a camera that keeps `centre` 2 before it, turned by angles in radians."""
+    a, b = pitch, yaw
+    rotation = (np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
+                @ np.array([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]]))
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, np.array([0, 0, 2]) - rotation @ centre
+    return matrix
+
+
+def dense_views(batch: int, views: int, width: int, height: int) -> tuple[torch.Tensor, ...]:
+    """world_to_camera [B,V,4,4], intrinsics [B,V,4] and limits [B,V,5] of turned cameras with off-centre principal points."""
+    poses, intrinsics, limits = [], [], []
+    for index in range(batch * views):
+        poses.append(turned_pose(0.25 * math.sin(index + 1), 0.2 * math.cos(2 * index)))
+        camera = (1.1 * width, 1.3 * width, (0.42 + 0.03 * index) * width, (0.55 - 0.02 * index) * height)
+        intrinsics.append(camera)
+        limits.append([*frustum_limits(*camera, width, height).tolist(), 0.0])
+    shape = (batch, views)
+    return tuple(torch.tensor(np.array(rows)).reshape(*shape, *np.shape(rows)[1:]) for rows in (poses, intrinsics, limits))
+
+
+BASE_PANEL = dict(width_px=110, height_px=46, views=96, line_number=9.848282191911, slant_tan=1 / 6,
+                  phase=-2161.204484657574, cone_deg=40.0)
+PANELS = {
+    "default lens": {},
+    "narrow cone": dict(cone_deg=5.0),
+    "very wide cone": dict(cone_deg=90.0),
+    "one view": dict(views=1),
+    "two views": dict(views=2, line_number=2.0, slant_tan=0.0, phase=0.3),
+    "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", phase=-7.25, line_number=16.013),
+    "inverted": dict(invert_views=True),
+    "upright lenses": dict(slant_tan=0.0, line_number=7.0, views=7, phase=0.5),
+    "leaning strongly": dict(slant_tan=1.2),
+    "leaning strongly the other way, odd size": dict(slant_tan=-2.5, width_px=97, height_px=61),
+    "narrower than a pixel": dict(line_number=2.6, views=9, width_px=131),
+    "narrower than a sub-pixel": dict(line_number=0.7, views=5),
+    "three sub-pixels": dict(line_number=3.0003, views=4),
+    "wide lenses": dict(line_number=45.3, views=45, slant_tan=-0.1),
+    "just too wide for a mask": dict(line_number=63.4, views=70),
+    "lenses as wide as the panel": dict(line_number=300.7, views=200, phase=1e6 + 0.1),
+    "one lens for all": dict(line_number=5000.0, views=31),
+    "one pixel": dict(width_px=1, height_px=1),
+    "one row": dict(height_px=1, width_px=311),
+    "one column": dict(height_px=129, width_px=1),
+}
+
+
+def panel(name: str = "default lens", **changes) -> Panel:
+    return Panel(**{**BASE_PANEL, **PANELS[name], **changes})
+
+
+def rig(panel: Panel, yaw: float = 0.0, pitch: float = 0.0, principal: tuple[float, float] = (0.5, 0.5)) -> Rig:
+    """A rig 2 before the scene; the scene fills a good part of the height (at least 40 px are assumed)."""
+    focal = 1.4 * max(40, panel.height_px)
+    centre = (principal[0] * panel.width_px, principal[1] * panel.height_px)
+    return Rig(turned_pose(yaw, pitch), (focal, 1.1 * focal), centre, 2.0)
+
+
+def all_subpixels(panel: Panel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """rows, columns and channels of every sub-pixel, in the order of image.ravel()."""
+    return tuple(index.ravel() for index in np.indices((panel.height_px, panel.width_px, 3)))
