@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -11,15 +13,17 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel, real_number
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
-_ROWS_PER_CHUNK_PX = 128
+_ROWS_PER_CHUNK_PX = 16  # small temporaries stay in the cache
 
 
-def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_subpixels: float = 1.0) -> np.ndarray:
+def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_subpixels: float = 1.0,
+             threads: int | None = None) -> np.ndarray:
     """The picture that one eye perceives: float32 [round(3 H / P_e), round(3 W / P_e), 3], one sample a lens.
 
     image: the light-field image [H, W, 3 or 4] of this panel, uint8, uint16 or float (alpha is ignored).
     eye_mm: place (x, y, z) of the eye in mm from the panel's centre: x right, y up, z > 0 towards the viewer.
     spread_subpixels: full width at half maximum of what a lens lights, > 0; more than 1 is crosstalk.
+    threads: number of threads; None: one a core.
 
     The eye reaches the sub-pixel at xi = X - Y tan(theta) through the place a on its lens (DESIGN, section 3):
         a = D_mid/P_e + (xi z + xi_eye L_g) / ((z + L_g) p_h),   L_g = P_e p_sub L/E,   p_h = P_e p_sub L/(L + L_g)
@@ -44,14 +48,18 @@ def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_su
     weight = np.zeros_like(lit)
     sigma = spread * _FWHM_TO_SIGMA / lens
     cells_per_chunk = max(1, int(_ROWS_PER_CHUNK_PX * len(rows) / panel.height_px))
-    for first in range(0, len(rows) - 1, cells_per_chunk):
+
+    def sum_up(first: int) -> None:
         bounds = rows[first:first + cells_per_chunk + 1]
         cells = slice(first, first + len(bounds) - 1)
         for channel in range(3):
             light = _light(panel, channel, slice(bounds[0], bounds[-1]), shift, slope, middle, sigma)
-            values = image[bounds[0]:bounds[-1], :, channel]
             weight[cells, :, channel] = _sums(light, bounds, columns)
-            lit[cells, :, channel] = _sums(light * values, bounds, columns)
+            light *= image[bounds[0]:bounds[-1], :, channel]
+            lit[cells, :, channel] = _sums(light, bounds, columns)
+
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:  # NumPy works outside the interpreter lock
+        list(pool.map(sum_up, range(0, len(rows) - 1, cells_per_chunk)))
     scale = 1 / np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else 1.0
     return (scale * _blurred(lit) / _blurred(weight)).astype(np.float32)
 
