@@ -13,7 +13,8 @@ from lightfield_gs.rig import Rig
 
 _FILL = 0.92  # share of the panel that the content fills
 _VISIBLE_OPACITY = 0.1  # fainter Gaussians do not count as content, where there are others
-_TAIL = 0.01  # share of the opacity that may lie outside on each side: stray Gaussians of captures
+_TAIL = 0.001  # share of the opacity that may lie outside on each side: stray Gaussians of captures ...
+_WIDE_TAIL, _FENCE = 0.01, 0.15  # ... and up to this share what is further out than 15 % of the extent of the rest
 _DEPTH_TAIL = 0.05
 _NEAR = 0.01  # near plane of the rasterizer, scene units
 _FIELD_OF_VIEW_DEG = (20.0, 50.0)  # what the panel subtends at its viewing distance, kept within these
@@ -23,8 +24,8 @@ _UNKNOWN_FIELD_OF_VIEW_DEG = 30.0
 def frame(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray | None = None) -> Rig:
     """A rig that shows the whole scene on the panel.
 
-    Content is what the visible Gaussians cover, but for the outermost 1 % of their opacity on each side. It is
-    centred and fills 92 % of the panel's height, or of the width where that is met first. The zero plane is at the
+    Content is what the visible Gaussians cover, but for the outermost 0.1 % of their opacity on each side, and for up
+    to 1 % where that lies far out. It is centred and fills 92 % of the panel's height, or of the width where that is met first. The zero plane is at the
     harmonic mean of near and far, the depths beyond which 5 % of the opacity lies.
     Without a camera, one looks along the file's +z axis with +y down, from so far in front of the content that its
     height takes the angle that the panel subtends for its viewer (kept within 20..50 degrees; 30 when not known).
@@ -82,9 +83,15 @@ def _field_of_view_rad(panel: Panel) -> float:
 
 def _bounds(points: np.ndarray, sizes: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Robust bounds (low, high) of balls with these centres [M, D] and radii [M]."""
-    low = [_percentile(points[:, axis] - sizes, weights, _TAIL) for axis in range(points.shape[1])]
-    high = [_percentile(points[:, axis] + sizes, weights, 1 - _TAIL) for axis in range(points.shape[1])]
-    return np.array(low), np.array(high)
+    bounds = []
+    for axis in range(points.shape[1]):
+        first, last = points[:, axis] - sizes, points[:, axis] + sizes
+        low, high = _percentile(first, weights, _WIDE_TAIL), _percentile(last, weights, 1 - _WIDE_TAIL)
+        fence = _FENCE * (high - low)
+        bounds.append((max(low - fence, _percentile(first, weights, _TAIL)),
+                       min(high + fence, _percentile(last, weights, 1 - _TAIL))))
+    low, high = np.array(bounds).T
+    return low, high
 
 
 def _percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:

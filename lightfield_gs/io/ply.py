@@ -40,7 +40,7 @@ def read_ply(path: str | Path) -> Gaussians:
 
 
 def _vertex_records(path: Path) -> np.ndarray:
-    """Structured array of the element "vertex", mapped from the file, after its size has been checked."""
+    """Structured array of the element "vertex", read after its size has been checked."""
     try:
         with open(path, "rb") as file:
             header = read_header(path, file.read(1 << 16))
@@ -72,7 +72,10 @@ def _vertex_records(path: Path) -> np.ndarray:
     if element is header.elements[-1] and size > wanted:
         raise InputError(f"{path}: {size - wanted} bytes are left after the {element.count} Gaussians that the header "
                          "promises; its header is wrong")
-    return np.memmap(path, element.dtype, "r", offset, (element.count,))
+    records = np.fromfile(path, element.dtype, element.count, offset=offset)
+    if len(records) < element.count:
+        raise InputError(f"{path} was changed while it was read; try again")
+    return records
 
 
 def _check_properties(path: Path, names: tuple[str, ...]) -> None:
