@@ -11,6 +11,7 @@ import math
 import os
 import signal
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -30,11 +31,13 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command; returns the exit code: the command's, or 2 after a complaint about the input, in one line on stderr."""
+    """Runs one command and returns the exit code: the command's, or 2 after a one-line complaint about the input."""
     signal.signal(signal.SIGTERM, _terminate)
+    # As a program, what was imported before this line (torch, a second) is part of the wait.
+    began = time.perf_counter() - (time.process_time() if argv is None else 0)
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        args = build_parser(arguments[:1]).parse_args(_joined(arguments))
+        args = build_parser(arguments[:1]).parse_args(_joined(arguments), argparse.Namespace(began=began))
         code = importlib.import_module(args.module).run(args) or 0
         sys.stdout.flush()
         return code
@@ -94,8 +97,8 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)")
     add("--background", type=_background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
     add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp, left-eye.png, right-eye.png")
-    add("--bit-depth", type=int, choices=(8, 16, 32), metavar="BITS", help="8, 16 or 32 (float: .exr, .tif); default 8, "
-        ".exr 32")
+    add("--bit-depth", type=int, choices=(8, 16, 32), metavar="BITS",
+        help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32")
     add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")
     add("--threads", type=_threads, metavar="N", help="number of threads (default: all cores)")
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 import subprocess
 import sys
 
@@ -144,13 +145,37 @@ def test_depth_is_not_inside_out(folder, capsys, invert):
     run(capsys, "encode d.ply -o o.png --panel q.yaml --rig r.yaml --preview v --background 0,0,0")
     for side, x_mm in (("left", -60), ("right", 60)):
         run(capsys, f"simulate o.png --eye {x_mm},0,600 -o {side}.png")
-    seen = {side: [columns_of(read_image(f"{side}.png")[..., channel]) for channel in (0, 2)] for side in ("left", "right")}
+    seen = {side: [columns_of(read_image(f"{side}.png")[..., channel]) for channel in (0, 2)]
+            for side in ("left", "right")}
     shift = [right - left for left, right in zip(seen["left"], seen["right"])]
     assert shift[0] < -0.02 and shift[1] > 0.02
     sheet = read_image("v/views.png").reshape(3, 240, 4, 480, 3)
     first, last = sheet[0, :, 0], sheet[2, :, 3]  # left-most and right-most camera
     assert columns_of(last[..., 0]) < columns_of(first[..., 0]) - 0.05
     assert columns_of(last[..., 2]) > columns_of(first[..., 2]) + 0.05
+
+
+@pytest.mark.parametrize("background", ["alpha", "plain", "mask"])
+def test_photo_keeps_its_place_and_colours(folder, capsys, background):
+    """Four coloured quarters, through an untrained network, in the light field: upright and not mirrored."""
+    from lightfield_gs.models import SplatterNet
+
+    torch.manual_seed(0)
+    SplatterNet().save("n.safetensors")
+    photo = np.full((160, 200, 4), (200, 210, 190, 0), np.uint8)
+    colours = {(0, 0): (200, 20, 20), (0, 1): (20, 160, 20), (1, 0): (20, 20, 200), (1, 1): (190, 180, 20)}
+    for (row, column), colour in colours.items():
+        photo[40 + 40 * row:80 + 40 * row, 60 + 40 * column:100 + 40 * column] = *colour, 255
+    write_image("photo.png", photo if background == "alpha" else photo[..., :3])
+    write_image("mask.png", photo[..., 3:])
+    option = "--mask mask.png" if background == "mask" else ""
+    run(capsys, f"encode photo.png -o o.png --panel p.yaml --checkpoint n.safetensors --save-rig r.yaml {option}")
+    assert np.array_equal(Rig.from_yaml("r.yaml").world_to_camera, np.eye(4))
+    image = read_image("o.png", as_stored=True)
+    assert image[2, 2].min() > 250
+    for (row, column), colour in colours.items():
+        seen = image[15 + 30 * row, 34 + 28 * column]
+        assert np.abs(seen.astype(int) - colour).max() < 60
 
 
 def columns_of(picture: np.ndarray) -> float:
@@ -172,12 +197,15 @@ def columns_of(picture: np.ndarray) -> float:
     ("encode scene.spz -o o.png", "SPZ"), ("encode s.ply -o o.png --mask m.png", "--mask is for photos"),
     ("encode s.ply -o o.png --method guess", "invalid choice"), ("encode s.ply -o o.png --views all", "invalid choice"),
     ("encode s.ply -o o.png --background 1,2,3", "0..1"), ("encode s.ply -o o.png --background -1,0,0", "0..1"),
-    ("encode s.ply -o o.png --background red", "3 numbers"), ("encode s.ply -o o.png --background nan,0,0", "3 numbers"),
+    ("encode s.ply -o o.png --background red", "3 numbers"),
+    ("encode s.ply -o o.png --background nan,0,0", "3 numbers"),
     ("encode s.ply -o o.png --bit-depth 12", "invalid choice"), ("encode s.ply -o o.png --bit-depth 32", "bits"),
     ("encode s.ply -o o.exr --bit-depth 8", "bits"), ("encode s.ply -o o.png --threads 0", "1..1024"),
     ("encode s.ply -o o.png --threads many", "1..1024"), ("encode s.ply -o o.png --unknown", "unrecognized"),
-    ("encode s.ply -o o.png --save-rig no/r.yaml", "no folder"), ("encode s.ply -o o.png --save-gaussians no/g.ply", "no folder"),
-    ("encode photo.png -o o.png --checkpoint text.png", "checkpoint"), ("encode photo.png -o o.png --mask wrong.png", "mask"),
+    ("encode s.ply -o o.png --save-rig no/r.yaml", "no folder"),
+    ("encode s.ply -o o.png --save-gaussians no/g.ply", "no folder"),
+    ("encode photo.png -o o.png --checkpoint text.png", "checkpoint"),
+    ("encode photo.png -o o.png --mask wrong.png", "mask"),
     ("encode busy.png -o o.png", "--mask"), ("encode s.ply -o o.png --preview text.png", "folder"),
     ("simulate photo.png --eye 0,0,600 -o e.png", "give --panel"), ("simulate o.png --eye 0,0 -o e.png", "3 numbers"),
     ("simulate photo.png --panel p.yaml --eye 0,0,600 -o e.png", "16 x 16 pixels"),
@@ -187,8 +215,6 @@ def columns_of(picture: np.ndarray) -> float:
     ("info", "required"), ("info no.png", "cannot read"), ("info text.png", "not an image"),
     ("info text.safetensors", "safetensors"), ("info nix", "known: ")])
 def test_complaints_are_one_line_and_leave_nothing(folder, capsys, line, words):
-    import re
-
     (folder / "text.png").write_text("hello")
     (folder / "text.safetensors").write_text("hello")
     (folder / "scene.spz").write_bytes(b"\0")
@@ -255,5 +281,6 @@ def test_help_says_units_and_is_quick():
     code = "import sys; from lightfield_gs import cli\ntry: cli.main(sys.argv[1:])\n" \
            "except SystemExit: pass\nprint([m for m in ('OpenImageIO', 'yaml', 'safetensors') if m in sys.modules])"
     for command, words in (("--help", "encode"), ("encode --help", "0..1"), ("simulate --help", "in mm")):
-        done = subprocess.run([sys.executable, "-c", code, *command.split()], capture_output=True, text=True, check=True)
+        arguments = [sys.executable, "-c", code, *command.split()]
+        done = subprocess.run(arguments, capture_output=True, text=True, check=True)
         assert words in done.stdout and done.stdout.splitlines()[-1] == "[]"

@@ -152,7 +152,8 @@ BAD_HEADERS = {
     "other file": (dict(first="PNG\n"), "does not begin"),
     "missing": (dict(names=NAMES[:-2]), "missing rot_2, rot_3"),
     "odd rest": (dict(extra="property float f_rest_0\n", tail=bytes(4)), "1 properties f_rest"),
-    "gap in rest": (dict(extra="".join(f"property float f_rest_{i}\n" for i in range(1, 10)), tail=bytes(36)), "f_rest"),
+    "gap in rest": (dict(extra="".join(f"property float f_rest_{i}\n" for i in range(1, 10)), tail=bytes(36)),
+                    "f_rest"),
     "twice": (dict(names=NAMES + ["x"]), "twice"),
     "unknown type": (dict(extra="property quad q\n"), "header line"),
     "stray line": (dict(extra="hello\n"), "header line"),
@@ -246,7 +247,8 @@ def test_validate_names_the_first_bad_index(field, index, value, words):
 
 @pytest.mark.parametrize("change, words", [
     (dict(means=torch.zeros(20)), "means: expected shape"), (dict(means=torch.zeros(20, 4)), "means: expected shape"),
-    (dict(quaternions=torch.zeros(19, 4)), "quaternions: expected shape"), (dict(opacities=torch.zeros(20, 1)), "opacities"),
+    (dict(quaternions=torch.zeros(19, 4)), "quaternions: expected shape"),
+    (dict(opacities=torch.zeros(20, 1)), "opacities"),
     (dict(sh=torch.zeros(20, 3)), "sh"), (dict(sh=torch.zeros(20, 5, 3)), "1, 4, 9 or 16"),
     (dict(scales=torch.ones(20, 3, dtype=torch.float64)), "scales: expected torch.float32"),
     (dict(means=torch.zeros(20, 3, dtype=torch.int32)), "float32 or float64"),

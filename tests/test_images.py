@@ -24,8 +24,8 @@ def pattern(dtype: str, channels: int = 3) -> np.ndarray:
 
 # Writing and reading
 
-@pytest.mark.parametrize("suffix, dtype", [(".png", "uint8"), (".png", "uint16"), (".tif", "uint8"), (".tiff", "uint16"),
-                                           (".tif", "float32"), (".exr", "float32")])
+@pytest.mark.parametrize("suffix, dtype", [(".png", "uint8"), (".png", "uint16"), (".tif", "uint8"),
+                                           (".tiff", "uint16"), (".tif", "float32"), (".exr", "float32")])
 @pytest.mark.parametrize("channels", [1, 3, 4])
 @pytest.mark.parametrize("compression", ["fast", "small"])
 def test_round_trip_is_exact(tmp_path, suffix, dtype, channels, compression):

@@ -50,7 +50,8 @@ def test_jacobian_limits():
     rig = some_rig()
     widen = math.tan(math.radians(20))
     assert rig.jacobian_limits(PANEL) == pytest.approx(
-        (-230 / 480 - 0.15 - widen, 250 / 480 + 0.15 + widen, -110 / 500 - 0.15 * 240 / 500, 130 / 500 + 0.15 * 240 / 500))
+        (-230 / 480 - 0.15 - widen, 250 / 480 + 0.15 + widen, -110 / 500 - 0.15 * 240 / 500,
+         130 / 500 + 0.15 * 240 / 500))
 
 
 def test_cameras_share_the_zero_plane():
@@ -90,7 +91,8 @@ def test_yaml_round_trip(tmp_path):
 @pytest.mark.parametrize("change, words", [
     (dict(world_to_camera=[[1, 0], [0, 1]]), "4 rows"), (dict(world_to_camera="eye"), "4 rows"),
     (dict(world_to_camera=np.full((4, 4), math.nan)), "finite"), (dict(world_to_camera=2 * np.eye(4)), "last row"),
-    (dict(world_to_camera=np.diag([2.0, 2, 2, 1])), "rotation"), (dict(world_to_camera=np.diag([-1.0, 1, 1, 1])), "rotation"),
+    (dict(world_to_camera=np.diag([2.0, 2, 2, 1])), "rotation"),
+    (dict(world_to_camera=np.diag([-1.0, 1, 1, 1])), "rotation"),
     (dict(focal_px=(0, 1)), "focal_px"), (dict(focal_px=480), "two numbers"), (dict(focal_px=(1, "a")), "number"),
     (dict(focal_px=(math.inf, 1)), "focal_px"), (dict(principal_point_px=(1, 2, 3)), "two numbers"),
     (dict(principal_point_px=(math.nan, 2)), "principal_point_px"), (dict(zero_depth=0), "zero_depth"),

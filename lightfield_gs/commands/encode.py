@@ -25,7 +25,7 @@ _SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 
 def run(args: argparse.Namespace) -> None:
     """Encodes args.input into args.output. Raises InputError."""
-    watch = Stopwatch()
+    watch = Stopwatch(args.began)
     bits = _bits(check_image_path(args.output), args.bit_depth)
     for path in (args.save_rig, args.save_gaussians):
         if path is not None:

@@ -15,8 +15,9 @@ from lightfield_gs.simulate import simulate
 
 def run(args: argparse.Namespace) -> None:
     """Simulates one eye before args.image. Raises InputError."""
-    watch = Stopwatch()
+    watch = Stopwatch(args.began)
     path = check_image_path(args.output)
+    watch.lap("start")
     panel = _panel_of(args)
     image = read_image(args.image, as_stored=True)
     watch.lap("load")

@@ -6,10 +6,10 @@ import time
 
 
 class Stopwatch:
-    """Collects named times in seconds; `lap` takes the time since the last lap, or since it was made."""
+    """Collects named times in seconds; `lap` takes the time since the last lap, or since `began` (perf_counter)."""
 
-    def __init__(self) -> None:
-        self._start = self._last = time.perf_counter()
+    def __init__(self, began: float) -> None:
+        self._start = self._last = began
         self.stages: list[tuple[str, float]] = []
 
     def lap(self, name: str, parts_ms: dict[str, float] | None = None) -> None:

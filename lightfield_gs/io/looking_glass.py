@@ -16,8 +16,8 @@ def panel_fields(source: str | Path | dict[str, Any], views: int) -> dict[str, A
     """Fields of Panel from visual.json or the mapping in it.
 
     Used are pitch (lenses per inch across the axis), slope, center (lens widths), DPI, screenW, screenH, and
-    optionally viewCone (degrees), flipSubp and invView. P_e = 3 DPI / (pitch cos(atan(1/slope))), tan(theta) = -1/slope,
-    D_0 = 1.5 + 3 (H - 0.5)/slope - center P_e.
+    optionally viewCone (degrees), flipSubp and invView.
+    P_e = 3 DPI / (pitch cos(atan(1/slope))), tan(theta) = -1/slope, D_0 = 1.5 + 3 (H - 0.5)/slope - center P_e.
     Raises InputError when the file cannot be read, or a value is missing or makes no sense.
     """
     where = "Looking Glass calibration" if isinstance(source, dict) else str(source)
