@@ -12,8 +12,8 @@ _C1, _C2 = 0.01 ** 2, 0.03 ** 2
 
 
 def psnr_db(images: Tensor, references: Tensor) -> Tensor:
-    """Peak signal-to-noise ratio in dB of each image, [...] from [...,3,H,W] in 0..1."""
-    return -10 * (images - references).square().mean((-3, -2, -1)).log10()
+    """Peak signal-to-noise ratio in dB of each image, [...] from [...,3,H,W] in 0..1; at most 100 (equal images)."""
+    return -10 * (images - references).square().mean((-3, -2, -1)).clamp_min(1e-10).log10()
 
 
 @lru_cache(maxsize=8)

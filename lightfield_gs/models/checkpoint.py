@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.models.config import ModelConfig
 
 if TYPE_CHECKING:
@@ -22,9 +22,8 @@ def save_weights(net: "SplatterNet", path: Path, notes: dict[str, str]) -> None:
     """Write the weights of net to path; the file appears complete or not at all. notes: further metadata."""
     from safetensors.torch import save_file
     weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in net.state_dict().items()}
-    scratch = path.with_name(f".{path.name}.{os.getpid()}")
-    save_file(weights, scratch, metadata=notes | {_CONFIG_KEY: json.dumps(net.config.to_dict())})
-    os.replace(scratch, path)
+    with atomic_path(path) as temporary:
+        save_file(weights, temporary, metadata=notes | {_CONFIG_KEY: json.dumps(net.config.to_dict())})
 
 
 def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:

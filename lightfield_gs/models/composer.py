@@ -12,8 +12,9 @@ from lightfield_gs.models.initializer import Pixels
 
 # Value of the constant spherical harmonic, 1 / (2 sqrt(pi)): colour = 0.5 + SH_CONSTANT * coefficient.
 SH_CONSTANT = 0.28209479177387814
-# Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it.
-_LOGITS_FIRST, _LOGITS_BEHIND = (1.0, -4.0), (-1.0, -4.0)
+# Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it. A line of
+# sight outside the mask meets nothing at all, so its Gaussians start below the visible 1/255 and cost nothing.
+_LOGITS_FIRST, _LOGITS_BEHIND = (1.0, -6.0), (-1.0, -6.0)
 # Standard deviation of an untrained Gaussian in pixel footprints: neighbours 1 apart close into a surface.
 _BASE_SCALE = 0.75
 # Bounds of the logarithm of scale / base. Smaller ones would leave holes in magnified views.

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.yaml_file import check_keys, read_mapping
 from lightfield_gs.models.unet import UNetConfig
+from lightfield_gs.paths import config_path
 
 INPUT_CHANNELS = {"rgb": 3, "rgb_mask_ray": 6}
 COMPOSERS = ("delta", "absolute")
@@ -66,30 +68,21 @@ class ModelConfig:
         """Build from a dictionary, as in YAML or in a checkpoint. Raises InputError for unknown fields."""
         values = dict(values)
         unet = values.pop("unet", {})
+        if not isinstance(unet, dict):
+            raise InputError(f"model configuration: unet: expected fields with values, got {unet!r}")
         for owner, given in ((cls, values), (UNetConfig, unet)):
-            if not isinstance(given, dict):
-                raise InputError(f"model configuration: expected fields with values, got {given!r}")
-            unknown = set(given) - {field.name for field in dataclasses.fields(owner)}
-            if unknown:
-                raise InputError(f"model configuration: unknown field {sorted(unknown)[0]!r}")
+            check_keys(given, (), [field.name for field in dataclasses.fields(owner)], "model configuration")
         unet = {name: tuple(value) if isinstance(value, list) else value for name, value in unet.items()}
         try:
             return cls(**values, unet=UNetConfig(**unet))
         except TypeError as error:
-            raise InputError(f"model configuration: {error}") from None
+            raise InputError(f"model configuration: a field has the wrong type: {error}") from None
 
     @classmethod
     def from_yaml(cls, name: str | Path) -> "ModelConfig":
         """Read a file, or a named configuration of configs/models ("default", "original")."""
-        import yaml
-
-        from lightfield_gs.paths import config_path
         path = Path(name) if Path(name).suffix else config_path("models", str(name))
-        try:
-            values = yaml.safe_load(path.read_text())
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise InputError(f"{path}: expected a model configuration in YAML, but {' '.join(str(error).split())}") from None
-        return cls.from_dict(values or {})
+        return cls.from_dict(read_mapping(path, (), [field.name for field in dataclasses.fields(cls)]))
 
     def to_dict(self) -> dict[str, Any]:
         """The inverse of from_dict."""

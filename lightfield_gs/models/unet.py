@@ -13,6 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from lightfield_gs.errors import InputError
+
 
 @dataclass(frozen=True)
 class UNetConfig:
@@ -34,6 +36,20 @@ class UNetConfig:
     dropout: float = 0.0
     residual_scale: float = 1.0
     zero_init: bool = True
+
+    def __post_init__(self) -> None:
+        """Check the fields that a file can get wrong."""
+        checks = (
+            (self.base_channels >= 1, "base_channels", "at least 1"),
+            (len(self.multipliers) > 0 and min(self.multipliers) >= 1, "multipliers", "one whole number per level, at least 1"),
+            (self.blocks >= 1, "blocks", "at least 1"),
+            (self.heads >= 1 and all(self.base_channels * m % self.heads == 0 for m in self.multipliers), "heads",
+             "a divisor of every level's channels"),
+            (0 <= self.dropout < 1, "dropout", "0 to 1, less than 1"),
+        )
+        for good, field, expected in checks:
+            if not good:
+                raise InputError(f"model configuration: unet.{field}: expected {expected}, got {getattr(self, field)!r}")
 
 
 def _group_norm(channels: int) -> nn.GroupNorm:

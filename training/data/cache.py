@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.io.atomic import atomic_path
 from training.data.images import read_view
 from training.data.srn import find_objects, read_object
 
@@ -80,17 +79,15 @@ def _build(folders: list[Path], base: Path, workers: int) -> None:
     """Decode all folders into <base>.bytes and <base>.json; each appears complete or not at all."""
     entries, offset = [], 0
     base.parent.mkdir(parents=True, exist_ok=True)
-    scratch = base.with_suffix(f".{os.getpid()}")
-    with open(scratch, "wb") as file, ProcessPoolExecutor(workers) as pool:
+    with (atomic_path(base.with_suffix(".bytes")) as pixels, atomic_path(base.with_suffix(".json")) as index,
+          open(pixels, "wb") as file, ProcessPoolExecutor(workers) as pool):
         decoded = pool.map(_decode_object, folders, chunksize=8)
         for entry, blocks in tqdm(decoded, total=len(folders), desc=f"decoding {base.name}", unit="object"):
             entry["rectangles"] = [[offset + row[0], *row[1:]] for row in entry["rectangles"]]
             entries.append(entry)
             for block in blocks:
                 offset += file.write(block.tobytes())
-    os.replace(scratch, base.with_suffix(".bytes"))
-    scratch.write_text(json.dumps(entries))
-    os.replace(scratch, base.with_suffix(".json"))
+        index.write_text(json.dumps(entries))
 
 
 def load_set(root: Path, cache_dir: Path, workers: int = 2) -> CachedSet:
@@ -98,13 +95,11 @@ def load_set(root: Path, cache_dir: Path, workers: int = 2) -> CachedSet:
 
     Raises InputError for the first object that cannot be used (`python -m training.data.validate` lists them all).
     """
-    folders = find_objects(Path(root))
+    folders = find_objects(Path(root).resolve())
     base = Path(cache_dir) / f"{Path(root).name}-{_fingerprint(folders)}"
-    if not base.with_suffix(".json").exists():
+    if not (base.with_suffix(".json").exists() and base.with_suffix(".bytes").exists()):
         _build(folders, base, workers)
     entries = json.loads(base.with_suffix(".json").read_text())
-    if not entries:
-        raise InputError(f"{root}: found no object")
     objects = [CachedObject(entry["name"], np.array(entry["rectangles"], np.int64), np.array(entry["camera_to_world"]),
                             tuple(entry["intrinsics"])) for entry in entries]
     return CachedSet(Path(root).name, objects, np.memmap(base.with_suffix(".bytes"), np.uint8, "r"))

@@ -1,0 +1,86 @@
+"""Configuration of a training run, read from configs/training/*.yaml."""
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+
+from training.data.batches import Augmentation
+from training.losses import LossWeights
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stretch of the run. steps: optimizer steps. image_size_px: side of source and target images. objects: examples
+    per step."""
+    steps: int
+    image_size_px: int
+    objects: int
+
+
+@dataclass(frozen=True)
+class OptimizerConfig:
+    """AdamW with linear warm-up and cosine decay. learning_rate: its peak. betas, weight_decay: of AdamW (no decay on
+    biases and norms). warmup_steps: length of the warm-up. final_share: last learning rate / peak. clip: largest norm of
+    the gradient. ema_decay: of the averaged weights, the ones that are evaluated and shipped."""
+    learning_rate: float = 6e-4
+    betas: tuple[float, float] = (0.9, 0.95)
+    weight_decay: float = 0.01
+    warmup_steps: int = 200
+    final_share: float = 0.01
+    clip: float = 1.0
+    ema_decay: float = 0.998
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """One run.
+
+    model: name in configs/models, or a YAML file. data: folders of objects in SRN layout. cache_dir: where decoded views
+    are kept. output_dir: checkpoints, losses.jsonl, TensorBoard logs, final weights.
+    cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source view,
+    and within elevation_deg in elevation. 360 with elevation_deg 90 takes every view.
+    targets: target views per object, beside the source view itself. stages: run one after the other under one schedule.
+    bfloat16: run the U-Net in bfloat16. checkpoint_every: steps between resumable checkpoints.
+    validation: folder scored every validate_every steps (first validation_objects objects only); "": none.
+    threads: of torch; 0 leaves the default. Resuming gives the same losses only with the same number.
+    """
+    output_dir: str
+    data: list[str]
+    stages: list[Stage]
+    cache_dir: str = ".data/cache"
+    model: str = "default"
+    seed: int = 0
+    cone_deg: float = 40.0
+    cone_margin: float = 1.5
+    elevation_deg: float = 12.0
+    targets: int = 3
+    bfloat16: bool = True
+    threads: int = 0
+    checkpoint_every: int = 100
+    validation: str = ""
+    validate_every: int = 500
+    validation_objects: int = 24
+    optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
+    loss: LossWeights = field(default_factory=LossWeights)
+    augmentation: Augmentation = field(default_factory=Augmentation)
+
+    @property
+    def total_steps(self) -> int:
+        """Steps of all stages together."""
+        return sum(stage.steps for stage in self.stages)
+
+    def stage_at(self, step: int) -> tuple[Stage, int]:
+        """The stage of a step, and how many examples all steps before it have drawn."""
+        drawn = 0
+        for stage in self.stages:
+            if step < stage.steps:
+                return stage, drawn + step * stage.objects
+            step, drawn = step - stage.steps, drawn + stage.steps * stage.objects
+        raise IndexError("step beyond the last stage")
+
+    def identity(self) -> dict:
+        """The fields that decide what is computed; a run may be resumed when they are the same."""
+        fields = dataclasses.asdict(self)
+        for name in ("output_dir", "cache_dir", "data", "validation", "validate_every", "validation_objects", "checkpoint_every"):
+            del fields[name]
+        return fields

@@ -1,0 +1,54 @@
+"""Score a checkpoint: `python -m training.evaluate --data DIR [--checkpoint F] [--save-renders DIR] --json F`.
+
+Writes psnr_db, ssim, copy_psnr_db, copy_ssim and bins (the same per angle) as JSON, and prints them as a table. The
+protocol is described in training/evaluation.py.
+"""
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from lightfield_gs.errors import InputError
+
+
+def _table(report: dict[str, Any]) -> str:
+    """The report as lines of text."""
+    lines = ["angle   views   PSNR dB   SSIM   copy PSNR dB   copy SSIM"]
+    for label, row in [*((f"{row['angle_deg']} deg", row) for row in report["bins"]), ("all", report)]:
+        lines.append(f"{label:<7} {row['views']:>5}   {row['psnr_db']:7.2f}   {row['ssim']:.3f}   "
+                     f"{row['copy_psnr_db']:12.2f}   {row['copy_ssim']:9.3f}")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m training.evaluate", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="folder that holds objects in SRN layout")
+    parser.add_argument("--checkpoint", type=Path, help="safetensors file; default: the one that comes with the package")
+    parser.add_argument("--save-renders", type=Path, help="folder for pictures: truth above prediction, by angle")
+    parser.add_argument("--json", type=Path, required=True, help="file for the results")
+    parser.add_argument("--limit", type=int, help="score only so many objects")
+    options = parser.parse_args(arguments)
+    from lightfield_gs.io.atomic import atomic_path, check_output_path
+    from lightfield_gs.models import SplatterNet
+    from training.evaluation import score_folder
+    try:
+        check_output_path(options.json)
+        net = SplatterNet.from_pretrained(options.checkpoint)
+        report = score_folder(net, options.data, limit=options.limit, save_renders=options.save_renders)
+        report |= {"data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained")}
+        with atomic_path(options.json) as temporary:
+            temporary.write_text(json.dumps(report, indent=1) + "\n")
+    except InputError as error:
+        print(f"training.evaluate: error: {error}", file=sys.stderr)
+        return 2
+    print(_table(report))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
