@@ -10,14 +10,14 @@ namespace lfgs {
 namespace {
 
 struct Bands {
-  int64_t first, last;
+  int32_t first, last;
 };
 
 template <class T>
 Bands bands_of(const Splat<T>& splat, int64_t height_px) {
   Range rows = rows_of(splat, height_px);
   if (rows.last < rows.first) return {0, -1};
-  return {rows.first / kBandRows, rows.last / kBandRows};
+  return {int32_t(rows.first / kBandRows), int32_t(rows.last / kBandRows)};
 }
 
 // Work items: every image, cut into as many groups of bands as there are threads. Each group reads the whole order,
@@ -32,10 +32,16 @@ void for_each_band(const Splats<T>& splats, const int32_t* order, const int64_t*
     const int64_t begin = bands * group / groups, end = bands * (group + 1) / groups;
     const Splat<T>* s = splats.splats + image * splats.count;
     const int32_t* sorted = order + image * splats.count;
+
+    // The bands of every splat in memory order first: then the walk in depth order reads a few bytes each
+    std::vector<Bands> ranges(size_t(splats.count));
+    for (int64_t i = 0; i < splats.count; ++i) {
+      const Bands b = bands_of(s[i], height_px);
+      ranges[size_t(i)] = {std::max(b.first, int32_t(begin)), std::min(b.last, int32_t(end - 1))};
+    }
     for (int64_t k = 0; k < drawn[image]; ++k) {
-      const Bands b = bands_of(s[sorted[k]], height_px);
-      for (int64_t band = std::max(b.first, begin); band <= std::min(b.last, end - 1); ++band)
-        visit(image * bands + band, sorted[k]);
+      const Bands b = ranges[size_t(sorted[k])];
+      for (int64_t band = b.first; band <= b.last; ++band) visit(image * bands + band, sorted[k]);
     }
   });
 }

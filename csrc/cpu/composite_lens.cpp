@@ -50,50 +50,44 @@ HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::
   return hn::Max(c, hn::Zero(d));
 }
 
-// Calls run(std::integral_constant<int, kOrder>) for the order at hand.
-template <class Run>
-HWY_INLINE void with_order(int order, const Run& run) {
-  switch (order) {
-    case 0: return run(std::integral_constant<int, 0>());
-    case 1: return run(std::integral_constant<int, 1>());
-    case 2: return run(std::integral_constant<int, 2>());
-    default: return run(std::integral_constant<int, -1>());
-  }
-}
-
-template <class T>
-void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, Counters& counters) {
-  using V = typename LensTile<T>::V;
+template <int kOrder, class T>
+void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, int64_t count) {
+  using Tile = LensTile<T>;
+  using V = typename Tile::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
   const Splat<T>& splat = job.splats.splats[id];
   const int order = job.splats.orders[id];
   const T* colour = job.splats.colours + int64_t(id) * (job.splats.colour_order + 1) * kColourStride;
   const V S0 = hn::Set(d, splat.S0), S1 = hn::Set(d, splat.S1), S2 = hn::Set(d, splat.S2);
-  with_order(order, [&](auto kOrder) HWY_ATTR {
-    tile.for_each_vector(splat, [&](int64_t i, const RowTerms<V>& row, const auto& retire) HWY_ATTR {
-      counters.evaluations += LensTile<T>::kLanes;
-      const V s = hn::Load(d, &tile.s[i]);
-      const V dx = hn::NegMulAdd(s, row.M1, hn::Sub(hn::Load(d, &tile.x[i]), row.M0));
-      const V S = hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0);
-      const V alpha = Alpha(d, hn::NegMulAdd(hn::Mul(dx, dx), Reciprocal(d, S), row.A));
-      const V before = hn::Load(d, &tile.transmittance[i]);
-      V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
-      const auto channel = hn::Load(di, &tile.channel[i]);
-      V c = ColourAt<decltype(kOrder)::value>(d, colour, order, channel, s);
+  const T *xs = tile.x.get(), *ss = tile.s.get();
+  T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
+  const auto* channels = tile.channel.get();
+  const auto* list = tile.list();
 
-      // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
-      const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
-      if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
-        weight = hn::IfThenElse(stop, before, weight);
-        c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
-        after = hn::IfThenZeroElse(stop, after);
-        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) retire();
-      }
-      hn::Store(hn::MulAdd(weight, c, hn::Load(d, &tile.colour[i])), d, &tile.colour[i]);
-      hn::Store(after, d, &tile.transmittance[i]);
-    });
-  });
+  for (int64_t k = 0; k < count; ++k) {
+    const int64_t i = int64_t(list[k]) * Tile::kLanes;
+    const typename Tile::Rows& rows = tile.rows(list[k]);
+    const V s = hn::Load(d, ss + i);
+    const V dx = hn::NegMulAdd(s, hn::Load(d, rows.M1), hn::Sub(hn::Load(d, xs + i), hn::Load(d, rows.M0)));
+    const V S = hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0);
+    const V alpha = Alpha(d, hn::NegMulAdd(hn::Mul(dx, dx), Reciprocal(d, S), hn::Load(d, rows.A)));
+    const V before = hn::Load(d, transmittances + i);
+    V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
+    const auto channel = hn::Load(di, channels + i);
+    V c = ColourAt<kOrder>(d, colour, order, channel, s);
+
+    // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
+    const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
+    if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
+      weight = hn::IfThenElse(stop, before, weight);
+      c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
+      after = hn::IfThenZeroElse(stop, after);
+      if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[k]);
+    }
+    hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+    hn::Store(after, d, transmittances + i);
+  }
 }
 
 // Adds the background and writes the tile to the image.
@@ -130,7 +124,7 @@ void FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const
 
 // See BackwardTile of the dense sensor for the formula; here a sample has one channel.
 template <class T>
-void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out, Counters& counters) {
+void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out, int64_t count) {
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
@@ -142,12 +136,14 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
   V g_colour[3 * (kMaxColourOrder + 1)];
   for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
-  tile.for_each_vector(splat, [&](int64_t i, const RowTerms<V>& row, const auto& retire) HWY_ATTR {
-    counters.evaluations += LensTile<T>::kLanes;
+  for (int64_t step = 0; step < count; ++step) {
+    const auto vector = tile.list()[step];
+    const int64_t i = int64_t(vector) * LensTile<T>::kLanes;
+    const auto& rows = tile.rows(vector);
     const V s = hn::Load(d, &tile.s[i]);
-    const V dx = hn::NegMulAdd(s, row.M1, hn::Sub(hn::Load(d, &tile.x[i]), row.M0));
+    const V dx = hn::NegMulAdd(s, hn::Load(d, rows.M1), hn::Sub(hn::Load(d, &tile.x[i]), hn::Load(d, rows.M0)));
     const V inverse_S = Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
-    const V power = hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, row.A);
+    const V power = hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::Load(d, rows.A));
     V alpha = Alpha(d, power);
     const V before = hn::Load(d, &tile.transmittance[i]);
     const V after = hn::NegMulAdd(alpha, before, before);
@@ -157,12 +153,12 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
       // `colour` collects what each sample lets through to the background
       hn::Store(hn::Add(hn::Load(d, &tile.colour[i]), hn::IfThenElseZero(stop, before)), d, &tile.colour[i]);
-      if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) retire();
+      if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(vector);
     }
     hn::Store(hn::IfThenZeroElse(stop, after), d, &tile.transmittance[i]);
     alpha = hn::IfThenZeroElse(stop, alpha);
     const auto lit = hn::Gt(alpha, hn::Zero(d));
-    if (hn::AllFalse(d, lit)) return;
+    if (hn::AllFalse(d, lit)) continue;
     touched = true;
 
     const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s) : ColourAt<-1>(d, colour, order, channel, s);
@@ -173,7 +169,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     const V g_alpha = hn::MulSub(before, v, later);
     const auto free = hn::And(lit, hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
     const V g_power = hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
-    sums.Add(g_power, row.dy, hn::Mul(dx, inverse_S), s);
+    sums.Add(g_power, hn::Load(d, rows.dy), hn::Mul(dx, inverse_S), s);
 
     // Colour coefficients, unless the clamp at zero holds (order 0 was clamped, and is masked, at projection)
     V g_c = hn::Mul(g, weight);
@@ -182,7 +178,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
       V term = hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename LensTile<T>::TI(k)))), g_c);
       for (int p = 0; p <= order; ++p, term = hn::Mul(term, s)) g_colour[3 * p + k] = hn::Add(g_colour[3 * p + k], term);
     }
-  });
+  }
   if (!touched) return;
   sums.Reduce(d, splat, out);
   for (int k = 0; k < 3 * (order + 1); ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
@@ -246,12 +242,19 @@ Counters CompositeLensImpl(const LensJob<T>& job) {
       tile.move_to(row0, cells.first + t * layout.cells_per_tile);
       if (backward) LoadGradients(job, tile, layout.samples());
       for (const int32_t* id = list.begin(t); id != list.end(t) && tile.open > 0; ++id) {
+        const int64_t count = tile.find(job.splats.splats[*id]);
+        c.evaluations += count * LensTile<T>::kLanes;
         if (!backward) {
-          ForwardSplat(job, tile, background, *id, c);
+          switch (job.splats.orders[*id]) {
+            case 0: ForwardSplat<0>(job, tile, background, *id, count); break;
+            case 1: ForwardSplat<1>(job, tile, background, *id, count); break;
+            case 2: ForwardSplat<2>(job, tile, background, *id, count); break;
+            default: ForwardSplat<-1>(job, tile, background, *id, count);
+          }
           continue;
         }
         const int64_t own_band = band - rows_of(job.splats.splats[*id], lens.height_px).first / kBandRows;
-        BackwardSplat(job, tile, *id, job.pair_gradients + (job.first_pair[*id] + own_band) * size, c);
+        BackwardSplat(job, tile, *id, job.pair_gradients + (job.first_pair[*id] + own_band) * size, count);
       }
       if (backward)
         BackgroundGradient(tile, layout.samples(), job.band_background + 3 * band);

@@ -20,6 +20,7 @@ struct LensLayout {
   int cells_per_tile = 8;
   double s_start = 0, s_step = 0;  // normalized offset s in [-1, 1] = s_start + s_step * x
   double s_of_ordinal_0 = 0, s_per_ordinal = 0, half_s = 0;  // of the samples at ordinal t: centre, and half spread
+  double x_per_ordinal = 1;  // pixels from one ordinal to the next; 1 where there is one ordinal only
   float half_patch_px = 0;  // half spread in x of a patch's samples at one ordinal, rows apart
 
   LensLayout(const Lens& lens, int cells_per_patch) {
@@ -29,7 +30,7 @@ struct LensLayout {
     s_start = reach > 0 ? lens.offset_start / reach : 0, s_step = reach > 0 ? lens.offset_step / reach : 0;
     if (by_lens) {
       pitch = lens.line_number, shear = 3 * lens.slant_tan, origin = lens.phase;
-      ordinals = int(std::ceil(pitch));
+      ordinals = int(std::ceil(pitch)), x_per_ordinal = 1.0 / 3;
       const double views_per_ordinal = double(lens.views) / pitch;
       s_per_ordinal = s_step * views_per_ordinal;
       s_of_ordinal_0 = s_start + 0.5 * s_per_ordinal;

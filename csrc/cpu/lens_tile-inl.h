@@ -12,6 +12,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "cpu/lens_layout.h"
 #include "hwy/aligned_allocator.h"
@@ -22,13 +23,13 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Per-splat constants of one group of rows.
-template <class V>
+// Per-splat constants of one group of rows, a vector each.
+template <class T, int kLanes>
 struct RowTerms {
-  V A;   // log2 opacity - tau dy^2
-  V M0;  // u0 + c0 dy, from the tile's origin
-  V M1;  // du + c1 dy
-  V dy;
+  alignas(64) T A[kLanes];   // log2 opacity - tau dy^2
+  alignas(64) T M0[kLanes];  // u0 + c0 dy, from the tile's origin
+  alignas(64) T M1[kLanes];  // du + c1 dy
+  alignas(64) T dy[kLanes];
 };
 
 template <class T>
@@ -40,26 +41,39 @@ class LensTile {
   static constexpr int kLanes = int(hn::MaxLanes(D()));
   static constexpr int kCellsPerPatch = kLanes < 4 ? kLanes : 4, kRows = kLanes / kCellsPerPatch;
   static constexpr int kDown = kBandRows / kRows;
+  using Rows = RowTerms<T, kLanes>;
 
-  // Sample arrays, [patch][ordinal][lane]; see patch_index
+  // Sample arrays, [patch][ordinal][lane]; a *vector* is one (patch, ordinal)
   hwy::AlignedFreeUniquePtr<T[]> x, s, colour, transmittance, gradient, total, prefix;
   hwy::AlignedFreeUniquePtr<TI[]> channel;
   int open = 0;  // vectors that still take light
 
   LensTile(const Lens& lens, const LensLayout& layout, bool backward)
-      : lens_(lens), layout_(layout), across_(layout.cells_per_tile / kCellsPerPatch), samples_(layout.samples()) {
-    const size_t n = size_t(samples_);
+      : lens_(lens), layout_(layout), across_(layout.cells_per_tile / kCellsPerPatch), patches_(kDown * across_),
+        samples_(layout.samples()) {
+    const size_t n = size_t(samples_), vectors = n / kLanes;
     for (auto* a : {&x, &s, &colour, &transmittance}) *a = hwy::AllocateAligned<T>(n);
     if (backward)
       for (auto* a : {&gradient, &total, &prefix}) *a = hwy::AllocateAligned<T>(n);
     channel = hwy::AllocateAligned<TI>(n);
-    patches_ = hwy::AllocateAligned<Patch>(size_t(kDown * across_));
-    alignas(64) T rows[kLanes];
-    for (int lane = 0; lane < kLanes; ++lane) rows[lane] = T(lane / kCellsPerPatch) + T(0.5);
-    std::copy(rows, rows + kLanes, row_of_lane_);
+    padded_ = (patches_ + kLanes - 1) / kLanes * kLanes;
+    for (auto* a : {&patch_row_, &patch_x_, &patch_s_, &patch_half_s_}) *a = hwy::AllocateAligned<T>(size_t(padded_));
+    for (auto* a : {&low_, &count_}) *a = hwy::AllocateAligned<TI>(size_t(padded_));
+    list_ = hwy::AllocateAligned<uint16_t>(vectors + 64);
+    alive_.resize(vectors), row_of_vector_.resize(vectors);
+    starts_.resize(size_t(kBandRows * (layout.cells_per_tile + 1)));
+    for (size_t v = 0; v < vectors; ++v) row_of_vector_[v] = uint8_t(v / size_t(layout.ordinals * across_));
+    for (int64_t p = 0; p < padded_; ++p) {
+      const bool real = p < patches_;
+      patch_row_[p] = real ? T(p / across_ * kRows) + T(0.5) * T(kRows) : T(1e9);
+      patch_x_[p] = patch_s_[p] = patch_half_s_[p] = T(0);
+    }
+    for (int lane = 0; lane < kLanes; ++lane) row_of_lane_[lane] = T(lane / kCellsPerPatch) + T(0.5);
   }
 
-  int64_t bytes() const { return samples_ * int64_t(sizeof(T)) * (gradient ? 8 : 5); }
+  int64_t bytes() const {
+    return samples_ * int64_t(sizeof(T)) * (gradient ? 8 : 5) + int64_t(sizeof(*this)) + samples_ / kLanes * 6;
+  }
 
   // Makes this the tile of cells [cell0, cell0 + cells_per_tile) of the band that starts at row0.
   void move_to(int64_t row0, int64_t cell0) {
@@ -67,57 +81,58 @@ class LensTile {
     x0_ = std::floor(layout_.cell_x(double(cell0) + 0.5 * layout_.cells_per_tile, double(row0) + 0.5 * kBandRows));
     std::fill(transmittance.get(), transmittance.get() + samples_, T(1));
     std::fill(colour.get(), colour.get() + samples_, T(0));
-    open = kDown * across_ * layout_.ordinals;
-    for (int down = 0; down < kDown; ++down)
-      for (int across = 0; across < across_; ++across) place_patch(down, across);
+    std::fill(alive_.begin(), alive_.end(), uint8_t(1));
+    open = int(alive_.size());
+    for (int64_t r = 0; r < kBandRows; ++r)
+      for (int64_t c = 0; c <= layout_.cells_per_tile; ++c) start(r, c) = layout_.cell_start(lens_, row0 + r, cell0 + c);
+    for (int64_t patch = 0; patch < patches_; ++patch) place_patch(patch);
   }
 
-  // Calls visit(first sample, RowTerms, retire) for every vector that the splat may touch. retire() takes the vector
-  // out of later walks: no sample of it takes light any more.
-  template <class Visit>
-  HWY_INLINE void for_each_vector(const Splat<T>& splat, const Visit& visit) {
+  // Finds the vectors that the splat may touch: list()[0 .. result), with rows(v) filled for each.
+  HWY_INLINE int64_t find(const Splat<T>& splat) {
     const D d;
-    const T u = T(double(splat.u0) - x0_), v = T(splat.v0 - T(row0_));
-    const Range rows = pixels_within(v - splat.reach_y, v + splat.reach_y, kBandRows);
-    if (rows.last < rows.first) return;
-    const V lane_rows = hn::Load(d, row_of_lane_);
-    const T half = T(0.5) * T(kRows - 1), tan = T(layout_.shear / 3);
-    const T spread = layout_.half_patch_px + half * (std::abs(splat.c0 + tan) + std::abs(splat.c1));
-    for (int64_t down = rows.first / kRows; down <= rows.last / kRows; ++down) {
-      // The footprint around the middle row of the group: centre M0 + s M1, half width w
-      const T middle = T(down * kRows) + T(0.5) * T(kRows) - v;
-      const T nearest = std::max(T(0), std::abs(middle) - half);
-      const T w = std::sqrt(square_reach_x(splat, nearest)) + spread;
-      const T M0 = u + splat.c0 * middle, M1 = splat.du + splat.c1 * middle;
-      const T slope = layout_.by_lens ? T(1.0 / 3) - T(layout_.s_per_ordinal) * M1 : T(1);
-      const T per_slope = T(1) / (std::abs(slope) > T(1e-9) ? slope : T(1e-9));
+    const T u = T(double(splat.u0) - x0_), v = splat.v0 - T(row0_);
+    fill_rows(splat, u, v);
 
-      RowTerms<V> terms;
-      terms.dy = hn::Add(lane_rows, hn::Set(d, T(down * kRows) - v));
-      terms.A = hn::NegMulAdd(hn::Mul(hn::Set(d, splat.tau), terms.dy), terms.dy, hn::Set(d, splat.log2_opacity));
-      terms.M0 = hn::MulAdd(hn::Set(d, splat.c0), terms.dy, hn::Set(d, u));
-      terms.M1 = hn::MulAdd(hn::Set(d, splat.c1), terms.dy, hn::Set(d, splat.du));
-
-      for (int across = 0; across < across_; ++across) {
-        // |X + t slope| <= w + what the samples of an ordinal spread
-        Patch& patch = patches_[size_t(down * across_ + across)];
-        const T X = patch.x - M0 - patch.s * M1, reach = w + std::abs(M1) * patch.half_s;
-        const T t1 = (-X - reach) * per_slope, t2 = (-X + reach) * per_slope;
-        const T last_ordinal = T(layout_.ordinals - 1);
-        const T low = std::ceil(std::max(std::min(t1, t2), T(0))), high = std::floor(std::min(std::max(t1, t2), last_ordinal));
-        if (!(low <= high)) continue;
-        uint64_t todo = patch.alive & (~0ull << int(low)) & (~0ull >> (63 - int(high)));
-        const int64_t first = (down * across_ + across) * layout_.ordinals;
-        while (todo) {
-          const int t = __builtin_ctzll(todo);
-          todo &= todo - 1;
-          visit((first + t) * kLanes, terms, [&patch, this, t] {
-            patch.alive &= ~(1ull << t);
-            --open;
-          });
-        }
-      }
+    // Per patch: |X + t slope| <= w + what the samples at one ordinal spread, around the patch's middle row
+    const T half = T(0.5) * T(kRows - 1);
+    const T spread = layout_.half_patch_px +
+                     half * (std::abs(splat.c0 + T(layout_.shear / 3)) + std::abs(splat.c1));
+    const T left = splat.S0 - splat.S1 + splat.S2, right = splat.S0 + splat.S1 + splat.S2;
+    const V widest = hn::Set(d, std::max(left, right)), zero = hn::Zero(d);
+    const hn::RebindToSigned<D> di;
+    for (int64_t p = 0; p < padded_; p += kLanes) {
+      const V middle = hn::Sub(hn::Load(d, &patch_row_[p]), hn::Set(d, v));
+      const V nearest = hn::Max(hn::Sub(hn::Abs(middle), hn::Set(d, half)), zero);
+      const V exponent = hn::NegMulAdd(hn::Mul(hn::Set(d, splat.tau), nearest), nearest,
+                                       hn::Set(d, splat.log2_opacity - T(kLog2MinAlpha) + T(1e-3)));
+      const V w = hn::Add(hn::Sqrt(hn::Max(hn::Mul(exponent, widest), zero)), hn::Set(d, spread));
+      const V M0 = hn::MulAdd(hn::Set(d, splat.c0), middle, hn::Set(d, u));
+      const V M1 = hn::MulAdd(hn::Set(d, splat.c1), middle, hn::Set(d, splat.du));
+      V slope = hn::NegMulAdd(hn::Set(d, T(layout_.s_per_ordinal)), M1, hn::Set(d, T(layout_.x_per_ordinal)));
+      const V tiny = hn::Set(d, T(1e-6));
+      slope = hn::IfThenElse(hn::Lt(hn::Abs(slope), tiny), tiny, slope);
+      const V X = hn::NegMulAdd(hn::Load(d, &patch_s_[p]), M1, hn::Sub(hn::Load(d, &patch_x_[p]), M0));
+      const V reach = hn::MulAdd(hn::Abs(M1), hn::Load(d, &patch_half_s_[p]), w);
+      const V per_slope = hn::Div(hn::Set(d, T(1)), slope);
+      const V t1 = hn::Mul(hn::Neg(hn::Add(X, reach)), per_slope), t2 = hn::Mul(hn::Sub(reach, X), per_slope);
+      const V low = hn::Ceil(hn::Max(hn::Min(t1, t2), zero));
+      const V high = hn::Floor(hn::Min(hn::Max(t1, t2), hn::Set(d, T(layout_.ordinals - 1))));
+      V count = hn::Max(hn::Sub(hn::Add(high, hn::Set(d, T(1))), low), zero);
+      count = hn::IfThenElseZero(hn::Ge(exponent, zero), count);
+      hn::Store(hn::ConvertTo(di, hn::Min(low, hn::Set(d, T(64)))), di, &low_[p]);
+      hn::Store(hn::ConvertTo(di, count), di, &count_[p]);
     }
+    return fill_list();
+  }
+
+  const uint16_t* list() const { return list_.get(); }
+  const Rows& rows(uint16_t vector) const { return rows_[row_of_vector_[vector]]; }
+
+  // No sample of this vector takes light any more: leaves it out of later lists.
+  void retire(uint16_t vector) {
+    open -= alive_[vector];
+    alive_[vector] = 0;
   }
 
   // Calls visit(row, first sub-pixel, count, first sample) for every run of sub-pixels: one cell of one row. Sub-pixel
@@ -126,59 +141,101 @@ class LensTile {
   void for_each_run(const Visit& visit) const {
     for (int64_t r = 0; r < kBandRows && row0_ + r < lens_.height_px; ++r)
       for (int64_t c = 0; c < layout_.cells_per_tile; ++c) {
-        const int64_t row = row0_ + r;
-        const int64_t start = layout_.cell_start(lens_, row, cell0_ + c);
-        const int64_t stop = std::min(layout_.cell_start(lens_, row, cell0_ + c + 1), 3 * lens_.width_px);
-        const int64_t begin = std::max<int64_t>(start, 0);
-        if (begin >= stop) continue;
+        const int64_t begin = std::max<int64_t>(start(r, c), 0), end = std::min(start(r, c + 1), 3 * lens_.width_px);
+        if (begin >= end) continue;
         const int64_t patch = r / kRows * across_ + c / kCellsPerPatch;
         const int64_t lane = r % kRows * kCellsPerPatch + c % kCellsPerPatch;
-        visit(row, begin, stop - begin, (patch * layout_.ordinals + begin - start) * kLanes + lane);
+        visit(row0_ + r, begin, end - begin, (patch * layout_.ordinals + begin - start(r, c)) * kLanes + lane);
       }
   }
 
  private:
-  struct Patch {
-    T x, s, half_s;  // centre and half spread of its samples at ordinal 0: pixels from the tile's origin, offset
-    uint64_t alive;  // bit per ordinal
-  };
+  // First sub-pixel of cell c of the tile in its row r.
+  int64_t& start(int64_t r, int64_t c) { return starts_[size_t(r * (layout_.cells_per_tile + 1) + c)]; }
+  int64_t start(int64_t r, int64_t c) const { return starts_[size_t(r * (layout_.cells_per_tile + 1) + c)]; }
 
-  void place_patch(int down, int across) {
-    const int64_t index = down * across_ + across;
+  HWY_INLINE void fill_rows(const Splat<T>& splat, T u, T v) {
+    const D d;
+    const V lane_rows = hn::Load(d, row_of_lane_);
+    for (int down = 0; down < kDown; ++down) {
+      Rows& rows = rows_[down];
+      const V dy = hn::Add(lane_rows, hn::Set(d, T(down * kRows) - v));
+      hn::Store(dy, d, rows.dy);
+      hn::Store(hn::NegMulAdd(hn::Mul(hn::Set(d, splat.tau), dy), dy, hn::Set(d, splat.log2_opacity)), d, rows.A);
+      hn::Store(hn::MulAdd(hn::Set(d, splat.c0), dy, hn::Set(d, u)), d, rows.M0);
+      hn::Store(hn::MulAdd(hn::Set(d, splat.c1), dy, hn::Set(d, splat.du)), d, rows.M1);
+    }
+  }
+
+  // Ranges of ordinals -> one flat list. Every patch writes as many entries as a cell has ordinals and the next patch
+  // overwrites what was too much: no branch depends on a range, which no processor could predict.
+  HWY_INLINE int64_t fill_list() {
+    const hn::FixedTag<uint16_t, 8> d16;
+    const auto eight = hn::Set(d16, uint16_t(8));
+    uint16_t* list = list_.get();
+    int64_t size = 0;
+    for (int64_t p = 0; p < patches_; ++p) {
+      auto entries = hn::Iota(d16, uint16_t(p * layout_.ordinals + low_[p]));
+      for (int k = 0; k < layout_.ordinals; k += 8, entries = hn::Add(entries, eight))
+        hn::StoreU(entries, d16, list + size + k);
+      size += count_[p];
+    }
+    if (HWY_LIKELY(open == int(alive_.size()))) return size;
+    int64_t kept = 0;
+    for (int64_t k = 0; k < size; ++k) {
+      const uint16_t vector = list[k];
+      list[kept] = vector;
+      kept += alive_[vector];
+    }
+    return kept;
+  }
+
+  // Positions, offsets and channels of a patch's samples.
+  void place_patch(int64_t patch) {
+    const int64_t down = patch / across_, across = patch % across_;
+    const int64_t all = 3 * lens_.width_px;
     T s_low = T(2), s_high = T(-2);
     for (int lane = 0; lane < kLanes; ++lane) {
-      const int64_t row = row0_ + down * kRows + lane / kCellsPerPatch;
-      const int64_t cell = cell0_ + across * kCellsPerPatch + lane % kCellsPerPatch;
-      const int64_t start = layout_.cell_start(lens_, row, cell);
-      const int64_t count = std::min<int64_t>(layout_.cell_start(lens_, row, cell + 1) - start, layout_.ordinals);
-      int64_t sample = index * layout_.ordinals * kLanes + lane;
-      for (int64_t t = 0; t < layout_.ordinals; ++t, sample += kLanes) {
-        // Lanes without a sub-pixel of the panel stand where no splat reaches
-        const int64_t m = start + t;
-        const bool real = t < count && m >= 0 && m < 3 * lens_.width_px && row < lens_.height_px;
-        const int64_t j = m >= 0 ? m / 3 : 0, k = real ? m - 3 * j : 0;
-        x[sample] = real ? T(double(j) + 0.5 - x0_) : T(1e9);
-        const double coordinate = camera_coordinate(lens_, lens_.phase_at(row, m));
-        s[sample] = real ? T(layout_.s_start + layout_.s_step * coordinate) : T(0);
-        channel[sample] = TI(lens_.bgr ? 2 - k : k);
-        if (real) s_low = std::min(s_low, s[sample]), s_high = std::max(s_high, s[sample]);
+      const int64_t r = down * kRows + lane / kCellsPerPatch, c = across * kCellsPerPatch + lane % kCellsPerPatch;
+      const int64_t row = row0_ + r, first = start(r, c), last = first + layout_.ordinals;
+      const int64_t begin = row < lens_.height_px ? std::clamp<int64_t>(first, 0, all) : all;
+      const int64_t end = std::min({start(r, c + 1), all, last});
+      int64_t sample = patch * layout_.ordinals * kLanes + lane;
+
+      // Lanes without a sub-pixel of the panel stand where no splat reaches
+      for (int64_t m = first; m < last; ++m, sample += kLanes)
+        if (m < begin || m >= end) x[sample] = T(1e9), s[sample] = T(0), channel[sample] = 0;
+      if (begin >= end) continue;
+      sample += (begin - last) * kLanes;
+      uint64_t phase = lens_.phase_at(row, begin);
+      T centre = T(double(begin / 3) + 0.5 - x0_);
+      int k = int(begin % 3);
+      for (int64_t m = begin; m < end; ++m, sample += kLanes, phase += lens_.phase_x) {
+        const T offset = T(layout_.s_start + layout_.s_step * camera_coordinate(lens_, phase));
+        x[sample] = centre, s[sample] = offset, channel[sample] = TI(lens_.bgr ? 2 - k : k);
+        if (!layout_.by_lens) s_low = std::min(s_low, offset), s_high = std::max(s_high, offset);
+        if (++k == 3) k = 0, centre += T(1);
       }
     }
-    Patch& patch = patches_[size_t(index)];
-    patch.alive = ~0ull >> (64 - layout_.ordinals);
     const double cell = double(cell0_ + across * kCellsPerPatch) + 0.5 * (kCellsPerPatch - 1);
-    patch.x = T(layout_.cell_x(cell, double(row0_ + down * kRows) + 0.5 * (kRows - 1)) - x0_);
-    patch.s = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (s_low + s_high);
-    patch.half_s = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (s_high - s_low)) + T(1e-6);
+    patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + down * kRows) + 0.5 * (kRows - 1)) - x0_);
+    patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (s_low + s_high);
+    patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (s_high - s_low)) + T(1e-6);
   }
 
   const Lens& lens_;
   const LensLayout& layout_;
-  int64_t across_, samples_;
+  int64_t across_, patches_, samples_, padded_;
   int64_t row0_ = 0, cell0_ = 0;
   double x0_ = 0;  // tile origin, pixels
   alignas(64) T row_of_lane_[kLanes];
-  hwy::AlignedFreeUniquePtr<Patch[]> patches_;
+  Rows rows_[kDown];
+  // Per patch: its middle row; centre and half spread of its samples at ordinal 0, in pixels and offset
+  hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_x_, patch_s_, patch_half_s_;
+  hwy::AlignedFreeUniquePtr<TI[]> low_, count_;  // range of ordinals per patch
+  hwy::AlignedFreeUniquePtr<uint16_t[]> list_;   // of vectors
+  std::vector<uint8_t> alive_, row_of_vector_;
+  std::vector<int64_t> starts_;
 };
 
 }  // namespace HWY_NAMESPACE
