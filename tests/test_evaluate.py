@@ -1,0 +1,109 @@
+"""Scoring a network: conventions, bins, the copy baseline and the command."""
+import json
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from lightfield_gs import Gaussians, InputError
+from lightfield_gs.models import ModelConfig, SplatterNet
+from srn_scene import HEIGHT, WIDTH, look_at, write_object
+from test_model import TINY
+from training import evaluate
+from training.data.srn import read_object
+from training.evaluation import azimuths_from_source, compare_object, score_folder
+from training.rendering import render_views
+
+ANGLES = ((0, 0), (-10, 0), (5, 6), (10, -6), (4, 0))
+
+
+class KnownScene(torch.nn.Module):
+    """Stands for a perfect network: returns the scene that the pictures show, in the source camera's axes."""
+
+    def __init__(self, gaussians: Gaussians) -> None:
+        super().__init__()
+        self.gaussians, self.config = gaussians, ModelConfig.from_dict(TINY)
+
+    def forward(self, images, intrinsics):
+        return Gaussians(*(field[None] for field in self.gaussians.fields().values()))
+
+
+def _scene() -> Gaussians:
+    """A few Gaussians about (0, 0, 1.3) before the source camera."""
+    rng = torch.Generator().manual_seed(0)
+    count = 40
+    means = 0.15 * torch.randn(count, 3, generator=rng) + torch.tensor([0, 0, 1.3])
+    return Gaussians(means, torch.randn(count, 4, generator=rng), torch.full((count, 3), 0.03) + 0.02 * torch.rand(count, 3, generator=rng),
+                     torch.full((count,), 0.9), torch.randn(count, 1, 3, generator=rng))
+
+
+def test_the_true_scene_scores_as_well_as_8_bits_allow(tmp_path):
+    """Pictures of known Gaussians, drawn straight from the poses on disk; only the source camera's axes are shared."""
+    write_object(tmp_path / "a", angles=ANGLES)
+    views, scene = read_object(tmp_path / "a"), _scene()
+    world_to_camera = torch.from_numpy(np.linalg.inv(views.camera_to_world) @ views.camera_to_world[0]).float()
+    intrinsics = torch.tensor([[140.0, 140.0, 64.0, 48.0]]).expand(len(ANGLES), 4)
+    batched = Gaussians(*(field[None] for field in scene.fields().values()))
+    images, alpha = render_views(batched, world_to_camera[None], intrinsics[None], 128, 96, torch.zeros(1, len(ANGLES), 3))
+    straight = images[0].permute(0, 2, 3, 1) / alpha[0, ..., None].clamp_min(1e-6)
+    pixels = (torch.cat([straight, alpha[0, ..., None]], -1).clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+    for index, picture in enumerate(pixels):
+        Image.fromarray(picture).save(tmp_path / f"a/rgb/{index:06d}.png")
+    (tmp_path / "a/intrinsics.txt").write_text("140 64 48 0\n0 0 0\n1\n96 128\n")
+    report = score_folder(KnownScene(scene), tmp_path)
+    assert report["psnr_db"] > 50 and report["ssim"] > 0.999
+    assert report["copy_psnr_db"] < 30
+
+
+def test_bins_and_copy_baseline(tmp_path):
+    write_object(tmp_path / "a", angles=ANGLES)
+    report = score_folder(SplatterNet(ModelConfig.from_dict(TINY)).eval(), tmp_path)
+    assert report["objects"] == 1 and report["views"] == 4
+    assert [(row["angle_deg"], row["views"]) for row in report["bins"]] == [(5, 2), (10, 2)]
+    for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim"):
+        assert np.mean([row[name] for row in report["bins"]]) == pytest.approx(report[name])
+    comparison = compare_object(SplatterNet(ModelConfig.from_dict(TINY)).eval(), tmp_path / "a")
+    assert comparison.truth.shape == (4, 3, 96, 128)  # the longer side becomes 128
+    frames = [np.asarray(Image.open(tmp_path / f"a/rgb/{i:06d}.png")).astype(float) for i in range(5)]
+    on_white = [f[..., :3] * (f[..., 3:] / 255) + 255 - f[..., 3:] for f in frames]
+    doubled = [np.repeat(np.repeat(f, 2, 0), 2, 1) / 255 for f in on_white]  # 64 x 48 stored, 128 x 96 compared
+    expected = np.mean([-10 * np.log10(((doubled[0] - f) ** 2).mean()) for f in doubled[1:]])
+    assert report["copy_psnr_db"] == pytest.approx(expected, abs=0.01)
+
+
+def test_azimuths_of_known_cameras():
+    cameras = np.stack([look_at(azimuth, elevation) for azimuth, elevation in ((30, 10), (50, 16), (10, 4), (30, -20))])
+    np.testing.assert_allclose(np.abs(azimuths_from_source(cameras)), [0, 20, 20, 0], atol=1e-9)
+    assert np.prod(np.sign(azimuths_from_source(cameras)[1:3])) == -1
+    roll = np.eye(4)
+    roll[:2, :2] = [[0, -1], [1, 0]]
+    with pytest.raises(InputError, match="roll"):
+        azimuths_from_source(np.stack([cameras[0], cameras[1] @ roll, cameras[2], look_at(70, 30) @ roll]))
+
+
+def test_command_writes_scores_and_pictures(tmp_path, capsys):
+    write_object(tmp_path / "set/a", angles=ANGLES)
+    SplatterNet(ModelConfig.from_dict(TINY)).save(tmp_path / "net.safetensors")
+    arguments = ["--data", str(tmp_path / "set"), "--checkpoint", str(tmp_path / "net.safetensors"),
+                 "--save-renders", str(tmp_path / "renders"), "--json", str(tmp_path / "scores.json")]
+    assert evaluate.main(arguments) == 0
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    metrics = {"psnr_db", "ssim", "copy_psnr_db", "copy_ssim"}
+    assert metrics <= scores.keys() and all(metrics | {"angle_deg"} <= row.keys() for row in scores["bins"])
+    picture = np.asarray(Image.open(tmp_path / "renders/a.png"))
+    assert picture.shape == (2 * 96, 5 * 128, 3) and (WIDTH, HEIGHT) == (64, 48)
+    assert "all" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments, word", [(["--data", "{tmp}/none"], "no such folder"), (["--data", "{tmp}"], "no object"),
+                                             (["--data", "{tmp}", "--checkpoint", "{tmp}/none.safetensors"], "no such checkpoint")])
+def test_command_reports_bad_input_in_one_line(tmp_path, capsys, arguments, word):
+    if "--checkpoint" not in arguments:
+        SplatterNet(ModelConfig.from_dict(TINY)).save(tmp_path / "net.safetensors")
+        arguments = [*arguments, "--checkpoint", "{tmp}/net.safetensors"]
+    arguments = [argument.format(tmp=tmp_path) for argument in arguments]
+    assert evaluate.main([*arguments, "--json", str(tmp_path / "scores.json")]) == 2
+    error = capsys.readouterr().err
+    assert word in error and error.count("\n") == 1
+    assert not (tmp_path / "scores.json").exists()

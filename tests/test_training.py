@@ -1,0 +1,279 @@
+"""Sampling, batches, losses, schedule, and a training loop that resumes with the same numbers."""
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from lightfield_gs import InputError
+from srn_scene import FOCAL, look_at, write_object
+from training.checkpoints import cut_log
+from training.config import OptimizerConfig, Stage, TrainingConfig
+from training.data.batches import Augmentation, BatchMaker, mirrored, relative_cameras
+from training.data.cache import load_set
+from training.data.sampler import ViewSampler
+from training.losses import LossWeights, composite, total_loss
+from training.metrics import psnr_db, ssim
+from training.schedule import WeightAverage, learning_rate
+
+AZIMUTHS = (0, -25, -10, 10, 25, 100)
+
+
+def fan() -> np.ndarray:
+    return np.stack([look_at(azimuth, 0) for azimuth in AZIMUTHS])
+
+
+def test_sampler_stays_in_the_cone_and_uses_all_of_it():
+    sampler = ViewSampler([fan()], azimuth_deg=30, elevation_deg=12, targets=2, seed=3)
+    seen = set()
+    for step in range(200):
+        (choice,) = sampler.draw(step, step, 1)
+        seen |= {(choice.source, target) for target in choice.targets}
+        assert choice.source not in choice.targets
+    wanted = {(a, b) for a in range(5) for b in range(5) if a != b and abs(AZIMUTHS[a] - AZIMUTHS[b]) <= 30}
+    assert seen == wanted  # view 5, at 100 degrees, has no neighbour
+
+
+def test_full_sphere_takes_every_view():
+    sampler = ViewSampler([fan()], azimuth_deg=180, elevation_deg=90, targets=3, seed=0)
+    seen = {choice.source for step in range(100) for choice in sampler.draw(step, step, 1)}
+    assert seen == set(range(6))
+
+
+def test_sampler_depends_on_seed_and_step_alone():
+    first, second = (ViewSampler([fan()] * 7, 30, 12, 3, seed=5) for _ in range(2))
+    first.draw(0, 0, 4)
+    assert first.draw(9, 36, 4) == second.draw(9, 36, 4)
+    assert first.draw(9, 36, 4) != ViewSampler([fan()] * 7, 30, 12, 3, seed=6).draw(9, 36, 4)
+
+
+def test_each_epoch_visits_every_object_once():
+    sampler = ViewSampler([fan()] * 10, 30, 12, 1, seed=1)
+    visited = [choice.object_index for step in range(6) for choice in sampler.draw(step, 5 * step, 5)]
+    epochs = [visited[start:start + 10] for start in (0, 10, 20)]
+    assert all(sorted(epoch) == list(range(10)) for epoch in epochs)
+    assert epochs[0] != epochs[1]
+
+
+def test_sampler_refuses_an_object_without_neighbours():
+    with pytest.raises(InputError, match="object number 1: no two of its 2 views"):
+        ViewSampler([fan(), np.stack([look_at(0, 0), look_at(90, 0)])], 30, 12, 1, seed=0)
+
+
+def _project(camera: np.ndarray, point: np.ndarray) -> np.ndarray:
+    x, y, z = (camera @ [*point, 1])[:3]
+    return np.array([x / z, y / z])
+
+
+def test_mirrored_cameras_see_mirrored_images():
+    camera = relative_cameras(np.stack([look_at(5, 3), look_at(25, -4)]), 0, [1])[0]
+    point = np.array([0.1, -0.2, 1.2])
+    expected = _project(camera, point) * (-1, 1)
+    np.testing.assert_allclose(_project(mirrored(camera), point * (-1, 1, 1)), expected, atol=1e-12)
+    assert np.linalg.det(mirrored(camera)[:3, :3]) == pytest.approx(1)
+
+
+@pytest.fixture(scope="module")
+def small_set(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    for index in range(3):
+        write_object(folder / "set" / f"object-{index}", seed=index)
+    return folder
+
+
+def _maker(folder: Path, **augmentation) -> BatchMaker:
+    cached = load_set(folder / "set", folder / "cache", workers=1)
+    sampler = ViewSampler([views.camera_to_world for views in cached.objects], 30, 12, 2, seed=0)
+    return BatchMaker([cached], sampler, Augmentation(**augmentation))
+
+
+@pytest.mark.parametrize("mirror", [0.0, 1.0])
+def test_batches_keep_pictures_and_cameras_together(small_set, mirror):
+    """The ball at the world's origin must be opaque where each cropped camera projects it."""
+    batch = _maker(small_set, mirror=mirror, colour=0.0, target_zoom=(0.9, 1.3)).make(4, 12, 3, 32)
+    assert batch.source.shape == (3, 4, 32, 32) and batch.targets.shape == (3, 3, 4, 32, 32)
+    torch.testing.assert_close(batch.world_to_camera[:, 0], torch.eye(4).expand(3, 4, 4), atol=1e-6, rtol=0)
+    origin = torch.tensor([0, 0, 1.3, 1.0])
+    for example in range(3):
+        for view in range(3):
+            x, y, z = (batch.world_to_camera[example, view] @ origin)[:3]
+            assert z == pytest.approx(1.3, abs=1e-4)
+            fx, fy, cx, cy = batch.intrinsics[example, view]
+            column, row = int(fx * x / z + cx), int(fy * y / z + cy)
+            assert batch.targets[example, view, 3, row, column] > 0.999
+
+
+def test_source_camera_of_a_batch_matches_its_crop(small_set):
+    batch = _maker(small_set, mirror=0.0, colour=0.0, source_jitter=0.0, target_zoom=(1.0, 1.0)).make(0, 0, 3, 32)
+    torch.testing.assert_close(batch.source, batch.targets[:, 0])
+    torch.testing.assert_close(batch.source_intrinsics, batch.intrinsics[:, 0])
+    assert (batch.source_intrinsics[:, 0] > FOCAL * 32 / 64).all()  # cropped closer than the frame
+
+
+def test_colour_augmentation_treats_all_views_alike(small_set):
+    plain = _maker(small_set, mirror=0.0, colour=0.0).make(1, 3, 1, 16)
+    varied = _maker(small_set, mirror=0.0, colour=1.0).make(1, 3, 1, 16)
+    assert torch.equal(plain.source[:, 3], varied.source[:, 3])
+    assert not torch.equal(plain.source[:, :3], varied.source[:, :3])
+    assert (varied.targets[:, :, :3] <= varied.targets[:, :, 3:] + 1e-6).all()
+
+
+def test_batch_is_a_function_of_the_step(small_set):
+    first, second = _maker(small_set), _maker(small_set)
+    first.make(0, 0, 3, 16)
+    for a, b in zip(vars(first.make(7, 21, 3, 16)).values(), vars(second.make(7, 21, 3, 16)).values()):
+        assert torch.equal(a, b)
+
+
+def test_psnr_of_a_constant_error():
+    image = torch.rand(2, 3, 8, 8)
+    torch.testing.assert_close(psnr_db(image, image + 0.1), torch.full((2,), 20.0), atol=1e-3, rtol=0)
+    assert psnr_db(image, image).tolist() == [100, 100]
+
+
+def test_ssim_is_the_published_formula():
+    """Against sums written out pixel by pixel in float64."""
+    rng = np.random.default_rng(0)
+    x, y = rng.random((3, 13, 17)), rng.random((3, 13, 17))
+    taps = np.exp(-0.5 * ((np.arange(11) - 5) / 1.5) ** 2)
+    window = np.outer(taps, taps) / taps.sum() ** 2
+    padded = [np.pad(a, ((0, 0), (5, 5), (5, 5))) for a in (x, y)]
+    total = []
+    for c, i, j in np.ndindex(x.shape):
+        a, b = (p[c, i:i + 11, j:j + 11] for p in padded)
+        mean_a, mean_b = (window * a).sum(), (window * b).sum()
+        var_a, var_b = (window * a * a).sum() - mean_a ** 2, (window * b * b).sum() - mean_b ** 2
+        covariance = (window * a * b).sum() - mean_a * mean_b
+        total.append((2 * mean_a * mean_b + 1e-4) * (2 * covariance + 9e-4)
+                     / ((mean_a ** 2 + mean_b ** 2 + 1e-4) * (var_a + var_b + 9e-4)))
+    assert float(ssim(torch.from_numpy(x), torch.from_numpy(y))) == pytest.approx(np.mean(total), abs=1e-12)
+    assert float(ssim(torch.from_numpy(x).float(), torch.from_numpy(x).float())) == pytest.approx(1, abs=1e-5)
+
+
+def test_loss_is_the_weighted_sum_of_its_terms():
+    targets, backgrounds = torch.rand(2, 3, 4, 16, 16), torch.rand(2, 3, 3)
+    targets[:, :, :3] *= targets[:, :, 3:]
+    wanted = composite(targets, backgrounds)
+    expected = targets[0, 1, :3, 4, 5] + (1 - targets[0, 1, 3, 4, 5]) * backgrounds[0, 1]
+    torch.testing.assert_close(wanted[0, 1, :, 4, 5], expected)
+    zero, _ = total_loss(wanted, targets[:, :, 3], targets, backgrounds, LossWeights())
+    assert float(zero) == pytest.approx(0, abs=1e-5)
+    total, terms = total_loss(wanted + 0.1, targets[:, :, 3] - 0.2, targets, backgrounds, LossWeights(2.0, 0.5, 3.0))
+    assert float(terms["colour"]) == pytest.approx(0.01, abs=1e-6)
+    assert float(terms["alpha"]) == pytest.approx(0.04, abs=1e-6)
+    assert float(total) == pytest.approx(2 * 0.01 + 0.5 * float(terms["ssim"]) + 3 * 0.04, abs=1e-6)
+
+
+def test_learning_rate_warms_up_and_falls_by_a_cosine():
+    config = OptimizerConfig(learning_rate=1e-3, warmup_steps=10, final_share=0.1)
+    assert learning_rate(0, 110, config) == pytest.approx(1e-4)
+    assert learning_rate(10, 110, config) == pytest.approx(1e-3)
+    assert learning_rate(60, 110, config) == pytest.approx(1e-3 * 0.55)
+    assert learning_rate(110, 110, config) == pytest.approx(1e-4)
+
+
+def test_weight_average_follows_its_recurrence():
+    net, average = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
+    average.load_state_dict(net.state_dict())
+    expected, mean = net.weight.detach().clone(), WeightAverage(average, decay=0.5)
+    for step in range(20):
+        with torch.no_grad():
+            net.weight += 1
+        decay = min(0.5, (1 + step) / (10 + step))
+        expected = decay * expected + (1 - decay) * net.weight.detach()
+        mean.update(net, step)
+    torch.testing.assert_close(mean.average.weight, expected)
+
+
+def test_stages_count_steps_and_examples():
+    config = TrainingConfig("out", ["data"], [Stage(10, 64, 8), Stage(5, 128, 4)])
+    assert config.total_steps == 15
+    assert config.stage_at(9) == (config.stages[0], 72)
+    assert config.stage_at(12) == (config.stages[1], 88)
+    with pytest.raises(IndexError):
+        config.stage_at(15)
+
+
+def test_log_is_cut_at_the_resumed_step(tmp_path):
+    log = tmp_path / "losses.jsonl"
+    log.write_text("".join(json.dumps({"step": step}) + "\n" for step in range(5)) + '{"step": 5, "lo')
+    cut_log(log, 3)
+    assert [json.loads(line)["step"] for line in log.read_text().splitlines()] == [0, 1, 2]
+
+
+def _run_config(folder: Path, name: str, **changes) -> Path:
+    """Configuration file of a run that takes a few seconds."""
+    model = folder / "model.yaml"
+    model.write_text(yaml.safe_dump({"image_size_px": 16, "features": 8, "patch_px": 1, "unet": {
+        "base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [8], "heads": 2, "dropout": 0.1}}))
+    path = folder / f"{name}.yaml"
+    path.write_text(yaml.safe_dump({
+        "output_dir": str(folder / name), "data": [str(folder / "set")], "cache_dir": str(folder / "cache"), "model": str(model),
+        "stages": [{"steps": 8, "image_size_px": 16, "objects": 2}, {"steps": 4, "image_size_px": 32, "objects": 1}],
+        "targets": 1, "checkpoint_every": 3, "optimizer": {"warmup_steps": 2}} | changes))
+    return path
+
+
+def _start(config: Path) -> subprocess.Popen:
+    root = Path(__file__).resolve().parents[1]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])}
+    return subprocess.Popen([sys.executable, "-m", "training.train", "--config", str(config)], cwd=root, env=environment,
+                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def _losses(folder: Path) -> list[str]:
+    path = folder / "losses.jsonl"
+    return path.read_text().splitlines() if path.exists() else []
+
+
+def _interrupt(config: Path, output: Path, number: int) -> str:
+    """Start a run, signal it once a checkpoint exists and a later step is logged; returns what it printed."""
+    process = _start(config)
+    deadline = time.monotonic() + 120
+    while not ((output / "last.pt").exists() and len(_losses(output)) >= 5):
+        assert process.poll() is None and time.monotonic() < deadline, process.communicate()[0]
+        time.sleep(0.002)
+    process.send_signal(number)
+    return process.communicate(timeout=120)[0]
+
+
+def _finish(config: Path) -> None:
+    process = _start(config)
+    assert process.wait(timeout=120) == 0, process.communicate()[0]
+
+
+def test_killed_run_resumes_to_the_same_losses(small_set):
+    """kill -9 in the middle, resume, and compare with a run that was left alone: every digit of every step."""
+    whole, killed = (_run_config(small_set, name) for name in ("whole", "killed"))
+    _finish(whole)
+    _interrupt(killed, small_set / "killed", signal.SIGKILL)
+    assert len(_losses(small_set / "killed")) < 12
+    _finish(killed)
+    assert _losses(small_set / "killed") == _losses(small_set / "whole")
+    assert len(_losses(small_set / "whole")) == 12
+    assert all(math.isfinite(json.loads(line)["loss"]) for line in _losses(small_set / "whole"))
+    assert (small_set / "killed/model.safetensors").read_bytes() == (small_set / "whole/model.safetensors").read_bytes()
+    assert list((small_set / "whole/tensorboard").iterdir())
+
+
+def test_terminated_run_saves_its_last_step(small_set):
+    config = _run_config(small_set, "terminated", stages=[{"steps": 400, "image_size_px": 16, "objects": 2}])
+    printed = _interrupt(config, small_set / "terminated", signal.SIGTERM)
+    assert "run the same command to resume" in printed
+    state = torch.load(small_set / "terminated/last.pt", weights_only=True)
+    assert state["step"] == len(_losses(small_set / "terminated"))
+    process = _start(_run_config(small_set, "terminated", seed=1))
+    message = process.communicate(timeout=120)[0]
+    assert process.returncode == 2 and "another configuration (seed, stages differ)" in message
+    (small_set / "terminated/last.pt").write_bytes(b"damaged")
+    process = _start(config)
+    message = process.communicate(timeout=120)[0]
+    assert process.returncode == 2 and "damaged checkpoint" in message and "Traceback" not in message
