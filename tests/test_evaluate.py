@@ -34,8 +34,9 @@ def _scene() -> Gaussians:
     rng = torch.Generator().manual_seed(0)
     count = 40
     means = 0.15 * torch.randn(count, 3, generator=rng) + torch.tensor([0, 0, 1.3])
-    return Gaussians(means, torch.randn(count, 4, generator=rng), torch.full((count, 3), 0.03) + 0.02 * torch.rand(count, 3, generator=rng),
-                     torch.full((count,), 0.9), torch.randn(count, 1, 3, generator=rng))
+    scales = 0.03 + 0.02 * torch.rand(count, 3, generator=rng)
+    return Gaussians(means, torch.randn(count, 4, generator=rng), scales, torch.full((count,), 0.9),
+                     torch.randn(count, 1, 3, generator=rng))
 
 
 def test_the_true_scene_scores_as_well_as_8_bits_allow(tmp_path):
@@ -45,7 +46,8 @@ def test_the_true_scene_scores_as_well_as_8_bits_allow(tmp_path):
     world_to_camera = torch.from_numpy(np.linalg.inv(views.camera_to_world) @ views.camera_to_world[0]).float()
     intrinsics = torch.tensor([[140.0, 140.0, 64.0, 48.0]]).expand(len(ANGLES), 4)
     batched = Gaussians(*(field[None] for field in scene.fields().values()))
-    images, alpha = render_views(batched, world_to_camera[None], intrinsics[None], 128, 96, torch.zeros(1, len(ANGLES), 3))
+    black = torch.zeros(1, len(ANGLES), 3)
+    images, alpha = render_views(batched, world_to_camera[None], intrinsics[None], 128, 96, black)
     straight = images[0].permute(0, 2, 3, 1) / alpha[0, ..., None].clamp_min(1e-6)
     pixels = (torch.cat([straight, alpha[0, ..., None]], -1).clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     for index, picture in enumerate(pixels):
@@ -96,8 +98,9 @@ def test_command_writes_scores_and_pictures(tmp_path, capsys):
     assert "all" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("arguments, word", [(["--data", "{tmp}/none"], "no such folder"), (["--data", "{tmp}"], "no object"),
-                                             (["--data", "{tmp}", "--checkpoint", "{tmp}/none.safetensors"], "no such checkpoint")])
+@pytest.mark.parametrize("arguments, word", [
+    (["--data", "{tmp}/none"], "no such folder"), (["--data", "{tmp}"], "no object"),
+    (["--data", "{tmp}", "--checkpoint", "{tmp}/none.safetensors"], "no such checkpoint")])
 def test_command_reports_bad_input_in_one_line(tmp_path, capsys, arguments, word):
     if "--checkpoint" not in arguments:
         SplatterNet(ModelConfig.from_dict(TINY)).save(tmp_path / "net.safetensors")

@@ -36,7 +36,8 @@ def central_intrinsics(size: int = 32) -> torch.Tensor:
     return torch.tensor([[1.4 * size, 1.4 * size, size / 2, size / 2]])
 
 
-@pytest.mark.parametrize("name, millions, tolerance", [("default", 6.5, 0.05), ("full-resolution", 6.5, 0.05), ("original", 56.4, 0.02)])
+@pytest.mark.parametrize("name, millions, tolerance",
+                         [("default", 6.5, 0.05), ("full-resolution", 6.5, 0.05), ("original", 56.4, 0.02)])
 def test_parameter_count(name, millions, tolerance):
     with torch.device("meta"):
         net = SplatterNet(ModelConfig.from_yaml(name))
@@ -65,7 +66,8 @@ def test_untrained_network_puts_every_pixel_on_its_line_of_sight(patch):
 def test_untrained_network_shows_its_input_to_the_source_camera():
     image = disc()
     gaussians = tiny_net()(image, central_intrinsics())
-    camera = Cameras(torch.eye(4)[None, None], central_intrinsics()[:, None, :2], central_intrinsics()[:, None, 2:], 32, 32)
+    intrinsics = central_intrinsics()[:, None]
+    camera = Cameras(torch.eye(4)[None, None], intrinsics[..., :2], intrinsics[..., 2:], 32, 32)
     rendered = render(gaussians, camera)[0, 0].permute(2, 0, 1)
     error = (rendered - (image[0, :3] + 1 - image[0, 3:]))[:, 10:22, 10:22]
     assert error.abs().max() < 0.1
@@ -75,8 +77,9 @@ def test_untrained_network_shows_its_input_to_the_source_camera():
 @given(seed=st.integers(0, 2**32 - 1), scale=st.floats(0.1, 30))
 def test_any_prediction_is_a_valid_scene_with_ordered_layers(seed, scale):
     net = tiny_net(layers=3, sh_degree=1)
-    raw = scale * torch.randn(1, 3 * sum(parameter_groups(1).values()), 4, 4, generator=torch.Generator().manual_seed(seed))
-    image = torch.rand(1, 4, 4, 4, generator=torch.Generator().manual_seed(seed))
+    rng = torch.Generator().manual_seed(seed)
+    raw = scale * torch.randn(1, 3 * sum(parameter_groups(1).values()), 4, 4, generator=rng)
+    image = torch.rand(1, 4, 4, 4, generator=rng)
     pixels = describe_pixels(torch.cat([image[:, :3] * image[:, 3:], image[:, 3:]], 1), central_intrinsics(4))
     raw[:, [1, 2, 3, 1 + 24, 2 + 24, 3 + 24, 1 + 48, 2 + 48, 3 + 48]] = 0  # no offsets: depth alone
     gaussians = net.composer(raw, pixels)
@@ -171,8 +174,9 @@ def test_missing_cut_or_foreign_checkpoint_is_an_input_error(tmp_path):
         SplatterNet.from_pretrained(tmp_path / "cut.safetensors")
 
 
-@pytest.mark.parametrize("change, word", [({"layers": 0}, "layers"), ({"sh_degree": 4}, "sh_degree"), ({"colour": 1}, "colour"),
-                                          ({"image_size_px": 30}, "image_size_px"), ({"near": 2.0}, "base_depth"),
+@pytest.mark.parametrize("change, word", [({"layers": 0}, "layers"), ({"sh_degree": 4}, "sh_degree"),
+                                          ({"colour": 1}, "colour"), ({"image_size_px": 30}, "image_size_px"),
+                                          ({"near": 2.0}, "base_depth"),
                                           ({"unet": {"heads": 3}}, "heads"), ({"unet": {"blocks": "two"}}, "type"),
                                           ({"unet": 5}, "unet"), ({"composer": "sum"}, "composer")])
 def test_bad_configuration_names_the_field(change, word):
@@ -191,9 +195,10 @@ def test_predict_takes_any_photo(shape):
     assert gaussians.means[:, :2].mean(0).abs().max() < 0.05
 
 
-@pytest.mark.parametrize("photo, word", [(np.zeros((8, 8, 3), np.float32), "H,W,4"), (np.zeros((8, 8, 4), np.uint8), "255"),
-                                         (np.full((8, 8, 4), 2, np.float32), "0..1"), (np.zeros((8, 8, 4), np.float32), "mask"),
-                                         (np.full((8, 8, 4), np.nan, np.float32), "finite"), (np.zeros((0, 8, 4), np.float32), "H,W,4")])
+@pytest.mark.parametrize("photo, word", [
+    (np.zeros((8, 8, 3), np.float32), "H,W,4"), (np.zeros((8, 8, 4), np.uint8), "255"),
+    (np.full((8, 8, 4), 2, np.float32), "0..1"), (np.zeros((8, 8, 4), np.float32), "mask"),
+    (np.full((8, 8, 4), np.nan, np.float32), "finite"), (np.zeros((0, 8, 4), np.float32), "H,W,4")])
 def test_predict_refuses_what_is_no_photo(photo, word):
     with pytest.raises(InputError, match=word):
         tiny_net().predict(photo)
@@ -209,6 +214,7 @@ def test_pretrained_checkpoint_is_small_and_works():
 
 
 def test_package_import_leaves_network_and_training_tools_out():
-    code = ("import sys, lightfield_gs; "
-            "print([m for m in ('lightfield_gs.models', 'training', 'jsonargparse', 'tensorboard', 'safetensors') if m in sys.modules])")
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    code = ("import sys, lightfield_gs; left_out = 'lightfield_gs.models', 'training', 'jsonargparse', 'tensorboard', "
+            "'safetensors'; print([m for m in left_out if m in sys.modules])")
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"

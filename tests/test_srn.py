@@ -77,6 +77,10 @@ def _write(path, text):
     path.write_text(text)
 
 
+def _set_intrinsics(folder, first_line, last_line="48 64"):
+    (folder / "intrinsics.txt").write_text(f"{first_line}\n0 0 0\n1\n{last_line}\n")
+
+
 FAULTS = {
     "mirrored axes": (lambda f: _edit_poses(f, np.diag([-1, 1, 1, 1])), "wrong handedness.*mirrors"),
     "OpenGL axes": (lambda f: _edit_poses(f, np.diag([1, -1, -1, 1])), "wrong handedness.*look away"),
@@ -85,9 +89,9 @@ FAULTS = {
     "no poses": (lambda f: [p.unlink() for p in (f / "pose").iterdir()], "missing poses"),
     "no images": (lambda f: [p.unlink() for p in (f / "rgb").iterdir()], "no image"),
     "no intrinsics": (lambda f: (f / "intrinsics.txt").unlink(), "missing intrinsics"),
-    "zero focal length": (lambda f: _write(f / "intrinsics.txt", "0 32 24 0\n0 0 0\n1\n48 64\n"), "bad intrinsics.*focal"),
-    "centre outside": (lambda f: _write(f / "intrinsics.txt", "70 99 24 0\n0 0 0\n1\n48 64\n"), "bad intrinsics.*outside"),
-    "other size": (lambda f: _write(f / "intrinsics.txt", "70 32 24 0\n0 0 0\n1\n64 64\n"), "bad intrinsics.*64 x 48"),
+    "zero focal length": (lambda f: _set_intrinsics(f, "0 32 24 0"), "bad intrinsics.*focal"),
+    "centre outside": (lambda f: _set_intrinsics(f, "70 99 24 0"), "bad intrinsics.*outside"),
+    "other size": (lambda f: _set_intrinsics(f, "70 32 24 0", "64 64"), "bad intrinsics.*64 x 48"),
     "short intrinsics": (lambda f: _write(f / "intrinsics.txt", "70 32 24\n"), "bad intrinsics"),
     "words in intrinsics": (lambda f: _write(f / "intrinsics.txt", "focal\n"), "expected lines of numbers"),
     "15 numbers": (lambda f: _write(f / "pose/000000.txt", "1 " * 15), "bad pose.*16"),

@@ -216,7 +216,8 @@ def _run_config(folder: Path, name: str, **changes) -> Path:
         "base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [8], "heads": 2, "dropout": 0.1}}))
     path = folder / f"{name}.yaml"
     path.write_text(yaml.safe_dump({
-        "output_dir": str(folder / name), "data": [str(folder / "set")], "cache_dir": str(folder / "cache"), "model": str(model),
+        "output_dir": str(folder / name), "data": [str(folder / "set")], "cache_dir": str(folder / "cache"),
+        "model": str(model),
         "stages": [{"steps": 8, "image_size_px": 16, "objects": 2}, {"steps": 4, "image_size_px": 32, "objects": 1}],
         "targets": 1, "checkpoint_every": 3, "optimizer": {"warmup_steps": 2}} | changes))
     return path
@@ -225,8 +226,9 @@ def _run_config(folder: Path, name: str, **changes) -> Path:
 def _start(config: Path) -> subprocess.Popen:
     root = Path(__file__).resolve().parents[1]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])}
-    return subprocess.Popen([sys.executable, "-m", "training.train", "--config", str(config)], cwd=root, env=environment,
-                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    command = [sys.executable, "-m", "training.train", "--config", str(config)]
+    return subprocess.Popen(command, cwd=root, env=environment, text=True, stdout=subprocess.PIPE,
+                            stderr=subprocess.STDOUT)
 
 
 def _losses(folder: Path) -> list[str]:

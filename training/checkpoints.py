@@ -27,12 +27,13 @@ def load_checkpoint(path: Path, identity: dict[str, Any]) -> dict[str, Any]:
         state = torch.load(path, map_location="cpu", weights_only=True)
         stored = json.loads(state["identity"])
     except Exception as error:  # torch.load raises many types on damaged files
-        raise InputError(f"{path}: damaged checkpoint ({type(error).__name__}): remove it to start the run anew") from None
+        reason = type(error).__name__
+        raise InputError(f"{path}: damaged checkpoint ({reason}): remove it to start the run anew") from None
     wanted = json.loads(json.dumps(identity))
     if stored != wanted:
         changed = sorted(name for name in wanted.keys() | stored.keys() if wanted.get(name) != stored.get(name))
-        raise InputError(f"{path}: belongs to a run with another configuration ({', '.join(changed)} differ): choose another "
-                         "output_dir, or remove the checkpoint")
+        raise InputError(f"{path}: belongs to a run with another configuration ({', '.join(changed)} differ): choose "
+                         "another output_dir, or remove the checkpoint")
     return state
 
 

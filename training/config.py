@@ -19,9 +19,12 @@ class Stage:
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """AdamW with linear warm-up and cosine decay. learning_rate: its peak. betas, weight_decay: of AdamW (no decay on
-    biases and norms). warmup_steps: length of the warm-up. final_share: last learning rate / peak. clip: largest norm of
-    the gradient. ema_decay: of the averaged weights, the ones that are evaluated and shipped."""
+    """AdamW with linear warm-up and cosine decay.
+
+    learning_rate: its peak. betas, weight_decay: of AdamW (no decay on biases and norms). warmup_steps: length of the
+    warm-up. final_share: last learning rate / peak. clip: largest norm of the gradient. ema_decay: of the averaged
+    weights, the ones that are evaluated and shipped.
+    """
     learning_rate: float = 6e-4
     betas: tuple[float, float] = (0.9, 0.95)
     weight_decay: float = 0.01
@@ -35,14 +38,15 @@ class OptimizerConfig:
 class TrainingConfig:
     """One run.
 
-    model: name in configs/models, or a YAML file. data: folders of objects in SRN layout. cache_dir: where decoded views
-    are kept. output_dir: checkpoints, losses.jsonl, TensorBoard logs, final weights.
-    cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source view,
-    and within elevation_deg in elevation. 360 with elevation_deg 90 takes every view.
+    model: name in configs/models, or a YAML file. data: folders of objects in SRN layout. cache_dir: where decoded
+    views are kept. output_dir: checkpoints, losses.jsonl, TensorBoard logs, final weights.
+    cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source
+    view, and within elevation_deg in elevation. 360 with elevation_deg 90 takes every view.
     targets: target views per object, beside the source view itself. stages: run one after the other under one schedule.
     bfloat16: run the U-Net in bfloat16. checkpoint_every: steps between resumable checkpoints.
     validation: folder scored every validate_every steps (first validation_objects objects only); "": none.
-    threads: of torch; 0 leaves the default. Resuming gives the same losses only with the same number.
+    threads: of torch; 0 leaves the default. Resuming gives the same losses only with the same number. On a machine that
+    is busy with other work, 1 can be several times faster than more: threads wait for the slowest of them.
     """
     output_dir: str
     data: list[str]
@@ -81,6 +85,7 @@ class TrainingConfig:
     def identity(self) -> dict:
         """The fields that decide what is computed; a run may be resumed when they are the same."""
         fields = dataclasses.asdict(self)
-        for name in ("output_dir", "cache_dir", "data", "validation", "validate_every", "validation_objects", "checkpoint_every"):
+        for name in ("output_dir", "cache_dir", "data", "validation", "validate_every", "validation_objects",
+                     "checkpoint_every"):
             del fields[name]
         return fields

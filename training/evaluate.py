@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m training.evaluate", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder that holds objects in SRN layout")
-    parser.add_argument("--checkpoint", type=Path, help="safetensors file; default: the one that comes with the package")
+    parser.add_argument("--checkpoint", type=Path, help="safetensors file; default: the one in the package")
     parser.add_argument("--save-renders", type=Path, help="folder for pictures: truth above prediction, by angle")
     parser.add_argument("--json", type=Path, required=True, help="file for the results")
     parser.add_argument("--limit", type=int, help="score only so many objects")

@@ -1,8 +1,8 @@
 """Scores of a network on objects it has not seen: from one view of each, how well are the others predicted?
 
-Protocol: the source is view 0, cropped to the object from the stored image; the other views are rendered into their full
-frames at size_px on white, clamped to 0..1, and compared with the stored images averaged down to that size. PSNR and SSIM
-are means over images. Beside them stands "copy": the source image itself offered as every other view.
+Protocol: the source is view 0, cropped to the object from the stored image; the other views are rendered into their
+full frames at size_px on white, clamped to 0..1, and compared with the stored images averaged down to that size. PSNR
+and SSIM are means over images. Beside them stands "copy": the source image itself offered as every other view.
 """
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _METRICS = ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim")
 
 @dataclass
 class Comparison:
-    """One object: names of its V novel views, their azimuths from the source in degrees [V], truth, rendered [V,3,H,W] and
+    """One object with V novel views: their azimuths from the source in degrees [V], truth and rendered [V,3,H,W], and
     the source image [3,H,W], all on white, 0..1."""
     name: str
     azimuths_deg: np.ndarray
@@ -55,12 +55,14 @@ def azimuths_from_source(camera_to_world: np.ndarray, source: int = 0) -> np.nda
     up = axes[-1] * np.sign(-axes[-1] @ camera_to_world[source, :3, 1])
     forward = camera_to_world[:, :3, 2] - np.outer(camera_to_world[:, :3, 2] @ up, up)
     right = np.cross(forward[source], up)
-    return np.degrees(np.arctan2(forward @ right / np.linalg.norm(right), forward @ forward[source] / np.linalg.norm(forward[source])))
+    ahead = forward[source] / np.linalg.norm(forward[source])
+    return np.degrees(np.arctan2(forward @ right / np.linalg.norm(right), forward @ ahead))
 
 
 def _frames(views: ObjectViews) -> Tensor:
     """All views of an object as premultiplied RGBA [V,4,H,W] in 0..1."""
-    return torch.from_numpy(np.stack([read_view(views, i) for i in range(len(views.image_paths))])).permute(0, 3, 1, 2) / 255
+    frames = np.stack([read_view(views, index) for index in range(len(views.image_paths))])
+    return torch.from_numpy(frames).permute(0, 3, 1, 2) / 255
 
 
 def _on_white(frames: Tensor, height: int, width: int) -> Tensor:
@@ -79,7 +81,8 @@ def compare_object(net: SplatterNet, folder: Path, size_px: int = SIZE_PX, sourc
     square = object_square(frames[source, 3])
     focal, centre = (camera.focal_px,) * 2, (camera.centre_x_px, camera.centre_y_px)
     net_size = net.config.image_size_px
-    gaussians = net(crop_resize(frames[source], square, net_size)[None], torch.tensor([square.intrinsics(focal, centre, net_size)]))
+    source_intrinsics = torch.tensor([square.intrinsics(focal, centre, net_size)])
+    gaussians = net(crop_resize(frames[source], square, net_size)[None], source_intrinsics)
     others = [index for index in range(len(frames)) if index != source]
     cameras = torch.from_numpy(relative_cameras(views.camera_to_world, source, others)).float()
     intrinsics = (torch.tensor([*focal, *centre]) * scale).expand(len(others), 4)
@@ -92,8 +95,9 @@ def compare_object(net: SplatterNet, folder: Path, size_px: int = SIZE_PX, sourc
 def _scores(comparison: Comparison) -> Iterator[tuple[int, dict[str, float]]]:
     """Angle bin and metrics of each novel view."""
     copies = comparison.source.expand_as(comparison.truth)
-    columns = {"psnr_db": psnr_db(comparison.rendered, comparison.truth), "ssim": ssim(comparison.rendered, comparison.truth),
-               "copy_psnr_db": psnr_db(copies, comparison.truth), "copy_ssim": ssim(copies, comparison.truth)}
+    rendered, truth = comparison.rendered, comparison.truth
+    columns = {"psnr_db": psnr_db(rendered, truth), "ssim": ssim(rendered, truth),
+               "copy_psnr_db": psnr_db(copies, truth), "copy_ssim": ssim(copies, truth)}
     for index, azimuth in enumerate(comparison.azimuths_deg):
         yield round(abs(azimuth) / BIN_DEG) * BIN_DEG, {name: float(values[index]) for name, values in columns.items()}
 
@@ -102,7 +106,8 @@ def _means(rows: list[dict[str, float]]) -> dict[str, float]:
     return {name: float(np.mean([row[name] for row in rows])) for name in _METRICS}
 
 
-def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save_renders: Path | None = None) -> dict[str, Any]:
+def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None,
+                 save_renders: Path | None = None) -> dict[str, Any]:
     """Score a network on every object (the first `limit`) at or below a folder.
 
     Returns psnr_db, ssim, copy_psnr_db, copy_ssim over all novel views, objects, views, and bins: the same four and the
@@ -128,6 +133,6 @@ def save_comparison(comparison: Comparison, path: Path, columns: int = 9) -> Non
     from lightfield_gs.io.images import write_image
     order = np.argsort(comparison.azimuths_deg, kind="stable")
     picked = order[np.linspace(0, len(order) - 1, min(columns, len(order))).round().astype(int)]
-    rows = [torch.cat([comparison.source, *images[picked]], dim=2) for images in (comparison.truth, comparison.rendered)]
+    rows = [torch.cat([comparison.source, *images[picked]], 2) for images in (comparison.truth, comparison.rendered)]
     path.parent.mkdir(parents=True, exist_ok=True)
     write_image(path, (torch.cat(rows, dim=1).permute(1, 2, 0) * 255).round().to(torch.uint8).numpy())

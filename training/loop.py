@@ -29,7 +29,8 @@ def make_batches(config: TrainingConfig) -> BatchMaker:
     sets = [load_set(Path(folder), Path(config.cache_dir)) for folder in config.data]
     poses = [views.camera_to_world for cached in sets for views in cached.objects]
     azimuth = config.cone_deg / 2 * config.cone_margin
-    return BatchMaker(sets, ViewSampler(poses, azimuth, config.elevation_deg, config.targets, config.seed), config.augmentation)
+    sampler = ViewSampler(poses, azimuth, config.elevation_deg, config.targets, config.seed)
+    return BatchMaker(sets, sampler, config.augmentation)
 
 
 class Trainer:
@@ -80,7 +81,8 @@ class Trainer:
 def _termination_noticed() -> Iterator[list[int]]:
     """Collects SIGTERM and SIGINT in a list, so that the step under way can end and be saved."""
     received: list[int] = []
-    former = {number: signal.signal(number, lambda number, _: received.append(number)) for number in (signal.SIGTERM, signal.SIGINT)}
+    former = {number: signal.signal(number, lambda number, _: received.append(number))
+              for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield received
     finally:
@@ -133,7 +135,8 @@ def train(config: TrainingConfig) -> Path | None:
             if signals or trainer.step % config.checkpoint_every == 0 or trainer.step == config.total_steps:
                 save_checkpoint(output / "last.pt", trainer.state())
             if signals:
-                progress.write(f"stopped by signal {signals[0]} after step {trainer.step}; run the same command to resume")
+                progress.write(f"stopped by signal {signals[0]} after step {trainer.step}; "
+                               "run the same command to resume")
                 return None
             if config.validation and trainer.step % config.validate_every == 0:
                 scores = _validate(trainer, config)

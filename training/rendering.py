@@ -6,7 +6,7 @@ from torch import Tensor
 
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.render import render
+from lightfield_gs.rendering import render
 
 
 def render_views(gaussians: Gaussians, world_to_camera: Tensor, intrinsics: Tensor, width_px: int, height_px: int,

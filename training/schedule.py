@@ -14,7 +14,8 @@ def learning_rate(step: int, total_steps: int, config: OptimizerConfig) -> float
     if step < config.warmup_steps:
         return config.learning_rate * (step + 1) / config.warmup_steps
     progress = (step - config.warmup_steps) / max(1, total_steps - config.warmup_steps)
-    return config.learning_rate * (config.final_share + (1 - config.final_share) * 0.5 * (1 + math.cos(math.pi * progress)))
+    share = config.final_share + (1 - config.final_share) * 0.5 * (1 + math.cos(math.pi * progress))
+    return config.learning_rate * share
 
 
 def make_optimizer(net: nn.Module, config: OptimizerConfig) -> torch.optim.AdamW:

@@ -23,7 +23,7 @@ class ModelConfig:
     image_size_px: side of the square input, and of the grid of Gaussians.
     patch_px: side of the pixel blocks folded into channels before the U-Net and unfolded after it; 2 computes features
         at half the resolution, for four Gaussians a feature.
-    features: channels between U-Net and heads; 0 applies the heads to as many channels as they predict, as the original.
+    features: channels between U-Net and heads; 0: as many as the heads predict, as in the original.
     composer: "delta" (base Gaussians + predicted change) or "absolute" (the original's activations).
     layers: Gaussians per pixel, each layer behind the one before. "absolute" has one.
     sh_degree: degree of the spherical harmonics, 0..3.

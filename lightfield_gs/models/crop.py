@@ -1,4 +1,4 @@
-"""Cropping a picture to its object: the same for training views and for photos, so that the network sees one kind of input."""
+"""Cropping a picture to its object, alike for training views and photos: the network sees one kind of input."""
 from __future__ import annotations
 
 from dataclasses import dataclass

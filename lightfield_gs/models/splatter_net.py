@@ -1,8 +1,8 @@
 """The network: one picture of an object in, 3D Gaussians out.
 
 Source: Szymanowicz et al., "Splatter Image", CVPR 2024: an image-to-image network whose output pixels are Gaussians.
-Three stages: the initializer describes each pixel, the decoder (U-Net and heads) predicts raw numbers, the composer turns
-them into Gaussians.
+Three stages: the initializer describes each pixel, the decoder (U-Net and heads) predicts raw numbers, the composer
+turns them into Gaussians.
 """
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ class SplatterNet(nn.Module):
         predicted = config.layers * sum(parameter_groups(config.sh_degree).values())
         features = config.features or predicted
         block = config.patch_px ** 2
-        self.unet = UNet(INPUT_CHANNELS[config.input] * block, features, config.image_size_px // config.patch_px, config.unet)
+        size = config.image_size_px // config.patch_px
+        self.unet = UNet(INPUT_CHANNELS[config.input] * block, features, size, config.unet)
         self.head = nn.Conv2d(features, predicted * block, 1)
         if config.composer == "delta":
             self.composer: DeltaComposer | AbsoluteComposer = DeltaComposer(config)
@@ -61,11 +62,12 @@ class SplatterNet(nn.Module):
 
     @torch.no_grad()
     def predict(self, rgba: np.ndarray | Tensor) -> Gaussians:
-        """Gaussians of the object in a photo, in the axes of its camera (at the origin, z forward; object near z = 1.3).
+        """Gaussians of the object in a photo, in its camera's axes (at the origin, z forward; object near z = 1.3).
 
-        rgba: [H,W,4] float in 0..1, colours not premultiplied, any size and aspect. The photo is cropped to the object as
-        in training; its camera is taken to look at the middle of that crop with the focal length config.photo_focal.
-        Gaussians that cannot be seen are left out. Raises InputError for other shapes, types or values, or an empty mask.
+        rgba: [H,W,4] float in 0..1, colours not premultiplied, any size and aspect. The photo is cropped to the object
+        as in training; its camera is taken to look at the middle of that crop with the focal length config.photo_focal.
+        Gaussians that cannot be seen are left out. Raises InputError for other shapes, types or values, or an empty
+        mask.
         """
         image = _checked_photo(rgba).to(next(self.parameters()).device)
         image = torch.cat([image[:3] * image[3:], image[3:]])
@@ -96,7 +98,7 @@ class SplatterNet(nn.Module):
         net = cls(config)
         wanted = net.state_dict()
         if {name: tensor.shape for name, tensor in weights.items()} != {name: t.shape for name, t in wanted.items()}:
-            raise InputError(f"{path}: the weights do not fit the configuration stored beside them: the file is damaged")
+            raise InputError(f"{path}: damaged checkpoint: the weights do not fit the configuration beside them")
         net.load_state_dict(weights)
         return net.eval()
 

@@ -1,7 +1,7 @@
 """Residual U-Net: the feature extractor of every network configuration.
 
-The layout is that of Song et al., "Score-Based Generative Modeling through Stochastic Differential Equations", ICLR 2021
-(DDPM++), without noise conditioning: residual blocks that also resample, one skip connection per block, self-attention
+The layout is that of Song et al., "Score-Based Generative Modeling through Stochastic Differential Equations", ICLR
+2021 (DDPM++), without noise conditioning: residual blocks that also resample, one skip connection per block, attention
 at chosen resolutions and in the middle. Splatter Image (Szymanowicz et al., CVPR 2024) uses it with 128 channels.
 """
 from __future__ import annotations
@@ -41,7 +41,7 @@ class UNetConfig:
         """Check the fields that a file can get wrong."""
         checks = (
             (self.base_channels >= 1, "base_channels", "at least 1"),
-            (len(self.multipliers) > 0 and min(self.multipliers) >= 1, "multipliers", "one whole number per level, at least 1"),
+            (len(self.multipliers) > 0 and min(self.multipliers) >= 1, "multipliers", "a number per level, at least 1"),
             (self.blocks >= 1, "blocks", "at least 1"),
             (self.heads >= 1 and all(self.base_channels * m % self.heads == 0 for m in self.multipliers), "heads",
              "a divisor of every level's channels"),
@@ -49,7 +49,8 @@ class UNetConfig:
         )
         for good, field, expected in checks:
             if not good:
-                raise InputError(f"model configuration: unet.{field}: expected {expected}, got {getattr(self, field)!r}")
+                value = getattr(self, field)
+                raise InputError(f"model configuration: unet.{field}: expected {expected}, got {value!r}")
 
 
 def _group_norm(channels: int) -> nn.GroupNorm:
@@ -96,7 +97,8 @@ class Attention(nn.Module):
 class ResidualBlock(nn.Module):
     """Norm, SiLU, 3x3 convolution, twice, beside a shortcut; may halve or double the resolution."""
 
-    def __init__(self, inputs: int, outputs: int, config: UNetConfig, *, factor: float = 1, attention: bool = False) -> None:
+    def __init__(self, inputs: int, outputs: int, config: UNetConfig, *, factor: float = 1,
+                 attention: bool = False) -> None:
         super().__init__()
         gain = None if config.zero_init else 1.0
         self.outputs, self.factor, self.scale = outputs, factor, config.residual_scale
@@ -142,7 +144,8 @@ class UNet(nn.Module):
                 self.down.append(ResidualBlock(width, outputs_here, config, attention=attends[level]))
                 width = outputs_here
                 skips.append(width)
-        self.middle = nn.Sequential(ResidualBlock(width, width, config, attention=True), ResidualBlock(width, width, config))
+        self.middle = nn.Sequential(ResidualBlock(width, width, config, attention=True),
+                                    ResidualBlock(width, width, config))
         for level, outputs_here in reversed(list(enumerate(channels))):
             if level < len(channels) - 1:
                 self.up.append(ResidualBlock(width, width, config, factor=2))

@@ -14,10 +14,13 @@ from training.data.sampler import Choice, ViewSampler
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How examples are varied. mirror: probability of a left-right flip. colour: probability of a change of colours.
+    """How examples are varied.
+
+    mirror: probability of a left-right flip. colour: probability of a change of colours.
     source_jitter: largest change of the source crop's side and centre, as a share of its side.
-    target_zoom: range of the target crops' sides, in units of the square round the object: below 1 the view is magnified,
-        which shows gaps between Gaussians, above 1 it shows more background."""
+    target_zoom: range of the target crops' sides, in units of the square round the object: below 1 the view is
+        magnified, which shows gaps between Gaussians, above 1 it shows more background.
+    """
     mirror: float = 0.5
     colour: float = 0.5
     source_jitter: float = 0.06
@@ -59,7 +62,7 @@ def _vary_colours(view: Tensor, permutation: list[int], gain: Tensor, gamma: flo
 
 
 class BatchMaker:
-    """Turns (step, number of objects, image size) into a Batch; a function of the sampler's seed and of its arguments."""
+    """Turns (step, number of objects, image size) into a Batch; depends on these and the sampler's seed alone."""
 
     def __init__(self, sets: list[CachedSet], sampler: ViewSampler, augmentation: Augmentation) -> None:
         self.sampler, self.augmentation = sampler, augmentation
@@ -88,8 +91,10 @@ class BatchMaker:
             permutation = rng.permutation(3).tolist()
             gain, gamma = torch.from_numpy(rng.uniform(0.7, 1.1, 3)).float(), float(np.exp(rng.uniform(-0.3, 0.3)))
             images = torch.stack([_vary_colours(image, permutation, gain, gamma) for image in images])
-        intrinsics = torch.tensor([square.intrinsics((focal, focal), (centre_x, centre_y), size_px) for square in squares])
-        backgrounds = torch.from_numpy(np.where(rng.random((len(views), 1)) < 0.5, 1.0, rng.random((len(views), 3)))).float()
+        centre = (centre_x, centre_y)
+        intrinsics = torch.tensor([square.intrinsics((focal, focal), centre, size_px) for square in squares])
+        white = rng.random((len(views), 1)) < 0.5
+        backgrounds = torch.from_numpy(np.where(white, 1.0, rng.random((len(views), 3)))).float()
         return images[0], intrinsics[0], images[1:], intrinsics[1:], torch.from_numpy(cameras).float(), backgrounds
 
     def _source_square(self, frame: Tensor, rng: np.random.Generator) -> Square:
@@ -110,5 +115,5 @@ class BatchMaker:
 def _moved(square: Square, side: float, right: float, down: float) -> Square:
     """A square of another side whose centre lies right and down of the given one's."""
     whole = max(2, round(side))
-    return Square(round(square.left + (square.side - whole) / 2 + right), round(square.top + (square.side - whole) / 2 + down),
-                  whole)
+    inset = (square.side - whole) / 2
+    return Square(round(square.left + inset + right), round(square.top + inset + down), whole)

@@ -45,15 +45,16 @@ class ViewSampler:
     every view (the full-sphere arm). Raises InputError when an object has no two views within the cone of each other.
     """
 
-    def __init__(self, poses: list[np.ndarray], azimuth_deg: float, elevation_deg: float, targets: int, seed: int) -> None:
+    def __init__(self, poses: list[np.ndarray], azimuth_deg: float, elevation_deg: float, targets: int,
+                 seed: int) -> None:
         self.targets, self.seed = targets, seed
         self.candidates = []
         for index, views in enumerate(poses):
             near = {source: found for source in range(len(views))
                     if len(found := views_in_cone(views, source, azimuth_deg, elevation_deg))}
             if not near:
-                raise InputError(f"object number {index}: no two of its {len(views)} views lie within +-{azimuth_deg:g} degrees "
-                                 f"of azimuth and +-{elevation_deg:g} of elevation: widen the cone or add views")
+                raise InputError(f"object number {index}: no two of its {len(views)} views lie within +-{azimuth_deg:g} "
+                                 f"degrees of azimuth and +-{elevation_deg:g} of elevation: widen the cone")
             self.candidates.append(near)
 
     def rng(self, step: int, stream: int = 0) -> np.random.Generator:

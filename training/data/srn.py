@@ -1,9 +1,9 @@
 """Reader of SRN-layout folders: one folder per object with rgb/, pose/ and intrinsics.txt.
 
-Source of the layout: Sitzmann et al., "Scene Representation Networks", NeurIPS 2019. Conventions: pose/<name>.txt holds 16
-numbers, the camera-to-world matrix by rows, OpenCV axes (x right, y down, z forward), column vectors; intrinsics.txt
-holds "focal cx cy 0", the grid's barycentre, a near plane or scale, "height width" and, optionally, a fifth line whose 1
-says that the poses are world-to-camera. Focal lengths and centres are in pixels of that height and width.
+Source of the layout: Sitzmann et al., "Scene Representation Networks", NeurIPS 2019. Conventions: pose/<name>.txt holds
+16 numbers, the camera-to-world matrix by rows, OpenCV axes (x right, y down, z forward), column vectors; intrinsics.txt
+holds "focal cx cy 0", the grid's barycentre, a near plane or scale, "height width" and, optionally, a fifth line whose
+1 says that the poses are world-to-camera. Focal lengths and centres are in pixels of that height and width.
 """
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def read_intrinsics(path: Path) -> Intrinsics:
     """Read intrinsics.txt. Raises InputError when a line is missing or its numbers make no camera."""
     lines = _numbers(path)
     if len(lines) < 4 or len(lines[0]) < 3 or len(lines[3]) != 2:
-        raise InputError(f'{path}: bad intrinsics: expected the lines "focal cx cy 0", barycentre, scale, "height width"')
+        raise InputError(f'{path}: bad intrinsics: expected lines "focal cx cy 0", barycentre, scale, "height width"')
     focal, centre_x, centre_y = lines[0][:3]
     height, width = lines[3]
     if not (np.isfinite([focal, centre_x, centre_y, height, width]).all() and focal > 0):
@@ -75,8 +75,8 @@ def read_pose(path: Path) -> np.ndarray:
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
         raise InputError(f"{path}: bad pose: the upper left 3x3 block is no rotation (its rows are not orthonormal)")
     if np.linalg.det(rotation) < 0:
-        raise InputError(f"{path}: wrong handedness: the rotation mirrors (determinant -1); expected right-handed OpenCV "
-                         "axes, x right, y down, z forward: negate the axis that was flipped")
+        raise InputError(f"{path}: wrong handedness: the rotation mirrors (determinant -1); expected right-handed "
+                         "OpenCV axes, x right, y down, z forward: negate the axis that was flipped")
     return pose
 
 
@@ -122,8 +122,9 @@ def _check_looking_at_object(folder: Path, camera_to_world: np.ndarray) -> None:
     towards = _point_looked_at(camera_to_world) - camera_to_world[:, :3, 3]
     depths = (towards * camera_to_world[:, :3, 2]).sum(-1)
     if (depths < 0).mean() > 0.5:
-        raise InputError(f"{folder}/pose: wrong handedness: the cameras look away from the object (OpenGL axes?); expected "
-                         "OpenCV axes, x right, y down, z forward: negate the second and third column of each rotation")
+        raise InputError(f"{folder}/pose: wrong handedness: the cameras look away from the object (OpenGL axes?); "
+                         "expected OpenCV axes, x right, y down, z forward: negate the second and third column of each "
+                         "rotation")
 
 
 def read_object(folder: Path) -> ObjectViews:

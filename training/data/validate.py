@@ -1,4 +1,4 @@
-"""Check a folder of objects: `python -m training.data.validate DIR` prints every problem, exit code 2 if there is any."""
+"""Check a folder of objects: `python -m training.data.validate DIR` prints every problem; exit code 2 if any."""
 from __future__ import annotations
 
 import argparse
