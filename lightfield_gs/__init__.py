@@ -1,14 +1,35 @@
 """lightfield_gs: one photo, or any 3D Gaussian scene, to the sub-pixel-encoded image of a slanted-lenticular 3D panel."""
 
-from lightfield_gs.cameras import Cameras
-from lightfield_gs.errors import InputError
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.panel import Panel
-from lightfield_gs.render import encode, interlace, render
-from lightfield_gs.rig import Rig
+from __future__ import annotations
 
-__all__ = ["Cameras", "Gaussians", "InputError", "Panel", "Rig", "build_info", "encode", "interlace", "render"]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lightfield_gs.cameras import Cameras
+    from lightfield_gs.errors import InputError
+    from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.models import SplatterNet
+    from lightfield_gs.panel import Panel
+    from lightfield_gs.rendering import encode, interlace, render
+    from lightfield_gs.rig import Rig
+
+# Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
+_HOMES = {"Cameras": "cameras", "Gaussians": "gaussians", "InputError": "errors", "Panel": "panel", "Rig": "rig",
+          "SplatterNet": "models", "encode": "rendering", "interlace": "rendering", "render": "rendering"}
+__all__ = [*_HOMES, "build_info"]
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'lightfield_gs' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"lightfield_gs.{_HOMES[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])
 
 
 def build_info() -> dict[str, object]:

@@ -38,6 +38,10 @@ class Cameras:
             found = tuple(getattr(self, name).shape)
             if found != shape or len(lead) not in (1, 2):
                 raise InputError(f"cameras: {name} must be {['...', 'C', *shape[len(lead):]]}, got {list(found)}")
+            if not bool(torch.isfinite(getattr(self, name).detach()).all()):
+                raise InputError(f"cameras: {name} must be finite numbers, got NaN or infinity")
+        if not bool((self.focal_px > 0).all()):
+            raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
             size = getattr(self, name)
             if not 1 <= size <= 65536:

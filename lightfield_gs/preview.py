@@ -78,7 +78,7 @@ def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
 def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float, float, float], count: int,
            width_px: int) -> list[np.ndarray]:
     """`count` views spread over the fan, left-most camera first, each uint8 [h, w, 3]."""
-    from lightfield_gs.render import render
+    from lightfield_gs.rendering import render
 
     small_panel, small_rig = reduced(panel, rig, width_px)
     positions = np.linspace(panel.views - 0.5, 0.5, count)

@@ -9,7 +9,7 @@ import torch
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
-from lightfield_gs.render import encode, interlace, render
+from lightfield_gs.rendering import encode, interlace, render
 from lightfield_gs.rig import Rig
 
 PANEL = Panel(width_px=24, height_px=16, views=4, line_number=7.3, slant_tan=0.2)

@@ -69,7 +69,7 @@ def test_encode_writes_the_image_and_says_what_it_took(folder, capsys):
 
 
 def test_encode_is_the_library_call(folder, capsys):
-    from lightfield_gs.render import encode
+    from lightfield_gs.rendering import encode
 
     run(capsys, "encode s.ply -o o.exr --panel p.yaml --save-rig r.yaml --background 0,0.5,1 --views continuous")
     gaussians = Gaussians.load("s.ply")

@@ -6,7 +6,7 @@ from rasterizer_cases import dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import encode, reference
 from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.render import lens_arguments
+from lightfield_gs.rendering import lens_arguments
 
 GAUSSIANS = ("means", "quaternions", "scales", "opacities", "sh")
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from lightfield_gs.cameras import Cameras
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.rendering import render
+from lightfield_gs import Cameras, Gaussians, render
 
 
 def render_views(gaussians: Gaussians, world_to_camera: Tensor, intrinsics: Tensor, width_px: int, height_px: int,

@@ -28,6 +28,7 @@ struct DenseJob {
   DenseImages<const T> images, gradients;
   const int64_t* first_pair;
   T *pair_gradients, *band_background;
+  bool backward;  // pair_gradients may be null in both directions: nothing may be drawn
   int threads;
 };
 }  // namespace lfgs
@@ -289,7 +290,7 @@ Counters CompositeDenseImpl(const DenseJob<T>& job) {
     c.pairs += list.pairs();
     for (int64_t t = 0; t < band.tiles(); ++t) {
       band.x0 = t * DenseTile<T>::kSide;
-      if (job.pair_gradients)
+      if (job.backward)
         BackwardTile(job, band, tiles[size_t(worker)], list.begin(t), list.end(t), c, job.band_background + 3 * item);
       else
         ForwardTile(job, band, tiles[size_t(worker)], list.begin(t), list.end(t), c);
@@ -339,7 +340,7 @@ Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Came
   DenseJob<T> job{};
   job.splats = splats, job.bins = bins, job.background = background, job.threads = threads;
   job.images = images, job.gradients = gradients, job.first_pair = first_pair;
-  job.pair_gradients = pair_gradients, job.band_background = band_background;
+  job.pair_gradients = pair_gradients, job.band_background = band_background, job.backward = true;
   job.width_px = cameras.width_px, job.height_px = cameras.height_px;
   return dispatch(job);
 }

@@ -30,6 +30,7 @@ struct LensJob {
   const T *image, *gradient;  // reverse only
   const int64_t* first_pair;
   T *pair_gradients, *band_background;
+  bool backward;  // pair_gradients may be null in both directions: nothing may be drawn
   int threads;
 };
 }  // namespace lfgs
@@ -207,7 +208,7 @@ void BackgroundGradient(const LensTile<T>& tile, int64_t samples, T* out) {
 template <class T>
 Counters CompositeLensImpl(const LensJob<T>& job) {
   const Lens& lens = *job.lens;
-  const bool backward = job.pair_gradients != nullptr;
+  const bool backward = job.backward;
   const LensLayout layout(lens, LensTile<T>::kCellsPerPatch);
   const size_t workers = size_t(std::max(job.threads, 1));
   std::vector<TileLists> lists(workers);
@@ -307,7 +308,7 @@ Counters composite_lens_backward(const Splats<T>& splats, Bins bins, const Lens&
   LensJob<T> job{};
   job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
   job.image = image, job.gradient = gradient, job.first_pair = first_pair;
-  job.pair_gradients = pair_gradients, job.band_background = band_background;
+  job.pair_gradients = pair_gradients, job.band_background = band_background, job.backward = true;
   return dispatch(job);
 }
 

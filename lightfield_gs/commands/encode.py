@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> None:
     panel = Panel.load(args.panel)
     import torch
 
-    from lightfield_gs.render import encode
+    from lightfield_gs.rendering import encode
     from lightfield_gs.rig import Rig
 
     if args.threads is not None:

@@ -33,6 +33,7 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
     Returns the image [..., C, H, W, 3]; with alpha and/or depth a tuple (image, alpha [..., C, H, W], depth
     [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is. Raises InputError.
     """
+    gaussians.validate_layout()
     like, batched = gaussians.means, gaussians.is_batched
     views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     if cameras.world_to_camera.dim() == 3:
@@ -71,6 +72,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig, method: str = "direct",
                          f"{views!r} and {output!r}")
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
+    gaussians.validate()
     if threads is not None and threads < 1:
         raise InputError(f"threads must be at least 1, got {threads}")
     precision = torch.float64 if output == "float64" else torch.float32
