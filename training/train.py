@@ -4,6 +4,7 @@ Every field of TrainingConfig is an option that overrides the file. Running the 
 """
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import sys
 
@@ -12,16 +13,24 @@ from training.config import TrainingConfig
 from training.loop import train
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+def read_config(arguments: list[str] | None = None) -> TrainingConfig:
+    """The configuration that command-line arguments describe. Raises InputError when they describe none."""
     from jsonargparse import ArgumentParser
-    parser = ArgumentParser(prog="python -m training.train", description=__doc__)
+    parser = ArgumentParser(prog="python -m training.train", description=__doc__, exit_on_error=False)
     parser.add_argument("--config", action="config", help="YAML file with the fields of TrainingConfig")
     parser.add_class_arguments(TrainingConfig)
-    options = parser.instantiate_classes(parser.parse_args(arguments))
-    config = TrainingConfig(**{field.name: options[field.name] for field in dataclasses.fields(TrainingConfig)})
+    instantiate = getattr(parser, "instantiate", None) or parser.instantiate_classes  # renamed in jsonargparse 4.49
     try:
-        weights = train(config)
+        options = instantiate(parser.parse_args(arguments))
+    except argparse.ArgumentError as error:
+        raise InputError(" ".join(str(error).split())) from None
+    return TrainingConfig(**{field.name: options[field.name] for field in dataclasses.fields(TrainingConfig)})
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    try:
+        weights = train(read_config(arguments))
     except InputError as error:
         print(f"training.train: error: {error}", file=sys.stderr)
         return 2
