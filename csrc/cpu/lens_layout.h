@@ -17,7 +17,7 @@ struct LensLayout {
   double shear = 0;         // sub-pixels that the cells lean to the left per row
   double origin = 0;        // cell coordinate (sub-pixels) of the image's top left corner
   int ordinals = 1;         // most sub-pixels in a cell
-  int cells_per_tile = 8;
+  int cells_per_tile = 16;
   double s_start = 0, s_step = 0;  // normalized offset s in [-1, 1] = s_start + s_step * x
   double s_of_ordinal_0 = 0, s_per_ordinal = 0, half_s = 0;  // of the samples at ordinal t: centre, and half spread
   double x_per_ordinal = 1;  // pixels from one ordinal to the next; 1 where there is one ordinal only
