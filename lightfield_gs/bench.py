@@ -1,7 +1,7 @@
 """`lightfield-gs bench`: how long a light-field image takes, where the time goes, and how right it is.
 
-A row for every scene, cone and method. Times are those of `encode` to 8 bits, from Gaussians in memory to the image in memory;
-errors are those of the very image that was timed, against the float64 oracle rounded to 8 bits likewise.
+A row for every scene, cone and method. Times are those of `encode` to 8 bits, from Gaussians in memory to the image in
+memory; errors are those of the very image that was timed, against the float64 oracle rounded to 8 bits likewise.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class OracleSamples:
     values: np.ndarray
 
     def errors(self, image: torch.Tensor) -> dict[str, float]:
-        """psnr_db, max_error_255 (in units of 1/255) and share_over_1 (share off by more than 1/255) of an 8-bit image."""
+        """psnr_db, max_error_255 (in 1/255) and share_over_1 (share off by more than 1/255) of an 8-bit image."""
         shown = image[self.rows, self.columns, self.channels].cpu().numpy()
         error = np.abs(shown.astype(np.int64) - self.values)
         mean_square = np.mean((error / 255) ** 2)

@@ -1,8 +1,9 @@
 """Synthetic scenes for benchmarks: the same Gaussians, bit for bit, wherever they are made.
 
-`sheet:S` is what a single-image network draws: S*S Gaussians, one per pixel, on a wavy sheet of depths round 2. `cloud:N` is
-its opposite: N Gaussians of any rotation, log-normal in size, on three nested shells, overlapping deeply. The centre camera
-stands at the origin and looks along +z; the zero plane is at depth 2, the focal length the panel's width in pixels.
+`sheet:S` is what a single-image network draws: S*S Gaussians, one per pixel, on a wavy sheet of depths round 2.
+`cloud:N` is its opposite: N Gaussians of any rotation, log-normal in size, on three nested shells, overlapping deeply.
+The centre camera stands at the origin and looks along +z; the zero plane is at depth 2, the focal length the panel's
+width in pixels.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def load_scene(name: str) -> Gaussians:
     makers = {"sheet": sheet, "cloud": cloud}
     if kind in makers and size:
         if not size.isascii() or not size.isdigit() or not 1 <= int(size) <= 1 << 24:
-            raise InputError(f"scene {name!r}: expected a whole number from 1 to 16777216 after '{kind}:', got {size!r}")
+            raise InputError(f"scene {name!r}: expected a whole number 1..16777216 after '{kind}:', got {size!r}")
         return makers[kind](int(size))
     if Path(name).suffix.lower() != ".ply":
         raise InputError(f"scene {name!r}: expected sheet:S, cloud:N or the path of a .ply file")

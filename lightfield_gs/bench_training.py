@@ -1,4 +1,4 @@
-"""What the rasterizer costs in a training step: 8 objects before 4 cameras each, 128 x 128 pixels, forward and backward.
+"""What the rasterizer costs in a training step: 8 objects before 4 cameras each, 128 px, forward and backward.
 
 Every object is two layers of 128 x 128 Gaussians, one behind the other, as the network draws them.
 """
@@ -33,7 +33,7 @@ def objects() -> Gaussians:
 
 
 def rows(threads: list[int | None], repeats: int) -> list[dict[str, Any]]:
-    """A row for each number of threads (None: those torch uses): threads, ms_forward, ms_backward, ms_total (medians)."""
+    """A row for each number of threads (None: those torch uses); times are medians, after a first run to warm up."""
     from lightfield_gs import render
 
     # The sheet is twice as wide as high: half the focal length across makes it square.
@@ -51,7 +51,7 @@ def rows(threads: list[int | None], repeats: int) -> list[dict[str, Any]]:
                 middle = time.perf_counter()
                 image.square().mean().backward()
                 times.append((middle - begin, time.perf_counter() - middle))
-            forward, backward = (1e3 * statistics.median(part) for part in zip(*times[1:]))  # the first warms up
+            forward, backward = (1e3 * statistics.median(part) for part in zip(*times[1:]))
             found.append({"threads": torch.get_num_threads(), "objects": OBJECTS, "views": VIEWS, "size_px": SIZE_PX,
                           "gaussians": gaussians.count, "ms_forward": forward, "ms_backward": backward,
                           "ms_total": forward + backward})
@@ -62,6 +62,7 @@ def rows(threads: list[int | None], repeats: int) -> list[dict[str, Any]]:
 
 def table(found: list[dict[str, Any]]) -> str:
     """The rows as text, a line each."""
-    lines = [f"{OBJECTS} objects x {VIEWS} views, {SIZE_PX} px, {row['gaussians']} Gaussians, {row['threads']} threads: "
-             f"forward {row['ms_forward']:.0f} ms, backward {row['ms_backward']:.0f} ms" for row in found]
-    return "\n".join(lines)
+    return "\n".join(
+        f"{row['objects']} objects x {row['views']} views, {row['size_px']} px, {row['gaussians']} Gaussians, "
+        f"{row['threads']} threads: forward {row['ms_forward']:.0f} ms, backward {row['ms_backward']:.0f} ms"
+        for row in found)

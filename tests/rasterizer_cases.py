@@ -41,7 +41,7 @@ def turned_pose(yaw: float, pitch: float, centre: tuple[float, float, float] = (
 
 
 def dense_views(batch: int, views: int, width: int, height: int) -> tuple[torch.Tensor, ...]:
-    """world_to_camera [B,V,4,4], intrinsics [B,V,4] and limits [B,V,5] of turned cameras with off-centre principal points."""
+    """world_to_camera [B,V,4,4], intrinsics [B,V,4], limits [B,V,5] of turned cameras, principal points off-centre."""
     poses, intrinsics, limits = [], [], []
     for index in range(batch * views):
         poses.append(turned_pose(0.25 * math.sin(index + 1), 0.2 * math.cos(2 * index)))
@@ -49,7 +49,8 @@ def dense_views(batch: int, views: int, width: int, height: int) -> tuple[torch.
         intrinsics.append(camera)
         limits.append([*frustum_limits(*camera, width, height).tolist(), 0.0])
     shape = (batch, views)
-    return tuple(torch.tensor(np.array(rows)).reshape(*shape, *np.shape(rows)[1:]) for rows in (poses, intrinsics, limits))
+    return tuple(torch.tensor(np.array(rows)).reshape(*shape, *np.shape(rows)[1:])
+                 for rows in (poses, intrinsics, limits))
 
 
 BASE_PANEL = dict(width_px=110, height_px=46, views=96, line_number=9.848282191911, slant_tan=1 / 6,

@@ -71,10 +71,12 @@ def test_dense_gradients_are_those_of_the_oracle(kind):
             moving[2] *= 3
         if kind == "dark":  # colours clamped at zero
             moving[4][:, :, 0] -= 1.5
-    got, want = (torch.autograd.grad(loss(function(*moving, *fixed)), moving) for function in (dense, reference.dense_torch))
+    got, want = (torch.autograd.grad(loss(function(*moving, *fixed)), moving)
+                 for function in (dense, reference.dense_torch))
     for name, have, true in zip((*GAUSSIANS, "background", "world_to_camera"), got, want):
         assert true.abs().max() > 0, name
-        torch.testing.assert_close(have, true, rtol=1e-6, atol=1e-8 * float(true.abs().max()), msg=lambda text: f"{name}: {text}")
+        torch.testing.assert_close(have, true, rtol=1e-6, atol=1e-8 * float(true.abs().max()),
+                                   msg=lambda text: f"{name}: {text}")
 
 
 def loss(outputs):
@@ -134,9 +136,9 @@ def test_dense_op_is_registered_as_torch_wants_it(dtype):
 
 # ---- light-field images
 
-def lens_inputs(name, count, degree, *, continuous=False, principal=(0.53, 0.44), dtype=torch.float64, scene=None, **changes):
+def lens_inputs(name, count, degree, *, continuous=False, dtype=torch.float64, scene=None, **changes):
     shown = panel(name, **changes)
-    fan = rig(shown, 0.1, -0.15, principal)
+    fan = rig(shown, 0.1, -0.15, (0.53, 0.44))
     gaussians = random_scene(count, degree, seed=20, dtype=dtype, **(scene or {}))
     moving = [*gaussians.fields().values(), background_of(dtype=dtype)]
     return leaves(moving), lens_arguments(shown, fan, continuous), (shown, fan)
@@ -156,7 +158,8 @@ def test_lens_gradcheck_of_every_subpixel(degree, continuous):
     assert torch.autograd.gradcheck(lambda *m: lens(*m, *fixed), moving, eps=1e-6, atol=1e-6, rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["leaning the other way, BGR", "inverted", "narrower than a pixel", "wide lenses", "one view"])
+@pytest.mark.parametrize("name", ["leaning the other way, BGR", "inverted", "narrower than a pixel", "wide lenses",
+                                  "one view"])
 def test_lens_gradcheck_on_unusual_panels(name):
     moving, fixed, _ = lens_inputs(name, 3, 1, **SMALL)
     assert torch.autograd.gradcheck(lambda *m: lens(*m, *fixed), moving, eps=1e-6, atol=1e-6, rtol=1e-5)
@@ -166,7 +169,8 @@ def test_lens_gradcheck_on_unusual_panels(name):
 def test_lens_gradcheck_over_tiles(size):
     moving, fixed, _ = lens_inputs("default lens", 6, 1, width_px=size[0], height_px=size[1])
     weight = torch.randn(size[1], size[0], 3, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-    assert torch.autograd.gradcheck(lambda *m: (lens(*m, *fixed) * weight).sum(), moving, eps=1e-6, atol=1e-5, rtol=1e-5)
+    assert torch.autograd.gradcheck(lambda *m: (lens(*m, *fixed) * weight).sum(), moving, eps=1e-6, atol=1e-5,
+                                    rtol=1e-5)
 
 
 def test_lens_gradcheck_where_the_jacobian_is_clamped():

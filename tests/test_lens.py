@@ -1,4 +1,4 @@
-"""The light-field image: every sub-pixel of usual and unusual panels against the oracle, and the methods against each other."""
+"""The light-field image: every sub-pixel of usual and unusual panels against the oracle, and method against method."""
 
 import numpy as np
 import pytest
@@ -165,7 +165,8 @@ def test_one_gaussian(method, views):
 @pytest.mark.parametrize("method", METHODS)
 def test_same_bits_in_every_run_and_on_any_number_of_threads(method):
     shown, gaussians = panel(), cloud(3000)
-    images = [encode(gaussians, shown, rig(shown), method, output="float32", threads=threads) for threads in (1, 2, 3, 2)]
+    images = [encode(gaussians, shown, rig(shown), method, output="float32", threads=threads)
+              for threads in (1, 2, 3, 2)]
     assert all(torch.equal(images[0], image) for image in images[1:])
 
 

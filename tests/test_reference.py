@@ -11,6 +11,7 @@ from lightfield_gs import reference
 from lightfield_gs.bench_scenes import cloud, sheet
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
+from lightfield_gs.reference_blend import Projection, Scene, harmonics, rotations
 from lightfield_gs.rig import Rig
 
 PANEL = Panel(width_px=64, height_px=48, views=8, line_number=9.848282191911, slant_tan=1 / 6, phase=-3.25, cone_deg=40)
@@ -86,17 +87,17 @@ def test_harmonics_are_orthonormal():
     angle = np.arange(16) * 2 * np.pi / 16
     ring = np.sqrt(1 - z**2)[:, None]
     points = np.stack([ring * np.cos(angle), ring * np.sin(angle), z[:, None] + 0 * angle], -1).reshape(-1, 3)
-    basis = reference.harmonics(torch.from_numpy(points), 16).numpy()
+    basis = harmonics(torch.from_numpy(points), 16).numpy()
     gram = (basis * np.repeat(weight, 16)[:, None] * 2 * np.pi / 16).T @ basis
     np.testing.assert_allclose(gram, np.eye(16), atol=1e-12)
     # The signs of 3DGS: (-1)^m, orders from -l to l.
-    signs = reference.harmonics(torch.tensor([[1.0, 2.0, 4.0]], dtype=torch.float64) / math.sqrt(21), 16)[0].sign()
+    signs = harmonics(torch.tensor([[1.0, 2.0, 4.0]], dtype=torch.float64) / math.sqrt(21), 16)[0].sign()
     assert signs.tolist() == [1, -1, 1, -1, 1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1]
 
 
 def test_footprint_is_the_jacobian_of_the_projection():
     torch.manual_seed(3)
-    scene = reference.Scene(torch.tensor([[0.3, -0.2, 1.7]], dtype=torch.float64), torch.randn(1, 4, dtype=torch.float64),
+    scene = Scene(torch.tensor([[0.3, -0.2, 1.7]], dtype=torch.float64), torch.randn(1, 4, dtype=torch.float64),
                             torch.rand(1, 3, dtype=torch.float64), torch.ones(1), torch.zeros(1, 1, 3))
     eye = reference.rig_eye(PANEL, RIG)
     s = torch.tensor([0.21], dtype=torch.float64)
@@ -105,9 +106,9 @@ def test_footprint_is_the_jacobian_of_the_projection():
         x, y, z = point
         return torch.stack([64 * (x - s[0]) / z + 30.5 + 32 * s[0], 70 * y / z + 25.25])
 
-    projection = reference.Projection(scene, eye)
+    projection = Projection(scene, eye)
     jacobian = torch.autograd.functional.jacobian(image, scene.means[0])
-    rotation = reference.rotations(scene.quaternions)[0]
+    rotation = rotations(scene.quaternions)[0]
     covariance = jacobian @ rotation @ torch.diag(scene.scales[0] ** 2) @ rotation.T @ jacobian.T
     u, v, xx, xy, yy = (value.item() for value in projection.footprint(torch.tensor([0]), s))
     assert (u, v) == pytest.approx(tuple(image(scene.means[0]).tolist()))
@@ -117,8 +118,8 @@ def test_footprint_is_the_jacobian_of_the_projection():
 
 def test_jacobian_is_clamped_against_the_union_of_the_frusta():
     # Far outside, to the right: t_x is held at 30 % of the half width beyond the widest view's frustum.
-    scene = reference.Scene.of(balls((30.0, 0, 1.0, 0.4, 0.9, 0)))
-    projection = reference.Projection(scene, reference.rig_eye(PANEL, RIG))
+    scene = Scene.of(balls((30.0, 0, 1.0, 0.4, 0.9, 0)))
+    projection = Projection(scene, reference.rig_eye(PANEL, RIG))
     limit = (64 - 30.5) / 64 + 0.15 + math.tan(math.radians(20))
     _, _, xx, _, _ = projection.footprint(torch.tensor([0]), torch.tensor([0.25], dtype=torch.float64))
     assert xx.item() == pytest.approx((64 * 0.4) ** 2 * (1 + (limit - 0.25) ** 2) + 0.3)
@@ -159,7 +160,7 @@ def test_whole_images_agree_with_chosen_samples():
 CASES = {
     "plain": ("sheet", 0, {}, None, False),
     "harmonics": ("cloud", 3, {"cone_deg": 53.0}, None, False),
-    "leaning the other way, BGR": ("sheet", 1, {"slant_tan": -0.18, "subpixel_order": "BGR", "phase": -7.25}, None, False),
+    "leaning the other way, BGR": ("sheet", 1, dict(slant_tan=-0.18, subpixel_order="BGR", phase=-7.25), None, False),
     "inverted, continuous": ("cloud", 2, {"invert_views": True}, None, True),
     "turned, off-centre": ("cloud", 1, {"views": 45, "line_number": 19.17}, (0.1, -0.2), False),
     "one view": ("sheet", 0, {"views": 1}, None, False),
@@ -191,8 +192,8 @@ def test_agrees_with_the_acceptance_oracle(shared_dir, case, monkeypatch):
     places = channels if panel["subpixel_order"] == "RGB" else 2 - channels
     x = oracle.view_of(panel, rows, columns, places, continuous)
     s = oracle.offset(panel, rig.to_dict(), x if continuous else x + 0.5)
-    theirs = {name: gaussians.fields()[field].double().numpy() for name, field in
-              (("means", "means"), ("quats", "quaternions"), ("scales", "scales"), ("opacities", "opacities"), ("sh", "sh"))}
+    names = ("means", "quats", "scales", "opacities", "sh")
+    theirs = {name: field.double().numpy() for name, field in zip(names, gaussians.fields().values())}
     background = (0.9, 0.4, 0.1)
     want, edge = oracle.colours(theirs, rig.to_dict(), columns + 0.5, rows + 0.5, s, channels, background)
     got, margin = reference.subpixel_colours(gaussians, Panel(**panel), rig, rows, columns, channels,

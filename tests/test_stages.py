@@ -1,4 +1,4 @@
-"""Each stage of the native rasterizer by itself, on NumPy arrays; and the same picture from every set of CPU vectors."""
+"""Each stage of the native rasterizer by itself, on NumPy arrays; the same picture from every set of CPU vectors."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stac
 
 from lightfield_gs import _core, encode, reference, render
 from lightfield_gs.cameras import Cameras
+from lightfield_gs.reference_blend import Eye, Projection, Scene
 
 HALF_LOG2E = 0.5 / np.log(2)
 FIELDS = ("u0", "du", "v0", "log2_opacity", "S0", "S1", "S2", "tau", "c0", "c1", "reach_y", "depth")
@@ -93,8 +94,8 @@ def test_project_dense_gives_the_conditional_form(precision):
     zero = torch.zeros((), dtype=torch.float64)
     for image in range(batch * per_scene):
         b, v = divmod(image, per_scene)
-        eye = reference.Eye(views[0][b, v], views[1][b, v], views[2][b, v, :4], 0.0)
-        projection = reference.Projection(reference.Scene.of(scenes[b]), eye)
+        eye = Eye(views[0][b, v], views[1][b, v], views[2][b, v, :4], 0.0)
+        projection = Projection(Scene.of(scenes[b]), eye)
         index = torch.arange(50)
         u, row, xx, xy, yy = (value.numpy() for value in projection.footprint(index, zero))
         drawn = stages.field("reach_y")[image] >= 0
@@ -125,7 +126,7 @@ def test_project_lens_holds_for_all_offsets(name, precision, continuous):
     fan = rig(shown, 0.1, 0.2)
     stages = Stages(precision, 1, 60, order, lens=True)
     bound = stages.project_lens(scene, shown, fan, continuous, tolerance=5e-5)
-    projection = reference.Projection(reference.Scene.of(scene), reference.rig_eye(shown, fan))
+    projection = Projection(Scene.of(scene), reference.rig_eye(shown, fan))
     index, drawn = torch.arange(60), stages.field("reach_y")[0] >= 0
     reach = stages.lens.reach()
     assert reach == pytest.approx(fan.half_width(shown))
@@ -160,7 +161,7 @@ def test_the_bound_of_the_colour_fit_falls_with_its_order():
     for order in (4, 8, 12):
         stages = Stages("float64", 1, 60, order, lens=True)
         bounds.append(stages.project_lens(scene, shown, rig(shown)))
-        projection = reference.Projection(reference.Scene.of(scene), reference.rig_eye(shown, rig(shown)))
+        projection = Projection(Scene.of(scene), reference.rig_eye(shown, rig(shown)))
         drawn = torch.from_numpy(np.flatnonzero(stages.field("reach_y")[0] >= 0))
         worst = 0.0
         for s in np.linspace(-1, 1, 41):
@@ -223,13 +224,14 @@ def test_bins_hold_who_touches_a_band_near_ones_first(precision, height):
 def test_composite_dense_of_two_round_spots(precision):
     width, height = 37, 21
     stages = Stages(precision, 1, 2)
-    for index, (u, v, variance, opacity, depth) in enumerate(((11.3, 8.8, 9.0, 0.7, 2.0), (14.0, 10.1, 16.0, 0.9, 1.0))):
+    spots = ((11.3, 8.8, 9.0, 0.7, 2.0), (14.0, 10.1, 16.0, 0.9, 1.0))
+    for index, (u, v, variance, opacity, depth) in enumerate(spots):
         stages.table[0, index] = [u, 0, v, np.log2(opacity), variance / HALF_LOG2E, 0, 0, HALF_LOG2E / variance, 0, 0,
                                   np.sqrt(2 * variance * np.log(255 * opacity)), depth]
     stages.colours[0, :, 0, :3] = [[1, 0, 0], [0, 1, 0.5]]
     stages.order_and_bin(height)
     background = np.array([0, 0.2, 1], stages.dtype)
-    pictures = [np.full((height, width, 3), np.nan, stages.dtype)] + [np.full((height, width), np.nan, stages.dtype) for _ in "ad"]
+    pictures = [np.full((height, width, *rest), np.nan, stages.dtype) for rest in ((3,), (), ())]
     identity = [torch.eye(4)[None, None], torch.ones(1, 1, 4), torch.ones(1, 1, 5)]
     arrays = [np.ascontiguousarray(array.numpy(), stages.dtype) for array in identity]
     cameras = stages.core.Cameras(1, 1, width, height, *map(address, arrays))
