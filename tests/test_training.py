@@ -24,7 +24,7 @@ from training.config import OptimizerConfig, Stage, TrainingConfig
 from training.data.batches import Augmentation, BatchMaker, mirrored, relative_cameras
 from training.data.cache import load_set
 from training.data.sampler import ViewSampler
-from training.losses import LossWeights, composite, total_loss
+from training.losses import LossWeights, composite, roughness, total_loss
 from training.metrics import psnr_db, ssim
 from training.schedule import WeightAverage, learning_rate
 
@@ -168,12 +168,29 @@ def test_loss_is_the_weighted_sum_of_its_terms():
     wanted = composite(targets, backgrounds)
     expected = targets[0, 1, :3, 4, 5] + (1 - targets[0, 1, 3, 4, 5]) * backgrounds[0, 1]
     torch.testing.assert_close(wanted[0, 1, :, 4, 5], expected)
-    zero, _ = total_loss(wanted, targets[:, :, 3], targets, backgrounds, LossWeights())
+    scene = torch.ones(2, 16 * 16, 3), torch.rand(2, 4, 16, 16)
+    zero, _ = total_loss(wanted, targets[:, :, 3], targets, backgrounds, *scene, LossWeights())
     assert float(zero) == pytest.approx(0, abs=1e-5)
-    total, terms = total_loss(wanted + 0.1, targets[:, :, 3] - 0.2, targets, backgrounds, LossWeights(2.0, 0.5, 3.0))
+    weights = LossWeights(2.0, 0.5, 3.0)
+    total, terms = total_loss(wanted + 0.1, targets[:, :, 3] - 0.2, targets, backgrounds, *scene, weights)
     assert float(terms["colour"]) == pytest.approx(0.01, abs=1e-6)
     assert float(terms["alpha"]) == pytest.approx(0.04, abs=1e-6)
     assert float(total) == pytest.approx(2 * 0.01 + 0.5 * float(terms["ssim"]) + 3 * 0.04, abs=1e-6)
+
+
+def test_roughness_counts_steps_of_disparity_on_the_object():
+    disparity = torch.full((2, 6, 8), 0.8)  # two layers of 6 x 8 pixels
+    disparity[0, :, 4:] = 0.9
+    means = torch.zeros(1, 96, 3)
+    means[0, :, 2] = 1 / disparity.flatten()
+    grey = torch.full((1, 4, 6, 8), 0.5)
+    grey[:, 3] = 1
+    # One step of 0.1 in each of 6 rows of one layer, among 2 x 6 x 7 pairs along rows; none along columns.
+    assert float(roughness(means, grey)) == pytest.approx(6 * 0.1 / (2 * 6 * 7), rel=1e-4)
+    grey[0, 3, :, 4] = 0  # the step lies outside the object
+    assert float(roughness(means, grey)) == pytest.approx(0, abs=1e-6)
+    grey[0, 3], grey[0, :3, :, 4:] = 1, 0.8  # the step lies on an edge of the picture
+    assert float(roughness(means, grey)) == pytest.approx(6 * 0.1 * math.exp(-3) / (2 * 6 * 7), rel=1e-3)
 
 
 def test_learning_rate_warms_up_and_falls_by_a_cosine():
@@ -294,7 +311,7 @@ def test_bad_arguments_are_reported_in_one_line(small_set, capsys, arguments, wo
     assert word in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["first"])
+@pytest.mark.parametrize("name", ["first", "original", "full-sphere"])
 def test_shipped_configurations_can_be_read(name):
     config = train.read_config(["--config", str(config_path("training", name))])
     assert config.total_steps > 0
