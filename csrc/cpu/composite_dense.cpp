@@ -1,6 +1,8 @@
 // Stage composite for ordinary images, and its reverse. A work item is one band of one image; a band is cut into tiles,
 // a tile into patches of one vector each (4 columns, as many rows as fit); splats come nearest first.
 #include <algorithm>
+#include <cstring>
+#include <iterator>
 #include <vector>
 
 #include "base/parallel.h"
@@ -38,241 +40,251 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// One tile of 16 x 16 pixels: sample positions and what is accumulated, a vector per patch.
+// One tile of 16 x 16 pixels: what its samples gather, a vector per patch.
 template <class T>
 struct DenseTile {
   using D = Tag<T>;
   using V = hn::Vec<D>;
   static constexpr int kLanes = int(hn::MaxLanes(D()));
   static constexpr int kColumns = kLanes < 4 ? kLanes : 4, kRows = kLanes / kColumns;
-  static constexpr int kSide = kBandRows, kAcross = kSide / kColumns, kDown = kSide / kRows;
-  static constexpr int kSamples = kSide * kSide;
+  static constexpr int kSide = kBandRows, kAcross = kSide / kColumns;
+  static constexpr int kSamples = kSide * kSide, kPatches = kSamples / kLanes, kWords = (kPatches + 63) / 64;
 
-  alignas(64) T x[kSide], y[kSamples];              // pixel centres in the tile: lane columns, lane rows
-  alignas(64) T value[5][kSamples];                 // r, g, b, depth, transmittance
-  alignas(64) T gradient[5][kSamples], total[kSamples], prefix[kSamples], rest[kSamples];
+  alignas(64) T x[kSamples], y[kSamples];                 // pixel centres from the tile's corner
+  alignas(64) T patch_x[kPatches], patch_y[kPatches];     // middles of the patches
+  alignas(64) T value[4][kSamples], transmittance[kSamples], rest[kSamples];  // r, g, b, depth
+  alignas(64) T gradient[4][kSamples], total[kSamples], prefix[kSamples];
+  uint64_t open[kWords];     // bit per patch: some sample still takes light
+  uint64_t touched[kWords];  // by the splat at hand
+  int64_t image, x0, y0;
 
   DenseTile() {
-    for (int v = 0; v < kSamples; ++v) {
-      const int patch = v / kLanes, lane = v % kLanes;
-      y[v] = T(patch / kAcross * kRows + lane / kColumns) + T(0.5);
+    for (int i = 0; i < kSamples; ++i) {
+      const int patch = i / kLanes, lane = i % kLanes;
+      x[i] = T(patch % kAcross * kColumns + lane % kColumns) + T(0.5);
+      y[i] = T(patch / kAcross * kRows + lane / kColumns) + T(0.5);
+      patch_x[patch] = T(patch % kAcross * kColumns) + T(0.5) * kColumns;
+      patch_y[patch] = T(patch / kAcross * kRows) + T(0.5) * kRows;
     }
   }
-  // Lane centres of a patch.
-  V xs(D d, int across) const {
-    alignas(64) T lanes[kLanes];
-    for (int lane = 0; lane < kLanes; ++lane) lanes[lane] = T(across * kColumns + lane % kColumns) + T(0.5);
-    return hn::Load(d, lanes);
+
+  void move_to(int64_t image_, int64_t x0_, int64_t y0_) {
+    image = image_, x0 = x0_, y0 = y0_;
+    std::fill(open, open + kWords, kPatches >= 64 ? ~0ull : (1ull << kPatches % 64) - 1);
   }
-  static int64_t pixel(int sample, int64_t x0, int64_t y0, int64_t width) {
-    const int patch = sample / kLanes, lane = sample % kLanes;
-    const int64_t row = y0 + patch / kAcross * kRows + lane / kColumns;
-    return row * width + x0 + patch % kAcross * kColumns + lane % kColumns;
-  }
-  static bool inside(int sample, int64_t x0, int64_t y0, int64_t width, int64_t height) {
-    const int patch = sample / kLanes, lane = sample % kLanes;
-    return y0 + patch / kAcross * kRows + lane / kColumns < height &&
-           x0 + patch % kAcross * kColumns + lane % kColumns < width;
-  }
-};
+  bool closed() const { return std::all_of(open, open + kWords, [](uint64_t w) { return w == 0; }); }
+  void close(int patch) { open[patch / 64] &= ~(1ull << patch % 64); }
 
-// Walks one band: calls tile_begin(x0, y0), splat(s, colour, first patch row/col ranges), tile_end().
-template <class T>
-class DenseBand {
- public:
-  using Tile = DenseTile<T>;
-  using D = typename Tile::D;
-  using V = typename Tile::V;
-
-  DenseBand(const DenseJob<T>& job, int64_t item) : job_(job) {
-    const int64_t bands = band_count(job.height_px);
-    image = item / bands, y0 = item % bands * kBandRows;
-    splats_ = job.splats.splats + image * job.splats.count;
-    ids_ = job.bins.band_splats + job.bins.band_offsets[item];
-    count_ = job.bins.band_offsets[item + 1] - job.bins.band_offsets[item];
-  }
-
-  int64_t image, y0, x0 = 0;
-
-  int64_t tiles() const { return (job_.width_px + Tile::kSide - 1) / Tile::kSide; }
-
-  void build(TileLists& lists) const {
-    const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job_.height_px)) - T(0.5);
-    lists.build(ids_, count_, tiles(), [&](int32_t id) -> Range {
-      T a, b;
-      if (!columns_of(splats_[id], low, high, T(0), a, b)) return {0, -1};
-      const Range pixels = pixels_within(a, b, job_.width_px);
-      if (pixels.last < pixels.first) return {0, -1};
-      return {pixels.first / Tile::kSide, pixels.last / Tile::kSide};
-    });
-  }
-
-  // Patches that a splat may touch, and its constants there: visit(patch, across, A, dy, M0).
+  // Calls visit(sample, index of its pixel) for the tile's samples inside the image.
   template <class Visit>
-  HWY_INLINE void for_each_patch(const Tile& tile, const Splat<T>& s, const Visit& visit) const {
-    const D d;
-    const T u = s.u0 - T(x0), v = s.v0 - T(y0);
-    const Range rows = pixels_within(v - s.reach_y, v + s.reach_y, Tile::kSide);
-    const V tau = hn::Set(d, s.tau), log2_opacity = hn::Set(d, s.log2_opacity);
-    for (int64_t down = rows.first / Tile::kRows; down <= rows.last / Tile::kRows && rows.last >= 0; ++down) {
-      // Columns of this patch row
-      const T top = T(down * Tile::kRows) + T(0.5), bottom = top + T(Tile::kRows - 1);
-      Splat<T> local = s;
-      local.u0 = u, local.v0 = v;
-      T a, b;
-      if (!columns_of(local, top, bottom, T(0), a, b)) continue;
-      const Range columns = pixels_within(a, b, Tile::kSide);
-      if (columns.last < columns.first) continue;
-
-      const V dy = hn::Sub(hn::Load(d, tile.y + down * Tile::kAcross * Tile::kLanes), hn::Set(d, v));
-      const V A = hn::NegMulAdd(hn::Mul(tau, dy), dy, log2_opacity);
-      const V M0 = hn::MulAdd(hn::Set(d, s.c0), dy, hn::Set(d, u));
-      for (int64_t across = columns.first / Tile::kColumns; across <= columns.last / Tile::kColumns; ++across)
-        visit(int(down * Tile::kAcross + across), int(across), A, dy, M0);
+  void for_each_pixel(int64_t width, int64_t height, const Visit& visit) const {
+    for (int i = 0; i < kSamples; ++i) {
+      const int64_t column = x0 + int64_t(x[i]), row = y0 + int64_t(y[i]);
+      if (column < width && row < height) visit(i, (image * height + row) * width + column);
     }
   }
 
-  const Splat<T>& splat(int32_t id) const { return splats_[id]; }
-  const T* colour(int32_t id) const { return job_.splats.colours + (image * job_.splats.count + id) * kColourStride; }
+  // Marks the open patches that a splat may touch, (u, v) being its centre from the tile's corner; returns how many.
+  HWY_INLINE int find(const Splat<T>& s, T u, T v) {
+    const D d;
+    const T half_x = T(0.5) * T(kColumns - 1), half_y = T(0.5) * T(kRows - 1), margin = T(0.01);
+    const V spread = hn::Set(d, half_x + half_y * std::abs(s.c0) + margin);
+    int count = 0;
+    std::fill(touched, touched + kWords, 0);
+    for (int p = 0; p < kPatches; p += kLanes) {
+      const V middle = hn::Sub(hn::Load(d, patch_y + p), hn::Set(d, v));
+      const V nearest = hn::Max(hn::Sub(hn::Abs(middle), hn::Set(d, half_y)), hn::Zero(d));
+      const V exponent = hn::NegMulAdd(hn::Mul(hn::Set(d, s.tau), nearest), nearest,
+                                       hn::Set(d, s.log2_opacity - T(kLog2MinAlpha) + T(1e-3)));
+      const V centre = hn::MulAdd(hn::Set(d, s.c0), middle, hn::Set(d, u));
+      const V distance = hn::Max(hn::Sub(hn::Abs(hn::Sub(hn::Load(d, patch_x + p), centre)), spread), hn::Zero(d));
+      const auto near = hn::Le(hn::Mul(distance, distance), hn::Mul(exponent, hn::Set(d, s.S0)));
+      const auto hit = hn::And(near, hn::Ge(exponent, hn::Zero(d)));
+      alignas(8) uint8_t bits[8] = {};
+      hn::StoreMaskBits(d, hit, bits);
+      uint64_t word;
+      std::memcpy(&word, bits, 8);
+      touched[p / 64] |= word << p % 64 & open[p / 64];
+    }
+    for (int w = 0; w < kWords; ++w) count += __builtin_popcountll(touched[w]);
+    return count;
+  }
 
- private:
-  const DenseJob<T>& job_;
-  const Splat<T>* splats_;
-  const int32_t* ids_;
-  int64_t count_;
+  // Calls visit(patch) for the patches that find marked.
+  template <class Visit>
+  HWY_INLINE void for_each_touched(const Visit& visit) const {
+    for (int w = 0; w < kWords; ++w)
+      for (uint64_t todo = touched[w]; todo; todo &= todo - 1) visit(64 * w + __builtin_ctzll(todo));
+  }
+};
+
+// A splat's constants as the samples of a tile read them.
+template <class T>
+struct DenseSplat {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  V u, v, c0, tau, log2_opacity, inverse_S;
+  V channel[4];  // r, g, b, depth
+
+  HWY_INLINE DenseSplat(const Splat<T>& s, const T* colour, T u_, T v_) {
+    const D d;
+    u = hn::Set(d, u_), v = hn::Set(d, v_), c0 = hn::Set(d, s.c0), tau = hn::Set(d, s.tau);
+    log2_opacity = hn::Set(d, s.log2_opacity), inverse_S = hn::Set(d, T(1) / s.S0);
+    channel[0] = hn::Set(d, colour[0]), channel[1] = hn::Set(d, colour[1]), channel[2] = hn::Set(d, colour[2]);
+    channel[3] = hn::Set(d, s.depth);
+  }
+  // log2 of opacity * weight; also the sample's place in the footprint.
+  HWY_INLINE V power(V x, V y, V& dx, V& dy) const {
+    dy = hn::Sub(y, v);
+    dx = hn::NegMulAdd(c0, dy, hn::Sub(x, u));
+    return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::NegMulAdd(hn::Mul(tau, dy), dy, log2_opacity));
+  }
 };
 
 template <class T>
-void ForwardTile(const DenseJob<T>& job, const DenseBand<T>& band, DenseTile<T>& tile, const int32_t* begin,
-                 const int32_t* end, Counters& counters) {
+void ForwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s) {
   using Tile = DenseTile<T>;
   using V = typename Tile::V;
   const Tag<T> d;
-  for (int k = 0; k < 4; ++k) std::fill(tile.value[k], tile.value[k] + Tile::kSamples, T(0));
-  std::fill(tile.value[4], tile.value[4] + Tile::kSamples, T(1));
-  const T* background = job.background + 3 * band.image;
-  V x[Tile::kAcross];
-  for (int across = 0; across < Tile::kAcross; ++across) x[across] = tile.xs(d, across);
-  uint64_t alive[4] = {~0ull, ~0ull, ~0ull, ~0ull};  // bit per patch: some sample still takes light
-  int open = Tile::kDown * Tile::kAcross;
+  tile.for_each_touched([&](int patch) HWY_ATTR {
+    const int i = patch * Tile::kLanes;
+    V dx, dy;
+    const V alpha = Alpha(d, s.power(hn::Load(d, tile.x + i), hn::Load(d, tile.y + i), dx, dy));
+    const V before = hn::Load(d, tile.transmittance + i);
+    V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
 
-  for (const int32_t* id = begin; id != end && open > 0; ++id) {
-    const Splat<T>& s = band.splat(*id);
-    const T* c = band.colour(*id);
-    const V channel[4] = {hn::Set(d, c[0]), hn::Set(d, c[1]), hn::Set(d, c[2]), hn::Set(d, s.depth)};
-    const V inverse_S = hn::Set(d, T(1) / s.S0);
-    band.for_each_patch(tile, s, [&](int patch, int across, V A, V, V M0) HWY_ATTR {
-      if (!(alive[patch / 64] >> (patch % 64) & 1)) return;
-      counters.evaluations += Tile::kLanes;
-      const V dx = hn::Sub(x[across], M0);
-      const V alpha = Alpha(d, hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, A));
-      const int first = patch * Tile::kLanes;
-      const V before = hn::Load(d, tile.value[4] + first);
-      V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
-
-      // A sample whose transmittance would fall too low ends here: what it still lets through is kept for the end
-      const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
-      if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
-        const auto ends = hn::And(stop, hn::Gt(before, hn::Zero(d)));
-        hn::BlendedStore(before, ends, d, tile.rest + first);
-        weight = hn::IfThenZeroElse(stop, weight);
-        after = hn::IfThenZeroElse(stop, after);
-        if (hn::AllFalse(d, hn::Gt(after, hn::Zero(d)))) alive[patch / 64] &= ~(1ull << patch % 64), --open;
-      }
-      for (int k = 0; k < 4; ++k) {
-        T* value = tile.value[k] + first;
-        hn::Store(hn::MulAdd(weight, channel[k], hn::Load(d, value)), d, value);
-      }
-      hn::Store(after, d, tile.value[4] + first);
-    });
-  }
-
-  for (int v = 0; v < Tile::kSamples; ++v) {
-    if (!Tile::inside(v, band.x0, band.y0, job.width_px, job.height_px)) continue;
-    const int64_t p = band.image * job.width_px * job.height_px + Tile::pixel(v, band.x0, band.y0, job.width_px);
-    const T rest = tile.value[4][v] > 0 ? tile.value[4][v] : tile.rest[v];
-    for (int k = 0; k < 3; ++k) job.out.image[3 * p + k] = tile.value[k][v] + rest * background[k];
-    job.out.alpha[p] = 1 - rest;
-    job.out.depth[p] = tile.value[3][v];
-  }
+    // A sample whose transmittance would fall too low ends here: what it still lets through is kept for the end
+    const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
+    if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
+      hn::BlendedStore(before, hn::And(stop, hn::Gt(before, hn::Zero(d))), d, tile.rest + i);
+      weight = hn::IfThenZeroElse(stop, weight);
+      after = hn::IfThenZeroElse(stop, after);
+      if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.close(patch);
+    }
+    for (int k = 0; k < 4; ++k)
+      hn::Store(hn::MulAdd(weight, s.channel[k], hn::Load(d, tile.value[k] + i)), d, tile.value[k] + i);
+    hn::Store(after, d, tile.transmittance + i);
+  });
 }
 
 // dL/dalpha_i = T_i v_i - (total - prefix_i) / (1 - alpha_i), where v is what a unit of weight adds to the loss: the
 // sum over all later samples and the background follows from the total, so the walk is front to back as well.
 template <class T>
-void BackwardTile(const DenseJob<T>& job, const DenseBand<T>& band, DenseTile<T>& tile, const int32_t* begin,
-                  const int32_t* end, Counters& counters, T* g_background) {
+void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& splat, T* out) {
   using Tile = DenseTile<T>;
   using V = typename Tile::V;
   const Tag<T> d;
-  V x[Tile::kAcross];
-  for (int across = 0; across < Tile::kAcross; ++across) x[across] = tile.xs(d, across);
+  SplatSums<Tag<T>> sums(d);
+  V g_channel[4] = {hn::Zero(d), hn::Zero(d), hn::Zero(d), hn::Zero(d)};
+  tile.for_each_touched([&](int patch) HWY_ATTR {
+    const int i = patch * Tile::kLanes;
+    V dx, dy;
+    const V power = s.power(hn::Load(d, tile.x + i), hn::Load(d, tile.y + i), dx, dy);
+    V alpha = Alpha(d, power);
+    const V before = hn::Load(d, tile.transmittance + i);
+    const V after = hn::NegMulAdd(alpha, before, before);
+    const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
+    hn::Store(hn::IfThenZeroElse(stop, after), d, tile.transmittance + i);
+    alpha = hn::IfThenZeroElse(stop, alpha);
+    if (HWY_UNLIKELY(hn::AllTrue(d, stop))) tile.close(patch);
 
-  // Gradients of colour (0..2) and depth (3); total = sum_i w_i v_i + rest * v_background
-  for (int v = 0; v < Tile::kSamples; ++v) {
-    const bool inside = Tile::inside(v, band.x0, band.y0, job.width_px, job.height_px);
-    const int64_t p = band.image * job.width_px * job.height_px + Tile::pixel(v, band.x0, band.y0, job.width_px);
-    T total = 0;
+    const V weight = hn::Mul(alpha, before);
+    V v = hn::Zero(d);
+    for (int k = 0; k < 4; ++k) {
+      const V g = hn::Load(d, tile.gradient[k] + i);
+      v = hn::MulAdd(g, s.channel[k], v);
+      g_channel[k] = hn::MulAdd(g, weight, g_channel[k]);
+    }
+    const V prefix = hn::MulAdd(weight, v, hn::Load(d, tile.prefix + i));
+    hn::Store(prefix, d, tile.prefix + i);
+    const V later = hn::Mul(hn::Sub(hn::Load(d, tile.total + i), prefix),
+                            Reciprocal(d, hn::Sub(hn::Set(d, T(1)), alpha)));
+    const V g_alpha = hn::MulSub(before, v, later);
+    const auto free = hn::And(hn::Gt(alpha, hn::Zero(d)), hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
+    const V g_power = hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
+    sums.Add(g_power, dy, hn::Mul(dx, s.inverse_S));
+  });
+  sums.Reduce(d, splat, out);
+  out[kSplatFields - 1] += hn::GetLane(hn::SumOfLanes(d, g_channel[3]));
+  for (int k = 0; k < 3; ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_channel[k]));
+}
+
+template <class T>
+void BeginForward(DenseTile<T>& tile) {
+  for (auto& channel : tile.value) std::fill(std::begin(channel), std::end(channel), T(0));
+  std::fill(std::begin(tile.transmittance), std::end(tile.transmittance), T(1));
+}
+
+template <class T>
+void FinishForward(const DenseJob<T>& job, const DenseTile<T>& tile) {
+  const T* background = job.background + 3 * tile.image;
+  tile.for_each_pixel(job.width_px, job.height_px, [&](int i, int64_t pixel) {
+    const T rest = tile.transmittance[i] > 0 ? tile.transmittance[i] : tile.rest[i];
+    for (int k = 0; k < 3; ++k) job.out.image[3 * pixel + k] = tile.value[k][i] + rest * background[k];
+    job.out.alpha[pixel] = 1 - rest;
+    job.out.depth[pixel] = tile.value[3][i];
+  });
+}
+
+// Gradients of colour and depth, and the total: sum of weight * v over the splats, and what the background adds.
+template <class T>
+void BeginBackward(const DenseJob<T>& job, DenseTile<T>& tile, T* g_background) {
+  for (auto& channel : tile.gradient) std::fill(std::begin(channel), std::end(channel), T(0));
+  for (auto* a : {tile.total, tile.prefix, tile.transmittance}) std::fill(a, a + tile.kSamples, T(0));
+  tile.for_each_pixel(job.width_px, job.height_px, [&](int i, int64_t pixel) {
+    const T rest = 1 - job.images.alpha[pixel];
+    tile.gradient[3][i] = job.gradients.depth[pixel];
+    T total = tile.gradient[3][i] * job.images.depth[pixel] - job.gradients.alpha[pixel] * rest;
     for (int k = 0; k < 3; ++k) {
-      tile.gradient[k][v] = inside ? job.gradients.image[3 * p + k] : T(0);
-      if (inside) total += tile.gradient[k][v] * job.images.image[3 * p + k];
+      const T g = tile.gradient[k][i] = job.gradients.image[3 * pixel + k];
+      total += g * job.images.image[3 * pixel + k];
+      g_background[k] += g * rest;
     }
-    tile.gradient[3][v] = inside ? job.gradients.depth[p] : T(0);
-    if (inside) {
-      const T rest = 1 - job.images.alpha[p];
-      total += tile.gradient[3][v] * job.images.depth[p] - job.gradients.alpha[p] * rest;
-      for (int k = 0; k < 3; ++k) g_background[k] += tile.gradient[k][v] * rest;
-    }
-    tile.total[v] = total;
-    tile.prefix[v] = 0;
-    tile.value[4][v] = inside ? T(1) : T(0);
-  }
+    tile.total[i] = total;
+    tile.transmittance[i] = 1;
+  });
+}
 
-  const int64_t size = pair_gradient_size(0);
-  const int64_t image = band.image;
-  for (const int32_t* id = begin; id != end; ++id) {
-    const Splat<T>& s = band.splat(*id);
-    const T* c = band.colour(*id);
-    const V channel[4] = {hn::Set(d, c[0]), hn::Set(d, c[1]), hn::Set(d, c[2]), hn::Set(d, s.depth)};
-    const V inverse_S = hn::Set(d, T(1) / s.S0);
-    SplatSums<Tag<T>> sums(d);
-    V g_channel[4] = {hn::Zero(d), hn::Zero(d), hn::Zero(d), hn::Zero(d)};
-    bool touched = false;
-    band.for_each_patch(tile, s, [&](int patch, int across, V A, V dy, V M0) HWY_ATTR {
-      const int first = patch * Tile::kLanes;
-      const V before = hn::Load(d, tile.value[4] + first);
-      const V dx = hn::Sub(x[across], M0);
-      const V power = hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, A);
-      V alpha = Alpha(d, power);
-      const V after = hn::NegMulAdd(alpha, before, before);
-      const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
-      hn::Store(hn::IfThenZeroElse(stop, after), d, tile.value[4] + first);
-      alpha = hn::IfThenZeroElse(stop, alpha);
-      if (hn::AllFalse(d, hn::Gt(alpha, hn::Zero(d)))) return;
-      touched = true;
-      counters.evaluations += Tile::kLanes;
+// One band of one image, tile by tile.
+template <class T>
+void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, DenseTile<T>& tile, Counters& counters) {
+  using Tile = DenseTile<T>;
+  const int64_t bands = band_count(job.height_px), image = item / bands, band = item % bands, y0 = band * kBandRows;
+  const int64_t tiles = (job.width_px + Tile::kSide - 1) / Tile::kSide;
+  const Splat<T>* splats = job.splats.splats + image * job.splats.count;
+  const int64_t begin = job.bins.band_offsets[item], end = job.bins.band_offsets[item + 1];
+  const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job.height_px)) - T(0.5);
+  lists.build(job.bins.band_splats + begin, end - begin, tiles, [&](int32_t id) -> Range {
+    T left, right;
+    if (!columns_of(splats[id], low, high, T(0), left, right)) return {0, -1};
+    const Range pixels = pixels_within(left, right, job.width_px);
+    if (pixels.last < pixels.first) return {0, -1};
+    return {pixels.first / Tile::kSide, pixels.last / Tile::kSide};
+  });
+  counters.pairs += lists.pairs();
 
-      const V weight = hn::Mul(alpha, before);
-      V v = hn::Zero(d);
-      for (int k = 0; k < 4; ++k) {
-        const V g = hn::Load(d, tile.gradient[k] + first);
-        v = hn::MulAdd(g, channel[k], v);
-        g_channel[k] = hn::MulAdd(g, weight, g_channel[k]);
+  for (int64_t t = 0; t < tiles; ++t) {
+    tile.move_to(image, t * Tile::kSide, y0);
+    if (job.backward)
+      BeginBackward(job, tile, job.band_background + 3 * item);
+    else
+      BeginForward(tile);
+    for (const int32_t* id = lists.begin(t); id != lists.end(t) && !tile.closed(); ++id) {
+      const Splat<T>& splat = splats[*id];
+      const T u = splat.u0 - T(tile.x0), v = splat.v0 - T(y0);
+      const int found = tile.find(splat, u, v);
+      if (found == 0) continue;
+      counters.evaluations += found * Tile::kLanes;
+      const int64_t index = image * job.splats.count + *id;
+      const DenseSplat<T> s(splat, job.splats.colours + index * kColourStride, u, v);
+      if (!job.backward) {
+        ForwardSplat(tile, s);
+        continue;
       }
-      const V prefix = hn::MulAdd(weight, v, hn::Load(d, tile.prefix + first));
-      hn::Store(prefix, d, tile.prefix + first);
-      const V later = hn::Div(hn::Sub(hn::Load(d, tile.total + first), prefix), hn::Sub(hn::Set(d, T(1)), alpha));
-      const V g_alpha = hn::MulSub(before, v, later);
-      const auto free = hn::And(hn::Gt(alpha, hn::Zero(d)), hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
-      const V g_power = hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
-      sums.Add(g_power, dy, hn::Mul(dx, inverse_S));
-    });
-    if (!touched) continue;
-    const int64_t own_band = band.y0 / kBandRows - rows_of(s, job.height_px).first / kBandRows;
-    T* out = job.pair_gradients + (job.first_pair[image * job.splats.count + *id] + own_band) * size;
-    sums.Reduce(d, s, out);
-    out[kSplatFields - 1] += hn::GetLane(hn::SumOfLanes(d, g_channel[3]));
-    for (int k = 0; k < 3; ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_channel[k]));
+      const int64_t own_band = band - rows_of(splat, job.height_px).first / kBandRows;
+      BackwardSplat(tile, s, splat, job.pair_gradients + (job.first_pair[index] + own_band) * pair_gradient_size(0));
+    }
+    if (!job.backward) FinishForward(job, tile);
   }
 }
 
@@ -283,18 +295,8 @@ Counters CompositeDenseImpl(const DenseJob<T>& job) {
   std::vector<Counters> counters(lists.size());
   auto tiles = hwy::MakeUniqueAlignedArray<DenseTile<T>>(lists.size());
   parallel_for(items, job.threads, [&](int64_t item, int worker) {
-    DenseBand<T> band(job, item);
-    TileLists& list = lists[size_t(worker)];
-    Counters& c = counters[size_t(worker)];
-    band.build(list);
-    c.pairs += list.pairs();
-    for (int64_t t = 0; t < band.tiles(); ++t) {
-      band.x0 = t * DenseTile<T>::kSide;
-      if (job.backward)
-        BackwardTile(job, band, tiles[size_t(worker)], list.begin(t), list.end(t), c, job.band_background + 3 * item);
-      else
-        ForwardTile(job, band, tiles[size_t(worker)], list.begin(t), list.end(t), c);
-    }
+    const size_t w = size_t(worker);
+    CompositeBand(job, item, lists[w], tiles[w], counters[w]);
   });
   Counters sum;
   for (size_t w = 0; w < lists.size(); ++w) {
