@@ -20,10 +20,10 @@ _CONFIG_KEY = "lightfield_gs.model_config"
 
 def save_weights(net: "SplatterNet", path: Path, notes: dict[str, str]) -> None:
     """Write the weights of net to path; the file appears complete or not at all. notes: further metadata."""
-    from safetensors.torch import save_file
+    from safetensors.torch import save
     weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in net.state_dict().items()}
     with atomic_path(path) as temporary:
-        save_file(weights, temporary, metadata=notes | {_CONFIG_KEY: json.dumps(net.config.to_dict())})
+        temporary.write_bytes(save(weights, notes | {_CONFIG_KEY: json.dumps(net.config.to_dict())}))
 
 
 def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:

@@ -11,8 +11,8 @@ from lightfield_gs.errors import InputError
 
 # Room left round the object's bounding box, as a share of its longer side (on each side).
 MARGIN = 0.08
-# A pixel belongs to the object from this opacity on; fainter ones are shadows and compression noise.
-_OBJECT_ALPHA = 0.05
+# A pixel belongs to the object from this opacity on; fainter ones are shadows and the haze of automatic cut-outs.
+_OBJECT_ALPHA = 0.2
 
 
 @dataclass(frozen=True)
