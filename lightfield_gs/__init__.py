@@ -1,4 +1,4 @@
-"""lightfield_gs: one photo, or any 3D Gaussian scene, to the sub-pixel-encoded image of a slanted-lenticular 3D panel."""
+"""One photo, or any 3D Gaussian scene, to the sub-pixel-encoded image of a slanted-lenticular 3D panel."""
 
 from __future__ import annotations
 

@@ -1,138 +1,23 @@
 """The rasterizer as torch operators: torch.ops.lightfield_gs.render_dense and render_lens, with their reverses.
 
-The only file that hands addresses to the native core. Every buffer is a torch tensor made here; every argument is
-checked here. Both operators run project -> order -> bin -> composite (DESIGN of the sensors: `Dense` is an ordinary image,
-`Lens` gives every sub-pixel of a panel its own camera offset), and are deterministic: the same bits whatever the
-number of threads.
+Both run project -> order -> bin -> composite. The *dense* sensor is an ordinary image; the *lens* sensor gives every
+sub-pixel of a panel the camera offset of its own view. Both are deterministic: the same bits whatever the number of
+threads. Every argument is checked here, every buffer is a torch tensor.
 """
 
 from __future__ import annotations
 
-import time
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any, Iterator
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.errors import InputError
+from lightfield_gs.workspace import Scene, Stats, Workspace, check
 
 COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a rig
 COLOUR_TOLERANCE = 5e-5  # largest error of a colour polynomial, of 1
-
-
-@dataclass
-class Stats:
-    """What a render did: milliseconds per stage, counts, bytes of work memory."""
-
-    stages_ms: dict[str, float] = field(default_factory=dict)
-    pairs: int = 0
-    evaluations: int = 0
-    work_bytes: int = 0
-    gaussians_drawn: int = 0
-    colour_error: float = 0.0
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.stages_ms[name] = self.stages_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - start)
-
-    def count(self, counters: Any) -> None:
-        self.pairs += counters.pairs
-        self.evaluations += counters.evaluations
-        self.work_bytes += counters.scratch_bytes
-
-
-def _core_of(tensor: Tensor) -> Any:
-    """The core's functions for the tensor's precision."""
-    if tensor.dtype == torch.float32:
-        return _core.float32
-    if tensor.dtype == torch.float64:
-        return _core.float64
-    raise InputError(f"the rasterizer takes float32 or float64 tensors, got {tensor.dtype}")
-
-
-def check(name: str, tensor: Tensor, shape: tuple[int | None, ...], like: Tensor) -> Tensor:
-    """`tensor` contiguous, after checking its shape (None: any), and dtype and device against `like`."""
-    if len(shape) != tensor.dim() or any(s is not None and s != t for s, t in zip(shape, tensor.shape)):
-        raise InputError(f"{name} must be {['any' if s is None else s for s in shape]}, got {list(tensor.shape)}")
-    if tensor.dtype != like.dtype or tensor.device != like.device:
-        raise InputError(f"{name} must be {like.dtype} on {like.device} like the means, got {tensor.dtype} on "
-                         f"{tensor.device}")
-    return tensor.contiguous()
-
-
-class _Scene:
-    """Checked, contiguous Gaussians [B, N, ...] and the core's view of them."""
-
-    def __init__(self, means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor):
-        if means.dim() != 3 or means.shape[-1] != 3:
-            raise InputError(f"means must be [scenes, N, 3], got {list(means.shape)}")
-        if means.device.type != "cpu":
-            raise InputError(f"this build renders on the CPU; got means on {means.device}: use .cpu()")
-        batch, count = means.shape[:2]
-        if count >= 2**31:
-            raise InputError(f"at most 2^31 - 1 Gaussians, got {count}")
-        if sh.dim() != 4 or sh.shape[2] not in (1, 4, 9, 16):
-            raise InputError(f"sh must be [scenes, N, 1 | 4 | 9 | 16, 3], got {list(sh.shape)}")
-        self.core, self.batch, self.count = _core_of(means), batch, count
-        self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[sh.shape[2]]
-        self.tensors = [check("means", means, (batch, count, 3), means),
-                        check("quaternions", quaternions, (batch, count, 4), means),
-                        check("scales", scales, (batch, count, 3), means),
-                        check("opacities", opacities, (batch, count), means),
-                        check("sh", sh, (batch, count, sh.shape[2], 3), means)]
-
-    def native(self) -> Any:
-        return self.core.Gaussians(self.count, self.degree, *(t.data_ptr() for t in self.tensors))
-
-    def new(self, *shape: int, dtype: torch.dtype | None = None, zero: bool = False) -> Tensor:
-        make = torch.zeros if zero else torch.empty
-        return make(shape, dtype=dtype or self.tensors[0].dtype)
-
-    def gradients(self) -> tuple[list[Tensor], Any]:
-        grads = [torch.zeros_like(t) for t in self.tensors]
-        return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))
-
-
-class _Workspace:
-    """Splats and bins of one render."""
-
-    def __init__(self, scene: _Scene, images: int, height: int, colour_order: int, stats: Stats):
-        n, self.scene, self.images, self.height, self.stats = scene.count, scene, images, height, stats
-        self.colour_order = colour_order
-        self.splats = scene.new(images, n, _core.SPLAT_FIELDS)
-        self.colours = scene.new(images, n, colour_order + 1, _core.COLOUR_STRIDE)
-        self.orders = scene.new(images, n, dtype=torch.int32)
-        self.native = scene.core.Splats(images, n, colour_order, self.splats.data_ptr(), self.colours.data_ptr(),
-                                        self.orders.data_ptr())
-
-    def order_and_bin(self, threads: int) -> None:
-        scene, core = self.scene, self.scene.core
-        with self.stats.stage("order"):
-            order = scene.new(self.images, scene.count, dtype=torch.int32)
-            drawn = scene.new(self.images, dtype=torch.int64)
-            core.order(self.native, order.data_ptr(), drawn.data_ptr(), threads)
-        with self.stats.stage("bin"):
-            self.band_offsets = scene.new(self.images * _core.band_count(self.height) + 1, dtype=torch.int64)
-            bins = _core.Bins(self.band_offsets.data_ptr(), 0)
-            self.pairs = core.bin_count(self.native, order.data_ptr(), drawn.data_ptr(), self.height, bins, threads)
-            self.band_splats = scene.new(self.pairs, dtype=torch.int32)
-            self.bins = _core.Bins(self.band_offsets.data_ptr(), self.band_splats.data_ptr())
-            core.bin_fill(self.native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
-        self.stats.gaussians_drawn += int(drawn.sum())
-        buffers = (self.splats, self.colours, self.orders, order, drawn, self.band_offsets, self.band_splats)
-        self.stats.work_bytes += sum(t.numel() * t.element_size() for t in buffers)
-
-    def gradient_buffers(self, threads: int) -> tuple[Tensor, Tensor, Tensor]:
-        """first_pair [I, N], pair gradients [pairs, size], background gradient per band [bands, 3]."""
-        first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
-        self.scene.core.first_pairs(self.native, self.height, self.bins, first.data_ptr(), threads)
-        pairs = self.scene.new(self.pairs, _core.pair_gradient_size(self.colour_order), zero=True)
-        return first, pairs, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)
 
 
 # Dense: ordinary images
@@ -143,7 +28,7 @@ class _DenseJob:
 
     def __init__(self, means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits,
                  width: int, height: int, stats: Stats, threads: int):
-        self.scene = scene = _Scene(means, quaternions, scales, opacities, sh)
+        self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
         if world_to_camera.dim() != 4:
             raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
         if not (1 <= width <= 65536 and 1 <= height <= 65536):
@@ -155,7 +40,7 @@ class _DenseJob:
                                 check("intrinsics", intrinsics, (*lead, 4), means),
                                 check("limits", limits, (*lead, 5), means)]
         self.cameras = scene.core.Cameras(*lead, width, height, *(t.data_ptr() for t in self.cameras_tensors))
-        self.work = _Workspace(scene, self.images, height, 0, stats)
+        self.work = Workspace(scene, self.images, height, 0, stats)
         with stats.stage("project"):
             scene.core.project_dense(scene.native(), self.cameras, self.work.native, threads)
         self.work.order_and_bin(threads)
@@ -256,7 +141,7 @@ class _LensJob:
     def __init__(self, means, quaternions, scales, opacities, sh, background, rig: list[float], lens: list[int],
                  lens_shape: list[float], stats: Stats, threads: int):
         with stats.stage("plan"):
-            self.scene = scene = _Scene(*(t.unsqueeze(0) for t in (means, quaternions, scales, opacities, sh)))
+            self.scene = scene = Scene(*(t.unsqueeze(0) for t in (means, quaternions, scales, opacities, sh)))
             self.background = check("background", background, (3,), means)
             self.lens = native_lens(lens, lens_shape)
             self.width, self.height = lens[0], lens[1]
@@ -268,7 +153,7 @@ class _LensJob:
         orders = (0,) if scene.degree == 0 else COLOUR_ORDERS[-1:] if means.dtype == torch.float64 else COLOUR_ORDERS
         with stats.stage("project"):
             for order in orders:
-                self.work = _Workspace(scene, 1, self.height, order, stats)
+                self.work = Workspace(scene, 1, self.height, order, stats)
                 stats.colour_error = scene.core.project_lens(scene.native(), self.rig, self.lens, COLOUR_TOLERANCE,
                                                              self.work.native, threads)
                 if stats.colour_error <= COLOUR_TOLERANCE:
@@ -283,7 +168,8 @@ def native_lens(lens: list[int], lens_shape: list[float]) -> Any:
     width, height, views, *phases, bgr, continuous = lens
     line_number, slant_tan, phase, offset_start, offset_step = lens_shape
     if not (1 <= width <= 65536 and 1 <= height <= 65536 and 1 <= views <= 65536 and line_number > 0):
-        raise InputError(f"a lens needs sizes and views of 1..65536 and a line number > 0, got {lens[:3]}, {line_number}")
+        raise InputError(f"a lens needs sizes and views of 1..65536 and a line number > 0, got {lens[:3]} and "
+                         f"{line_number}")
     phase0, phase_x, phase_y = (p % 2**64 for p in phases)
     return _core.Lens(width_px=width, height_px=height, views=views, phase0=phase0, phase_x=phase_x, phase_y=phase_y,
                       line_number=line_number, slant_tan=slant_tan, phase=phase, bgr=bool(bgr),

@@ -15,6 +15,7 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
+from lightfield_gs.workspace import Stats
 
 METHODS = ("direct", "classic")
 VIEWS = ("integer", "continuous")
@@ -78,7 +79,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig, method: str = "direct",
     precision = torch.float64 if output == "float64" else torch.float32
     gaussians = gaussians.to(dtype=precision)
     colour = _background(background, gaussians.means).reshape(-1)
-    counters = ops.Stats()
+    counters = Stats()
     if method == "classic":
         image = _classic(gaussians, panel, rig, views, colour, output, threads, counters)
     else:
@@ -112,7 +113,7 @@ def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float
 
 
 def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
-            threads: int | None, stats: ops.Stats) -> Tensor:
+            threads: int | None, stats: Stats) -> Tensor:
     arguments = (*_tensors(gaussians), background, *lens_arguments(panel, rig, views == "continuous"))
     if torch.is_grad_enabled() and output != "uint8" and any(t.requires_grad for t in arguments[:6]):
         return torch.ops.lightfield_gs.render_lens(*arguments)
@@ -122,7 +123,7 @@ def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background
 
 @torch.no_grad()
 def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
-             threads: int | None, stats: ops.Stats) -> Tensor:
+             threads: int | None, stats: Stats) -> Tensor:
     """One dense image per view that the panel shows; with continuous views, one per distinct x."""
     with stats.stage("plan"):
         places, x = _views_shown(panel, views == "continuous")
@@ -175,7 +176,7 @@ def _background(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
     return colour
 
 
-def _report(counters: ops.Stats, count: int, panel: Panel, method: str, out: dict[str, Any]) -> None:
+def _report(counters: Stats, count: int, panel: Panel, method: str, out: dict[str, Any]) -> None:
     renders = panel.views if method == "classic" else 1
     out.update(stages_ms=dict(counters.stages_ms), pairs=counters.pairs, evaluations=counters.evaluations,
                evaluations_per_subpixel=counters.evaluations / (3 * panel.width_px * panel.height_px),

@@ -102,7 +102,8 @@ void FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const
     const V b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
     V c = hn::MulAdd(hn::Load(d, &tile.transmittance[i]), b, hn::Load(d, &tile.colour[i]));
     if (job.out8) {
-      const V byte = hn::MulAdd(hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1))), hn::Set(d, T(255)), hn::Set(d, T(0.5)));
+      const V unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
+      const V byte = hn::MulAdd(unit, hn::Set(d, T(255)), hn::Set(d, T(0.5)));
       c = hn::BitCast(d, hn::ConvertTo(di, byte));
     }
     hn::Store(c, d, &tile.colour[i]);
@@ -177,7 +178,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     if (order > 0) g_c = hn::IfThenElseZero(hn::Gt(c, hn::Zero(d)), g_c);
     for (int k = 0; k < 3; ++k) {
       V term = hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename LensTile<T>::TI(k)))), g_c);
-      for (int p = 0; p <= order; ++p, term = hn::Mul(term, s)) g_colour[3 * p + k] = hn::Add(g_colour[3 * p + k], term);
+      for (int p = 0; p <= order; ++p, term = hn::Mul(term, s))
+        g_colour[3 * p + k] = hn::Add(g_colour[3 * p + k], term);
     }
   }
   if (!touched) return;

@@ -84,7 +84,8 @@ class LensTile {
     std::fill(alive_.begin(), alive_.end(), uint8_t(1));
     open = int(alive_.size());
     for (int64_t r = 0; r < kBandRows; ++r)
-      for (int64_t c = 0; c <= layout_.cells_per_tile; ++c) start(r, c) = layout_.cell_start(lens_, row0 + r, cell0 + c);
+      for (int64_t c = 0; c <= layout_.cells_per_tile; ++c)
+        start(r, c) = layout_.cell_start(lens_, row0 + r, cell0 + c);
     for (int64_t patch = 0; patch < patches_; ++patch) place_patch(patch);
   }
 

@@ -171,7 +171,9 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
         chebyshev[k] = dvec3(0);
         for (int j = 0; j < nodes; ++j) chebyshev[k] += basis.to_chebyshev[k * nodes + j] * value[j];
       }
-      auto size = [&](int k) { return std::max({std::abs(chebyshev[k].x), std::abs(chebyshev[k].y), std::abs(chebyshev[k].z)}); };
+      auto size = [&](int k) {
+        return std::max({std::abs(chebyshev[k].x), std::abs(chebyshev[k].y), std::abs(chebyshev[k].z)});
+      };
       if (order >= 2) worst[worker] = std::max(worst[worker], size(order) + size(order - 1));
 
       // Drop the orders this splat does not need. In double nothing is dropped: that is the exact twin.

@@ -2,8 +2,8 @@
 //
 //   Gaussians + views -> project -> order -> bin -> composite -> image, and back.
 //
-// An *image* is what one view (Dense) or the whole rig (Lens) shows; it is cut into bands of kBandRows rows. A *pair* is
-// a (band, splat) that may touch each other. Layouts are row-major; N Gaussians, I images.
+// An *image* is what one view (Dense) or the whole rig (Lens) shows; it is cut into bands of kBandRows rows. A *pair*
+// is a (band, splat) that may touch each other. Layouts are row-major; N Gaussians, I images.
 #pragma once
 
 #include <cstdint>
