@@ -90,15 +90,18 @@ def time_method(gaussians: Gaussians, panel: Panel, rig: Rig, method: str, repea
 
 
 def bench_scene(scene: str, panel: Panel, cone_deg: float | None, methods: list[str], device: str, repeats: int,
-                threads: int | None = None) -> list[dict[str, Any]]:
-    """Rows of one scene and cone, a method each. Raises InputError."""
+                threads: int | None = None) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows of one scene and cone, a method each, and how the others' images compare with the first method's.
+
+    Raises InputError.
+    """
     _progress(f"{scene}: making or reading the scene")
     gaussians = load_scene(scene)
     rig = benchmark_rig(scene, gaussians, panel, cone_deg)
     _progress(f"{scene}: oracle, {ORACLE_SAMPLES} sub-pixels")
     oracle = oracle_samples(gaussians, panel, rig)
 
-    rows = []
+    rows, comparisons, first = [], [], None
     for method in methods:
         _progress(f"{scene}: {method}, at most {repeats} runs")
         image, times, stats = time_method(gaussians, panel, rig, method, repeats, threads)
@@ -109,7 +112,20 @@ def bench_scene(scene: str, panel: Panel, cone_deg: float | None, methods: list[
             "stages_ms": stats["stages_ms"], "pairs": stats["pairs"],
             "evaluations_per_subpixel": stats["evaluations_per_subpixel"], "work_bytes": stats["work_bytes"],
             **oracle.errors(image)})
-    return rows
+        if first is None:
+            first = image
+        else:
+            comparisons.append({"scene": scene, "cone_deg": rows[0]["cone_deg"], "methods": [methods[0], method],
+                                "times_faster": rows[-1]["ms_median"] / rows[0]["ms_median"],
+                                **differences(first, image)})
+    return rows, comparisons
+
+
+def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
+    """Of all sub-pixels of two 8-bit images: the largest difference in 1/255, how many differ, how many by over 1."""
+    difference = (a.to(torch.int16) - b).abs_()
+    return {"subpixels": difference.numel(), "max_difference_255": int(difference.max()),
+            "differing": int((difference > 0).sum()), "over_1": int((difference > 1).sum())}
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -153,24 +169,34 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "training-step":
         rows = bench_training.rows(threads, args.repeats)
         print(bench_training.table(rows))
+        result = {"rows": rows}
     else:
-        rows = _light_field_rows(args, threads)
-        print(table(rows))
+        result = _light_field(args, threads)
+        print(table(result["rows"]))
+        for c in result["comparisons"]:
+            print(f"{c['scene']} {c['cone_deg']:g}: {c['methods'][0]} is {c['times_faster']:.1f} times as fast as "
+                  f"{c['methods'][1]}; of {c['subpixels']} sub-pixels {c['differing']} differ, {c['over_1']} by more "
+                  f"than 1/255, at most by {c['max_difference_255']}/255")
     if args.json is not None:
         with atomic_path(args.json) as temporary:
-            temporary.write_text(json.dumps({"rows": rows}, indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return 0
 
 
-def _light_field_rows(args: argparse.Namespace, threads: list[int | None]) -> list[dict[str, Any]]:
+def _light_field(args: argparse.Namespace, threads: list[int | None]) -> dict[str, list[dict[str, Any]]]:
     methods = args.methods.split(",")
     if unknown := sorted(set(methods) - set(METHODS)):
         raise InputError(f"--methods: expected of {', '.join(METHODS)}, got {', '.join(unknown)}")
     if len(threads) > 1:
         raise InputError(f"--threads: expected one number for a light-field image, got {args.threads}")
     panel = Panel.load(args.panel)
-    return [row for scene in args.scene.split(",") for cone in _numbers("--cone", args.cone, float)
-            for row in bench_scene(scene, panel, cone, methods, args.device, args.repeats, threads[0])]
+    result: dict[str, list[dict[str, Any]]] = {"rows": [], "comparisons": []}
+    for scene in args.scene.split(","):
+        for cone in _numbers("--cone", args.cone, float):
+            rows, comparisons = bench_scene(scene, panel, cone, methods, args.device, args.repeats, threads[0])
+            result["rows"] += rows
+            result["comparisons"] += comparisons
+    return result
 
 
 def _numbers(option: str, text: str | None, kind: type) -> list[Any]:
