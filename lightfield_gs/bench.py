@@ -24,9 +24,9 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.rendering import METHODS, encode
 from lightfield_gs.rig import Rig
 
-METHODS = ("direct", "classic")
 ORACLE_SAMPLES = 20_000
 ORACLE_SEED = 1
 SECONDS_PER_METHOD = 60.0  # no further repeat once a method has run for so long
@@ -75,8 +75,6 @@ def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone_deg: floa
 def time_method(gaussians: Gaussians, panel: Panel, rig: Rig, method: str, repeats: int,
                 threads: int | None = None) -> tuple[torch.Tensor, list[float], dict[str, Any]]:
     """The image, the times in ms (sorted), and the counters of the run of median time (`stats` of encode)."""
-    from lightfield_gs import encode
-
     runs, spent = [], 0.0
     while len(runs) < repeats and (not runs or spent < SECONDS_PER_METHOD):
         stats: dict[str, Any] = {}

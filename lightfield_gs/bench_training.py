@@ -15,6 +15,7 @@ import torch
 from lightfield_gs.bench_scenes import ZERO_DEPTH, sheet
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
+from lightfield_gs.rendering import render
 from lightfield_gs.rig import Rig
 
 OBJECTS, VIEWS, SIZE_PX = 8, 4, 128
@@ -34,8 +35,6 @@ def objects() -> Gaussians:
 
 def rows(threads: list[int | None], repeats: int) -> list[dict[str, Any]]:
     """A row for each number of threads (None: those torch uses); times are medians, after a first run to warm up."""
-    from lightfield_gs import render
-
     # The sheet is twice as wide as high: half the focal length across makes it square.
     panel = Panel(SIZE_PX, SIZE_PX, VIEWS, line_number=3.0 * VIEWS, slant_tan=0.0, cone_deg=CONE_DEG)
     cameras = Rig(np.eye(4), (SIZE_PX, 2 * SIZE_PX), (SIZE_PX / 2, SIZE_PX / 2), ZERO_DEPTH).cameras(panel)

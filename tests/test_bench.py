@@ -56,6 +56,11 @@ def test_errors_are_counted_in_steps_of_8_bits():
     assert errors["psnr_db"] == pytest.approx(10 * np.log10(255**2 * 4 / 10))
 
 
+def test_images_are_compared_as_numbers_not_as_bytes():
+    a, b = (torch.tensor(values, dtype=torch.uint8) for values in ([0, 255, 7, 9, 3], [255, 0, 7, 8, 5]))
+    assert bench.differences(a, b) == {"subpixels": 5, "max_difference_255": 255, "differing": 4, "over_1": 3}
+
+
 def test_rows_have_the_keys_and_the_images_are_right(tmp_path, capsys):
     small = Panel(width_px=192, height_px=96, views=12, line_number=6.3, slant_tan=0.2, name="small")
     small.to_yaml(tmp_path / "small.yaml")
@@ -63,7 +68,8 @@ def test_rows_have_the_keys_and_the_images_are_right(tmp_path, capsys):
                                "5,40", "--methods", "direct,classic", "--repeats", "2",
                                "--json", str(tmp_path / "rows.json")))
     assert code == 0
-    rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    result = json.loads((tmp_path / "rows.json").read_text())
+    rows, comparisons = result["rows"], result["comparisons"]
     expected = itertools.product(("sheet:24", "cloud:500"), (5, 40), ("direct", "classic"))
     assert [(row["scene"], row["cone_deg"], row["method"]) for row in rows] == list(expected)
     for row in rows:
@@ -73,6 +79,9 @@ def test_rows_have_the_keys_and_the_images_are_right(tmp_path, capsys):
         assert 0 < row["ms_min"] <= row["ms_median"] <= row["ms_max"]
         assert row["pairs"] > 0 and row["evaluations_per_subpixel"] > 0 and row["work_bytes"] > 0
         assert row["psnr_db"] >= 70 and row["max_error_255"] <= 2
+    assert [(pair["scene"], pair["cone_deg"]) for pair in comparisons] == [
+        (row["scene"], row["cone_deg"]) for row in rows[::2]]
+    assert all(pair["subpixels"] == 192 * 96 * 3 and pair["max_difference_255"] <= 1 for pair in comparisons)
     shown = capsys.readouterr()
     assert "composite" in shown.out and "sheet:24" in shown.out and "bench:" in shown.err
 
