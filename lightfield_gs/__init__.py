@@ -33,7 +33,12 @@ def __dir__() -> list[str]:
 
 
 def build_info() -> dict[str, object]:
-    """What this build has: version, the vector instruction sets that this processor can choose from, devices."""
+    """What this build has: version, the vector instruction sets that this processor can choose from, devices (with
+    "cuda": forward rendering) and the CUDA architectures compiled for."""
     from lightfield_gs import _core
 
-    return {"version": _core.version, "simd_targets": _core.simd_targets(), "devices": ["cpu"]}
+    info: dict[str, object] = {"version": _core.version, "simd_targets": _core.simd_targets(), "devices": ["cpu"]}
+    if hasattr(_core, "cuda"):
+        info["devices"] = ["cpu", "cuda"]
+        info["cuda_architectures"] = _core.cuda.architectures
+    return info

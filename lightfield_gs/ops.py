@@ -20,6 +20,21 @@ COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a 
 COLOUR_TOLERANCE = 5e-5  # largest error of a colour polynomial, of 1
 
 
+def _workspace(scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, threads: int,
+               lens: bool) -> Any:
+    """The workspace of the scene's device."""
+    if scene.tensors[0].is_cuda:
+        from lightfield_gs.workspace_cuda import CudaWorkspace
+
+        return CudaWorkspace(scene, images, width, height, colour_order, stats, lens)
+    return Workspace(scene, images, width, height, colour_order, stats, threads)
+
+
+def _no_gradients_on(device: torch.device) -> None:
+    if device.type != "cpu":
+        raise InputError(f"gradients are computed on the CPU in this version, got tensors on {device}: use .cpu()")
+
+
 # Dense: ordinary images
 
 
@@ -40,10 +55,10 @@ class _DenseJob:
                                 check("intrinsics", intrinsics, (*lead, 4), means),
                                 check("limits", limits, (*lead, 5), means)]
         self.cameras = scene.core.Cameras(*lead, width, height, *(t.data_ptr() for t in self.cameras_tensors))
-        self.work = Workspace(scene, self.images, height, 0, stats)
+        self.work = _workspace(scene, self.images, width, height, 0, stats, threads, lens=False)
         with stats.stage("project"):
-            scene.core.project_dense(scene.native(), self.cameras, self.work.native, threads)
-        self.work.order_and_bin(threads)
+            self.work.project_dense(self.cameras)
+        self.work.order_and_bin()
 
     def image_shapes(self) -> list[tuple[int, ...]]:
         size = (*self.lead, self.height, self.width)
@@ -57,12 +72,11 @@ def dense_forward(*arguments: Any, stats: Stats | None = None, threads: int | No
     with stats.stage("composite"):
         out = [job.scene.new(*shape) for shape in job.image_shapes()]
         native = job.scene.core.DenseImages(*(t.data_ptr() for t in out))
-        stats.count(job.scene.core.composite_dense(job.work.native, job.work.bins, job.cameras,
-                                                   job.background.data_ptr(), native, threads))
+        job.work.composite_dense(job.cameras, job.background, native)
     return tuple(out)
 
 
-@torch.library.custom_op("lightfield_gs::render_dense", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("lightfield_gs::render_dense", mutates_args=(), device_types=("cpu", "cuda"))
 def render_dense(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
                  background: Tensor, world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
                  height: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -70,8 +84,9 @@ def render_dense(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: 
 
     means [B,N,3], quaternions [B,N,4] wxyz, scales [B,N,3] > 0, opacities [B,N] in (0,1], sh [B,N,K,3],
     background [B,V,3], world_to_camera [B,V,4,4], intrinsics [B,V,4] (fx, fy, cx, cy in pixels), limits [B,V,5] (see
-    Cameras.limits); all float32 or all float64, on the CPU. Returns image [B,V,H,W,3] over the background, alpha
-    [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized). Differentiable in all but intrinsics and limits.
+    Cameras.limits); all float32 or all float64 (CUDA: float32, forward only). Returns image [B,V,H,W,3] over the
+    background, alpha [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized). Differentiable in all but
+    intrinsics and limits.
     Source: Kerbl et al. 2023. Raises InputError.
     """
     return dense_forward(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits,
@@ -98,7 +113,7 @@ def render_dense_backward(means: Tensor, quaternions: Tensor, scales: Tensor, op
                                                        job.image_shapes())]
     grads = [check(n, t, s, means) for n, t, s in zip(("g_image", "g_alpha", "g_depth"), (g_image, g_alpha, g_depth),
                                                       job.image_shapes())]
-    first, pairs, g_band_background = work.gradient_buffers(threads)
+    first, pairs, g_band_background = work.gradient_buffers()
     core.composite_dense_backward(work.native, work.bins, job.cameras, job.background.data_ptr(),
                                   core.DenseImages(*(t.data_ptr() for t in images)),
                                   core.DenseImages(*(t.data_ptr() for t in grads)), first.data_ptr(),
@@ -124,6 +139,7 @@ def _dense_setup(ctx, inputs, output):
 
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
+    _no_gradients_on(saved[0].device)
     grads = [torch.zeros_like(out) if g is None else g for g, out in zip(grads, saved[9:])]
     out = torch.ops.lightfield_gs.render_dense_backward(*saved[:9], ctx.width, ctx.height, *saved[9:], *grads)
     return (*out, None, None, None, None)
@@ -153,12 +169,11 @@ class _LensJob:
         orders = (0,) if scene.degree == 0 else COLOUR_ORDERS[-1:] if means.dtype == torch.float64 else COLOUR_ORDERS
         with stats.stage("project"):
             for order in orders:
-                self.work = Workspace(scene, 1, self.height, order, stats)
-                stats.colour_error = scene.core.project_lens(scene.native(), self.rig, self.lens, COLOUR_TOLERANCE,
-                                                             self.work.native, threads)
+                self.work = _workspace(scene, 1, self.width, self.height, order, stats, threads, lens=True)
+                stats.colour_error = self.work.project_lens(self.rig, self.lens, COLOUR_TOLERANCE)
                 if stats.colour_error <= COLOUR_TOLERANCE:
                     break
-        self.work.order_and_bin(threads)
+        self.work.order_and_bin()
 
 
 def native_lens(lens: list[int], lens_shape: list[float]) -> Any:
@@ -183,21 +198,20 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, stats: Stats | None = 
     job = _LensJob(*arguments, stats, threads)
     with stats.stage("composite"):
         out = job.scene.new(job.height, job.width, 3, dtype=torch.uint8 if as_bytes else None)
-        address = out.data_ptr()
-        stats.count(job.scene.core.composite_lens(job.work.native, job.work.bins, job.lens, job.background.data_ptr(),
-                                                  0 if as_bytes else address, address if as_bytes else 0, threads))
+        job.work.composite_lens(job.lens, job.background, out)
     return out
 
 
-@torch.library.custom_op("lightfield_gs::render_lens", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("lightfield_gs::render_lens", mutates_args=(), device_types=("cpu", "cuda"))
 def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
                 rig: list[float], lens: list[int], lens_shape: list[float]) -> Tensor:
     """The image [H, W, 3] that a slanted-lenticular panel shows of N Gaussians.
 
     means [N,3], quaternions [N,4] wxyz, scales [N,3] > 0, opacities [N] in (0,1], sh [N,K,3], background [3]; all
-    float32 or all float64, on the CPU; differentiable in all of these. Every sub-pixel belongs to the camera at offset
-    s = offset_start + offset_step * x of its own view coordinate x.
-    rig: 26 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits), zero_depth.
+    float32 or all float64 (CUDA: float32, forward only); differentiable in all of these. Every sub-pixel belongs to
+    the camera at offset s = offset_start + offset_step * x of its own view coordinate x.
+    rig: 26 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits),
+    zero_depth.
     lens: width, height, views, phase0, phase_x, phase_y (64-bit patterns as signed integers, 2^64 = one lens),
     bgr, continuous. lens_shape: line_number, slant_tan, phase (sub-pixels), offset_start, offset_step (scene units).
     lightfield_gs.encode builds them from a Panel and a Rig. Raises InputError.
@@ -220,7 +234,7 @@ def render_lens_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opa
     core, work = job.scene.core, job.work
     image, g_image = (check(n, t, (job.height, job.width, 3), means) for n, t in (("image", image),
                                                                                  ("g_image", g_image)))
-    first, pairs, g_band_background = work.gradient_buffers(threads)
+    first, pairs, g_band_background = work.gradient_buffers()
     core.composite_lens_backward(work.native, work.bins, job.lens, job.background.data_ptr(), image.data_ptr(),
                                  g_image.data_ptr(), first.data_ptr(), pairs.data_ptr(), g_band_background.data_ptr(),
                                  threads)
@@ -243,6 +257,7 @@ def _lens_setup(ctx, inputs, output):
 
 def _lens_backward(ctx, grad):
     *tensors, image = ctx.saved_tensors
+    _no_gradients_on(image.device)
     out = torch.ops.lightfield_gs.render_lens_backward(*tensors, ctx.rig, ctx.lens, ctx.lens_shape, image, grad)
     return (*out, None, None, None)
 

@@ -31,10 +31,17 @@ class Stats:
         yield
         self.stages_ms[name] = self.stages_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - start)
 
+    def add_buffers(self, *buffers: Tensor) -> None:
+        self.work_bytes += sum(t.numel() * t.element_size() for t in buffers)
+
     def count(self, counters: Any) -> None:
         self.pairs += counters.pairs
         self.evaluations += counters.evaluations
         self.work_bytes += counters.scratch_bytes
+
+
+def _devices() -> str:
+    return "CPU or CUDA" if hasattr(_core, "cuda") else "CPU"
 
 
 def _core_of(tensor: Tensor) -> Any:
@@ -62,8 +69,10 @@ class Scene:
     def __init__(self, means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor):
         if means.dim() != 3 or means.shape[-1] != 3:
             raise InputError(f"means must be [scenes, N, 3], got {list(means.shape)}")
-        if means.device.type != "cpu":
-            raise InputError(f"this build renders on the CPU; got means on {means.device}: use .cpu()")
+        if means.device.type not in ("cpu", "cuda") or means.is_cuda and not hasattr(_core, "cuda"):
+            raise InputError(f"this build renders on the {_devices()}; got means on {means.device}: use .cpu()")
+        if means.is_cuda and means.dtype != torch.float32:
+            raise InputError(f"on CUDA the rasterizer takes float32 tensors, got {means.dtype}")
         batch, count = means.shape[:2]
         if count >= 2**31:
             raise InputError(f"at most 2^31 - 1 Gaussians, got {count}")
@@ -82,7 +91,7 @@ class Scene:
 
     def new(self, *shape: int, dtype: torch.dtype | None = None, zero: bool = False) -> Tensor:
         make = torch.zeros if zero else torch.empty
-        return make(shape, dtype=dtype or self.tensors[0].dtype)
+        return make(shape, dtype=dtype or self.tensors[0].dtype, device=self.tensors[0].device)
 
     def gradients(self) -> tuple[list[Tensor], Any]:
         grads = [torch.zeros_like(t) for t in self.tensors]
@@ -90,19 +99,27 @@ class Scene:
 
 
 class Workspace:
-    """Splats and bins of one render."""
+    """Splats and bins of one render on the CPU, and the stages over them."""
 
-    def __init__(self, scene: Scene, images: int, height: int, colour_order: int, stats: Stats):
-        n, self.scene, self.images, self.height, self.stats = scene.count, scene, images, height, stats
-        self.colour_order = colour_order
+    def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats,
+                 threads: int):
+        n, self.scene, self.images, self.stats, self.threads = scene.count, scene, images, stats, threads
+        self.width, self.height, self.colour_order = width, height, colour_order
         self.splats = scene.new(images, n, _core.SPLAT_FIELDS)
         self.colours = scene.new(images, n, colour_order + 1, _core.COLOUR_STRIDE)
         self.orders = scene.new(images, n, dtype=torch.int32)
         self.native = scene.core.Splats(images, n, colour_order, self.splats.data_ptr(), self.colours.data_ptr(),
                                         self.orders.data_ptr())
 
-    def order_and_bin(self, threads: int) -> None:
-        scene, core = self.scene, self.scene.core
+    def project_dense(self, cameras: Any) -> None:
+        self.scene.core.project_dense(self.scene.native(), cameras, self.native, self.threads)
+
+    def project_lens(self, rig: Any, lens: Any, tolerance: float) -> float:
+        """The largest estimated error of a colour polynomial."""
+        return self.scene.core.project_lens(self.scene.native(), rig, lens, tolerance, self.native, self.threads)
+
+    def order_and_bin(self) -> None:
+        scene, core, threads = self.scene, self.scene.core, self.threads
         with self.stats.stage("order"):
             order = scene.new(self.images, scene.count, dtype=torch.int32)
             drawn = scene.new(self.images, dtype=torch.int64)
@@ -115,12 +132,22 @@ class Workspace:
             self.bins = _core.Bins(self.band_offsets.data_ptr(), self.band_splats.data_ptr())
             core.bin_fill(self.native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
         self.stats.gaussians_drawn += int(drawn.sum())
-        buffers = (self.splats, self.colours, self.orders, order, drawn, self.band_offsets, self.band_splats)
-        self.stats.work_bytes += sum(t.numel() * t.element_size() for t in buffers)
+        self.stats.add_buffers(self.splats, self.colours, self.orders, order, drawn, self.band_offsets,
+                               self.band_splats)
 
-    def gradient_buffers(self, threads: int) -> tuple[Tensor, Tensor, Tensor]:
+    def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
+        self.stats.count(self.scene.core.composite_dense(self.native, self.bins, cameras, background.data_ptr(), out,
+                                                         self.threads))
+
+    def composite_lens(self, lens: Any, background: Tensor, out: Tensor) -> None:
+        """out: [H, W, 3], of the scene's dtype or uint8."""
+        floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
+        self.stats.count(self.scene.core.composite_lens(self.native, self.bins, lens, background.data_ptr(), floats,
+                                                        bytes_, self.threads))
+
+    def gradient_buffers(self) -> tuple[Tensor, Tensor, Tensor]:
         """first_pair [I, N], pair gradients [pairs, size], background gradient per band [bands, 3]."""
         first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
-        self.scene.core.first_pairs(self.native, self.height, self.bins, first.data_ptr(), threads)
+        self.scene.core.first_pairs(self.native, self.height, self.bins, first.data_ptr(), self.threads)
         pairs = self.scene.new(self.pairs, _core.pair_gradient_size(self.colour_order), zero=True)
         return first, pairs, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)

@@ -7,6 +7,9 @@
 #include "hwy/highway.h"
 #include "hwy/targets.h"
 #include "pipeline/stages.h"
+#ifdef LFGS_WITH_CUDA
+#include "cuda/stages.h"
+#endif
 
 namespace py = pybind11;
 
@@ -124,6 +127,62 @@ void bind_stages(py::module_ m) {
         }, NoGil());
 }
 
+#ifdef LFGS_WITH_CUDA
+// The device's stages. Streams and all pointers are integers, as on the CPU.
+void bind_cuda(py::module_ m) {
+  using G = Gaussians<float>;
+  auto as_const = [](const G& g) {
+    return Gaussians<const float>{g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh};
+  };
+  m.attr("architectures") = LFGS_CUDA_ARCHITECTURE_LIST;
+  py::class_<cuda::Image>(m, "Image")
+      .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, bool lens) {
+             return cuda::Image{count, width_px, height_px, lens ? cuda::kLensTile : cuda::kDenseTile};
+           }),
+           py::arg("count"), py::arg("width_px"), py::arg("height_px"), py::arg("lens"))
+      .def("tiles", [](const cuda::Image& i) { return i.count * cuda::tile_count(i.tile, i.width_px, i.height_px); });
+  m.def("project_dense", [as_const](const G& g, const Cameras<float>& cameras, const Splats<float>& out, Address keys,
+                                    Address stream) {
+    cuda::project_dense(as_const(g), cameras, out, at<uint64_t>(keys), at<void>(stream));
+  }, NoGil());
+  m.def("project_lens", [as_const](const G& g, const View<double>& rig, const Lens& lens, double tolerance,
+                                   const Splats<float>& out, Address keys, Address error, Address stream) {
+    cuda::project_lens(as_const(g), rig, lens, tolerance, out, at<uint64_t>(keys), at<float>(error), at<void>(stream));
+  }, NoGil());
+  m.def("order_bytes", &cuda::order_bytes);
+  m.def("order", [](int64_t items, int64_t images, Address keys, Address sorted, Address indices, Address temporary,
+                    size_t bytes, Address stream) {
+    cuda::order(items, images, at<uint64_t>(keys), at<uint64_t>(sorted), at<uint32_t>(indices), at<void>(temporary),
+                bytes, at<void>(stream));
+  }, NoGil());
+  m.def("count_bytes", &cuda::count_bytes);
+  m.def("bin_count", [](const Splats<float>& splats, const cuda::Image& image, Address sorted, Address indices,
+                        Address ends, Address temporary, size_t bytes, Address stream) {
+    cuda::bin_count(splats, image, at<uint64_t>(sorted), at<uint32_t>(indices), at<int64_t>(ends), at<void>(temporary),
+                    bytes, at<void>(stream));
+  }, NoGil());
+  m.def("fill_bytes", &cuda::fill_bytes);
+  m.def("bin_fill", [](const Splats<float>& splats, const cuda::Image& image, Address sorted, Address indices,
+                       Address ends, int64_t pairs, Address tiles, Address sorted_tiles, Address values,
+                       Address tile_splats, Address ranges, Address temporary, size_t bytes, Address stream) {
+    cuda::bin_fill(splats, image, at<uint64_t>(sorted), at<uint32_t>(indices), at<int64_t>(ends), pairs,
+                   at<uint32_t>(tiles), at<uint32_t>(sorted_tiles), at<uint32_t>(values), at<uint32_t>(tile_splats),
+                   at<int64_t>(ranges), at<void>(temporary), bytes, at<void>(stream));
+  }, NoGil());
+  m.def("composite_dense", [](const Splats<float>& splats, const cuda::Image& image, Address ranges,
+                              Address tile_splats, Address background, const DenseImages<float>& out, Address stream) {
+    cuda::composite_dense(splats, image, at<int64_t>(ranges), at<uint32_t>(tile_splats), at<float>(background), out,
+                          at<void>(stream));
+  }, NoGil());
+  m.def("composite_lens", [](const Splats<float>& splats, const cuda::Image& image, Address ranges,
+                             Address tile_splats, const Lens& lens, Address background, Address out, Address out8,
+                             Address stream) {
+    cuda::composite_lens(splats, image, at<int64_t>(ranges), at<uint32_t>(tile_splats), lens, at<float>(background),
+                         at<float>(out), at<uint8_t>(out8), at<void>(stream));
+  }, NoGil());
+}
+#endif
+
 std::vector<std::string> simd_targets() {
   std::vector<std::string> names;
   for (int64_t left = hwy::SupportedTargets() & HWY_TARGETS; left; left &= left - 1)
@@ -191,4 +250,7 @@ PYBIND11_MODULE(_core, m) {
 
   bind_stages<float>(m.def_submodule("float32"));
   bind_stages<double>(m.def_submodule("float64"));
+#ifdef LFGS_WITH_CUDA
+  bind_cuda(m.def_submodule("cuda"));
+#endif
 }

@@ -28,16 +28,6 @@ Splat<T> rounded(const Splat<double>& s) {
           T(s.S2), T(s.tau), T(s.c0), T(s.c1),          T(s.reach_y), T(s.depth)};
 }
 
-// Drawn nowhere on the image: give it no rows at all.
-void cull_outside(Splat<double>& s, int64_t width_px, int64_t height_px) {
-  if (s.reach_y < 0) return;
-  double low, high;
-  bool finite = std::isfinite(s.u0) && std::isfinite(s.v0) && std::isfinite(s.reach_y) && std::isfinite(s.S0);
-  if (!finite || rows_of(s, height_px).last < 0 || !columns_of(s, 0.5, height_px - 0.5, 0.0, low, high) || high < 0 ||
-      low > double(width_px))
-    s.reach_y = -1;
-}
-
 // Gradient of one pair summed over the bands of a splat, in band order.
 template <class T>
 void sum_pairs(const Splat<T>& splat, int64_t height_px, int64_t first, int size, const T* pairs, double* sum) {

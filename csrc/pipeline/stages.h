@@ -37,8 +37,9 @@ struct Cameras {
   const T* intrinsics = nullptr;       // [I, 4]: fx, fy, cx, cy
   const T* limits = nullptr;           // [I, 5]: Jacobian clamp, offset in the rig
   int64_t images() const { return scenes * per_scene; }
-  View<double> view(int64_t image) const {
-    return make_view<double>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image);
+  template <class R = double>
+  LFGS_HD View<R> view(int64_t image) const {
+    return make_view<R>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image);
   }
 };
 

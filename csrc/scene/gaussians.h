@@ -3,6 +3,8 @@
 
 #include <cstdint>
 
+#include "base/config.h"
+
 namespace lfgs {
 
 // Row-major arrays of `count` Gaussians; T is const float/double for values, float/double for gradients.
@@ -16,10 +18,10 @@ struct Gaussians {
   T* opacities = nullptr;     // [count] (0, 1]
   T* sh = nullptr;            // [count, (sh_degree + 1)^2, 3]
 
-  int sh_count() const { return (sh_degree + 1) * (sh_degree + 1); }
+  LFGS_HD int sh_count() const { return (sh_degree + 1) * (sh_degree + 1); }
 
   // The set that starts `first` Gaussians later (scene b of a batch: slice(b * count)).
-  Gaussians slice(int64_t first) const {
+  LFGS_HD Gaussians slice(int64_t first) const {
     Gaussians s = *this;
     s.means += 3 * first;
     s.quaternions += 4 * first;

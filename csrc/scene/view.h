@@ -20,12 +20,12 @@ struct View {
   R sweep = 0;                        // 1: the projection is a polynomial in s; 0: one camera
   R inverse_zero_depth = 0;           // rig only
 
-  glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }
+  LFGS_HD glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }
 };
 
 // world_to_camera: 16 numbers, row-major; intrinsics: fx, fy, cx, cy; limits: x_low, x_high, y_low, y_high, offset.
 template <class R, class T>
-View<R> make_view(const T* world_to_camera, const T* intrinsics, const T* limits) {
+LFGS_HD View<R> make_view(const T* world_to_camera, const T* intrinsics, const T* limits) {
   View<R> v;
   for (int row = 0; row < 3; ++row) {
     for (int col = 0; col < 3; ++col) v.rotation[col][row] = world_to_camera[4 * row + col];

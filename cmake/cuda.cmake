@@ -1,0 +1,42 @@
+# The CUDA stages: AUTO builds them when nvcc is found, ON insists, OFF leaves them out. The runtime is linked statically,
+# so that the module loads on machines without a driver.
+set(LFGS_CUDA AUTO CACHE STRING "CUDA backend: AUTO, ON or OFF")
+set(LFGS_CUDA_ARCHITECTURES "" CACHE STRING "CUDA architectures, 75..120 (empty: the GPU of this machine, else 90)")
+
+if(LFGS_CUDA STREQUAL "OFF")
+  return()
+endif()
+include(CheckLanguage)
+check_language(CUDA)
+if(NOT CMAKE_CUDA_COMPILER)
+  if(LFGS_CUDA STREQUAL "ON")
+    message(FATAL_ERROR "LFGS_CUDA=ON, but no CUDA compiler was found: put nvcc on PATH, or set LFGS_CUDA=OFF")
+  endif()
+  message(STATUS "No CUDA compiler: building for the CPU only")
+  return()
+endif()
+
+set(architectures ${LFGS_CUDA_ARCHITECTURES})
+if(NOT architectures)
+  execute_process(COMMAND nvidia-smi -L RESULT_VARIABLE no_gpu OUTPUT_QUIET ERROR_QUIET)
+  if(no_gpu)
+    set(architectures 90)
+  else()
+    set(architectures native)
+  endif()
+endif()
+set(CMAKE_CUDA_ARCHITECTURES ${architectures})
+enable_language(CUDA)
+set_target_properties(_core PROPERTIES
+  CUDA_ARCHITECTURES "${architectures}" CUDA_STANDARD 20 CUDA_STANDARD_REQUIRED ON CUDA_RUNTIME_LIBRARY Static)
+
+target_sources(_core PRIVATE
+  csrc/cuda/project.cu
+  csrc/cuda/order.cu
+  csrc/cuda/bin.cu
+  csrc/cuda/composite_dense.cu
+  csrc/cuda/composite_lens.cu)
+target_compile_definitions(_core PRIVATE LFGS_WITH_CUDA LFGS_CUDA_ARCHITECTURE_LIST="${architectures}")
+# GLM's calls can otherwise vanish from device code with only a warning (20011..20015); 20012 is noise of GLM itself
+target_compile_options(_core PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr
+  --diag-error=20011,20013,20014,20015 --diag-suppress=20012>)

@@ -1,0 +1,28 @@
+// What happens at one sample on the device: alpha, over, the early stop. Twin of math/blend-inl.h.
+#pragma once
+
+#include "math/constants.h"
+
+namespace lfgs::cuda {
+
+// alpha = min(0.99, 2^power), zero where it is below 1/255 (or power is not a number).
+__device__ inline float alpha_of(float power) {
+  return power >= float(kLog2MinAlpha) ? fminf(exp2f(power), float(kMaxAlpha)) : 0.f;
+}
+
+// Light that a sample still takes; `weight` receives the share of this splat. A sample whose transmittance would fall
+// below the limit keeps what is left for the background (`rest`) and takes no more: its transmittance becomes zero.
+__device__ inline void over(float alpha, float& transmittance, float& rest, float& weight) {
+  weight = alpha * transmittance;
+  const float after = transmittance - weight;
+  if (after < float(kMinTransmittance)) {
+    rest = transmittance > 0 ? transmittance : rest;
+    weight = transmittance = 0;
+  } else {
+    transmittance = after;
+  }
+}
+
+__device__ inline float remaining(float transmittance, float rest) { return transmittance > 0 ? transmittance : rest; }
+
+}  // namespace lfgs::cuda

@@ -1,0 +1,58 @@
+// The forward stages on a CUDA device: the CPU's stages (pipeline/stages.h) with device pointers and a stream. Nothing
+// here allocates or waits; the caller asks for the sizes of temporary storage first.
+#pragma once
+
+#include <cstdint>
+
+#include "base/config.h"
+#include "pipeline/stages.h"
+
+namespace lfgs::cuda {
+
+using Stream = void*;  // cudaStream_t
+
+// Tiles of the device's lists: pixels across and down.
+struct TileSize {
+  int width_px, height_px;
+};
+constexpr TileSize kDenseTile{16, 16}, kLensTile{32, 16};
+
+LFGS_HD int64_t tile_count(TileSize tile, int64_t width_px, int64_t height_px) {
+  return ((width_px + tile.width_px - 1) / tile.width_px) * ((height_px + tile.height_px - 1) / tile.height_px);
+}
+
+struct Image {
+  int64_t count, width_px, height_px;  // of images, all of one size
+  TileSize tile;
+};
+
+// --- project: also writes the sort keys [I * N]: image in the high half, depth in the low; ~0 where nothing is drawn.
+void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
+                   uint64_t* keys, Stream stream);
+// error receives the largest estimated error of a colour polynomial (one float, zeroed by the caller).
+void project_lens(const Gaussians<const float>& gaussians, const View<double>& rig, const Lens& lens, double tolerance,
+                  const Splats<float>& out, uint64_t* keys, float* error, Stream stream);
+
+// --- order: indices [I * N] sorted by key.
+size_t order_bytes(int64_t items);
+void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted_keys, uint32_t* indices,
+           void* temporary, size_t temporary_bytes, Stream stream);
+
+// --- bin: count writes, per sorted splat, the running number of its (tile, splat) pairs: ends [I * N].
+size_t count_bytes(int64_t items);
+void bin_count(const Splats<float>& splats, const Image& image, const uint64_t* sorted_keys, const uint32_t* indices,
+               int64_t* ends, void* temporary, size_t temporary_bytes, Stream stream);
+// fill writes the pairs, nearest first within a tile, and ranges [I * tiles, 2] into them.
+size_t fill_bytes(int64_t pairs);
+void bin_fill(const Splats<float>& splats, const Image& image, const uint64_t* sorted_keys, const uint32_t* indices,
+              const int64_t* ends, int64_t pairs, uint32_t* tiles, uint32_t* sorted_tiles, uint32_t* values,
+              uint32_t* tile_splats, int64_t* ranges, void* temporary, size_t temporary_bytes, Stream stream);
+
+// --- composite
+void composite_dense(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                     const uint32_t* tile_splats, const float* background, DenseImages<float> out, Stream stream);
+void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                    const uint32_t* tile_splats, const Lens& lens, const float* background, float* out, uint8_t* out8,
+                    Stream stream);
+
+}  // namespace lfgs::cuda

@@ -1,0 +1,84 @@
+"""The CUDA stages against the CPU's: the same scenes, panels and cameras. Needs a GPU."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from lightfield_gs import Gaussians, InputError, Panel, Rig, _core, encode, render
+from lightfield_gs.bench_scenes import cloud, sheet
+
+if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
+    pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
+
+LENS = dict(width_px=397, height_px=131, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576,
+            cone_deg=40.0)
+PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
+          "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6), "one view": dict(views=1)}
+BACKGROUND = (0.1, 0.6, 0.3)
+
+
+def with_harmonics(scene: Gaussians, degree: int) -> Gaussians:
+    noise = 0.15 * torch.randn(scene.count, (degree + 1) ** 2 - 1, 3, generator=torch.Generator().manual_seed(1))
+    return Gaussians(scene.means, scene.quaternions, scene.scales, scene.opacities, torch.cat([scene.sh, noise], 1))
+
+
+def on_gpu(scene: Gaussians) -> Gaussians:
+    return scene.to(device="cuda")
+
+
+@pytest.fixture(params=[0, 1, 3])
+def scene(request) -> Gaussians:
+    return with_harmonics(cloud(4000, 11) if request.param else sheet(48, 11), request.param)
+
+
+def rig(panel: Panel) -> Rig:
+    return Rig(np.eye(4), (panel.width_px,) * 2, (0.52 * panel.width_px, 0.47 * panel.height_px), 2.0)
+
+
+def far_apart(a: torch.Tensor, b: torch.Tensor) -> int:
+    """How many samples differ by more than 1/255: only those that sit on a threshold may."""
+    return int(((a - b.cpu()).abs() > 1 / 255).sum())
+
+
+@pytest.mark.parametrize("views", ["integer", "continuous"])
+@pytest.mark.parametrize("panel", PANELS)
+def test_light_field_is_that_of_the_cpu(scene, panel, views):
+    panel = Panel(**{**LENS, **PANELS[panel]})
+    options = dict(views=views, background=BACKGROUND, output="float32")
+    expected, found = (encode(s, panel, rig(panel), **options) for s in (scene, on_gpu(scene)))
+    assert found.is_cuda and far_apart(expected, found) <= 3
+    assert (expected - found.cpu()).abs().mean() < 1e-6
+
+
+def test_bytes_are_the_rounded_floats(scene):
+    panel = Panel(**LENS)
+    floats, bytes_ = (encode(on_gpu(scene), panel, rig(panel), output=output) for output in ("float32", "uint8"))
+    assert torch.equal(bytes_, (255 * floats.clamp(0, 1) + 0.5).to(torch.uint8))
+
+
+def test_images_are_those_of_the_cpu(scene):
+    panel = Panel(**LENS)
+    cameras = rig(panel).cameras(panel, range(0, 96, 19))
+    expected, found = (render(s, cameras, background=BACKGROUND, alpha=True, depth=True) for s in (scene, on_gpu(scene)))
+    for a, b in zip(expected, found):
+        assert far_apart(a, b) <= 5
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_few_gaussians(count):
+    scene = sheet(48, 11)
+    scene = Gaussians(*(field[:count] for field in scene.fields().values()))
+    panel = Panel(**LENS)
+    assert torch.equal(encode(scene, panel, rig(panel)), encode(on_gpu(scene), panel, rig(panel)).cpu())
+
+
+def test_what_is_missing_is_said(scene):
+    panel = Panel(**LENS)
+    with pytest.raises(InputError, match="float32"):
+        encode(on_gpu(scene), panel, rig(panel), output="float64")
+    moving = on_gpu(scene)
+    moving.means.requires_grad_()
+    with pytest.raises(InputError, match="gradients"):
+        render(moving, rig(panel).cameras(panel, [0])).sum().backward()
