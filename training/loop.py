@@ -54,7 +54,8 @@ class Trainer:
         with torch.autocast("cpu", torch.bfloat16, enabled=config.bfloat16):
             gaussians = self.net(batch.source, batch.source_intrinsics)
         images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
-        loss, terms = total_loss(images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source, config.loss)
+        loss, terms = total_loss(images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source,
+                                 config.loss)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), config.optimizer.clip, error_if_nonfinite=True)

@@ -11,7 +11,7 @@ from training.metrics import ssim
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of the terms: squared colour error, 1 - SSIM, squared error of the object's outline (alpha), roughness."""
+    """Weights: squared colour error, 1 - SSIM, squared error of the object's outline (alpha), roughness of depth."""
     colour: float = 1.0
     ssim: float = 0.05
     alpha: float = 0.1
@@ -26,8 +26,8 @@ def composite(premultiplied: Tensor, backgrounds: Tensor) -> Tensor:
 def roughness(means: Tensor, source: Tensor) -> Tensor:
     """How much the disparity 1/z of Gaussians differs between neighbouring pixels of the object, scene units^-1.
 
-    Where the depth is uncertain, squared error rewards scattering neighbours over it, which shows as a dotted surface in
-    magnified views. Differences count less across edges of the picture, where depth may jump.
+    Where the depth is uncertain, squared error rewards scattering neighbours over it, which shows as dots in magnified
+    views. Differences count less across edges of the picture, where depth may jump.
     means: [B,N,3] in the source camera's axes, N = layers * H * W. source: [B,4,H,W] premultiplied RGBA.
     """
     batch, _, height, width = source.shape
@@ -37,7 +37,8 @@ def roughness(means: Tensor, source: Tensor) -> Tensor:
         ahead, behind = (source.narrow(dim, start, source.shape[dim] - 1) for start in (1, 0))
         inside = ahead[:, 3:] * behind[:, 3:]
         weight = inside * torch.exp(-10 * (ahead - behind)[:, :3].abs().mean(1, keepdim=True))
-        total = total + (weight * disparity.diff(dim=dim).abs()).sum() / (inside.sum() * disparity.shape[1]).clamp_min(1)
+        pairs = (inside.sum() * disparity.shape[1]).clamp_min(1)
+        total = total + (weight * disparity.diff(dim=dim).abs()).sum() / pairs
     return total
 
 

@@ -53,8 +53,8 @@ class ViewSampler:
             near = {source: found for source in range(len(views))
                     if len(found := views_in_cone(views, source, azimuth_deg, elevation_deg))}
             if not near:
-                raise InputError(f"object number {index}: no two of its {len(views)} views lie within +-{azimuth_deg:g} "
-                                 f"degrees of azimuth and +-{elevation_deg:g} of elevation: widen the cone")
+                cone = f"+-{azimuth_deg:g} degrees of azimuth and +-{elevation_deg:g} of elevation"
+                raise InputError(f"object number {index}: no two of its {len(views)} views lie within {cone}: widen it")
             self.candidates.append(near)
 
     def rng(self, step: int, stream: int = 0) -> np.random.Generator:
