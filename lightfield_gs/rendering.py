@@ -133,9 +133,12 @@ def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, backgroun
     chunk = max(1, _CLASSIC_PIXELS // pixels)
     for first in range(0, len(x), chunk):
         cameras = rig.cameras_at(panel, x[first:first + chunk]).to(dtype=gaussians.dtype)
-        images, _, _ = ops.dense_forward(
+        one = Stats()
+        images, alpha, depth = ops.dense_forward(
             *tensors, background.expand(1, cameras.count, 3), cameras.world_to_camera[None], cameras.intrinsics()[None],
-            cameras.limits()[None], panel.width_px, panel.height_px, stats=stats, threads=threads)
+            cameras.limits()[None], panel.width_px, panel.height_px, stats=one, threads=threads)
+        one.add_buffers(images, alpha, depth)
+        stats.add_render(one)
         with stats.stage("interlace"):
             if output == "uint8":
                 images = images.clamp_(0, 1).mul_(255).add_(0.5).to(torch.uint8)

@@ -31,6 +31,15 @@ class Stats:
         yield
         self.stages_ms[name] = self.stages_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - start)
 
+    def add_render(self, other: "Stats") -> None:
+        """One of several renders that follow each other: their work adds up, their memory is used again."""
+        for name, ms in other.stages_ms.items():
+            self.stages_ms[name] = self.stages_ms.get(name, 0.0) + ms
+        self.pairs += other.pairs
+        self.evaluations += other.evaluations
+        self.gaussians_drawn += other.gaussians_drawn
+        self.work_bytes = max(self.work_bytes, other.work_bytes)
+
     def add_buffers(self, *buffers: Tensor) -> None:
         self.work_bytes += sum(t.numel() * t.element_size() for t in buffers)
 
