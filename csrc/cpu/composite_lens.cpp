@@ -51,16 +51,38 @@ HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::
   return hn::Max(c, hn::Zero(d));
 }
 
+// A splat's constants as the samples of a tile read them.
+template <class T>
+struct LensSplat {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  V S0, S1, S2;
+  const T* colour;
+  int order;
+
+  HWY_INLINE LensSplat(const Splats<T>& splats, int32_t id) {
+    const D d;
+    const Splat<T>& s = splats.splats[id];
+    S0 = hn::Set(d, s.S0), S1 = hn::Set(d, s.S1), S2 = hn::Set(d, s.S2);
+    colour = splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
+    order = splats.orders[id];
+  }
+  // log2 of opacity * weight; also dx = px - m(s) and 1 / S(s).
+  HWY_INLINE V power(V x, V s, const typename LensTile<T>::Rows& rows, V& dx, V& inverse_S) const {
+    const D d;
+    dx = hn::NegMulAdd(s, hn::Load(d, rows.M1), hn::Sub(x, hn::Load(d, rows.M0)));
+    inverse_S = Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
+    return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::Load(d, rows.A));
+  }
+};
+
 template <int kOrder, class T>
 void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, int64_t count) {
   using Tile = LensTile<T>;
   using V = typename Tile::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
-  const Splat<T>& splat = job.splats.splats[id];
-  const int order = job.splats.orders[id];
-  const T* colour = job.splats.colours + int64_t(id) * (job.splats.colour_order + 1) * kColourStride;
-  const V S0 = hn::Set(d, splat.S0), S1 = hn::Set(d, splat.S1), S2 = hn::Set(d, splat.S2);
+  const LensSplat<T> splat(job.splats, id);
   const T *xs = tile.x.get(), *ss = tile.s.get();
   T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
   const auto* channels = tile.channel.get();
@@ -70,13 +92,12 @@ void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background,
     const int64_t i = int64_t(list[k]) * Tile::kLanes;
     const typename Tile::Rows& rows = tile.rows(list[k]);
     const V s = hn::Load(d, ss + i);
-    const V dx = hn::NegMulAdd(s, hn::Load(d, rows.M1), hn::Sub(hn::Load(d, xs + i), hn::Load(d, rows.M0)));
-    const V S = hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0);
-    const V alpha = Alpha(d, hn::NegMulAdd(hn::Mul(dx, dx), Reciprocal(d, S), hn::Load(d, rows.A)));
+    V dx, inverse_S;
+    const V alpha = Alpha(d, splat.power(hn::Load(d, xs + i), s, rows, dx, inverse_S));
     const V before = hn::Load(d, transmittances + i);
     V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
     const auto channel = hn::Load(di, channels + i);
-    V c = ColourAt<kOrder>(d, colour, order, channel, s);
+    V c = ColourAt<kOrder>(d, splat.colour, splat.order, channel, s);
 
     // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
     const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
@@ -130,10 +151,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
-  const Splat<T>& splat = job.splats.splats[id];
-  const int order = job.splats.orders[id];
-  const T* colour = job.splats.colours + int64_t(id) * (job.splats.colour_order + 1) * kColourStride;
-  const V S0 = hn::Set(d, splat.S0), S1 = hn::Set(d, splat.S1), S2 = hn::Set(d, splat.S2);
+  const LensSplat<T> splat(job.splats, id);
+  const int order = splat.order;
   SplatSums<Tag<T>> sums(d);
   V g_colour[3 * (kMaxColourOrder + 1)];
   for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
@@ -143,9 +162,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     const int64_t i = int64_t(vector) * LensTile<T>::kLanes;
     const auto& rows = tile.rows(vector);
     const V s = hn::Load(d, &tile.s[i]);
-    const V dx = hn::NegMulAdd(s, hn::Load(d, rows.M1), hn::Sub(hn::Load(d, &tile.x[i]), hn::Load(d, rows.M0)));
-    const V inverse_S = Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
-    const V power = hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::Load(d, rows.A));
+    V dx, inverse_S;
+    const V power = splat.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
     V alpha = Alpha(d, power);
     const V before = hn::Load(d, &tile.transmittance[i]);
     const V after = hn::NegMulAdd(alpha, before, before);
@@ -163,7 +181,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     if (hn::AllFalse(d, lit)) continue;
     touched = true;
 
-    const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s) : ColourAt<-1>(d, colour, order, channel, s);
+    const V c = order == 0 ? ColourAt<0>(d, splat.colour, 0, channel, s)
+                           : ColourAt<-1>(d, splat.colour, order, channel, s);
     const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
     const V prefix = hn::MulAdd(weight, v, hn::Load(d, &tile.prefix[i]));
     hn::Store(prefix, d, &tile.prefix[i]);
@@ -183,7 +202,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     }
   }
   if (!touched) return;
-  sums.Reduce(d, splat, out);
+  sums.Reduce(d, job.splats.splats[id], out);
   for (int k = 0; k < 3 * (order + 1); ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
 }
 
