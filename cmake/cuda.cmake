@@ -32,6 +32,7 @@ set_target_properties(_core PROPERTIES
 
 target_sources(_core PRIVATE
   csrc/cuda/project.cu
+  csrc/cuda/project_backward.cu
   csrc/cuda/order.cu
   csrc/cuda/bin.cu
   csrc/cuda/composite_dense.cu

@@ -30,11 +30,6 @@ def _workspace(scene: Scene, images: int, width: int, height: int, colour_order:
     return Workspace(scene, images, width, height, colour_order, stats, threads)
 
 
-def _no_gradients_on(device: torch.device) -> None:
-    if device.type != "cpu":
-        raise InputError(f"gradients are computed on the CPU in this version, got tensors on {device}: use .cpu()")
-
-
 # Dense: ordinary images
 
 
@@ -56,9 +51,10 @@ class _DenseJob:
                                 check("limits", limits, (*lead, 5), means)]
         self.cameras = scene.core.Cameras(*lead, width, height, *(t.data_ptr() for t in self.cameras_tensors))
         self.work = _workspace(scene, self.images, width, height, 0, stats, threads, lens=False)
-        with stats.stage("project"):
-            self.work.project_dense(self.cameras)
-        self.work.order_and_bin()
+        with scene.guard:
+            with stats.stage("project"):
+                self.work.project_dense(self.cameras)
+            self.work.order_and_bin()
 
     def image_shapes(self) -> list[tuple[int, ...]]:
         size = (*self.lead, self.height, self.width)
@@ -69,7 +65,7 @@ def dense_forward(*arguments: Any, stats: Stats | None = None, threads: int | No
     """render_dense without autograd; see there. Also fills `stats`."""
     stats, threads = stats or Stats(), threads or torch.get_num_threads()
     job = _DenseJob(*arguments, stats, threads)
-    with stats.stage("composite"):
+    with job.scene.guard, stats.stage("composite"):
         out = [job.scene.new(*shape) for shape in job.image_shapes()]
         native = job.scene.core.DenseImages(*(t.data_ptr() for t in out))
         job.work.composite_dense(job.cameras, job.background, native)
@@ -84,9 +80,8 @@ def render_dense(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: 
 
     means [B,N,3], quaternions [B,N,4] wxyz, scales [B,N,3] > 0, opacities [B,N] in (0,1], sh [B,N,K,3],
     background [B,V,3], world_to_camera [B,V,4,4], intrinsics [B,V,4] (fx, fy, cx, cy in pixels), limits [B,V,5] (see
-    Cameras.limits); all float32 or all float64 (CUDA: float32, forward only). Returns image [B,V,H,W,3] over the
-    background, alpha [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized). Differentiable in all but
-    intrinsics and limits.
+    Cameras.limits); all float32 or all float64 (CUDA: float32). Returns image [B,V,H,W,3] over the background, alpha
+    [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized). Differentiable in all but intrinsics and limits.
     Source: Kerbl et al. 2023. Raises InputError.
     """
     return dense_forward(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits,
@@ -99,7 +94,7 @@ def _(means, quaternions, scales, opacities, sh, background, world_to_camera, in
     return means.new_empty((*size, 3)), means.new_empty(size), means.new_empty(size)
 
 
-@torch.library.custom_op("lightfield_gs::render_dense_backward", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("lightfield_gs::render_dense_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def render_dense_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
                           background: Tensor, world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
                           height: int, image: Tensor, alpha: Tensor, depth: Tensor, g_image: Tensor, g_alpha: Tensor,
@@ -113,17 +108,11 @@ def render_dense_backward(means: Tensor, quaternions: Tensor, scales: Tensor, op
                                                        job.image_shapes())]
     grads = [check(n, t, s, means) for n, t, s in zip(("g_image", "g_alpha", "g_depth"), (g_image, g_alpha, g_depth),
                                                       job.image_shapes())]
-    first, pairs, g_band_background = work.gradient_buffers()
-    core.composite_dense_backward(work.native, work.bins, job.cameras, job.background.data_ptr(),
-                                  core.DenseImages(*(t.data_ptr() for t in images)),
-                                  core.DenseImages(*(t.data_ptr() for t in grads)), first.data_ptr(),
-                                  pairs.data_ptr(), g_band_background.data_ptr(), threads)
-    out, native = job.scene.gradients()
+    native = [core.DenseImages(*(t.data_ptr() for t in ts)) for ts in (images, grads)]
     g_cameras = torch.zeros_like(job.cameras_tensors[0])
-    core.project_dense_backward(job.scene.native(), job.cameras, work.native, first.data_ptr(), pairs.data_ptr(),
-                                native, g_cameras.data_ptr(), threads)
-    g_background = g_band_background.view(*job.lead, -1, 3).sum(2)
-    return (*out, g_background, g_cameras)
+    with job.scene.guard:
+        out, parts = work.dense_backward(job.cameras, job.background, *native, g_cameras)
+    return (*out, parts.view(*job.lead, -1, 3).sum(2), g_cameras)
 
 
 @render_dense_backward.register_fake
@@ -139,7 +128,6 @@ def _dense_setup(ctx, inputs, output):
 
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
-    _no_gradients_on(saved[0].device)
     grads = [torch.zeros_like(out) if g is None else g for g, out in zip(grads, saved[9:])]
     out = torch.ops.lightfield_gs.render_dense_backward(*saved[:9], ctx.width, ctx.height, *saved[9:], *grads)
     return (*out, None, None, None, None)
@@ -167,13 +155,14 @@ class _LensJob:
                                  zero_depth=rig[25], lens=self.lens)
         # Colours: raise the order until the polynomials are good enough. float64 is the exact twin: highest order.
         orders = (0,) if scene.degree == 0 else COLOUR_ORDERS[-1:] if means.dtype == torch.float64 else COLOUR_ORDERS
-        with stats.stage("project"):
-            for order in orders:
-                self.work = _workspace(scene, 1, self.width, self.height, order, stats, threads, lens=True)
-                stats.colour_error = self.work.project_lens(self.rig, self.lens, COLOUR_TOLERANCE)
-                if stats.colour_error <= COLOUR_TOLERANCE:
-                    break
-        self.work.order_and_bin()
+        with scene.guard:
+            with stats.stage("project"):
+                for order in orders:
+                    self.work = _workspace(scene, 1, self.width, self.height, order, stats, threads, lens=True)
+                    stats.colour_error = self.work.project_lens(self.rig, self.lens, COLOUR_TOLERANCE)
+                    if stats.colour_error <= COLOUR_TOLERANCE:
+                        break
+            self.work.order_and_bin()
 
 
 def native_lens(lens: list[int], lens_shape: list[float]) -> Any:
@@ -196,7 +185,7 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, stats: Stats | None = 
     """render_lens without autograd; see there. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`."""
     stats, threads = stats or Stats(), threads or torch.get_num_threads()
     job = _LensJob(*arguments, stats, threads)
-    with stats.stage("composite"):
+    with job.scene.guard, stats.stage("composite"):
         out = job.scene.new(job.height, job.width, 3, dtype=torch.uint8 if as_bytes else None)
         job.work.composite_lens(job.lens, job.background, out)
     return out
@@ -208,7 +197,7 @@ def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     """The image [H, W, 3] that a slanted-lenticular panel shows of N Gaussians.
 
     means [N,3], quaternions [N,4] wxyz, scales [N,3] > 0, opacities [N] in (0,1], sh [N,K,3], background [3]; all
-    float32 or all float64 (CUDA: float32, forward only); differentiable in all of these. Every sub-pixel belongs to
+    float32 or all float64 (CUDA: float32, no gradients yet); differentiable in all of these. Every sub-pixel belongs to
     the camera at offset s = offset_start + offset_step * x of its own view coordinate x.
     rig: 26 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits),
     zero_depth.
@@ -224,24 +213,18 @@ def _(means, quaternions, scales, opacities, sh, background, rig, lens, lens_sha
     return means.new_empty((lens[1], lens[0], 3))
 
 
-@torch.library.custom_op("lightfield_gs::render_lens_backward", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("lightfield_gs::render_lens_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def render_lens_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
                          background: Tensor, rig: list[float], lens: list[int], lens_shape: list[float],
                          image: Tensor, g_image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Gradients of render_lens's first six arguments from its output and the gradient of that."""
     threads = torch.get_num_threads()
     job = _LensJob(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, Stats(), threads)
-    core, work = job.scene.core, job.work
     image, g_image = (check(n, t, (job.height, job.width, 3), means) for n, t in (("image", image),
                                                                                  ("g_image", g_image)))
-    first, pairs, g_band_background = work.gradient_buffers()
-    core.composite_lens_backward(work.native, work.bins, job.lens, job.background.data_ptr(), image.data_ptr(),
-                                 g_image.data_ptr(), first.data_ptr(), pairs.data_ptr(), g_band_background.data_ptr(),
-                                 threads)
-    out, native = job.scene.gradients()
-    core.project_lens_backward(job.scene.native(), job.rig, job.lens, work.native, first.data_ptr(), pairs.data_ptr(),
-                               native, threads)
-    return (*(g.squeeze(0) for g in out), g_band_background.sum(0))
+    with job.scene.guard:
+        out, parts = job.work.lens_backward(job.rig, job.lens, job.background, image, g_image)
+    return (*(g.squeeze(0) for g in out), parts.sum(0))
 
 
 @render_lens_backward.register_fake
@@ -257,7 +240,6 @@ def _lens_setup(ctx, inputs, output):
 
 def _lens_backward(ctx, grad):
     *tensors, image = ctx.saved_tensors
-    _no_gradients_on(image.device)
     out = torch.ops.lightfield_gs.render_lens_backward(*tensors, ctx.rig, ctx.lens, ctx.lens_shape, image, grad)
     return (*out, None, None, None)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Iterator
 
@@ -73,7 +73,7 @@ def check(name: str, tensor: Tensor, shape: tuple[int | None, ...], like: Tensor
 
 
 class Scene:
-    """Checked, contiguous Gaussians [B, N, ...] and the core's view of them."""
+    """Checked, contiguous Gaussians [B, N, ...], the core's view of them, and a guard that selects their device."""
 
     def __init__(self, means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor):
         if means.dim() != 3 or means.shape[-1] != 3:
@@ -88,6 +88,7 @@ class Scene:
         if sh.dim() != 4 or sh.shape[2] not in (1, 4, 9, 16):
             raise InputError(f"sh must be [scenes, N, 1 | 4 | 9 | 16, 3], got {list(sh.shape)}")
         self.core, self.batch, self.count = _core_of(means), batch, count
+        self.guard = torch.cuda.device(means.device) if means.is_cuda else nullcontext()
         self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[sh.shape[2]]
         self.tensors = [check("means", means, (batch, count, 3), means),
                         check("quaternions", quaternions, (batch, count, 4), means),
@@ -154,7 +155,30 @@ class Workspace:
         self.stats.count(self.scene.core.composite_lens(self.native, self.bins, lens, background.data_ptr(), floats,
                                                         bytes_, self.threads))
 
-    def gradient_buffers(self) -> tuple[Tensor, Tensor, Tensor]:
+    def dense_backward(self, cameras: Any, background: Tensor, images: Any, gradients: Any,
+                       g_cameras: Tensor) -> tuple[list[Tensor], Tensor]:
+        """Gradients of the five fields, and of the background in parts [I * parts, 3]; fills g_cameras [B, V, 4, 4]."""
+        core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
+        core.composite_dense_backward(self.native, self.bins, cameras, background.data_ptr(), images, gradients,
+                                      first.data_ptr(), pairs.data_ptr(), g_background.data_ptr(), self.threads)
+        out, native = self.scene.gradients()
+        core.project_dense_backward(self.scene.native(), cameras, self.native, first.data_ptr(), pairs.data_ptr(),
+                                    native, g_cameras.data_ptr(), self.threads)
+        return out, g_background
+
+    def lens_backward(self, rig: Any, lens: Any, background: Tensor, image: Tensor,
+                      g_image: Tensor) -> tuple[list[Tensor], Tensor]:
+        """Gradients of the five fields, and of the background in parts [parts, 3]."""
+        core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
+        core.composite_lens_backward(self.native, self.bins, lens, background.data_ptr(), image.data_ptr(),
+                                     g_image.data_ptr(), first.data_ptr(), pairs.data_ptr(), g_background.data_ptr(),
+                                     self.threads)
+        out, native = self.scene.gradients()
+        core.project_lens_backward(self.scene.native(), rig, lens, self.native, first.data_ptr(), pairs.data_ptr(),
+                                   native, self.threads)
+        return out, g_background
+
+    def _gradient_buffers(self) -> tuple[Tensor, Tensor, Tensor]:
         """first_pair [I, N], pair gradients [pairs, size], background gradient per band [bands, 3]."""
         first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
         self.scene.core.first_pairs(self.native, self.height, self.bins, first.data_ptr(), self.threads)

@@ -1,4 +1,4 @@
-"""The stages of a render on a CUDA device: what workspace.Workspace is on the CPU. Forward only, float32."""
+"""The stages of a render on a CUDA device, float32: what workspace.Workspace is on the CPU."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.errors import InputError
 from lightfield_gs.workspace import Scene, Stats
 
 
@@ -38,32 +39,52 @@ class CudaWorkspace:
     def order_and_bin(self) -> None:
         scene, cuda, items = self.scene, _core.cuda, self.images * self.scene.count
         with self.stats.stage("order"):
-            sorted_keys, indices = scene.new(items, dtype=torch.int64), scene.new(items, dtype=torch.int32)
+            self.sorted_keys, self.indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
             temporary = scene.new(cuda.order_bytes(items), dtype=torch.uint8)
-            cuda.order(items, self.images, self.keys.data_ptr(), sorted_keys.data_ptr(), indices.data_ptr(),
+            cuda.order(items, self.images, self.keys.data_ptr(), self.sorted_keys.data_ptr(), self.indices.data_ptr(),
                        temporary.data_ptr(), temporary.numel(), self.stream)
         with self.stats.stage("bin"):
-            ends = scene.new(items, dtype=torch.int64)
+            self.ends = scene.new(items, dtype=torch.int64)
             scan = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
-            cuda.bin_count(self.native, self.image, sorted_keys.data_ptr(), indices.data_ptr(), ends.data_ptr(),
-                           scan.data_ptr(), scan.numel(), self.stream)
-            pairs = int(ends[-1]) if items else 0
-            tiles, sorted_tiles, values, self.tile_splats = (scene.new(pairs, dtype=torch.int32) for _ in range(4))
+            order = (self.sorted_keys.data_ptr(), self.indices.data_ptr(), self.ends.data_ptr())
+            cuda.bin_count(self.native, self.image, *order, scan.data_ptr(), scan.numel(), self.stream)
+            count = int(self.ends[-1]) if items else 0
+            self.pair_buffers = [scene.new(count, dtype=torch.int32) for _ in range(5)]
+            self.pairs = cuda.Pairs(count, *(t.data_ptr() for t in self.pair_buffers))
             self.ranges = scene.new(self.image.tiles(), 2, dtype=torch.int64, zero=True)
-            sort = scene.new(cuda.fill_bytes(pairs), dtype=torch.uint8)
-            cuda.bin_fill(self.native, self.image, sorted_keys.data_ptr(), indices.data_ptr(), ends.data_ptr(), pairs,
-                          tiles.data_ptr(), sorted_tiles.data_ptr(), values.data_ptr(), self.tile_splats.data_ptr(),
-                          self.ranges.data_ptr(), sort.data_ptr(), sort.numel(), self.stream)
-        self.stats.pairs += pairs
-        self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, sorted_keys, indices, temporary, ends,
-                               scan, tiles, sorted_tiles, values, self.tile_splats, self.ranges, sort)
+            sort = scene.new(cuda.fill_bytes(count), dtype=torch.uint8)
+            cuda.bin_fill(self.native, self.image, *order, self.pairs, self.ranges.data_ptr(), sort.data_ptr(),
+                          sort.numel(), self.stream)
+        self.stats.pairs += count
+        self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, self.sorted_keys, self.indices,
+                               temporary, self.ends, scan, *self.pair_buffers, self.ranges, sort)
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
-        _core.cuda.composite_dense(self.native, self.image, self.ranges.data_ptr(), self.tile_splats.data_ptr(),
+        _core.cuda.composite_dense(self.native, self.image, self.ranges.data_ptr(), self.pairs,
                                    background.data_ptr(), out, self.stream)
 
     def composite_lens(self, lens: Any, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], float32 or uint8."""
         floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
-        _core.cuda.composite_lens(self.native, self.image, self.ranges.data_ptr(), self.tile_splats.data_ptr(), lens,
+        _core.cuda.composite_lens(self.native, self.image, self.ranges.data_ptr(), self.pairs, lens,
                                   background.data_ptr(), floats, bytes_, self.stream)
+
+    def dense_backward(self, cameras: Any, background: Tensor, images: Any, gradients: Any,
+                       g_cameras: Tensor) -> tuple[list[Tensor], Tensor]:
+        """Gradients of the five fields, and of the background in parts [I * parts, 3]; fills g_cameras [B, V, 4, 4]."""
+        scene, cuda = self.scene, _core.cuda
+        slots = scene.new(self.pair_buffers[0].numel(), cuda.DENSE_SUMS)
+        g_background = scene.new(self.image.tiles(), 3)
+        cuda.composite_dense_backward(self.native, self.image, self.ranges.data_ptr(), self.pairs, images, gradients,
+                                      slots.data_ptr(), g_background.data_ptr(), self.stream)
+        out, native = scene.gradients()
+        places = scene.new(self.images * scene.count, dtype=torch.int32)
+        views = scene.new(self.images, cuda.view_blocks(scene.count), 3, 4, zero=True)
+        cuda.project_dense_backward(scene.native(), cameras, self.native, self.sorted_keys.data_ptr(),
+                                    self.indices.data_ptr(), self.ends.data_ptr(), places.data_ptr(), slots.data_ptr(),
+                                    native, views.data_ptr(), self.stream)
+        g_cameras.view(-1, 4, 4)[:, :3] = views.sum(1)
+        return out, g_background
+
+    def lens_backward(self, *_: Any) -> tuple[list[Tensor], Tensor]:
+        raise InputError("gradients of a light field are computed on the CPU in this version: use .cpu()")

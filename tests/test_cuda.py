@@ -14,7 +14,8 @@ if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
 
 LENS = dict(width_px=397, height_px=131, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576,
             cone_deg=40.0)
-PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
+PANELS = {"default": {},
+          "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
           "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6), "one view": dict(views=1)}
 BACKGROUND = (0.1, 0.6, 0.3)
 
@@ -61,7 +62,8 @@ def test_bytes_are_the_rounded_floats(scene):
 def test_images_are_those_of_the_cpu(scene):
     panel = Panel(**LENS)
     cameras = rig(panel).cameras(panel, range(0, 96, 19))
-    expected, found = (render(s, cameras, background=BACKGROUND, alpha=True, depth=True) for s in (scene, on_gpu(scene)))
+    expected, found = (render(s, cameras, background=BACKGROUND, alpha=True, depth=True)
+                       for s in (scene, on_gpu(scene)))
     for a, b in zip(expected, found):
         assert far_apart(a, b) <= 5
 
@@ -74,6 +76,38 @@ def test_few_gaussians(count):
     assert torch.equal(encode(scene, panel, rig(panel)), encode(on_gpu(scene), panel, rig(panel)).cpu())
 
 
+def gradients(scene: Gaussians, views: int, device: str) -> list[torch.Tensor]:
+    """Of a loss on image, alpha and depth: the five fields, the background and the poses; float64 on the CPU."""
+    dtype = torch.float64 if device == "cpu" else torch.float32
+    panel = Panel(**{**LENS, "width_px": 133, "height_px": 61, "views": views})
+    cameras = rig(panel).cameras(panel).to(device=device, dtype=dtype)
+    leaves = [t.to(device=device, dtype=dtype)[None].requires_grad_() for t in scene.fields().values()]
+    background = torch.full((1, views, 3), 0.3, device=device, dtype=dtype, requires_grad=True)
+    poses = cameras.world_to_camera[None].clone().requires_grad_()
+    outputs = torch.ops.lightfield_gs.render_dense(*leaves, background, poses, cameras.intrinsics()[None],
+                                                   cameras.limits()[None], panel.width_px, panel.height_px)
+    random = torch.Generator().manual_seed(5)
+    loss = sum((out * torch.randn(out.shape, generator=random).to(out)).sum() for out in outputs)
+    return list(torch.autograd.grad(loss, [*leaves, background, poses]))
+
+
+def test_gradients_are_those_of_float64_on_the_cpu(scene):
+    for expected, found in zip(gradients(scene, 3, "cpu"), gradients(scene, 3, "cuda")):
+        error = (found.cpu().double() - expected).norm() / expected.norm()
+        assert error < 1e-3
+
+
+def test_gradients_are_the_same_in_every_run(scene):
+    for a, b in zip(gradients(scene, 3, "cuda"), gradients(scene, 3, "cuda")):
+        assert torch.equal(a, b)
+
+
+def test_nothing_drawn_has_zero_gradients():
+    scene = sheet(8)
+    scene = Gaussians(scene.means - torch.tensor([0, 0, 100.0]), *list(scene.fields().values())[1:])
+    assert all(not g.any() for g in gradients(scene, 1, "cuda")[:5])
+
+
 def test_what_is_missing_is_said(scene):
     panel = Panel(**LENS)
     with pytest.raises(InputError, match="float32"):
@@ -81,4 +115,4 @@ def test_what_is_missing_is_said(scene):
     moving = on_gpu(scene)
     moving.means.requires_grad_()
     with pytest.raises(InputError, match="gradients"):
-        render(moving, rig(panel).cameras(panel, [0])).sum().backward()
+        encode(moving, panel, rig(panel), output="float32").sum().backward()

@@ -162,24 +162,50 @@ void bind_cuda(py::module_ m) {
                     bytes, at<void>(stream));
   }, NoGil());
   m.def("fill_bytes", &cuda::fill_bytes);
+  m.def("view_blocks", &cuda::view_blocks);
+  m.attr("DENSE_SUMS") = cuda::kDenseSums;
+  py::class_<cuda::Pairs>(m, "Pairs")
+      .def(py::init([](int64_t count, Address tiles, Address sorted_tiles, Address slots, Address sorted_slots,
+                       Address slot_splats) {
+             return cuda::Pairs{count, at<uint32_t>(tiles), at<uint32_t>(sorted_tiles), at<uint32_t>(slots),
+                                at<uint32_t>(sorted_slots), at<uint32_t>(slot_splats)};
+           }),
+           py::arg("count"), py::arg("tiles"), py::arg("sorted_tiles"), py::arg("slots"), py::arg("sorted_slots"),
+           py::arg("slot_splats"));
   m.def("bin_fill", [](const Splats<float>& splats, const cuda::Image& image, Address sorted, Address indices,
-                       Address ends, int64_t pairs, Address tiles, Address sorted_tiles, Address values,
-                       Address tile_splats, Address ranges, Address temporary, size_t bytes, Address stream) {
+                       Address ends, const cuda::Pairs& pairs, Address ranges, Address temporary, size_t bytes,
+                       Address stream) {
     cuda::bin_fill(splats, image, at<uint64_t>(sorted), at<uint32_t>(indices), at<int64_t>(ends), pairs,
-                   at<uint32_t>(tiles), at<uint32_t>(sorted_tiles), at<uint32_t>(values), at<uint32_t>(tile_splats),
                    at<int64_t>(ranges), at<void>(temporary), bytes, at<void>(stream));
   }, NoGil());
   m.def("composite_dense", [](const Splats<float>& splats, const cuda::Image& image, Address ranges,
-                              Address tile_splats, Address background, const DenseImages<float>& out, Address stream) {
-    cuda::composite_dense(splats, image, at<int64_t>(ranges), at<uint32_t>(tile_splats), at<float>(background), out,
-                          at<void>(stream));
+                              const cuda::Pairs& pairs, Address background, const DenseImages<float>& out,
+                              Address stream) {
+    cuda::composite_dense(splats, image, at<int64_t>(ranges), pairs, at<float>(background), out, at<void>(stream));
   }, NoGil());
   m.def("composite_lens", [](const Splats<float>& splats, const cuda::Image& image, Address ranges,
-                             Address tile_splats, const Lens& lens, Address background, Address out, Address out8,
+                             const cuda::Pairs& pairs, const Lens& lens, Address background, Address out, Address out8,
                              Address stream) {
-    cuda::composite_lens(splats, image, at<int64_t>(ranges), at<uint32_t>(tile_splats), lens, at<float>(background),
-                         at<float>(out), at<uint8_t>(out8), at<void>(stream));
+    cuda::composite_lens(splats, image, at<int64_t>(ranges), pairs, lens, at<float>(background), at<float>(out),
+                         at<uint8_t>(out8), at<void>(stream));
   }, NoGil());
+  auto read_only = [](const DenseImages<float>& i) { return DenseImages<const float>{i.image, i.alpha, i.depth}; };
+  m.def("composite_dense_backward",
+        [read_only](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,
+                    const DenseImages<float>& images, const DenseImages<float>& gradients, Address slot_gradients,
+                    Address tile_background, Address stream) {
+          cuda::composite_dense_backward(splats, image, at<int64_t>(ranges), pairs, read_only(images),
+                                         read_only(gradients), at<float>(slot_gradients), at<float>(tile_background),
+                                         at<void>(stream));
+        }, NoGil());
+  m.def("project_dense_backward",
+        [as_const](const G& g, const Cameras<float>& cameras, const Splats<float>& splats, Address sorted,
+                   Address indices, Address ends, Address places, Address slot_gradients, const G& out,
+                   Address view_partials, Address stream) {
+          cuda::project_dense_backward(as_const(g), cameras, splats, at<uint64_t>(sorted), at<uint32_t>(indices),
+                                       at<int64_t>(ends), at<uint32_t>(places), at<float>(slot_gradients), out,
+                                       at<float>(view_partials), at<void>(stream));
+        }, NoGil());
 }
 #endif
 

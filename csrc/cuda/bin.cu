@@ -42,14 +42,15 @@ __global__ void count_kernel(Splats<float> splats, Image image, const uint64_t* 
 }
 
 __global__ void fill_kernel(Splats<float> splats, Image image, const uint64_t* keys, const uint32_t* indices,
-                            const int64_t* ends, uint32_t* tiles, uint32_t* values) {
+                            const int64_t* ends, Pairs pairs) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= splats.images * splats.count || keys[i] == ~uint64_t(0)) return;
   const int64_t first_tile = int64_t(keys[i] >> 32) * tile_count(image.tile, image.width_px, image.height_px);
   int64_t at = i ? ends[i - 1] : 0;
   for_each_tile(splats.splats[indices[i]], image, [&](int64_t tile) {
-    tiles[at] = uint32_t(first_tile + tile);
-    values[at++] = indices[i];
+    pairs.tiles[at] = uint32_t(first_tile + tile);
+    pairs.slots[at] = uint32_t(at);
+    pairs.slot_splats[at++] = indices[i];
   });
 }
 
@@ -90,21 +91,23 @@ size_t fill_bytes(int64_t pairs) {
 }
 
 void bin_fill(const Splats<float>& splats, const Image& image, const uint64_t* sorted_keys, const uint32_t* indices,
-              const int64_t* ends, int64_t pairs, uint32_t* tiles, uint32_t* sorted_tiles, uint32_t* values,
-              uint32_t* tile_splats, int64_t* ranges, void* temporary, size_t temporary_bytes, Stream stream) {
-  if (pairs == 0) return;
+              const int64_t* ends, const Pairs& pairs, int64_t* ranges, void* temporary, size_t temporary_bytes,
+              Stream stream) {
+  if (pairs.count == 0) return;
   const int64_t items = splats.images * splats.count;
   const int64_t all_tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
-  require(all_tiles < (int64_t(1) << 32), "more than 2^32 tiles: render fewer images at a time");
-  fill_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-      splats, image, sorted_keys, indices, ends, tiles, values);
+  require(pairs.count < (int64_t(1) << 32) && all_tiles < (int64_t(1) << 32),
+          "more than 2^32 pairs or tiles: render fewer or smaller images at a time");
+  fill_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(splats, image, sorted_keys,
+                                                                                           indices, ends, pairs);
   check_launch("bin_fill");
-  check(cub::DeviceRadixSort::SortPairs(temporary, temporary_bytes, tiles, sorted_tiles, values, tile_splats, pairs, 0,
+  check(cub::DeviceRadixSort::SortPairs(temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots,
+                                        pairs.sorted_slots, pairs.count, 0,
                                         std::max(1, int(std::bit_width(uint64_t(all_tiles - 1)))),
                                         cudaStream_t(stream)),
         "bin: sort");
-  ranges_kernel<<<unsigned(blocks_for(pairs, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(pairs, sorted_tiles,
-                                                                                             ranges);
+  ranges_kernel<<<unsigned(blocks_for(pairs.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
+      pairs.count, pairs.sorted_tiles, ranges);
   check_launch("bin: ranges");
 }
 

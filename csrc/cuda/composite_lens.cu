@@ -34,8 +34,8 @@ __device__ inline Out stored(float c) {
 
 template <class Out>
 __global__ void __launch_bounds__(kThreads)
-    composite_lens_kernel(Splats<float> splats, Image image, const int64_t* ranges, const uint32_t* tile_splats,
-                          Lens lens, float s_start, float s_step, const float* background, Out* out) {
+    composite_lens_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
+                          float s_start, float s_step, const float* background, Out* out) {
   __shared__ Splat<float> staged[kBatch];
   __shared__ uint32_t ids[kBatch];
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
@@ -65,7 +65,7 @@ __global__ void __launch_bounds__(kThreads)
     if (__syncthreads_and(!open)) break;
     const int count = int(min(int64_t(kBatch), end - begin));
     for (int k = threadIdx.x; k < count; k += kThreads) {
-      const uint32_t id = tile_splats[begin + k];
+      const uint32_t id = pairs.slot_splats[pairs.sorted_slots[begin + k]];
       Splat<float> s = splats.splats[id];
       s.u0 -= float(x0), s.v0 -= float(y0);
       staged[k] = s, ids[k] = id;
@@ -116,19 +116,18 @@ __global__ void __launch_bounds__(kThreads)
 
 }  // namespace
 
-void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges,
-                    const uint32_t* tile_splats, const Lens& lens, const float* background, float* out, uint8_t* out8,
-                    Stream stream) {
+void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                    const Lens& lens, const float* background, float* out, uint8_t* out8, Stream stream) {
   const int64_t tiles = tile_count(image.tile, image.width_px, image.height_px);
   const double reach = lens.reach();
   const float start = reach > 0 ? float(lens.offset_start / reach) : 0;
   const float step = reach > 0 ? float(lens.offset_step / reach) : 0;
   if (out8)
     composite_lens_kernel<uint8_t><<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(
-        splats, image, ranges, tile_splats, lens, start, step, background, out8);
+        splats, image, ranges, pairs, lens, start, step, background, out8);
   else
     composite_lens_kernel<float><<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(
-        splats, image, ranges, tile_splats, lens, start, step, background, out);
+        splats, image, ranges, pairs, lens, start, step, background, out);
   check_launch("composite_lens");
 }
 

@@ -1,5 +1,6 @@
 // Stage project on the device: a thread per (image, Gaussian). Arithmetic is float.
 #include "cuda/check.h"
+#include "cuda/gaussian_io.cuh"
 #include "cuda/stages.h"
 #include "math/colour_polynomial.h"
 #include "math/footprint.h"
@@ -24,11 +25,6 @@ struct BasisTable {
       to_chebyshev[i] = float(basis.to_chebyshev[i]), to_powers[i] = float(basis.to_powers[i]);
   }
 };
-
-__device__ Shape<float> shape_of(const Gaussians<const float>& g, int64_t i) {
-  const float *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
-  return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, g.opacities[i]};
-}
 
 // Projects, culls and stores one splat and its sort key; returns whether it is drawn.
 __device__ bool store_splat(const View<float>& view, const Shape<float>& shape, int64_t width_px, int64_t height_px,

@@ -42,17 +42,38 @@ void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted
 size_t count_bytes(int64_t items);
 void bin_count(const Splats<float>& splats, const Image& image, const uint64_t* sorted_keys, const uint32_t* indices,
                int64_t* ends, void* temporary, size_t temporary_bytes, Stream stream);
+// Buffers of fill, a number per pair. A *slot* is the place of a pair in splat-major order: those of the i-th sorted
+// splat are [ends[i - 1], ends[i]).
+struct Pairs {
+  int64_t count;
+  uint32_t *tiles, *sorted_tiles;  // tile of each slot; the same sorted
+  uint32_t *slots, *sorted_slots;  // 0, 1, 2, ...; the slot of each sorted pair
+  uint32_t* slot_splats;           // splat of each slot
+};
 // fill writes the pairs, nearest first within a tile, and ranges [I * tiles, 2] into them.
 size_t fill_bytes(int64_t pairs);
 void bin_fill(const Splats<float>& splats, const Image& image, const uint64_t* sorted_keys, const uint32_t* indices,
-              const int64_t* ends, int64_t pairs, uint32_t* tiles, uint32_t* sorted_tiles, uint32_t* values,
-              uint32_t* tile_splats, int64_t* ranges, void* temporary, size_t temporary_bytes, Stream stream);
+              const int64_t* ends, const Pairs& pairs, int64_t* ranges, void* temporary, size_t temporary_bytes,
+              Stream stream);
 
 // --- composite
-void composite_dense(const Splats<float>& splats, const Image& image, const int64_t* ranges,
-                     const uint32_t* tile_splats, const float* background, DenseImages<float> out, Stream stream);
-void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges,
-                    const uint32_t* tile_splats, const Lens& lens, const float* background, float* out, uint8_t* out8,
-                    Stream stream);
+void composite_dense(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                     const float* background, DenseImages<float> out, Stream stream);
+void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                    const Lens& lens, const float* background, float* out, uint8_t* out8, Stream stream);
+
+// --- the reverses (dense). Every slot is written by one block in a fixed order, and sums run in slot order: the same
+// bits in every run. slot_gradients [pairs, kDenseSums]; tile_background [I * tiles, 3].
+constexpr int kDenseSums = 10;
+void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                              const Pairs& pairs, DenseImages<const float> images,
+                              DenseImages<const float> gradients, float* slot_gradients, float* tile_background,
+                              Stream stream);
+// out is written whole; view_partials [I, view_blocks(N), 12]: rows of [R|t], to be summed over the blocks.
+int64_t view_blocks(int64_t gaussians);
+void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
+                            const Splats<float>& splats, const uint64_t* sorted_keys, const uint32_t* indices,
+                            const int64_t* ends, uint32_t* places, const float* slot_gradients,
+                            const Gaussians<float>& out, float* view_partials, Stream stream);
 
 }  // namespace lfgs::cuda

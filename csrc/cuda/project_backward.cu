@@ -1,0 +1,109 @@
+// Reverse of stage project on the device, for ordinary images: a thread per (scene, Gaussian) goes through the cameras
+// of its scene in order.
+#include "cuda/check.h"
+#include "cuda/gaussian_io.cuh"
+#include "cuda/stages.h"
+#include "math/harmonics.h"
+
+namespace lfgs::cuda {
+namespace {
+
+using glm::vec3;
+constexpr int kThreads = 128, kWarps = kThreads / 32, kViewNumbers = 12;
+constexpr uint32_t kNowhere = ~0u;
+
+// Where each splat stands in the sorted order, or kNowhere.
+__global__ void places_kernel(int64_t items, const uint64_t* keys, const uint32_t* indices, uint32_t* places) {
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
+  if (i < items) places[indices[i]] = keys[i] == ~uint64_t(0) ? kNowhere : uint32_t(i);
+}
+
+// Sum over a splat's slots, turned into the gradient of the splat and of its colour.
+__device__ Splat<float> splat_gradient(const Splat<float>& s, const float* slots, int64_t first, int64_t last,
+                                       vec3& colour) {
+  float sum[kDenseSums] = {};
+  for (int64_t slot = first; slot < last; ++slot)
+    for (int f = 0; f < kDenseSums; ++f) sum[f] += slots[slot * kDenseSums + f];
+  Splat<float> g{};
+  g.u0 = -sum[3];
+  g.v0 = 2 * s.tau * sum[1] + s.c0 * sum[3];
+  g.log2_opacity = sum[0], g.tau = -sum[2], g.c0 = -sum[4], g.S0 = sum[5], g.depth = sum[6];
+  colour = vec3(sum[7], sum[8], sum[9]);
+  return g;
+}
+
+__global__ void __launch_bounds__(kThreads)
+    project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
+                                  const uint32_t* places, const int64_t* ends, const float* slot_gradients,
+                                  Gaussians<float> out, float* view_partials) {
+  __shared__ float partial[kWarps][kViewNumbers];
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, scene = blockIdx.y, n = gaussians.count;
+  const bool real = i < n;
+  const Gaussians<const float> own = gaussians.slice(scene * n);
+  const Gaussians<float> g_own = out.slice(scene * n);
+  const Shape<float> shape = shape_of(own, real ? i : 0);
+  const int numbers = 3 * own.sh_count();
+  Shape<float> g{vec3(0), glm::vec4(0), vec3(0), 0};
+
+  for (int64_t v = 0; v < cameras.per_scene; ++v) {
+    const int64_t image = scene * cameras.per_scene + v;
+    const View<float> view = cameras.view<float>(image);
+    const uint32_t place = real ? places[image * n + i] : kNowhere;
+    ViewAdjoint<float> g_view;
+    if (place != kNowhere) {
+      const int64_t index = image * n + i;
+      vec3 g_colour;
+      const Splat<float> g_splat = splat_gradient(splats.splats[index], slot_gradients, place ? ends[place - 1] : 0,
+                                                  ends[place], g_colour);
+      Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
+
+      // Colours, through their clamp at zero; eye = -R^T t
+      const float* colour = splats.colours + index * kColourStride;
+      for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_colour[c] : 0.f;
+      const vec3 g_mean = sh_colour_adjoint(own.sh_degree, own.sh + numbers * i, shape.mean, view.centre(), g_colour,
+                                            g_own.sh + numbers * i);
+      g.mean += g_mean;
+      g_view.rotation += glm::outerProduct(-view.translation, -g_mean);
+      g_view.translation += view.rotation * g_mean;
+    }
+
+    // The camera's gradient: over the warp, then over the warps
+    for (int f = 0; f < kViewNumbers; ++f) {
+      float sum = f % 4 == 3 ? g_view.translation[f / 4] : g_view.rotation[f % 4][f / 4];
+      for (int step = 16; step > 0; step /= 2) sum += __shfl_xor_sync(~0u, sum, step);
+      if (threadIdx.x % 32 == 0) partial[threadIdx.x / 32][f] = sum;
+    }
+    __syncthreads();
+    if (threadIdx.x < kViewNumbers) {
+      float sum = 0;
+      for (int w = 0; w < kWarps; ++w) sum += partial[w][threadIdx.x];
+      view_partials[(image * gridDim.x + blockIdx.x) * kViewNumbers + threadIdx.x] = sum;
+    }
+    __syncthreads();
+  }
+  if (!real) return;
+  for (int c = 0; c < 3; ++c) g_own.means[3 * i + c] = g.mean[c], g_own.scales[3 * i + c] = g.scale[c];
+  for (int c = 0; c < 4; ++c) g_own.quaternions[4 * i + c] = g.quaternion[c];
+  g_own.opacities[i] = g.opacity;
+}
+
+}  // namespace
+
+int64_t view_blocks(int64_t gaussians) { return blocks_for(gaussians, kThreads); }
+
+void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
+                            const Splats<float>& splats, const uint64_t* sorted_keys, const uint32_t* indices,
+                            const int64_t* ends, uint32_t* places, const float* slot_gradients,
+                            const Gaussians<float>& out, float* view_partials, Stream stream) {
+  const int64_t items = splats.images * splats.count;
+  if (items == 0) return;
+  places_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(items, sorted_keys,
+                                                                                             indices, places);
+  check_launch("project_dense_backward: places");
+  const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
+  project_dense_backward_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
+      gaussians, cameras, splats, places, ends, slot_gradients, out, view_partials);
+  check_launch("project_dense_backward");
+}
+
+}  // namespace lfgs::cuda
