@@ -197,7 +197,7 @@ def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     """The image [H, W, 3] that a slanted-lenticular panel shows of N Gaussians.
 
     means [N,3], quaternions [N,4] wxyz, scales [N,3] > 0, opacities [N] in (0,1], sh [N,K,3], background [3]; all
-    float32 or all float64 (CUDA: float32, no gradients yet); differentiable in all of these. Every sub-pixel belongs to
+    float32 or all float64 (CUDA: float32); differentiable in all of these. Every sub-pixel belongs to
     the camera at offset s = offset_start + offset_step * x of its own view coordinate x.
     rig: 26 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits),
     zero_depth.

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.errors import InputError
 from lightfield_gs.workspace import Scene, Stats
 
 
@@ -86,5 +85,18 @@ class CudaWorkspace:
         g_cameras.view(-1, 4, 4)[:, :3] = views.sum(1)
         return out, g_background
 
-    def lens_backward(self, *_: Any) -> tuple[list[Tensor], Tensor]:
-        raise InputError("gradients of a light field are computed on the CPU in this version: use .cpu()")
+    def lens_backward(self, rig: Any, lens: Any, background: Tensor, image: Tensor,
+                      g_image: Tensor) -> tuple[list[Tensor], Tensor]:
+        """Gradients of the five fields, and of the background in parts [parts, 3]."""
+        scene, cuda = self.scene, _core.cuda
+        slots = scene.new(self.pair_buffers[0].numel(), cuda.LENS_SUMS + 3 * self.colours.shape[2])
+        g_background = scene.new(self.image.tiles(), 3)
+        cuda.composite_lens_backward(self.native, self.image, self.ranges.data_ptr(), self.pairs, lens,
+                                     image.data_ptr(), g_image.data_ptr(), slots.data_ptr(), g_background.data_ptr(),
+                                     self.stream)
+        out, native = scene.gradients()
+        places = scene.new(scene.count, dtype=torch.int32)
+        cuda.project_lens_backward(scene.native(), rig, self.native, self.sorted_keys.data_ptr(),
+                                   self.indices.data_ptr(), self.ends.data_ptr(), places.data_ptr(), slots.data_ptr(),
+                                   native, self.stream)
+        return out, g_background

@@ -206,6 +206,22 @@ void bind_cuda(py::module_ m) {
                                        at<int64_t>(ends), at<uint32_t>(places), at<float>(slot_gradients), out,
                                        at<float>(view_partials), at<void>(stream));
         }, NoGil());
+  m.attr("LENS_SUMS") = cuda::kLensSums;
+  m.def("composite_lens_backward",
+        [](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,
+           const Lens& lens, Address pixels, Address gradient, Address slot_gradients, Address tile_background,
+           Address stream) {
+          cuda::composite_lens_backward(splats, image, at<int64_t>(ranges), pairs, lens, at<float>(pixels),
+                                        at<float>(gradient), at<float>(slot_gradients), at<float>(tile_background),
+                                        at<void>(stream));
+        }, NoGil());
+  m.def("project_lens_backward",
+        [as_const](const G& g, const View<double>& rig, const Splats<float>& splats, Address sorted, Address indices,
+                   Address ends, Address places, Address slot_gradients, const G& out, Address stream) {
+          cuda::project_lens_backward(as_const(g), rig, splats, at<uint64_t>(sorted), at<uint32_t>(indices),
+                                      at<int64_t>(ends), at<uint32_t>(places), at<float>(slot_gradients), out,
+                                      at<void>(stream));
+        }, NoGil());
 }
 #endif
 

@@ -25,4 +25,10 @@ __device__ inline void over(float alpha, float& transmittance, float& rest, floa
 
 __device__ inline float remaining(float transmittance, float rest) { return transmittance > 0 ? transmittance : rest; }
 
+// Sum over the lanes of a warp, in a fixed order; every lane receives it.
+__device__ inline float warp_sum(float v) {
+  for (int step = 16; step > 0; step /= 2) v += __shfl_xor_sync(~0u, v, step);
+  return v;
+}
+
 }  // namespace lfgs::cuda

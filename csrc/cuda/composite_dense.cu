@@ -81,11 +81,6 @@ __global__ void __launch_bounds__(kThreads)
   out.depth[pixel.index] = depth;
 }
 
-__device__ float warp_sum(float v) {
-  for (int step = 16; step > 0; step /= 2) v += __shfl_xor_sync(~0u, v, step);
-  return v;
-}
-
 // See the CPU's BackwardSplat for the formula. Sums over a tile: first within each warp, then over the warps, always in
 // the same order. Numbers of a slot: exponent * (1, dy, dy^2), dx * (1, dy), S, depth, r, g, b.
 __global__ void __launch_bounds__(kThreads)

@@ -1,8 +1,8 @@
 // Stage project on the device: a thread per (image, Gaussian). Arithmetic is float.
 #include "cuda/check.h"
 #include "cuda/gaussian_io.cuh"
+#include "cuda/lens_rig.cuh"
 #include "cuda/stages.h"
-#include "math/colour_polynomial.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"
 
@@ -11,20 +11,6 @@ namespace {
 
 using glm::vec3;
 constexpr int kThreads = 128;
-
-// ColourBasis by value, for a kernel's arguments.
-struct BasisTable {
-  int order;
-  float nodes[kMaxColourOrder + 1];
-  float to_chebyshev[(kMaxColourOrder + 1) * (kMaxColourOrder + 1)];
-  float to_powers[(kMaxColourOrder + 1) * (kMaxColourOrder + 1)];
-
-  explicit BasisTable(const ColourBasis& basis) : order(basis.order) {
-    for (size_t i = 0; i < basis.nodes.size(); ++i) nodes[i] = float(basis.nodes[i]);
-    for (size_t i = 0; i < basis.to_powers.size(); ++i)
-      to_chebyshev[i] = float(basis.to_chebyshev[i]), to_powers[i] = float(basis.to_powers[i]);
-  }
-};
 
 // Projects, culls and stores one splat and its sort key; returns whether it is drawn.
 __device__ bool store_splat(const View<float>& view, const Shape<float>& shape, int64_t width_px, int64_t height_px,
@@ -52,7 +38,7 @@ __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<f
       make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
 }
 
-__global__ void project_lens_kernel(Gaussians<const float> gaussians, View<float> rig, float reach, int64_t width_px,
+__global__ void project_lens_kernel(Gaussians<const float> gaussians, View<float> rig, int64_t width_px,
                                     int64_t height_px, BasisTable basis, float tolerance, Splats<float> out,
                                     uint64_t* keys, float* error) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
@@ -63,12 +49,11 @@ __global__ void project_lens_kernel(Gaussians<const float> gaussians, View<float
 
   // Values at the nodes -> Chebyshev coefficients
   const int order = basis.order, nodes = order + 1;
-  const vec3 centre = rig.centre(), right(rig.rotation[0][0], rig.rotation[1][0], rig.rotation[2][0]);
   const float* sh = gaussians.sh + 3 * gaussians.sh_count() * i;
   vec3 chebyshev[kMaxColourOrder + 1];
   for (int k = 0; k < nodes; ++k) chebyshev[k] = vec3(0);
   for (int j = 0; j < nodes; ++j) {
-    const vec3 value = sh_colour<float>(gaussians.sh_degree, sh, shape.mean, centre + basis.nodes[j] * reach * right);
+    const vec3 value = sh_colour<float>(gaussians.sh_degree, sh, shape.mean, eye_at(rig, basis.nodes[j]));
     for (int k = 0; k < nodes; ++k) chebyshev[k] += basis.to_chebyshev[k * nodes + j] * value;
   }
   auto size = [&](int k) { return fmaxf(fabsf(chebyshev[k].x), fmaxf(fabsf(chebyshev[k].y), fabsf(chebyshev[k].z))); };
@@ -101,16 +86,9 @@ void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>
 void project_lens(const Gaussians<const float>& gaussians, const View<double>& rig, const Lens& lens, double tolerance,
                   const Splats<float>& out, uint64_t* keys, float* error, Stream stream) {
   if (gaussians.count == 0) return;
-  View<float> view;
-  view.rotation = glm::mat3(rig.rotation), view.translation = vec3(rig.translation);
-  view.fx = float(rig.fx), view.fy = float(rig.fy), view.cx = float(rig.cx), view.cy = float(rig.cy);
-  view.x_low = float(rig.x_low), view.x_high = float(rig.x_high);
-  view.y_low = float(rig.y_low), view.y_high = float(rig.y_high);
-  view.offset = float(rig.offset), view.sweep = float(rig.sweep);
-  view.inverse_zero_depth = float(rig.inverse_zero_depth);
   const BasisTable basis{ColourBasis(out.colour_order)};
   project_lens_kernel<<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-      gaussians, view, float(lens.reach()), lens.width_px, lens.height_px, basis, float(tolerance), out, keys, error);
+      gaussians, rounded(rig), lens.width_px, lens.height_px, basis, float(tolerance), out, keys, error);
   check_launch("project_lens");
 }
 

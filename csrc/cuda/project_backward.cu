@@ -1,7 +1,9 @@
-// Reverse of stage project on the device, for ordinary images: a thread per (scene, Gaussian) goes through the cameras
-// of its scene in order.
+// Reverse of stage project on the device. Ordinary images: a thread per (scene, Gaussian) goes through the cameras of
+// its scene in order. Lens: a thread per Gaussian.
 #include "cuda/check.h"
+#include "cuda/blend.cuh"
 #include "cuda/gaussian_io.cuh"
+#include "cuda/lens_rig.cuh"
 #include "cuda/stages.h"
 #include "math/harmonics.h"
 
@@ -30,6 +32,12 @@ __device__ Splat<float> splat_gradient(const Splat<float>& s, const float* slots
   g.log2_opacity = sum[0], g.tau = -sum[2], g.c0 = -sum[4], g.S0 = sum[5], g.depth = sum[6];
   colour = vec3(sum[7], sum[8], sum[9]);
   return g;
+}
+
+__device__ void store(const Shape<float>& g, const Gaussians<float>& out, int64_t i) {
+  for (int c = 0; c < 3; ++c) out.means[3 * i + c] = g.mean[c], out.scales[3 * i + c] = g.scale[c];
+  for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] = g.quaternion[c];
+  out.opacities[i] = g.opacity;
 }
 
 __global__ void __launch_bounds__(kThreads)
@@ -69,8 +77,7 @@ __global__ void __launch_bounds__(kThreads)
 
     // The camera's gradient: over the warp, then over the warps
     for (int f = 0; f < kViewNumbers; ++f) {
-      float sum = f % 4 == 3 ? g_view.translation[f / 4] : g_view.rotation[f % 4][f / 4];
-      for (int step = 16; step > 0; step /= 2) sum += __shfl_xor_sync(~0u, sum, step);
+      const float sum = warp_sum(f % 4 == 3 ? g_view.translation[f / 4] : g_view.rotation[f % 4][f / 4]);
       if (threadIdx.x % 32 == 0) partial[threadIdx.x / 32][f] = sum;
     }
     __syncthreads();
@@ -81,10 +88,49 @@ __global__ void __launch_bounds__(kThreads)
     }
     __syncthreads();
   }
-  if (!real) return;
-  for (int c = 0; c < 3; ++c) g_own.means[3 * i + c] = g.mean[c], g_own.scales[3 * i + c] = g.scale[c];
-  for (int c = 0; c < 4; ++c) g_own.quaternions[4 * i + c] = g.quaternion[c];
-  g_own.opacities[i] = g.opacity;
+  if (real) store(g, g_own, i);
+}
+
+__global__ void __launch_bounds__(kThreads)
+    project_lens_backward_kernel(Gaussians<const float> gaussians, View<float> rig, BasisTable basis,
+                                 Splats<float> splats, const uint32_t* places, const int64_t* ends,
+                                 const float* slot_gradients, Gaussians<float> out) {
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
+  if (i >= gaussians.count || places[i] == kNowhere) return;
+  const Splat<float> s = splats.splats[i];
+  const int order = basis.order, nodes = order + 1, all_sums = kLensSums + 3 * nodes, kept = splats.orders[i];
+  float sum[kLensSums + 3 * (kMaxColourOrder + 1)];
+  for (int f = 0; f < all_sums; ++f) sum[f] = 0;
+  for (int64_t slot = places[i] ? ends[places[i] - 1] : 0; slot < ends[places[i]]; ++slot)
+    for (int f = 0; f < all_sums; ++f) sum[f] += slot_gradients[slot * all_sums + f];
+
+  Splat<float> g_splat{};
+  g_splat.u0 = -sum[3], g_splat.du = -sum[4], g_splat.c0 = -sum[5], g_splat.c1 = -sum[6];
+  g_splat.v0 = 2 * s.tau * sum[1] + s.c0 * sum[3] + s.c1 * sum[4];
+  g_splat.log2_opacity = sum[0], g_splat.tau = -sum[2];
+  g_splat.S0 = sum[7], g_splat.S1 = sum[8], g_splat.S2 = sum[9];
+  const Shape<float> shape = shape_of(gaussians, i);
+  Shape<float> g{vec3(0), glm::vec4(0), vec3(0), 0};
+  ViewAdjoint<float> unused;
+  Projection<float>(rig, shape).adjoint(rig, shape, g_splat, g, unused);
+
+  // Powers of s -> Chebyshev -> node values -> harmonics
+  const float* colours = splats.colours + i * nodes * kColourStride;
+  vec3 g_chebyshev[kMaxColourOrder + 1];
+  for (int k = 0; k <= kept; ++k) {
+    g_chebyshev[k] = vec3(0);
+    for (int p = 0; p <= k; ++p)
+      for (int c = 0; c < 3; ++c)
+        if (kept || colours[c] > 0) g_chebyshev[k][c] += basis.to_powers[p * nodes + k] * sum[kLensSums + 3 * p + c];
+  }
+  const int64_t first = 3 * gaussians.sh_count() * i;
+  for (int j = 0; j < nodes; ++j) {
+    vec3 g_value(0);
+    for (int k = 0; k <= kept; ++k) g_value += basis.to_chebyshev[k * nodes + j] * g_chebyshev[k];
+    g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean, eye_at(rig, basis.nodes[j]),
+                                g_value, out.sh + first);
+  }
+  store(g, out, i);
 }
 
 }  // namespace
@@ -104,6 +150,19 @@ void project_dense_backward(const Gaussians<const float>& gaussians, const Camer
   project_dense_backward_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
       gaussians, cameras, splats, places, ends, slot_gradients, out, view_partials);
   check_launch("project_dense_backward");
+}
+
+void project_lens_backward(const Gaussians<const float>& gaussians, const View<double>& rig,
+                           const Splats<float>& splats, const uint64_t* sorted_keys, const uint32_t* indices,
+                           const int64_t* ends, uint32_t* places, const float* slot_gradients,
+                           const Gaussians<float>& out, Stream stream) {
+  if (gaussians.count == 0) return;
+  const unsigned blocks = unsigned(blocks_for(gaussians.count, kThreads));
+  places_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians.count, sorted_keys, indices, places);
+  check_launch("project_lens_backward: places");
+  project_lens_backward_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
+      gaussians, rounded(rig), BasisTable{ColourBasis(splats.colour_order)}, splats, places, ends, slot_gradients, out);
+  check_launch("project_lens_backward");
 }
 
 }  // namespace lfgs::cuda

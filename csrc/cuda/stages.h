@@ -62,9 +62,9 @@ void composite_dense(const Splats<float>& splats, const Image& image, const int6
 void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                     const Lens& lens, const float* background, float* out, uint8_t* out8, Stream stream);
 
-// --- the reverses (dense). Every slot is written by one block in a fixed order, and sums run in slot order: the same
+// --- the reverses. Every slot is written by one block in a fixed order, and sums run in slot order: the same
 // bits in every run. slot_gradients [pairs, kDenseSums]; tile_background [I * tiles, 3].
-constexpr int kDenseSums = 10;
+constexpr int kDenseSums = 10, kLensSums = 10;  // lens: and 3 for each power of s in the colours
 void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                               const Pairs& pairs, DenseImages<const float> images,
                               DenseImages<const float> gradients, float* slot_gradients, float* tile_background,
@@ -75,5 +75,13 @@ void project_dense_backward(const Gaussians<const float>& gaussians, const Camer
                             const Splats<float>& splats, const uint64_t* sorted_keys, const uint32_t* indices,
                             const int64_t* ends, uint32_t* places, const float* slot_gradients,
                             const Gaussians<float>& out, float* view_partials, Stream stream);
+
+void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                             const Pairs& pairs, const Lens& lens, const float* pixels, const float* gradient,
+                             float* slot_gradients, float* tile_background, Stream stream);
+void project_lens_backward(const Gaussians<const float>& gaussians, const View<double>& rig,
+                           const Splats<float>& splats, const uint64_t* sorted_keys, const uint32_t* indices,
+                           const int64_t* ends, uint32_t* places, const float* slot_gradients,
+                           const Gaussians<float>& out, Stream stream);
 
 }  // namespace lfgs::cuda
