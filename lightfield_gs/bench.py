@@ -11,6 +11,7 @@ import json
 import statistics
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from lightfield_gs import bench_training
+from lightfield_gs import bench_training, build_info
 from lightfield_gs.bench_scenes import ZERO_DEPTH, load_scene
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
@@ -78,13 +79,28 @@ def time_method(gaussians: Gaussians, panel: Panel, rig: Rig, method: str, repea
     runs, spent = [], 0.0
     while len(runs) < repeats and (not runs or spent < SECONDS_PER_METHOD):
         stats: dict[str, Any] = {}
-        begin = time.perf_counter()
-        image = encode(gaussians, panel, rig, method, stats=stats, threads=threads)
-        took = time.perf_counter() - begin
+        if gaussians.means.is_cuda:  # counters make the stages wait for each other: time without, then count
+            took, image = _seconds_on_cuda(lambda: encode(gaussians, panel, rig, method))
+            encode(gaussians, panel, rig, method, stats=stats)
+        else:
+            begin = time.perf_counter()
+            image = encode(gaussians, panel, rig, method, stats=stats, threads=threads)
+            took = time.perf_counter() - begin
         spent += took
         runs.append((1e3 * took, stats))
     runs.sort(key=lambda run: run[0])
     return image, [ms for ms, _ in runs], runs[(len(runs) - 1) // 2][1]
+
+
+def _seconds_on_cuda(render: Callable[[], torch.Tensor]) -> tuple[float, torch.Tensor]:
+    """The time of a warm run by CUDA events, and its result."""
+    render()
+    start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+    start.record()
+    image = render()
+    end.record()
+    end.synchronize()
+    return start.elapsed_time(end) / 1e3, image
 
 
 def bench_scene(scene: str, panel: Panel, cone_deg: float | None, methods: list[str], device: str, repeats: int,
@@ -99,6 +115,7 @@ def bench_scene(scene: str, panel: Panel, cone_deg: float | None, methods: list[
     _progress(f"{scene}: oracle, {ORACLE_SAMPLES} sub-pixels")
     oracle = oracle_samples(gaussians, panel, rig)
 
+    gaussians = gaussians.to(device)
     rows, comparisons, first = [], [], None
     for method in methods:
         _progress(f"{scene}: {method}, at most {repeats} runs")
@@ -130,15 +147,20 @@ def table(rows: list[dict[str, Any]]) -> str:
     """The rows as text, a line each."""
     head = ("scene", "Gaussians", "cone", "method", "ms", "min", "max", "pairs", "eval/sub-px", "work MB", "PSNR dB",
             "max /255", "over 1/255")
-    lines = [(row["scene"], f"{row['gaussians']}", f"{row['cone_deg']:g}", row["method"], f"{row['ms_median']:.0f}",
-              f"{row['ms_min']:.0f}", f"{row['ms_max']:.0f}", f"{row['pairs']}",
-              f"{row['evaluations_per_subpixel']:.1f}", f"{row['work_bytes'] / 1e6:.1f}", f"{row['psnr_db']:.1f}",
+    lines = [(row["scene"], f"{row['gaussians']}", f"{row['cone_deg']:g}", row["method"], _ms(row["ms_median"]),
+              _ms(row["ms_min"]), _ms(row["ms_max"]), f"{row['pairs']}",
+              "-" if row["evaluations_per_subpixel"] is None else f"{row['evaluations_per_subpixel']:.1f}",
+              f"{row['work_bytes'] / 1e6:.1f}", f"{row['psnr_db']:.1f}",
               f"{row['max_error_255']}", f"{row['share_over_1']:.2g}") for row in rows]
     widths = [max(len(line[column]) for line in (head, *lines)) for column in range(len(head))]
     text = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths)) for line in (head, *lines)]
     text += ["stages of " + f"{row['scene']} {row['cone_deg']:g} {row['method']}, ms: "
              + ", ".join(f"{stage} {ms:.1f}" for stage, ms in row["stages_ms"].items()) for row in rows]
     return "\n".join(text)
+
+
+def _ms(value: float) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.2f}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -149,7 +171,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--panel", default=DEFAULT_PANEL, help="name, YAML or visual.json (default: %(default)s)")
     parser.add_argument("--cone", help="viewing cone in degrees, several with commas (default: the panel's)")
     parser.add_argument("--methods", default="direct", help=f"with commas, of {', '.join(METHODS)}")
-    parser.add_argument("--device", default="cpu", help="cpu")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda (default: %(default)s)")
     parser.add_argument("--repeats", type=int, default=5, help="runs of each, fewer of those beyond a minute")
     parser.add_argument("--threads", help="threads (default: all cores); several with commas for training-step")
     parser.add_argument("--json", type=Path, help="where to write the rows")
@@ -157,8 +179,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Runs the benchmark, prints a table to stdout and writes the JSON. Raises InputError."""
-    if args.device != "cpu":
-        raise InputError(f"--device: expected cpu, got {args.device!r}")
+    if args.device not in ("cpu", "cuda"):
+        raise InputError(f"--device: expected cpu or cuda, got {args.device!r}")
+    if args.device == "cuda" and not ("cuda" in build_info()["devices"] and torch.cuda.is_available()):
+        raise InputError("--device cuda: needs a GPU, and a build that found nvcc (LFGS_CUDA=ON insists on it)")
     if args.repeats < 1:
         raise InputError(f"--repeats: expected 1 or more, got {args.repeats}")
     threads = _numbers("--threads", args.threads, int)

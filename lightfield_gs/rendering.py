@@ -64,8 +64,9 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig, method: str = "direct",
     renders one dense image per view and interlaces them, the usual way and the cross-check of the other.
     views: "integer": camera at floor(x) + 1/2; "continuous": at the exact x of the sub-pixel.
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
-    "direct" are differentiable. threads: CPU threads (default: torch's). stats: a dict to fill with stages_ms,
-    pairs, evaluations, evaluations_per_subpixel, work_bytes, gaussians_culled, colour_error.
+    "direct" are differentiable. threads: CPU threads (default: torch's). stats: a dict to fill with stages_ms
+    (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
+    CUDA), work_bytes, gaussians_culled, colour_error.
     Raises InputError.
     """
     if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
@@ -79,13 +80,13 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig, method: str = "direct",
     precision = torch.float64 if output == "float64" else torch.float32
     gaussians = gaussians.to(dtype=precision)
     colour = _background(background, gaussians.means).reshape(-1)
-    counters = Stats()
+    counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "classic":
         image = _classic(gaussians, panel, rig, views, colour, output, threads, counters)
     else:
         image = _direct(gaussians, panel, rig, views, colour, output, threads, counters)
     if stats is not None:
-        _report(counters, gaussians.count, panel, method, stats)
+        _report(counters, gaussians, panel, stats)
     return image
 
 
@@ -129,11 +130,11 @@ def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, backgroun
         places, x = _views_shown(panel, views == "continuous")
     tensors = [t.unsqueeze(0) for t in _tensors(gaussians)]
     pixels = panel.width_px * panel.height_px
-    out = np.empty(3 * pixels, np.uint8 if output == "uint8" else gaussians.means.numpy().dtype)
+    out = np.empty(3 * pixels, output)
     chunk = max(1, _CLASSIC_PIXELS // pixels)
     for first in range(0, len(x), chunk):
-        cameras = rig.cameras_at(panel, x[first:first + chunk]).to(dtype=gaussians.dtype)
-        one = Stats()
+        cameras = rig.cameras_at(panel, x[first:first + chunk]).to(gaussians.means)
+        one = Stats(device=stats.device)
         images, alpha, depth = ops.dense_forward(
             *tensors, background.expand(1, cameras.count, 3), cameras.world_to_camera[None], cameras.intrinsics()[None],
             cameras.limits()[None], panel.width_px, panel.height_px, stats=one, threads=threads)
@@ -142,13 +143,13 @@ def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, backgroun
         with stats.stage("interlace"):
             if output == "uint8":
                 images = images.clamp_(0, 1).mul_(255).add_(0.5).to(torch.uint8)
-            flat = images.view(cameras.count, -1).numpy()
+            flat = images.view(cameras.count, -1).cpu().numpy()
             if cameras.count == 1:
                 np.copyto(out, flat[0], where=places == first)
             else:
                 mine = np.flatnonzero((places >= first) & (places < first + cameras.count))
                 out[mine] = flat[places[mine] - first, mine]
-    return torch.from_numpy(out.reshape(panel.height_px, panel.width_px, 3))
+    return torch.from_numpy(out.reshape(panel.height_px, panel.width_px, 3)).to(gaussians.device)
 
 
 def _views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -179,9 +180,10 @@ def _background(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
     return colour
 
 
-def _report(counters: Stats, count: int, panel: Panel, method: str, out: dict[str, Any]) -> None:
-    renders = panel.views if method == "classic" else 1
-    out.update(stages_ms=dict(counters.stages_ms), pairs=counters.pairs, evaluations=counters.evaluations,
-               evaluations_per_subpixel=counters.evaluations / (3 * panel.width_px * panel.height_px),
-               work_bytes=counters.work_bytes, gaussians_culled=count - counters.gaussians_drawn // renders,
+def _report(counters: Stats, gaussians: Gaussians, panel: Panel, out: dict[str, Any]) -> None:
+    evaluations = None if gaussians.means.is_cuda else counters.evaluations
+    per_subpixel = None if evaluations is None else evaluations / (3 * panel.width_px * panel.height_px)
+    culled = gaussians.count - counters.gaussians_drawn // max(counters.images, 1)
+    out.update(stages_ms=dict(counters.stages_ms), pairs=counters.pairs, evaluations=evaluations,
+               evaluations_per_subpixel=per_subpixel, work_bytes=counters.work_bytes, gaussians_culled=culled,
                colour_error=counters.colour_error)

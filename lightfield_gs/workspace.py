@@ -16,20 +16,31 @@ from lightfield_gs.errors import InputError
 
 @dataclass
 class Stats:
-    """What a render did: milliseconds per stage, counts, bytes of work memory."""
+    """What a render did: milliseconds per stage, counts, bytes of work memory.
 
+    device: waits for a CUDA device at both ends of a stage, or its work would be timed elsewhere; None: does not wait.
+    """
+
+    device: torch.device | None = None
     stages_ms: dict[str, float] = field(default_factory=dict)
     pairs: int = 0
     evaluations: int = 0
     work_bytes: int = 0
-    gaussians_drawn: int = 0
+    images: int = 0
+    gaussians_drawn: int = 0  # in all images
     colour_error: float = 0.0
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
+        self._wait()
         start = time.perf_counter()
         yield
+        self._wait()
         self.stages_ms[name] = self.stages_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - start)
+
+    def _wait(self) -> None:
+        if self.device is not None and self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
 
     def add_render(self, other: "Stats") -> None:
         """One of several renders that follow each other: their work adds up, their memory is used again."""
@@ -37,6 +48,7 @@ class Stats:
             self.stages_ms[name] = self.stages_ms.get(name, 0.0) + ms
         self.pairs += other.pairs
         self.evaluations += other.evaluations
+        self.images += other.images
         self.gaussians_drawn += other.gaussians_drawn
         self.work_bytes = max(self.work_bytes, other.work_bytes)
 
@@ -141,6 +153,7 @@ class Workspace:
             self.band_splats = scene.new(self.pairs, dtype=torch.int32)
             self.bins = _core.Bins(self.band_offsets.data_ptr(), self.band_splats.data_ptr())
             core.bin_fill(self.native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
+        self.stats.images += self.images
         self.stats.gaussians_drawn += int(drawn.sum())
         self.stats.add_buffers(self.splats, self.colours, self.orders, order, drawn, self.band_offsets,
                                self.band_splats)

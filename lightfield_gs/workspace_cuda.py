@@ -55,6 +55,9 @@ class CudaWorkspace:
             cuda.bin_fill(self.native, self.image, *order, self.pairs, self.ranges.data_ptr(), sort.data_ptr(),
                           sort.numel(), self.stream)
         self.stats.pairs += count
+        if self.stats.device is not None:  # reading the count back waits
+            self.stats.images += self.images
+            self.stats.gaussians_drawn += int((self.keys != -1).sum())
         self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, self.sorted_keys, self.indices,
                                temporary, self.ends, scan, *self.pair_buffers, self.ranges, sort)
 

@@ -69,6 +69,12 @@ def test_images_are_those_of_the_cpu(scene):
         assert far_apart(a, b) <= 5
 
 
+def test_classic_is_that_of_the_cpu(scene):
+    panel = Panel(**{**LENS, "views": 9})
+    expected, found = (encode(s, panel, rig(panel), "classic", output="float32") for s in (scene, on_gpu(scene)))
+    assert found.is_cuda and far_apart(expected, found) <= 3
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_few_gaussians(count):
     scene = sheet(48, 11)
