@@ -93,3 +93,28 @@ def rig(panel: Panel, yaw: float = 0.0, pitch: float = 0.0, principal: tuple[flo
 def all_subpixels(panel: Panel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """rows, columns and channels of every sub-pixel, in the order of image.ravel()."""
     return tuple(index.ravel() for index in np.indices((panel.height_px, panel.width_px, 3)))
+
+
+def hard_scene(kind: str, count: int, seed: int) -> Gaussians:
+    """A random scene of degree 1 made hard: of the kinds that the branches name."""
+    scene = random_scene(count, 1, seed=seed)
+    if kind == "clamped":
+        scene.means[:, :2] *= 6
+        scene.scales *= 3
+    elif kind == "needles":
+        scene.scales *= torch.tensor([0.02, 6.0, 0.02])
+    elif kind == "huge":
+        scene.scales *= 40
+    elif kind == "opaque":
+        scene.opacities[:] = 1
+        scene.scales *= 3
+    elif kind == "specks":
+        scene.scales *= 1e-4
+        scene.opacities[:] = 1
+    elif kind == "near and far":
+        scene.means[:, 2] = torch.linspace(-1, 60, count)
+    elif kind == "equal depths":
+        scene.means[:, 2] = 2 + 0.5 * (torch.arange(count) % 3)
+    else:
+        raise ValueError(f"no kind of hard scene {kind!r}")
+    return scene

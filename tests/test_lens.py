@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from rasterizer_cases import PANELS, all_subpixels, panel, random_scene, rig
+from rasterizer_cases import PANELS, all_subpixels, hard_scene, panel, random_scene, rig
 
 from lightfield_gs import encode, interlace, reference, render
 from lightfield_gs.bench_scenes import cloud, sheet
@@ -61,22 +61,7 @@ def encode_black(gaussians, shown, fan):
 
 @pytest.mark.parametrize("kind", ["clamped", "needles", "huge", "opaque", "specks", "near and far"])
 def test_gaussians_that_are_hard(kind):
-    scene = random_scene(40, 1, seed=3)
-    if kind == "clamped":
-        scene.means[:, :2] *= 6
-        scene.scales *= 3
-    elif kind == "needles":
-        scene.scales *= torch.tensor([0.02, 6.0, 0.02])
-    elif kind == "huge":
-        scene.scales *= 40
-    elif kind == "opaque":
-        scene.opacities[:] = 1
-        scene.scales *= 3
-    elif kind == "specks":
-        scene.scales *= 1e-4
-        scene.opacities[:] = 1
-    else:
-        scene.means[:, 2] = torch.linspace(-1, 60, 40)
+    scene = hard_scene(kind, 40, seed=3)
     shown = panel("very wide cone")
     fan = rig(shown, 0.1)
     want, margin = oracle(scene, shown, fan)

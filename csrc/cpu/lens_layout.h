@@ -26,8 +26,7 @@ struct LensLayout {
   LensLayout(const Lens& lens, int cells_per_patch) {
     // A lens must hold a few sub-pixels for its phase to be told from its neighbours', and few enough for a 64-bit mask
     by_lens = lens.line_number >= 3 && lens.line_number <= 63;
-    const double reach = lens.reach();
-    s_start = reach > 0 ? lens.offset_start / reach : 0, s_step = reach > 0 ? lens.offset_step / reach : 0;
+    s_start = lens.s_start(), s_step = lens.s_step();
     if (by_lens) {
       pitch = lens.line_number, shear = 3 * lens.slant_tan, origin = lens.phase;
       ordinals = int(std::ceil(pitch)), x_per_ordinal = 1.0 / 3;

@@ -249,9 +249,7 @@ __global__ void __launch_bounds__(kThreads)
 void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                     const Lens& lens, const float* background, float* out, uint8_t* out8, Stream stream) {
   const int64_t tiles = tile_count(image.tile, image.width_px, image.height_px);
-  const double reach = lens.reach();
-  const float start = reach > 0 ? float(lens.offset_start / reach) : 0;
-  const float step = reach > 0 ? float(lens.offset_step / reach) : 0;
+  const float start = float(lens.s_start()), step = float(lens.s_step());
   if (out8)
     composite_lens_kernel<uint8_t><<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(
         splats, image, ranges, pairs, lens, start, step, background, out8);
@@ -264,9 +262,7 @@ void composite_lens(const Splats<float>& splats, const Image& image, const int64
 void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                              const Pairs& pairs, const Lens& lens, const float* pixels, const float* gradient,
                              float* slot_gradients, float* tile_background, Stream stream) {
-  const double reach = lens.reach();
-  const float start = reach > 0 ? float(lens.offset_start / reach) : 0;
-  const float step = reach > 0 ? float(lens.offset_step / reach) : 0;
+  const float start = float(lens.s_start()), step = float(lens.s_step());
   composite_lens_backward_kernel<<<unsigned(tile_count(image.tile, image.width_px, image.height_px)), kThreads, 0,
                                    cudaStream_t(stream)>>>(splats, image, ranges, pairs, lens, start, step, pixels,
                                                            gradient, slot_gradients, tile_background);

@@ -28,6 +28,9 @@ struct Lens {
     b = b < 0 ? -b : b;
     return a > b ? a : b;
   }
+  // Normalized offset, in [-1, 1]: s = s_start() + s_step() * x; zero on a rig without width.
+  LFGS_HD double s_start() const { return reach() > 0 ? offset_start / reach() : 0; }
+  LFGS_HD double s_step() const { return reach() > 0 ? offset_step / reach() : 0; }
 };
 
 // Integer view of a phase: the high part of phase * views, exact.
