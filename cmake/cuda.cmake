@@ -31,7 +31,14 @@ set_target_properties(_core PROPERTIES
   CUDA_ARCHITECTURES "${architectures}" CUDA_STANDARD 20 CUDA_STANDARD_REQUIRED ON CUDA_RUNTIME_LIBRARY Static)
 
 target_sources(_core PRIVATE
+  csrc/bind/lens_frame.cpp
   csrc/cuda/project.cu
+  csrc/cuda/project_lens.cu
+  csrc/cuda/lens_frame.cu
+  csrc/cuda/lens_plan.cu
+  csrc/cuda/lens_lists.cu
+  csrc/cuda/composite_pixel.cu
+  csrc/cuda/composite_ordinal.cu
   csrc/cuda/project_backward.cu
   csrc/cuda/order.cu
   csrc/cuda/bin.cu

@@ -139,30 +139,39 @@ render_dense.register_autograd(_dense_backward, setup_context=_dense_setup)
 # Lens: the sub-pixels of a panel
 
 
-class _LensJob:
-    """Arguments of render_lens, checked, and the stages up to the composite."""
+class _LensArguments:
+    """Arguments of render_lens, checked."""
 
     def __init__(self, means, quaternions, scales, opacities, sh, background, rig: list[float], lens: list[int],
-                 lens_shape: list[float], stats: Stats, threads: int):
-        with stats.stage("plan"):
-            self.scene = scene = Scene(*(t.unsqueeze(0) for t in (means, quaternions, scales, opacities, sh)))
-            self.background = check("background", background, (3,), means)
-            self.lens = native_lens(lens, lens_shape)
-            self.width, self.height = lens[0], lens[1]
-            if len(rig) != 26:
-                raise InputError(f"rig must be 26 numbers (see render_lens), got {len(rig)}")
-            self.rig = _core.Rig(world_to_camera=rig[:16], intrinsics=rig[16:20], limits=rig[20:25],
-                                 zero_depth=rig[25], lens=self.lens)
+                 lens_shape: list[float]):
+        self.scene = scene = Scene(*(t.unsqueeze(0) for t in (means, quaternions, scales, opacities, sh)))
+        self.background = check("background", background, (3,), means)
+        self.lens = native_lens(lens, lens_shape)
+        self.width, self.height = lens[0], lens[1]
+        if len(rig) != 26:
+            raise InputError(f"rig must be 26 numbers (see render_lens), got {len(rig)}")
+        self.rig = _core.Rig(world_to_camera=rig[:16], intrinsics=rig[16:20], limits=rig[20:25], zero_depth=rig[25],
+                             lens=self.lens)
+        self.numbers = (*rig, *lens, *lens_shape)
         # Colours: raise the order until the polynomials are good enough. float64 is the exact twin: highest order.
-        orders = (0,) if scene.degree == 0 else COLOUR_ORDERS[-1:] if means.dtype == torch.float64 else COLOUR_ORDERS
-        with scene.guard:
-            with stats.stage("project"):
-                for order in orders:
-                    self.work = _workspace(scene, 1, self.width, self.height, order, stats, threads, lens=True)
-                    stats.colour_error = self.work.project_lens(self.rig, self.lens, COLOUR_TOLERANCE)
-                    if stats.colour_error <= COLOUR_TOLERANCE:
-                        break
-            self.work.order_and_bin()
+        exact = means.dtype == torch.float64
+        self.colour_orders = (0,) if scene.degree == 0 else COLOUR_ORDERS[-1:] if exact else COLOUR_ORDERS
+
+    def image(self, as_bytes: bool = False) -> Tensor:
+        return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
+
+
+def _lens_workspace(job: _LensArguments, stats: Stats, threads: int) -> Any:
+    """The workspace of a light field after all stages up to the composite."""
+    with job.scene.guard:
+        with stats.stage("project"):
+            for order in job.colour_orders:
+                work = _workspace(job.scene, 1, job.width, job.height, order, stats, threads, lens=True)
+                stats.colour_error = work.project_lens(job.rig, job.lens, COLOUR_TOLERANCE)
+                if stats.colour_error <= COLOUR_TOLERANCE:
+                    break
+        work.order_and_bin()
+    return work
 
 
 def native_lens(lens: list[int], lens_shape: list[float]) -> Any:
@@ -182,12 +191,38 @@ def native_lens(lens: list[int], lens_shape: list[float]) -> Any:
 
 def lens_forward(*arguments: Any, as_bytes: bool = False, stats: Stats | None = None,
                  threads: int | None = None) -> Tensor:
-    """render_lens without autograd; see there. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`."""
+    """render_lens without autograd; see there. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`.
+
+    On CUDA the image is that of the fast kernels, within 1/255 but where a sample sits on a threshold.
+    """
     stats, threads = stats or Stats(), threads or torch.get_num_threads()
-    job = _LensJob(*arguments, stats, threads)
-    with job.scene.guard, stats.stage("composite"):
-        out = job.scene.new(job.height, job.width, 3, dtype=torch.uint8 if as_bytes else None)
-        job.work.composite_lens(job.lens, job.background, out)
+    with stats.stage("plan"):
+        job = _LensArguments(*arguments)
+    if job.scene.tensors[0].is_cuda:
+        return _draw_frame(job, as_bytes, stats)
+    work = _lens_workspace(job, stats, threads)
+    with stats.stage("composite"):
+        out = job.image(as_bytes)
+        work.composite_lens(job.lens, job.background, out)
+    return out
+
+
+def frame_kind(job: _LensArguments) -> Any:
+    """What frames of such arguments are known to need, on CUDA."""
+    from lightfield_gs.frame_cuda import kind_of
+
+    return kind_of(job.scene, job.numbers, job.rig, job.lens, job.colour_orders, COLOUR_TOLERANCE)
+
+
+def _draw_frame(job: _LensArguments, as_bytes: bool, stats: Stats) -> Tensor:
+    with job.scene.guard:
+        with stats.stage("plan"):
+            kind = frame_kind(job)
+            frame, out = kind.frame(job.scene), job.image(as_bytes)
+        frame.draw(job.background, out, stats)
+        kind.note(frame)
+        if stats.device is not None:
+            stats.count_frame(frame.state(), frame.work)
     return out
 
 
@@ -205,7 +240,11 @@ def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     bgr, continuous. lens_shape: line_number, slant_tan, phase (sub-pixels), offset_start, offset_step (scene units).
     lightfield_gs.encode builds them from a Panel and a Rig. Raises InputError.
     """
-    return lens_forward(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
+    job = _LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
+    work, out = _lens_workspace(job, Stats(), torch.get_num_threads()), job.image()
+    with job.scene.guard:
+        work.composite_lens(job.lens, job.background, out)
+    return out
 
 
 @render_lens.register_fake
@@ -218,12 +257,12 @@ def render_lens_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opa
                          background: Tensor, rig: list[float], lens: list[int], lens_shape: list[float],
                          image: Tensor, g_image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Gradients of render_lens's first six arguments from its output and the gradient of that."""
-    threads = torch.get_num_threads()
-    job = _LensJob(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, Stats(), threads)
+    job = _LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
     image, g_image = (check(n, t, (job.height, job.width, 3), means) for n, t in (("image", image),
                                                                                  ("g_image", g_image)))
+    work = _lens_workspace(job, Stats(), torch.get_num_threads())
     with job.scene.guard:
-        out, parts = job.work.lens_backward(job.rig, job.lens, job.background, image, g_image)
+        out, parts = work.lens_backward(job.rig, job.lens, job.background, image, g_image)
     return (*(g.squeeze(0) for g in out), parts.sum(0))
 
 

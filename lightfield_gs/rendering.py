@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,10 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig, method: str = "direct",
                          f"{views!r} and {output!r}")
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
-    gaussians.validate()
+    if gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing():
+        gaussians.validate_layout()  # looking at values would wait for the device
+    else:
+        gaussians.validate()
     if threads is not None and threads < 1:
         raise InputError(f"threads must be at least 1, got {threads}")
     precision = torch.float64 if output == "float64" else torch.float32
@@ -174,7 +178,20 @@ def _tensors(gaussians: Gaussians) -> list[Tensor]:
 
 
 def _background(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
-    colour = torch.as_tensor(background, dtype=like.dtype, device=like.device)
+    if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
+        return _constant_background(tuple(background), like.dtype, like.device)
+    return _checked_background(background, like.dtype, like.device)
+
+
+@lru_cache(maxsize=64)
+def _constant_background(background: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Made once: copying it to a device would wait for the device every time."""
+    with torch.inference_mode(False):  # it may be part of a graph of gradients later
+        return _checked_background(background, dtype, device)
+
+
+def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype, device: torch.device) -> Tensor:
+    colour = torch.as_tensor(background, dtype=dtype, device=device)
     if colour.dim() == 0 or colour.shape[-1] != 3 or not bool(torch.isfinite(colour).all()):
         raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {background}")
     return colour
@@ -187,3 +204,5 @@ def _report(counters: Stats, gaussians: Gaussians, panel: Panel, out: dict[str, 
     out.update(stages_ms=dict(counters.stages_ms), pairs=counters.pairs, evaluations=evaluations,
                evaluations_per_subpixel=per_subpixel, work_bytes=counters.work_bytes, gaussians_culled=culled,
                colour_error=counters.colour_error)
+    if counters.kernel is not None:
+        out.update(kernel=counters.kernel)

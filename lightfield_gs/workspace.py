@@ -29,6 +29,7 @@ class Stats:
     images: int = 0
     gaussians_drawn: int = 0  # in all images
     colour_error: float = 0.0
+    kernel: str | None = None  # that drew a light field on CUDA
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -54,6 +55,14 @@ class Stats:
 
     def add_buffers(self, *buffers: Tensor) -> None:
         self.work_bytes += sum(t.numel() * t.element_size() for t in buffers)
+
+    def count_frame(self, state: dict[str, Any], work: Tensor) -> None:
+        """A light-field frame on CUDA and its work buffer."""
+        self.pairs += state["pairs"]
+        self.images += 1
+        self.gaussians_drawn += state["drawn"]
+        self.colour_error, self.kernel = state["colour_error"], state["kernel"]
+        self.add_buffers(work)
 
     def count(self, counters: Any) -> None:
         self.pairs += counters.pairs

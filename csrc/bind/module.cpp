@@ -4,6 +4,7 @@
 #include <pybind11/stl.h>
 
 #include "base/error.h"
+#include "bind/addresses.h"
 #include "hwy/highway.h"
 #include "hwy/targets.h"
 #include "pipeline/stages.h"
@@ -15,14 +16,6 @@ namespace py = pybind11;
 
 namespace lfgs {
 namespace {
-
-using Address = uintptr_t;
-using NoGil = py::call_guard<py::gil_scoped_release>;
-
-template <class T>
-T* at(Address address) {
-  return reinterpret_cast<T*>(address);
-}
 
 View<double> view_of(const std::vector<double>& world_to_camera, const std::vector<double>& intrinsics,
                      const std::vector<double>& limits, double zero_depth, const Lens& lens) {
@@ -293,6 +286,8 @@ PYBIND11_MODULE(_core, m) {
   bind_stages<float>(m.def_submodule("float32"));
   bind_stages<double>(m.def_submodule("float64"));
 #ifdef LFGS_WITH_CUDA
-  bind_cuda(m.def_submodule("cuda"));
+  py::module_ cuda_module = m.def_submodule("cuda");
+  bind_cuda(cuda_module);
+  bind_lens_frame(cuda_module);
 #endif
 }

@@ -1,0 +1,367 @@
+// Composite of a light-field frame by tiles of pixels, for rigs of small disparity.
+//
+// A block has 32 x 16 pixels, a warp 16 x 4 or 16 x 8 of them, a lane two neighbours in every fourth row: 6 or 12
+// sub-pixels. The block culls 128 or 256 splats of its list and turns what is left into polynomials about its centre,
+//   exponent = log2 o - (t (y - v0))^2 - d^2,   d = r(s) (x - m(y, s)),   r = S^(-1/2) about linear or quadratic in s,
+// the warp culls these against its own pixels, and its lanes evaluate them: no division, one exp2 a sample. Colours
+// enter as differences, C += T (c_i - c_(i-1)), which saves an instruction. Splats for which that is too rough (nearly
+// opaque, of a shape or colour that varies much over the rig) are evaluated as they are written, *carefully*.
+#include "cuda/blend.cuh"
+#include "cuda/check.h"
+#include "cuda/composite_lens.cuh"
+#include "cuda/lens_optics.cuh"
+#include "cuda/lens_plan.cuh"
+#include "cuda/strip.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kBlockWidth = 32, kBlockHeight = 16, kWarpWidth = 16, kWarpsAcross = 2;
+constexpr float kCarefulOpacity = -0.0365f;       // log2(0.975)
+constexpr float kMostColourCurvature = 4e-4f;     // dropped s^2 of a colour: half of it is the error
+constexpr unsigned kCarefulBit = 1u << 15;
+
+template <int LaneRows_, bool Quadratic_, bool Harmonics_>
+struct Config {
+  static constexpr int LaneRows = LaneRows_;
+  static constexpr bool Quadratic = Quadratic_, Harmonics = Harmonics_;
+  static constexpr int kWarpHeight = 4 * LaneRows, kWarpsDown = kBlockHeight / kWarpHeight;
+  static constexpr int kWarps = kWarpsAcross * kWarpsDown, kThreads = 32 * kWarps;
+  static constexpr int kBlocks = LaneRows == 1 ? 4 : 6;  // on a multiprocessor
+  static constexpr LensKernel kernel =
+      Quadratic ? LensKernel::kPixelQuadratic : LaneRows == 1 ? LensKernel::kPixelSmall : LensKernel::kPixel;
+};
+
+// Splats of a batch that survived the block's cull, in coordinates about its centre.
+template <class C>
+struct Staged {
+  float4 splat[3][C::kThreads];  // as in memory, u0 and v0 moved
+  float4 fit[4][C::kThreads];    // see polynomial()
+  float4 slope[C::Harmonics ? C::kThreads : 1];
+  uint32_t ids[C::kThreads];
+  uint16_t queue[C::kWarps][C::kThreads];  // of each warp; kCarefulBit
+  int counts[C::kWarps];
+  unsigned next_tile;
+};
+
+__device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
+  return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
+}
+
+// The polynomial of d and the rest of what a sample needs:
+//   d = (f0.x + f1.y x + f0.y y) + s (f0.z + f1.z x + f0.w y) + s^2 (f1.x + [f3.y x + f3.z y]) + [s^3 f3.w],
+//   exponent = f1.w - (f2.x + f2.y y)^2 - d^2;   colour (f2.z, f2.w, f3.x). [] only when quadratic.
+template <class C>
+__device__ void polynomial(const Splat<float>& s, float4 colour, float4 fit[4]) {
+  auto root = [&](float v) { return rsqrtf(fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
+  float r0, r1, r2 = 0;
+  if (C::Quadratic) {  // through the nodes 0, -+ sqrt(3)/2
+    const float middle = root(0.f), right = root(0.8660254f), left = root(-0.8660254f);
+    r0 = middle, r1 = (right - left) * 0.57735027f, r2 = (right + left - 2 * middle) * 0.66666667f;
+  } else {  // -+ sqrt(1/2)
+    const float right = root(0.70710678f), left = root(-0.70710678f);
+    r0 = 0.5f * (right + left), r1 = 0.70710678f * (right - left);
+  }
+  const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du), t = sqrtf(s.tau);
+  fit[0] = make_float4(r0 * E, -r0 * s.c0, fmaf(r1, E, -r0 * sweep), -fmaf(r1, s.c0, r0 * s.c1));
+  fit[1] = make_float4(fmaf(r2, E, -r1 * sweep), r0, r1, s.log2_opacity);
+  fit[2] = make_float4(-t * s.v0, t, colour.x, colour.y);
+  fit[3] = make_float4(colour.z, r2, -fmaf(r2, s.c0, r1 * s.c1), -r2 * sweep);
+}
+
+// Colour as a straight line in s; false where that is too rough.
+__device__ inline bool straight_colour(const Splats<float>& splats, uint32_t id, float4& colour, float4& slope) {
+  const int order = splats.orders[id];
+  const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
+  colour = powers[0], slope = order > 0 ? powers[1] : make_float4(0, 0, 0, 0);
+  bool good = order <= 2;
+  if (order == 2) {  // s^2 is 1/2 but for a Chebyshev polynomial of half its size
+    const float4 c = powers[2];
+    good = fmaxf(fabsf(c.x), fmaxf(fabsf(c.y), fabsf(c.z))) <= kMostColourCurvature;
+    colour.x += 0.5f * c.x, colour.y += 0.5f * c.y, colour.z += 0.5f * c.z;
+  }
+  auto clamp = [&](float& c, float& d) {
+    if (c + fabsf(d) <= 0) c = d = 0;
+    good = good && c >= fabsf(d);  // a colour that ends within the rig has a bend
+  };
+  clamp(colour.x, slope.x), clamp(colour.y, slope.y), clamp(colour.z, slope.z);
+  return good;
+}
+
+// Colours in the order of the sub-pixels, left to right.
+__device__ inline float4 by_place(float4 c, int bgr) { return bgr ? make_float4(c.z, c.y, c.x, c.w) : c; }
+
+template <class C>
+struct Samples {
+  float x[2], y[C::LaneRows];  // about the block's centre
+  float s[C::LaneRows][2][3], colour[C::LaneRows][2][3], transmittance[C::LaneRows][2][3];
+  float4 last, last_slope;  // colour of the last splat
+
+  __device__ Samples(const LensFrame& frame, int left, int top, int lane_x, int lane_y)
+      : last(make_float4(0, 0, 0, 0)), last_slope(last) {
+    const LensOptics& lens = frame.optics;
+#pragma unroll
+    for (int r = 0; r < C::LaneRows; ++r) {
+      const int row = top + lane_y + 4 * r;
+      y[r] = lane_y + 4 * r + 0.5f - 0.5f * kBlockHeight;
+#pragma unroll
+      for (int p = 0; p < 2; ++p) {
+        const int column = left + lane_x + p;
+        x[p] = lane_x + p + 0.5f - 0.5f * kBlockWidth;
+        uint64_t phase = phase_at(lens, row, 3 * column);
+#pragma unroll
+        for (int k = 0; k < 3; ++k, phase += lens.phase_x) {
+          s[r][p][k] = fmaf(lens.s_step, camera_of(lens, phase), lens.s_start);
+          colour[r][p][k] = 0;
+          transmittance[r][p][k] = row < lens.height_px && column < lens.width_px ? 1.f : 0.f;
+        }
+      }
+    }
+  }
+
+  template <class Visit>
+  __device__ void for_each(const Visit& visit) {
+#pragma unroll
+    for (int r = 0; r < C::LaneRows; ++r)
+#pragma unroll
+      for (int p = 0; p < 2; ++p)
+#pragma unroll
+        for (int k = 0; k < 3; ++k) visit(r, p, k);
+  }
+
+  __device__ bool opaque() {
+    bool all = true;
+    for_each([&](int r, int p, int k) { all = all && transmittance[r][p][k] < float(kMinTransmittance); });
+    return all;
+  }
+
+  __device__ static float part(float4 c, int k) { return k == 0 ? c.x : k == 1 ? c.y : c.z; }
+
+  __device__ void add(const Staged<C>& staged, int i) {
+    const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i];
+    const float4 f3 = C::Quadratic ? staged.fit[3][i] : make_float4(staged.fit[3][i].x, 0, 0, 0);
+    const float4 colour_now = make_float4(f2.z, f2.w, f3.x, 0);
+    const float4 step = make_float4(f2.z - last.x, f2.w - last.y, f3.x - last.z, 0);
+    float4 slope_step = make_float4(0, 0, 0, 0);
+    if (C::Harmonics) {
+      const float4 slope = staged.slope[i];
+      slope_step = make_float4(slope.x - last_slope.x, slope.y - last_slope.y, slope.z - last_slope.z, 0);
+      last_slope = slope;
+    }
+    last = colour_now;
+#pragma unroll
+    for (int r = 0; r < C::LaneRows; ++r) {
+      const float t = fmaf(f2.y, y[r], f2.x), A = fmaf(-t, t, f1.w);
+      const float p0 = fmaf(f0.y, y[r], f0.x), p1 = fmaf(f0.w, y[r], f0.z);
+      const float p2 = C::Quadratic ? fmaf(f3.z, y[r], f1.x) : f1.x;
+#pragma unroll
+      for (int p = 0; p < 2; ++p) {
+        const float c0 = fmaf(f1.y, x[p], p0), c1 = fmaf(f1.z, x[p], p1);
+        const float c2 = C::Quadratic ? fmaf(f3.y, x[p], p2) : p2;
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+          const float v = s[r][p][k];
+          float& T = transmittance[r][p][k];
+          const float d = fmaf(v, fmaf(v, C::Quadratic ? fmaf(v, f3.w, c2) : c2, c1), c0), power = fmaf(-d, d, A);
+          const float alpha = fast_exp2(power);
+          const float change = C::Harmonics ? fmaf(v, part(slope_step, k), part(step, k)) : part(step, k);
+          colour[r][p][k] = fmaf(T, change, colour[r][p][k]);
+          if (power >= float(kLog2MinAlpha)) T = fmaf(-alpha, T, T);
+        }
+      }
+    }
+  }
+
+  // Closes the last colour, so that the next starts from nothing.
+  __device__ void close() {
+    for_each([&](int r, int p, int k) {
+      const float end = C::Harmonics ? fmaf(s[r][p][k], part(last_slope, k), part(last, k)) : part(last, k);
+      colour[r][p][k] = fmaf(-transmittance[r][p][k], end, colour[r][p][k]);
+    });
+    last = last_slope = make_float4(0, 0, 0, 0);
+  }
+
+  // As written: a division, the limit of alpha, the whole colour polynomial, the stop of what is opaque.
+  __device__ void add_carefully(const Staged<C>& staged, int i, const Splats<float>& splats, int bgr,
+                                float4 background) {
+    close();
+    const Splat<float> splat = assembled(staged.splat[0][i], staged.splat[1][i], staged.splat[2][i]);
+    const uint32_t id = staged.ids[i];
+    const int order = C::Harmonics ? splats.orders[id] : 0;
+    const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
+    for_each([&](int r, int p, int k) {
+      const float dy = y[r] - splat.v0, v = s[r][p][k];
+      const float dx = x[p] - splat.u0 - splat.c0 * dy - v * fmaf(splat.c1, dy, splat.du);
+      const float S = fmaf(v, fmaf(v, splat.S2, splat.S1), splat.S0);
+      const float alpha = alpha_of(splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S));
+      float& T = transmittance[r][p][k];
+      if (alpha == 0 || T == 0) return;
+      const float after = T - alpha * T;
+      if (after < float(kMinTransmittance)) {
+        colour[r][p][k] = fmaf(T, part(background, k), colour[r][p][k]), T = 0;
+        return;
+      }
+      float c = part(by_place(powers[order], bgr), k);
+      for (int q = order - 1; q >= 0; --q) c = fmaf(c, v, part(by_place(powers[q], bgr), k));
+      colour[r][p][k] = fmaf(alpha * T, fmaxf(c, 0.f), colour[r][p][k]), T = after;
+    });
+  }
+};
+
+// Culls and stages the candidates of a batch; returns how many stay. By all threads of the block.
+template <class C>
+__device__ int stage(const LensFrame& frame, const uint32_t* list, unsigned count, float centre_x, float centre_y,
+                     Staged<C>& staged) {
+  const int lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  const uint32_t id = threadIdx.x < count ? list[threadIdx.x] : list[0];
+  const float4* source = reinterpret_cast<const float4*>(frame.splats.splats + id);
+  float4 a = source[0], b = source[1], c = source[2];
+  a.x -= centre_x, a.z -= centre_y;
+  const Splat<float> splat = assembled(a, b, c);
+  const float half = 0.5f * kBlockHeight - 0.5f;
+  const bool hit = threadIdx.x < count &&
+                   Strip(splat, -half, half, 0.f, 1.f, 0.f).touches(0.f, 0.5f * kBlockWidth - 0.5f);
+  const unsigned hits = __ballot_sync(~0u, hit);
+  if (lane == 0) staged.counts[warp] = __popc(hits);
+  __syncthreads();
+  int place = __popc(hits & ((1u << lane) - 1)), all = 0;
+#pragma unroll
+  for (int w = 0; w < C::kWarps; ++w) {
+    place += w < warp ? staged.counts[w] : 0;
+    all += staged.counts[w];
+  }
+  if (hit) {
+    const ShapeError error(splat);
+    bool careful = a.w >= kCarefulOpacity || frame.state->exact ||
+                   (C::Quadratic ? error.quadratic : error.linear) > kMostShapeError;
+    float4 colour, slope, fit[4];
+    if (C::Harmonics) {
+      careful = !straight_colour(frame.splats, id, colour, slope) || careful;
+      staged.slope[place] = by_place(slope, frame.optics.bgr);
+    } else {
+      colour = reinterpret_cast<const float4*>(frame.splats.colours)[id];
+    }
+    polynomial<C>(splat, by_place(colour, frame.optics.bgr), fit);
+    staged.splat[0][place] = a, staged.splat[1][place] = b, staged.splat[2][place] = c;
+#pragma unroll
+    for (int k = 0; k < 4; ++k) staged.fit[k][place] = fit[k];
+    staged.ids[place] = id | (careful ? 1u << 31 : 0);
+  }
+  __syncthreads();
+  return all;
+}
+
+// Numbers of the staged splats that may touch the warp's pixels, in order; returns how many.
+template <class C>
+__device__ int cull(const Staged<C>& staged, int count, float x, float top, uint16_t* queue) {
+  const int lane = threadIdx.x % 32;
+  int queued = 0;
+  for (int first = 0; first < count; first += 32) {
+    const int i = min(first + lane, count - 1);
+    const Splat<float> splat = assembled(staged.splat[0][i], staged.splat[1][i], staged.splat[2][i]);
+    const bool hit = first + lane < count && Strip(splat, top, top + C::kWarpHeight - 1, 0.f, 1.f, 0.f)
+                                                 .touches(x, 0.5f * kWarpWidth - 0.5f);
+    const unsigned hits = __ballot_sync(~0u, hit);
+    if (hit) queue[queued + __popc(hits & ((1u << lane) - 1))] = i | (staged.ids[i] >> 31 ? kCarefulBit : 0);
+    queued += __popc(hits);
+  }
+  __syncwarp();
+  return queued;
+}
+
+template <class C, class Out>
+__device__ void draw_tile(const LensFrame& frame, unsigned unit, float4 background, Out* out, Staged<C>& staged) {
+  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+  const Tiling& tiling = frame.pixel;
+  const int tile = unit / 4, part = unit % 4;
+  const int left = tile % tiling.across * 2 * kBlockWidth + part % 2 * kBlockWidth;
+  const int top = tile / tiling.across * 2 * kBlockHeight + part / 2 * kBlockHeight;
+  if (left >= frame.optics.width_px || top >= frame.optics.height_px) return;
+  const int warp_x = warp % kWarpsAcross * kWarpWidth, warp_y = warp / kWarpsAcross * C::kWarpHeight;
+  const int lane_x = warp_x + 2 * (lane % 8), lane_y = warp_y + lane / 8;
+  Samples<C> samples(frame, left, top, lane_x, lane_y);
+
+  const List list(frame, tile);
+  for (unsigned begin = 0; begin < list.count; begin += C::kThreads) {
+    const bool opaque = samples.opaque();
+    if (__syncthreads_and(opaque)) break;
+    const unsigned count = min(unsigned(C::kThreads), list.count - begin);
+    const int all = stage<C>(frame, list.ids + begin, count, left + 0.5f * kBlockWidth, top + 0.5f * kBlockHeight,
+                             staged);
+    if (__all_sync(~0u, opaque)) continue;
+    uint16_t* queue = staged.queue[warp];
+    const int queued = cull<C>(staged, all, warp_x + 0.5f * (kWarpWidth - kBlockWidth),
+                               warp_y + 0.5f - 0.5f * kBlockHeight, queue);
+    int h = 0;
+#pragma unroll 1
+    while (h < queued) {
+      const unsigned first = queue[h], second = h + 1 < queued ? queue[h + 1] : kCarefulBit;
+      if (((first | second) & kCarefulBit) == 0) {  // two at a time hide each other's latency
+        samples.add(staged, first), samples.add(staged, second);
+        h += 2;
+      } else {
+        if (first & kCarefulBit)
+          samples.add_carefully(staged, first & ~kCarefulBit, frame.splats, frame.optics.bgr, background);
+        else
+          samples.add(staged, first);
+        ++h;
+      }
+    }
+  }
+
+  const float4 end = make_float4(background.x - samples.last.x, background.y - samples.last.y,
+                                 background.z - samples.last.z, 0);
+#pragma unroll
+  for (int r = 0; r < C::LaneRows; ++r) {
+    float values[6];
+#pragma unroll
+    for (int p = 0; p < 2; ++p)
+#pragma unroll
+      for (int k = 0; k < 3; ++k) {
+        float change = Samples<C>::part(end, k);
+        if (C::Harmonics) change -= samples.s[r][p][k] * Samples<C>::part(samples.last_slope, k);
+        values[3 * p + k] = fmaf(samples.transmittance[r][p][k], change, samples.colour[r][p][k]);
+      }
+    store_pixels(frame.optics, left + lane_x, top + lane_y + 4 * r, values, out);
+  }
+}
+
+template <class C, class Out>
+__global__ void __launch_bounds__(C::kThreads, C::kBlocks)
+    composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
+  if (frame.state->kernel != int(C::kernel)) return;
+  __shared__ Staged<C> staged;
+  const float4 behind =
+      by_place(make_float4(background[0], background[1], background[2], 0), frame.optics.bgr);
+  const unsigned units = 4 * unsigned(frame.pixel.tiles());
+  for (unsigned unit = blockIdx.x; unit < units; unit = next_unit(frame, C::kernel, staged.next_tile))
+    draw_tile<C>(frame, unit, behind, out, staged);
+}
+
+template <class C, class Out>
+void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
+  const auto kernel = composite_pixel_kernel<C, Out>;
+  kernel<<<resident_blocks(kernel, C::kThreads, 0), C::kThreads, 0, stream>>>(frame, background, out);
+  check_launch("composite_pixel");
+}
+
+template <bool Harmonics, class Out>
+void launch_all(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
+  launch<Config<1, false, Harmonics>>(frame, background, out, stream);
+  launch<Config<2, false, Harmonics>>(frame, background, out, stream);
+  launch<Config<2, true, Harmonics>>(frame, background, out, stream);
+}
+
+}  // namespace
+
+void composite_pixel(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
+  auto draw = [&](auto* image) {
+    if (frame.splats.orders)
+      launch_all<true>(frame, background, image, cudaStream_t(stream));
+    else
+      launch_all<false>(frame, background, image, cudaStream_t(stream));
+  };
+  out8 ? draw(out8) : draw(out);
+}
+
+}  // namespace lfgs::cuda

@@ -1,0 +1,126 @@
+// Sizes of a light-field frame and the layout of its work buffer.
+#include "cuda/lens_frame.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/error.h"
+#include "cuda/lens_lists.h"
+#include "cuda/lens_rig.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kPixelTileWidth = 64, kPixelTileHeight = 32;
+constexpr int64_t kMostTiles = int64_t(1) << 31;
+
+// By how many sub-pixels the lenses lean over the height; the smallest D - origin of the panel.
+double tilt(const Lens& lens) { return 3 * lens.slant_tan * double(lens.height_px - 1); }
+double lowest_phase(const Lens& lens) { return std::min(0.0, tilt(lens)); }
+
+Ordinals ordinals_of(const Lens& lens) {
+  Ordinals out{};
+  out.count = int(std::ceil(lens.line_number)), out.per_group = kGroupOrdinals;
+  out.groups = (out.count + kGroupOrdinals - 1) / kGroupOrdinals;
+  out.first_lens = int(std::floor(lowest_phase(lens) / lens.line_number));
+  const double views_each = double(lens.views) / lens.line_number, last = double(lens.views) - 1;
+  for (int t = 0; t < std::min(out.count, kMostOrdinals); ++t) {
+    double low = t * views_each, high = (t + 1) * views_each;
+    if (!lens.continuous) low = std::floor(low - 1e-6) + 0.5, high = std::floor(high + 1e-6) + 0.5;
+    low = std::clamp(low, lens.continuous ? 0.0 : 0.5, last + 0.5);
+    high = std::clamp(high, low, lens.continuous ? last + 1 : last + 0.5);
+    const double view = (low + high) / 2;
+    out.view[t] = float(view);
+    out.centre[t] = float(lens.s_start() + lens.s_step() * view);
+    out.half[t] = float(std::fabs(lens.s_step()) * (high - low) / 2);
+  }
+  return out;
+}
+
+LensOptics optics_of(const Lens& lens) {
+  LensOptics out{};
+  out.width_px = int(lens.width_px), out.height_px = int(lens.height_px), out.views = int(lens.views);
+  out.phase0 = lens.phase0, out.phase_x = lens.phase_x, out.phase_y = lens.phase_y;
+  out.line_number = float(lens.line_number), out.slant_tan = float(lens.slant_tan);
+  out.origin = float(lens.phase - std::floor(lens.phase / lens.line_number) * lens.line_number);
+  out.s_start = float(lens.s_start()), out.s_step = float(lens.s_step());
+  out.bgr = lens.bgr, out.continuous = lens.continuous;
+  out.ordinals = ordinals_of(lens);
+  return out;
+}
+
+// Pixel j, centre j + 1/2, lies in tile floor(j / width).
+Tiling pixel_tiling(const Lens& lens) {
+  const int across = int((lens.width_px + kPixelTileWidth - 1) / kPixelTileWidth);
+  const int down = int((lens.height_px + kPixelTileHeight - 1) / kPixelTileHeight);
+  return {across, down, 1, kPixelTileHeight, float(kPixelTileWidth), 1, 0.5f, -0.5f, 0};
+}
+
+// Sub-pixel place k of the pixel at x in row i has D = 3 x - 3/2 + k + 3 i tan + origin and lies in lens floor(D / P_e).
+// Tiles count from the first lens of the panel; strips are sheared along y = i + 1/2.
+Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
+  const double first = optics.ordinals.first_lens * lens.line_number;
+  const double most = 3.0 * double(lens.width_px) + std::fabs(tilt(lens)) + lowest_phase(lens) + lens.line_number;
+  const double width = kTileLenses * lens.line_number, zero = optics.origin - first - 1.5 * lens.slant_tan;
+  const int across = int((most - first) / width) + 1;
+  const int down = int((lens.height_px + kTileRows - 1) / kTileRows);
+  return {across,       down, optics.ordinals.groups,     kTileRows, float(width), 3, float(zero - 1.5),
+          float(zero + 0.5), float(lens.slant_tan)};
+}
+
+// Hands out aligned parts of one buffer; counts when the buffer is null.
+struct Parts {
+  char* base;
+  size_t used = 0;
+
+  template <class T>
+  void take(T*& part, int64_t count) {
+    used = (used + 255) / 256 * 256;
+    part = reinterpret_cast<T*>(base ? base + used : nullptr);
+    used += size_t(count) * sizeof(T);
+  }
+};
+
+}  // namespace
+
+LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const View<double>& rig_, const Lens& lens,
+                     int64_t capacity_, double tolerance_)
+    : rig(rounded(rig_)), optics(optics_of(lens)), pixel(pixel_tiling(lens)), ordinal(ordinal_tiling(lens, optics)),
+      has_ordinal(can_composite_ordinal(lens)), sh_degree(sh_degree_), capacity(capacity_),
+      tolerance(float(tolerance_)) {
+  require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),
+          "a frame takes fewer than 2^31 Gaussians and 2^32 pairs, got " + std::to_string(gaussians) + " and " +
+              std::to_string(capacity));
+  require(most_tiles() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_tiles()));
+  splats.images = 1, splats.count = gaussians, splats.colour_order = colour_order;
+  key_bytes = most_tiles() < (1 << 16) ? 2 : 4;
+}
+
+size_t LensFrame::place(void* work) {
+  Parts parts{static_cast<char*>(work)};
+  const int64_t n = splats.count;
+  parts.take(state, 1);
+  parts.take(splats.splats, n);
+  parts.take(splats.colours, n * (splats.colour_order + 1) * kColourStride);
+  splats.orders = nullptr;
+  if (splats.colour_order > 0) parts.take(splats.orders, n);
+  parts.take(depths, n), parts.take(sorted_depths, n), parts.take(indices, n), parts.take(order, n);
+  parts.take(ends, n);
+  char *unsorted = nullptr, *sorted = nullptr;
+  parts.take(unsorted, capacity * key_bytes), parts.take(sorted, capacity * key_bytes);
+  keys = unsorted, sorted_keys = sorted;
+  parts.take(values, capacity), parts.take(sorted_values, capacity);
+  parts.take(ranges, 2 * most_tiles());
+  temporary_bytes = lists_temporary_bytes(*this);
+  char* scratch = nullptr;
+  parts.take(scratch, int64_t(temporary_bytes));
+  temporary = scratch;
+  return parts.used;
+}
+
+void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
+  composite_pixel(frame, background, out, out8, stream);
+  composite_ordinal(frame, background, out, out8, stream);
+}
+
+}  // namespace lfgs::cuda

@@ -1,0 +1,104 @@
+// A light-field frame on the device, forward only: project -> order -> bin -> composite without the host in between.
+// All sizes are fixed when the frame is made, nothing waits for the device, and every decision that depends on the
+// scene is taken there: so a frame can be captured in a CUDA graph and replayed.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+
+#include "base/config.h"
+#include "cuda/stages.h"
+
+namespace lfgs::cuda {
+
+// How composite goes about it. kPixel...: tiles of pixels, each sample evaluated with the inverse standard deviation as
+// a polynomial in s; small and large footprints. kOrdinal: tiles of lenses, tensor cores (module composite_ordinal.cu).
+enum class LensKernel : int { kPixelSmall, kPixel, kPixelQuadratic, kOrdinal, kCount };
+
+// What one frame found out: written on the device, read by the host when it likes.
+struct FrameState {
+  unsigned long long pairs;      // (tile, splat) pairs; when more than the capacity, composite walks all splats
+  unsigned drawn;                // splats
+  unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
+  int kernel;                    // LensKernel chosen
+  int exact;                     // every splat of a pixel kernel is evaluated with a division
+  unsigned next_tile[4];         // of each composite kernel
+  unsigned sampled;              // splats in the sums below (a part of them, for speed)
+  unsigned long long sums[8];    // see FrameSum, fixed point
+};
+
+constexpr int kMostOrdinals = 32;
+
+// Sub-pixels t of all lenses, t = 0, 1, ...: the part of the rig that they see.
+struct Ordinals {
+  int count, per_group, groups;
+  int first_lens;                                    // left-most lens of the panel
+  float centre[kMostOrdinals], half[kMostOrdinals];  // of s
+  float view[kMostOrdinals];                         // of the view number, at the centre
+};
+
+// The lens for kernels, in float.
+struct LensOptics {
+  int width_px, height_px, views;
+  uint64_t phase0, phase_x, phase_y;
+  float line_number, origin, slant_tan;  // origin: phase of the first sub-pixel in [0, line_number)
+  float s_start, s_step;
+  int bgr, continuous;
+  Ordinals ordinals;
+};
+
+// Tiles in rows of `height` pixels; across they are steps of `width` along scale * (x + shear y), moved by low or high.
+struct Tiling {
+  int across, down, groups, height;
+  float width, scale, low, high, shear;
+  LFGS_HD int64_t tiles() const { return int64_t(across) * down * groups; }
+};
+
+struct LensFrame {
+  View<float> rig;
+  LensOptics optics;
+  Tiling pixel, ordinal;
+  bool has_ordinal = false;  // whether kOrdinal can draw this lens on this device
+  int forced = -1;           // a LensKernel, or -1: chosen by cost
+  int sh_degree = 0;
+  int64_t capacity = 0;      // pairs
+  int key_bytes = 4;
+  float tolerance = 0;       // of colour polynomials
+
+  // Parts of the work buffer
+  Splats<float> splats;
+  FrameState* state = nullptr;
+  uint32_t *depths = nullptr, *sorted_depths = nullptr, *indices = nullptr, *order = nullptr;  // [N]
+  int64_t* ends = nullptr;                                                                     // [N]
+  void *keys = nullptr, *sorted_keys = nullptr;                                                // [capacity]
+  uint32_t *values = nullptr, *sorted_values = nullptr;                                        // [capacity]
+  uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
+  void* temporary = nullptr;
+  size_t temporary_bytes = 0;
+
+  LensFrame() = default;
+  // Throws Error when the sizes do not fit 32 bits.
+  LensFrame(int64_t gaussians, int sh_degree, int colour_order, const View<double>& rig, const Lens& lens,
+            int64_t capacity, double tolerance);
+  // Lays the parts out in `work` (null: only counts); returns the bytes.
+  size_t place(void* work);
+  int64_t most_tiles() const { return std::max(pixel.tiles(), has_ordinal ? ordinal.tiles() : 0); }
+};
+
+// The stages, in this order. gaussians: the frame's count and degree. Colours at order > 0: sh_degree > 0.
+void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, Stream stream);
+void frame_order(const LensFrame& frame, Stream stream);
+void frame_count(const LensFrame& frame, Stream stream);  // after it state->pairs is known
+void frame_fill(const LensFrame& frame, Stream stream);
+void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
+
+// Part of frame_project: chooses the kernel.
+void frame_plan(const LensFrame& frame, Stream stream);
+// Parts of frame_composite: each draws when the frame chose it.
+void composite_pixel(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
+void composite_ordinal(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
+// Lenses across and rows down of a tile of composite_ordinal; whether it can draw a lens on the current device.
+constexpr int kTileLenses = 16, kTileRows = 32, kGroupOrdinals = 6;
+bool can_composite_ordinal(const Lens& lens);
+
+}  // namespace lfgs::cuda

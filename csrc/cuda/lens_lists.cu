@@ -1,0 +1,177 @@
+// Stages order and bin of a light-field frame. A splat's pairs (tile, splat) are written in depth order and sorted by
+// tile, stably. Which tiles those are, of pixels or of lenses, the frame has decided on the device.
+#include "cuda/lens_lists.h"
+
+#include <cub/device/device_radix_sort.cuh>
+#include <cub/device/device_scan.cuh>
+
+#include <algorithm>
+#include <bit>
+
+#include "cuda/check.h"
+#include "cuda/strip.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kThreads = 128, kLanes = 4;  // lanes that share the tile rows of a splat
+
+__device__ bool ordinal_chosen(const LensFrame& frame) {
+  return frame.state->kernel == int(LensKernel::kOrdinal);
+}
+
+// Offsets that a group of ordinals sees.
+__device__ void group_offsets(const Ordinals& ordinals, int group, float& centre, float& half) {
+  const int first = group * ordinals.per_group, last = min(first + ordinals.per_group, ordinals.count) - 1;
+  const float a = fminf(ordinals.centre[first] - ordinals.half[first], ordinals.centre[last] - ordinals.half[last]);
+  const float b = fmaxf(ordinals.centre[first] + ordinals.half[first], ordinals.centre[last] + ordinals.half[last]);
+  centre = 0.5f * (a + b), half = 0.5f * (b - a);
+}
+
+// Calls visit(first, last, stride) for the runs of tiles that a splat may touch: every kLanes-th of its tile rows.
+template <class Visit>
+__device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int lane, const Visit& visit) {
+  if (!(s.reach_y >= 0)) return;
+  const bool by_lens = ordinal_chosen(frame);
+  const Tiling& tiling = by_lens ? frame.ordinal : frame.pixel;
+  const float height = float(tiling.height);
+  const int first = max(0, int(floorf((s.v0 - s.reach_y + 0.5f) / height)));
+  const int last = min(tiling.down - 1, int(floorf((s.v0 + s.reach_y - 0.5f) / height)));
+  const int groups = tiling.groups, runs = (last - first + 1) * groups;
+  for (int k = lane; k < runs; k += kLanes) {
+    const int row = first + k / groups, group = k % groups;
+    float centre = 0, half = 1;
+    if (by_lens) group_offsets(frame.optics.ordinals, group, centre, half);
+    const float top = float(row) * height;
+    const Strip strip(s, top + 0.5f, top + height - 0.5f, centre, half, tiling.shear);
+    if (!strip.rows) continue;
+    const float reach = strip.spread + sqrtf(strip.square);
+    const float low = fmaf(tiling.scale, strip.middle - reach, tiling.low) / tiling.width;
+    const float high = fmaf(tiling.scale, strip.middle + reach, tiling.high) / tiling.width;
+    const int a = int(fmaxf(floorf(low), 0.f)), b = int(fminf(floorf(high), float(tiling.across - 1)));
+    if (b >= a) visit((row * tiling.across + a) * groups + group, (row * tiling.across + b) * groups + group, groups);
+  }
+}
+
+__global__ void count_kernel(const __grid_constant__ LensFrame frame) {
+  const int64_t i = (int64_t(blockIdx.x) * kThreads + threadIdx.x) / kLanes;
+  const bool inside = i < frame.splats.count;
+  int64_t count = 0;
+  if (inside && i < frame.state->drawn)
+    for_each_run(frame.splats.splats[frame.order[i]], frame, threadIdx.x % kLanes,
+                 [&](int first, int last, int stride) { count += (last - first) / stride + 1; });
+  for (int step = 1; step < kLanes; step *= 2) count += __shfl_xor_sync(~0u, count, step);
+  if (inside && threadIdx.x % kLanes == 0) frame.ends[i] = count;
+}
+
+__global__ void total_kernel(const __grid_constant__ LensFrame frame) {
+  const int64_t n = frame.splats.count;
+  frame.state->pairs = n ? frame.ends[n - 1] : 0;
+}
+
+// Where the frame has more pairs than places nothing is written: composite then walks all splats.
+template <class Key>
+__global__ void fill_kernel(const __grid_constant__ LensFrame frame) {
+  const int64_t i = (int64_t(blockIdx.x) * kThreads + threadIdx.x) / kLanes;
+  if (frame.state->pairs > frame.capacity) return;
+  const bool inside = i < frame.state->drawn;
+  const uint32_t id = inside ? frame.order[i] : 0;
+  const int lane = threadIdx.x % kLanes;
+  Splat<float> splat;
+  splat.reach_y = -1;
+  if (inside) splat = frame.splats.splats[id];
+
+  // Places of this lane's pairs: after those of the lanes before it
+  int64_t mine = 0;
+  for_each_run(splat, frame, lane, [&](int first, int last, int stride) { mine += (last - first) / stride + 1; });
+  int64_t sum = mine;
+  for (int step = 1; step < kLanes; step *= 2) {
+    const int64_t other = __shfl_up_sync(~0u, sum, step, kLanes);
+    if (lane >= step) sum += other;
+  }
+  int64_t at = (inside && i ? frame.ends[i - 1] : 0) + sum - mine;
+  Key* keys = static_cast<Key*>(frame.keys);
+  for_each_run(splat, frame, lane, [&](int first, int last, int stride) {
+    for (int tile = first; tile <= last; tile += stride, ++at) keys[at] = Key(tile), frame.values[at] = id;
+  });
+}
+
+template <class Key>
+__global__ void ranges_kernel(const __grid_constant__ LensFrame frame) {
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, pairs = int64_t(frame.state->pairs);
+  if (i >= pairs || pairs > frame.capacity) return;
+  const Key* keys = static_cast<const Key*>(frame.sorted_keys);
+  const Key tile = keys[i];
+  if (i == 0 || keys[i - 1] != tile) frame.ranges[2 * int64_t(tile)] = uint32_t(i);
+  if (i == pairs - 1 || keys[i + 1] != tile) frame.ranges[2 * int64_t(tile) + 1] = uint32_t(i + 1);
+}
+
+template <class Key>
+size_t sort_bytes(int64_t items) {
+  size_t bytes = 0;
+  check(cub::DeviceRadixSort::SortPairs(nullptr, bytes, (Key*)nullptr, (Key*)nullptr, (uint32_t*)nullptr,
+                                        (uint32_t*)nullptr, items),
+        "lists: size of a sort");
+  return bytes;
+}
+
+template <class Key>
+void fill(const LensFrame& frame, cudaStream_t stream) {
+  const int64_t n = frame.splats.count, capacity = frame.capacity;
+  // Places that stay empty hold the largest key, beyond every tile
+  check(cudaMemsetAsync(frame.keys, 0xff, size_t(capacity) * sizeof(Key), stream), "bin: clear the keys");
+  check(cudaMemsetAsync(frame.values, 0, size_t(capacity) * sizeof(uint32_t), stream), "bin: clear the values");
+  fill_kernel<Key><<<unsigned(blocks_for(n * kLanes, kThreads)), kThreads, 0, stream>>>(frame);
+  check_launch("bin: fill");
+  size_t bytes = frame.temporary_bytes;
+  const int bits = std::bit_width(uint64_t(frame.most_tiles()));
+  check(cub::DeviceRadixSort::SortPairs(frame.temporary, bytes, static_cast<Key*>(frame.keys),
+                                        static_cast<Key*>(frame.sorted_keys), frame.values, frame.sorted_values,
+                                        capacity, 0, bits, stream),
+        "bin: sort");
+  ranges_kernel<Key><<<unsigned(blocks_for(capacity, kThreads)), kThreads, 0, stream>>>(frame);
+  check_launch("bin: ranges");
+}
+
+}  // namespace
+
+size_t lists_temporary_bytes(const LensFrame& frame) {
+  size_t scan = 0;
+  check(cub::DeviceScan::InclusiveSum(nullptr, scan, (int64_t*)nullptr, (int64_t*)nullptr, frame.splats.count),
+        "lists: size of the scan");
+  const size_t pairs = frame.key_bytes == 2 ? sort_bytes<uint16_t>(frame.capacity) : sort_bytes<uint32_t>(frame.capacity);
+  return std::max({scan, sort_bytes<uint32_t>(frame.splats.count), pairs});
+}
+
+void frame_order(const LensFrame& frame, Stream stream) {
+  if (frame.splats.count == 0) return;
+  size_t bytes = frame.temporary_bytes;
+  // What is not drawn has the largest key and comes last
+  check(cub::DeviceRadixSort::SortPairs(frame.temporary, bytes, frame.depths, frame.sorted_depths, frame.indices,
+                                        frame.order, frame.splats.count, 0, 32, cudaStream_t(stream)),
+        "order");
+}
+
+void frame_count(const LensFrame& frame, Stream stream) {
+  const int64_t n = frame.splats.count;
+  if (n == 0) return;
+  count_kernel<<<unsigned(blocks_for(n * kLanes, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(frame);
+  check_launch("bin: count");
+  size_t bytes = frame.temporary_bytes;
+  check(cub::DeviceScan::InclusiveSum(frame.temporary, bytes, frame.ends, frame.ends, n, cudaStream_t(stream)),
+        "bin: scan");
+  total_kernel<<<1, 1, 0, cudaStream_t(stream)>>>(frame);
+  check_launch("bin: total");
+}
+
+void frame_fill(const LensFrame& frame, Stream stream) {
+  check(cudaMemsetAsync(frame.ranges, 0, size_t(2 * frame.most_tiles()) * sizeof(uint32_t), cudaStream_t(stream)),
+        "bin: clear the ranges");
+  if (frame.splats.count == 0 || frame.capacity == 0) return;
+  if (frame.key_bytes == 2)
+    fill<uint16_t>(frame, cudaStream_t(stream));
+  else
+    fill<uint32_t>(frame, cudaStream_t(stream));
+}
+
+}  // namespace lfgs::cuda

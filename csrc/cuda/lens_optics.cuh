@@ -1,0 +1,35 @@
+// Which sub-pixel belongs to which lens and sees the rig from where: twin of scene/lens.h for kernels.
+#pragma once
+
+#include "cuda/lens_frame.h"
+
+namespace lfgs::cuda {
+
+__device__ inline uint64_t phase_at(const LensOptics& lens, int row, int subpixel) {
+  return lens.phase0 + lens.phase_x * uint64_t(int64_t(subpixel)) + lens.phase_y * uint64_t(int64_t(row));
+}
+
+__device__ inline int view_of(const LensOptics& lens, uint64_t phase) {
+  return int(__umul64hi(phase, uint64_t(lens.views)));
+}
+
+// The camera coordinate x of a phase: n + 1/2, or x itself.
+__device__ inline float camera_of(const LensOptics& lens, uint64_t phase) {
+  if (lens.continuous) return float(double(phase) * (1.0 / 18446744073709551616.0) * lens.views);
+  return float(view_of(lens, phase)) + 0.5f;
+}
+
+// First sub-pixel of a lens in a row: an estimate in float, made exact with the phase. Lenses of 4 sub-pixels or more.
+__device__ inline int lens_start(const LensOptics& lens, int row, int number) {
+  const int m = int(ceilf(fmaf(float(number), lens.line_number, -lens.origin) - 3 * lens.slant_tan * float(row)));
+  const uint64_t phase = phase_at(lens, row, m);
+  return phase < lens.phase_x ? m : phase >> 63 ? m + 1 : m - 1;
+}
+
+// Image channel of a sub-pixel.
+__device__ inline int channel_of(const LensOptics& lens, int subpixel) {
+  const int place = (subpixel % 3 + 3) % 3;
+  return lens.bgr ? 2 - place : place;
+}
+
+}  // namespace lfgs::cuda

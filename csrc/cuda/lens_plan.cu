@@ -1,0 +1,50 @@
+// Stage plan of a light-field frame: which kernel composites it.
+#include "cuda/check.h"
+#include "cuda/lens_plan.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+// Times in ms on an H200 (132 x 4 x 1.98 GHz warp instructions a second): tasks * (cost * hits + set-up) / use. Hits of a
+// patch of w x h pixels that sees the fraction f of the rig: sum of area + (w + f D) 2 b + h 2 a + (w + f D) h over the
+// splats, by their density.
+__global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
+  FrameState& state = *frame.state;
+  const LensOptics& lens = frame.optics;
+  const float pixels = float(lens.width_px) * float(lens.height_px), rate = 1.045e9f;
+  const float share = state.sampled ? float(state.drawn) / float(state.sampled) : 0.f;
+  auto sum = [&](int k) { return float(state.sums[k]) / kSumUnit * share; };
+  auto hits = [&](float w, float h, float f) {
+    return (sum(kArea) + 2 * w * sum(kHalfHeight) + 2 * f * sum(kDisparityHeight) + 2 * h * sum(kHalfWidth) +
+            f * h * sum(kDisparity) + w * h * float(state.drawn)) / pixels;
+  };
+  auto mean = [&](int k) { return state.sampled ? float(state.sums[k]) / kErrorUnit / float(state.sampled) : 0.f; };
+  const bool linear = mean(kLinearError) <= kMeanShapeError, quadratic = mean(kQuadraticError) <= kMeanShapeError;
+
+  const float wide = hits(15, 7, 1), small = hits(15, 3, 1);
+  float cost[int(LensKernel::kCount)];
+  cost[int(LensKernel::kPixelSmall)] = linear ? pixels / 64 * (60 * small + 500) / (0.80f * rate) : INFINITY;
+  cost[int(LensKernel::kPixel)] = linear ? pixels / 128 * (110 * wide + 700) / (0.78f * rate) : INFINITY;
+  // Without a good polynomial every splat costs a division a sample
+  cost[int(LensKernel::kPixelQuadratic)] = pixels / 128 * ((quadratic ? 127 : 400) * wide + 700) / (0.78f * rate);
+  const float narrowing = 1 / lens.line_number;
+  const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
+  const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
+  cost[int(LensKernel::kOrdinal)] = frame.has_ordinal
+      ? tasks * (29 * hits(across, 15, narrowing * 7 / 6) + 410) / (0.67f * rate) : INFINITY;
+
+  int best = int(LensKernel::kPixelQuadratic);
+  for (int k = 0; k < int(LensKernel::kCount); ++k)
+    if (cost[k] < cost[best]) best = k;
+  state.kernel = frame.forced >= 0 ? frame.forced : best;
+  state.exact = state.kernel == int(LensKernel::kPixelQuadratic) && !quadratic;
+}
+
+}  // namespace
+
+void frame_plan(const LensFrame& frame, Stream stream) {
+  plan_kernel<<<1, 1, 0, cudaStream_t(stream)>>>(frame);
+  check_launch("plan");
+}
+
+}  // namespace lfgs::cuda

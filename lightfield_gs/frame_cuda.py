@@ -1,0 +1,156 @@
+"""Light-field images on a CUDA device, forward only: frames whose sizes are fixed and that never wait for the device.
+
+How many (tile, splat) pairs a frame has is known only to the device. The first frame of its kind reads it back; later
+ones reserve what the frames before needed and a little more. A frame that needs more than was reserved is still drawn
+right, every tile looking through all splats, and the next frame reserves more.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from lightfield_gs import _core
+from lightfield_gs.errors import InputError
+from lightfield_gs.workspace import Scene, Stats
+
+_SLACK = 1 / 16  # pairs reserved beyond those of the last frame
+_LEAST_PAIRS = 1 << 12
+_MOST_PAIRS = 2**32 - 1  # numbered with 32 bits
+_MOST_KNOWN = 64
+
+
+class Frame:
+    """One light-field frame: its work buffer, from torch's allocator, and its stages, on torch's stream."""
+
+    def __init__(self, scene: Scene, rig: Any, lens: Any, colour_order: int, tolerance: float, capacity: int,
+                 kernel: str | None = None):
+        self.scene = scene
+        self.native = _core.cuda.LensFrame(gaussians=scene.count, sh_degree=scene.degree, colour_order=colour_order,
+                                           rig=rig, lens=lens, capacity=capacity, tolerance=tolerance)
+        if kernel is not None:
+            self.native.force(_core.cuda.FRAME_KERNELS.index(kernel))
+        self.work = scene.new(self.native.bytes(), dtype=torch.uint8)
+        self.native.place(self.work.data_ptr())
+        self.capacity = capacity
+
+    @property
+    def stream(self) -> int:
+        return torch.cuda.current_stream(self.work.device).cuda_stream
+
+    def project(self) -> None:
+        _core.cuda.frame_project(self.native, self.scene.native(), self.stream)
+
+    def order(self) -> None:
+        _core.cuda.frame_order(self.native, self.stream)
+
+    def count(self) -> None:
+        _core.cuda.frame_count(self.native, self.stream)
+
+    def fill(self) -> None:
+        _core.cuda.frame_fill(self.native, self.stream)
+
+    def composite(self, background: Tensor, out: Tensor) -> None:
+        floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
+        _core.cuda.frame_composite(self.native, background.data_ptr(), floats, bytes_, self.stream)
+
+    def draw(self, background: Tensor, out: Tensor, stats: Stats | None = None) -> None:
+        """All stages, in order."""
+        stats = stats or Stats()
+        with stats.stage("project"):
+            self.project()
+        with stats.stage("order"):
+            self.order()
+        with stats.stage("bin"):
+            self.count()
+            self.fill()
+        with stats.stage("composite"):
+            self.composite(background, out)
+
+    def state(self, host: Tensor | None = None) -> dict[str, Any]:
+        """What the frame found out: pairs, drawn, colour_error, kernel, exact. Waits for the device without `host`."""
+        host = self.copy_state().cpu() if host is None else host
+        state = _core.cuda.frame_state(host.data_ptr())
+        return {**state, "kernel": _core.cuda.FRAME_KERNELS[state["kernel"]]}
+
+    def copy_state(self) -> Tensor:
+        offset = self.native.state_address() - self.work.data_ptr()
+        return self.work[offset:offset + _core.cuda.FRAME_STATE_BYTES]
+
+
+class FrameKind:
+    """Frames of one rig, lens, device and number of Gaussians: what they needed so far."""
+
+    def __init__(self, rig: Any, lens: Any, colour_orders: tuple[int, ...], tolerance: float, kernel: str | None):
+        self.rig, self.lens, self.orders, self.tolerance, self.kernel = rig, lens, colour_orders, tolerance, kernel
+        self.capacity: int | None = None
+        self.colour_order = colour_orders[0]
+        self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
+        self.noted: tuple[Frame, torch.cuda.Event] | None = None
+
+    def frame(self, scene: Scene) -> Frame:
+        """A frame that is large enough, as far as known. The first waits for the device, later ones do not."""
+        if self.capacity is None:
+            self._learn(scene)
+        elif not torch.cuda.is_current_stream_capturing():
+            self.adapt()
+        return self._frame(scene, self.capacity)
+
+    def note(self, frame: Frame) -> None:
+        """Has the frame's state copied to the host, for adapt."""
+        self.host.copy_(frame.copy_state(), non_blocking=True)
+        if not torch.cuda.is_current_stream_capturing():
+            event = torch.cuda.Event()
+            event.record()
+            self.noted = frame, event
+
+    def adapt(self) -> bool:
+        """Reserves more, and says so, when the last noted frame has arrived and had not enough."""
+        if self.noted is None or not self.noted[1].query():
+            return False
+        state, self.noted = self.noted[0].state(self.host), None
+        return self._needs(state)
+
+    def _learn(self, scene: Scene) -> None:
+        if torch.cuda.is_current_stream_capturing():
+            raise InputError("the first frame of a kind waits for the device, which a stream that captures a graph "
+                             "must not: encode once before the capture")
+        while True:
+            frame = self._frame(scene, 0)
+            frame.project()
+            frame.order()
+            frame.count()
+            order = self.colour_order
+            self._needs(frame.state())
+            if order == self.colour_order:
+                return
+
+    def _needs(self, state: dict[str, Any]) -> bool:
+        before = self.capacity, self.colour_order
+        if self.capacity is None or state["pairs"] > self.capacity:
+            self.capacity = min(int(state["pairs"] * (1 + _SLACK)) + _LEAST_PAIRS, _MOST_PAIRS)
+        if state["colour_error"] > self.tolerance:
+            self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
+        return before != (self.capacity, self.colour_order)
+
+    def _frame(self, scene: Scene, capacity: int) -> Frame:
+        return Frame(scene, self.rig, self.lens, self.colour_order, self.tolerance, capacity, self.kernel)
+
+
+_kinds: OrderedDict[tuple, FrameKind] = OrderedDict()
+forced_kernel: str | None = None  # of _core.cuda.FRAME_KERNELS; None: chosen by cost. For tests and measurements
+
+
+def kind_of(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...],
+            tolerance: float) -> FrameKind:
+    """The kind of frames of a scene; numbers: what rig and lens were made of. Remembers the last 64."""
+    key = (scene.tensors[0].device, scene.count, scene.degree, numbers, forced_kernel)
+    if key not in _kinds:
+        _kinds[key] = FrameKind(rig, lens, colour_orders, tolerance, forced_kernel)
+        while len(_kinds) > _MOST_KNOWN:
+            _kinds.popitem(last=False)
+    _kinds.move_to_end(key)
+    return _kinds[key]
