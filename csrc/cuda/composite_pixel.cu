@@ -19,7 +19,7 @@ namespace {
 constexpr int kBlockWidth = 32, kBlockHeight = 16, kWarpWidth = 16, kWarpsAcross = 2;
 constexpr float kCarefulOpacity = -0.0365f;       // log2(0.975)
 constexpr float kMostColourCurvature = 4e-4f;     // dropped s^2 of a colour: half of it is the error
-constexpr unsigned kCarefulBit = 1u << 15;
+constexpr unsigned kCarefulBit = 1u << 15, kCarefulId = 1u << 31;  // in queues, in ids
 
 template <int LaneRows_, bool Quadratic_, bool Harmonics_>
 struct Config {
@@ -186,7 +186,7 @@ struct Samples {
                                 float4 background) {
     close();
     const Splat<float> splat = assembled(staged.splat[0][i], staged.splat[1][i], staged.splat[2][i]);
-    const uint32_t id = staged.ids[i];
+    const uint32_t id = staged.ids[i] & ~kCarefulId;
     const int order = C::Harmonics ? splats.orders[id] : 0;
     const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
     for_each([&](int r, int p, int k) {
@@ -245,7 +245,7 @@ __device__ int stage(const LensFrame& frame, const uint32_t* list, unsigned coun
     staged.splat[0][place] = a, staged.splat[1][place] = b, staged.splat[2][place] = c;
 #pragma unroll
     for (int k = 0; k < 4; ++k) staged.fit[k][place] = fit[k];
-    staged.ids[place] = id | (careful ? 1u << 31 : 0);
+    staged.ids[place] = id | (careful ? kCarefulId : 0);
   }
   __syncthreads();
   return all;
@@ -262,7 +262,7 @@ __device__ int cull(const Staged<C>& staged, int count, float x, float top, uint
     const bool hit = first + lane < count && Strip(splat, top, top + C::kWarpHeight - 1, 0.f, 1.f, 0.f)
                                                  .touches(x, 0.5f * kWarpWidth - 0.5f);
     const unsigned hits = __ballot_sync(~0u, hit);
-    if (hit) queue[queued + __popc(hits & ((1u << lane) - 1))] = i | (staged.ids[i] >> 31 ? kCarefulBit : 0);
+    if (hit) queue[queued + __popc(hits & ((1u << lane) - 1))] = i | (staged.ids[i] & kCarefulId ? kCarefulBit : 0);
     queued += __popc(hits);
   }
   __syncwarp();
