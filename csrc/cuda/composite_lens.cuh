@@ -3,6 +3,7 @@
 
 #include "cuda/check.h"
 #include "cuda/lens_frame.h"
+#include "math/projection.h"
 
 namespace lfgs::cuda {
 
@@ -12,27 +13,43 @@ __device__ inline float fast_exp2(float x) {
   return y;
 }
 
-// The splats of a list, nearest first. A frame with more pairs than places has no lists: then all that is drawn.
-struct List {
+// The lists of a frame: splats, nearest first. A frame with more pairs than places has none: then all that is drawn.
+struct Lists {
   const uint32_t* ids;
-  unsigned count;
+  const uint2* ranges;
+  unsigned drawn;
 
-  __device__ List(const LensFrame& frame, int64_t number) {
-    if (frame.state->pairs > frame.capacity) {
-      ids = frame.order, count = frame.state->drawn;
-    } else {
-      const unsigned begin = frame.ranges[2 * number];
-      ids = frame.sorted_values + begin, count = frame.ranges[2 * number + 1] - begin;
-    }
+  __device__ explicit Lists(const LensFrame& frame) {
+    const bool none = frame.state->pairs > frame.capacity;
+    ids = none ? frame.order : frame.sorted_values, drawn = frame.state->drawn;
+    ranges = none ? nullptr : reinterpret_cast<const uint2*>(frame.ranges);
+  }
+  // First and end of a list.
+  __device__ uint2 range(int64_t number) const { return ranges ? ranges[number] : make_uint2(0, drawn); }
+};
+
+// Hands out the pieces of work of a kernel, by all threads of a block: piece = first; then next() while it is < count.
+// The number that follows is asked for early, so that nobody waits for it.
+struct WorkQueue {
+  unsigned* next;
+  unsigned& shared;
+  unsigned claimed = 0;
+
+  __device__ WorkQueue(const LensFrame& frame, LensKernel kernel, unsigned& shared_)
+      : next(&frame.state->next_tile[int(kernel)]), shared(shared_) {}
+  __device__ void claim() {
+    if (threadIdx.x == 0) claimed = gridDim.x + atomicAdd(next, 1u);
+  }
+  __device__ unsigned take() {
+    __syncthreads();
+    if (threadIdx.x == 0) shared = claimed;
+    __syncthreads();
+    return shared;
   }
 };
 
-// The next piece of work of a block that has done one. By all its threads.
-__device__ inline unsigned next_unit(const LensFrame& frame, LensKernel kernel, unsigned& shared) {
-  __syncthreads();
-  if (threadIdx.x == 0) shared = gridDim.x + atomicAdd(&frame.state->next_tile[int(kernel)], 1u);
-  __syncthreads();
-  return shared;
+__device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
+  return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
 }
 
 // Blocks that the device holds at a time.
@@ -63,7 +80,9 @@ __device__ void store_pixels(const LensOptics& lens, int column, int row, const 
     for (int i = 0; i < 6; i += 2)
       reinterpret_cast<uint16_t*>(to)[i / 2] = uint16_t(unsigned(bytes[i]) | unsigned(bytes[i + 1]) << 8);
   } else {
-    for (int i = 0; i < (column + 1 < lens.width_px ? 6 : 3); ++i) to[i] = bytes[i];
+#pragma unroll
+    for (int i = 0; i < 6; ++i)
+      if (i < 3 || column + 1 < lens.width_px) to[i] = bytes[i];
   }
 }
 

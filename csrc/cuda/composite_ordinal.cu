@@ -81,10 +81,6 @@ __device__ inline void load_matrix(unsigned (&r)[2], unsigned address) {
   asm volatile("ldmatrix.sync.aligned.m8n8.x2.shared.b16 {%0,%1},[%2];" : "=r"(r[0]), "=r"(r[1]) : "r"(address) : "memory");
 }
 
-__device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
-  return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
-}
-
 template <bool Limit>
 __device__ inline void blend(float d, float A, float change, float& colour, float& transmittance) {
   const float power = fmaf(-d, d, A);
@@ -94,7 +90,7 @@ __device__ inline void blend(float d, float A, float change, float& colour, floa
   if (power >= float(kLog2MinAlpha)) transmittance = fmaf(-alpha, transmittance, transmittance);
 }
 
-// r, g, b as a parabola in v: a[0] + a[1] v + a[2] v^2; only a[0] without harmonics.
+// Of the three places of a pixel, as a parabola in v: a[0] + a[1] v + a[2] v^2; only a[0] without harmonics.
 struct Colour {
   float a[3][3];
 };
@@ -137,7 +133,7 @@ struct Task {
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {  // fragment s / 2, its row lane / 4 or 8 more
       const int m = __shfl_sync(~0u, start[s / 4], s / 2 % 2 * 16 + s % 2 * 8 + lane / 4);
-      places |= (m % 3 + 3) % 3 << 2 * s;
+      places |= place_of(m) << 2 * s;
     }
   }
 
@@ -147,8 +143,8 @@ struct Task {
   __device__ Splat<float> staged(int i) const {
     return assembled(memory.splat[0][i], memory.splat[1][i], memory.splat[2][i]);
   }
-  __device__ Strip strip(const Splat<float>& s, float centre, float half) const {
-    return Strip(s, row0 + 0.5f, row0 + kWarpRows - 0.5f, centre, half, frame.optics.slant_tan);
+  __device__ Strip strip(const Splat<float>& s) const {
+    return Strip(s, row0 + 0.5f, row0 + kWarpRows - 0.5f, frame.optics.slant_tan);
   }
 
   // Which staged splats may touch the patch at which ordinal of the group; returns, in lane t, how many at ordinal t.
@@ -157,12 +153,13 @@ struct Task {
     const float a = ordinals.centre[first], b = ordinals.centre[last];
     const float reach = fmaxf(fabsf(b - a) * 0.5f + ordinals.half[first], fabsf(b - a) * 0.5f + ordinals.half[last]);
     const unsigned before = (1u << lane) - 1;
+    const float x = sheared(0.5f * (first + last)), half = half_x + (last - first) * (1.f / 6);
     int survivors = 0;
     for (int begin = 0; begin < count; begin += 32) {
       const int i = min(begin + lane, count - 1);
-      const bool hit = begin + lane < count &&
-                       strip(staged(i), 0.5f * (a + b), reach)
-                           .touches(sheared(0.5f * (first + last)), half_x + (last - first) * (1.f / 6));
+      const Splat<float> splat = staged(i);
+      const Strip rows = strip(splat);
+      const bool hit = begin + lane < count && !rows.empty && rows.at(splat, 0.5f * (a + b), reach).touches(x, half);
       const unsigned hits = __ballot_sync(~0u, hit);
       if (hit) own.survivors[survivors + __popc(hits & before)] = i;
       survivors += __popc(hits);
@@ -173,11 +170,12 @@ struct Task {
       const bool inside = begin + lane < survivors;
       const int i = own.survivors[inside ? begin + lane : 0];
       const Splat<float> splat = staged(i);
+      const Strip rows = strip(splat);
 #pragma unroll
       for (int t = 0; t < kGroupOrdinals; ++t) {
         const int ordinal = min(first + t, last);
         const bool hit = inside && first + t <= last &&
-                         strip(splat, ordinals.centre[ordinal], ordinals.half[ordinal]).touches(sheared(ordinal), half_x);
+                         rows.at(splat, ordinals.centre[ordinal], ordinals.half[ordinal]).touches(sheared(ordinal), half_x);
         const unsigned hits = __ballot_sync(~0u, hit);
         if (hit) own.queue[t][counts[t] + __popc(hits & before)] = i;
         counts[t] += __popc(hits);
@@ -269,29 +267,31 @@ struct Task {
     return out;
   }
 
-  // Value in the channel that a lane's sample shows.
-  __device__ static float pick(const float (&rgb)[3], int channel) {
-    return channel == 0 ? rgb[0] : channel == 1 ? rgb[1] : rgb[2];
+  // Place within its pixel of an accumulated sample at an ordinal; shift: the ordinal modulo 3.
+  __device__ int place_after(int sample, int shift) const {
+    const int place = (places >> 2 * sample & 3) + shift;
+    return place >= 3 ? place - 3 : place;
+  }
+  __device__ static float pick(const float (&colour)[3], int place) {
+    return place == 0 ? colour[0] : place == 1 ? colour[1] : colour[2];
   }
 
   // Adds the n hits at ordinal t of the group to the samples' state.
   __device__ void draw(int t, int n, int ordinal, float group_centre, float group_half) {
-    const LensOptics& lens = frame.optics;
     const int quad = lane % 4, row = lane / 4;
     const float x_centre = floorf(x_first + (ordinal + 0.5f) * (1.f / 3));
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
     if (!features(ordinal, x_centre, d_features, A_features)) return;
-    int channels[2 * kFragments];
+    const int shift = ordinal % 3;
     float views[2 * kFragments];
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
-      const int place = ((places >> 2 * s & 3) + ordinal) % 3;
-      channels[s] = lens.bgr ? 2 - place : place;
+      const int place = place_after(s, shift);
       unsigned v = 0;
       if (Harmonics) v = __shfl_sync(~0u, d_features[s / 2][s % 2], lane | 3);  // v stands in the last columns
       views[s] = __half2float(__ushort_as_half(static_cast<unsigned short>(v)));
-      colour_features[s / 2][s % 2] = channels[s] == quad ? kOnes : 0;
-      colour_features[s / 2][s % 2 + 2] = channels[s] == quad ? halves(views[s], views[s] * views[s]) : 0;
+      colour_features[s / 2][s % 2] = place == quad ? kOnes : 0;
+      colour_features[s / 2][s % 2 + 2] = place == quad ? halves(views[s], views[s] * views[s]) : 0;
     }
 
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
@@ -353,7 +353,7 @@ struct Task {
         for (int b = 0; b < batches; ++b) batch(b, std::true_type{});
       }
     }
-    if (quarter % 2 == 0) close(current, quarter - 1 - (begin - 8), channels, views, colours, transmittances);
+    if (quarter % 2 == 0) close(current, quarter - 1 - (begin - 8), shift, views, colours, transmittances);
     join(t, colours, transmittances);
   }
 
@@ -382,9 +382,8 @@ struct Task {
   }
 
   // Takes the last colour of each quarter off again where no spare column has done so. j: its place in the last 32 hits.
-  __device__ void close(const Colour& current, int j, const int (&channels)[2 * kFragments],
-                        const float (&views)[2 * kFragments], float (&colours)[2 * kFragments],
-                        const float (&transmittances)[2 * kFragments]) {
+  __device__ void close(const Colour& current, int j, int shift, const float (&views)[2 * kFragments],
+                        float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
     const int source = j / 2 * 8 + lane % 4 * 2 + j % 2;
     float end[3][3];
 #pragma unroll
@@ -393,8 +392,9 @@ struct Task {
       for (int c = 0; c < 3; ++c) end[k][c] = __shfl_sync(~0u, current.a[k][c], source);
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
-      float value = pick(end[0], channels[s]);
-      if (Harmonics) value += views[s] * fmaf(views[s], pick(end[2], channels[s]), pick(end[1], channels[s]));
+      const int place = place_after(s, shift);
+      float value = pick(end[0], place);
+      if (Harmonics) value += views[s] * fmaf(views[s], pick(end[2], place), pick(end[1], place));
       colours[s] = fmaf(-transmittances[s], value, colours[s]);
     }
   }
@@ -442,11 +442,12 @@ struct Task {
       const int half = fragment / 2, slot = fragment % 2 * 16 + sample % 2 * 8 + lane / 4;
       const int row = down * kWarpRows + slot / kWarpLenses + 8 * half;
       const short2 start = own.start[half][slot];
+      int place = place_of(memory.rows[row].x + start.x + first);
       for (int ordinal = first; ordinal <= last && ordinal < start.y; ++ordinal) {
         const float2 state = own.state[(ordinal - first) * kHalves + i][lane];
-        const int at = start.x + ordinal, channel = channel_of(frame.optics, memory.rows[row].x + at);
-        const float behind = channel == 0 ? background.x : channel == 1 ? background.y : background.z;
-        put(row, at, fmaf(state.y, behind, state.x));
+        const float behind = place == 0 ? background.x : place == 1 ? background.y : background.z;
+        put(row, start.x + ordinal, fmaf(state.y, behind, state.x));
+        place = place == 2 ? 0 : place + 1;
       }
     }
   }
@@ -454,15 +455,16 @@ struct Task {
 
 // A splat's colours over the offsets centre -+ half as a quartic in w = (s - centre) / half, through five Chebyshev
 // nodes. The three numbers of power k follow those of power k - 1.
-__device__ inline void quartic(const Splats<float>& splats, uint32_t id, float centre, float half, float (&out)[16]) {
+__device__ inline void quartic(const LensFrame& frame, uint32_t id, float centre, float half, float (&out)[16]) {
   constexpr float kNodes[5] = {0.95105652f, 0.58778525f, 0, -0.58778525f, -0.95105652f};
+  const Splats<float>& splats = frame.splats;
   const int order = splats.orders[id];
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
   float values[5][3];
 #pragma unroll
   for (int n = 0; n < 5; ++n) values[n][0] = values[n][1] = values[n][2] = 0;
   for (int k = order; k >= 0; --k) {
-    const float4 c = powers[k];
+    const float4 c = by_place(frame.optics, powers[k]);
 #pragma unroll
     for (int n = 0; n < 5; ++n) {
       const float s = fmaf(kNodes[n], half, centre);
@@ -494,12 +496,12 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, fl
     if (k < 3)
       memory.splat[k][i] = reinterpret_cast<const float4*>(frame.splats.splats + id)[k];
     else
-      memory.colour[0][i] = reinterpret_cast<const float4*>(frame.splats.colours)[id];
+      memory.colour[0][i] = by_place(frame.optics, reinterpret_cast<const float4*>(frame.splats.colours)[id]);
   }
   if constexpr (Harmonics) {
     if (threadIdx.x < count) {
       float q[16];
-      quartic(frame.splats, ids[threadIdx.x], centre, half, q);
+      quartic(frame, ids[threadIdx.x], centre, half, q);
 #pragma unroll
       for (int k = 0; k < 4; ++k)
         memory.colour[k][threadIdx.x] = make_float4(q[4 * k], q[4 * k + 1], q[4 * k + 2], q[4 * k + 3]);
@@ -508,8 +510,8 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, fl
 }
 
 template <bool Harmonics, class Out>
-__device__ void draw_tile(const LensFrame& frame, unsigned tile, int row_bytes, const float4& background, Out* out,
-                          Memory<Harmonics>& memory) {
+__device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned tile, int row_bytes,
+                          const float4& background, Out* out, Memory<Harmonics>& memory) {
   const LensOptics& lens = frame.optics;
   const Ordinals& ordinals = lens.ordinals;
   const int tile_x = tile % frame.ordinal.across, tile_y = tile / frame.ordinal.across, width = 3 * lens.width_px;
@@ -530,7 +532,7 @@ __device__ void draw_tile(const LensFrame& frame, unsigned tile, int row_bytes, 
     } else {
       const int row = tile_y * kTileRows + r, m = memory.rows[r].x + at;
       if (row >= lens.height_px || m < 0 || m >= width) return;
-      out[int64_t(row) * width + m - m % 3 + channel_of(lens, m)] = stored(value, out);
+      out[int64_t(row) * width + in_image(lens, m)] = stored(value, out);
     }
   };
 
@@ -540,17 +542,17 @@ __device__ void draw_tile(const LensFrame& frame, unsigned tile, int row_bytes, 
     const float half = fmaxf(0.5f * fabsf(b - a) + fmaxf(ordinals.half[first], ordinals.half[last]), 1e-6f);
 #pragma unroll
     for (int t = 0; t < kGroupOrdinals * kHalves; ++t) task.own.state[t][task.lane] = make_float2(0, 1);
-    const List list(frame, int64_t(tile) * ordinals.groups + group);
-    for (unsigned begin = 0; begin < list.count; begin += kBatch) {
-      const int count = min(unsigned(kBatch), list.count - begin);
+    const uint2 range = lists.range(int64_t(tile) * ordinals.groups + group);
+    for (unsigned begin = range.x; begin < range.y; begin += kBatch) {
+      const int count = min(unsigned(kBatch), range.y - begin);
       __syncthreads();
-      stage<Harmonics>(frame, list.ids + begin, count, centre, half, memory);
+      stage<Harmonics>(frame, lists.ids + begin, count, centre, half, memory);
       __syncthreads();
       const int hits = task.cull(count, first, last);
 #pragma unroll 1
       for (int ordinal = first; ordinal <= last; ++ordinal) {
         const int n = __shfl_sync(~0u, hits, ordinal - first);
-        if (n == 0 || (begin > 0 && task.opaque(ordinal - first))) continue;
+        if (n == 0 || (begin > range.x && task.opaque(ordinal - first))) continue;
         task.draw(ordinal - first, n, ordinal, centre, half);
       }
     }
@@ -565,7 +567,7 @@ __device__ void draw_tile(const LensFrame& frame, unsigned tile, int row_bytes, 
       if (row >= lens.height_px) continue;
       Out* to = out + int64_t(row) * width;
       for (int m = begin + task.lane; m < end; m += 32)
-        if (m >= 0) to[lens.bgr ? m - m % 3 + 2 - m % 3 : m] = bytes[r * row_bytes + m - begin];
+        if (m >= 0) to[in_image(lens, m)] = bytes[r * row_bytes + m - begin];
     }
   }
 }
@@ -578,10 +580,14 @@ __global__ void __launch_bounds__(kThreads, 2)
   if (frame.state->kernel != int(LensKernel::kOrdinal)) return;
   extern __shared__ __align__(16) char shared[];
   Memory<Harmonics>& memory = *reinterpret_cast<Memory<Harmonics>*>(shared);
-  const float4 behind = make_float4(background[0], background[1], background[2], 0);
+  const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
+  const Lists lists(frame);
   const unsigned tiles = unsigned(frame.ordinal.across * frame.ordinal.down);
-  for (unsigned tile = blockIdx.x; tile < tiles; tile = next_unit(frame, LensKernel::kOrdinal, memory.next_tile))
-    draw_tile<Harmonics>(frame, tile, row_bytes, behind, out, memory);
+  WorkQueue work(frame, LensKernel::kOrdinal, memory.next_tile);
+  for (unsigned tile = blockIdx.x; tile < tiles; tile = work.take()) {
+    work.claim();
+    draw_tile<Harmonics>(frame, lists, tile, row_bytes, behind, out, memory);
+  }
 #endif
 }
 

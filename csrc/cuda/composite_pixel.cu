@@ -17,7 +17,7 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kBlockWidth = 32, kBlockHeight = 16, kWarpWidth = 16, kWarpsAcross = 2;
-constexpr float kCarefulOpacity = -0.0365f;       // log2(0.975)
+constexpr float kCarefulOpacity = -0.0218f;       // log2(0.985): what an opaque splat stops is less than 2/255
 constexpr float kMostColourCurvature = 4e-4f;     // dropped s^2 of a colour: half of it is the error
 constexpr unsigned kCarefulBit = 1u << 15, kCarefulId = 1u << 31;  // in queues, in ids
 
@@ -43,10 +43,6 @@ struct Staged {
   int counts[C::kWarps];
   unsigned next_tile;
 };
-
-__device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
-  return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
-}
 
 // The polynomial of d and the rest of what a sample needs:
 //   d = (f0.x + f1.y x + f0.y y) + s (f0.z + f1.z x + f0.w y) + s^2 (f1.x + [f3.y x + f3.z y]) + [s^3 f3.w],
@@ -87,9 +83,6 @@ __device__ inline bool straight_colour(const Splats<float>& splats, uint32_t id,
   clamp(colour.x, slope.x), clamp(colour.y, slope.y), clamp(colour.z, slope.z);
   return good;
 }
-
-// Colours in the order of the sub-pixels, left to right.
-__device__ inline float4 by_place(float4 c, int bgr) { return bgr ? make_float4(c.z, c.y, c.x, c.w) : c; }
 
 template <class C>
 struct Samples {
@@ -182,28 +175,27 @@ struct Samples {
   }
 
   // As written: a division, the limit of alpha, the whole colour polynomial, the stop of what is opaque.
-  __device__ void add_carefully(const Staged<C>& staged, int i, const Splats<float>& splats, int bgr,
-                                float4 background) {
+  __device__ void add_carefully(const Staged<C>& staged, int i, const LensFrame& frame, float4 background) {
     close();
+    const Splats<float>& splats = frame.splats;
     const Splat<float> splat = assembled(staged.splat[0][i], staged.splat[1][i], staged.splat[2][i]);
     const uint32_t id = staged.ids[i] & ~kCarefulId;
     const int order = C::Harmonics ? splats.orders[id] : 0;
     const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
+    const float4 highest = by_place(frame.optics, powers[order]);
     for_each([&](int r, int p, int k) {
       const float dy = y[r] - splat.v0, v = s[r][p][k];
       const float dx = x[p] - splat.u0 - splat.c0 * dy - v * fmaf(splat.c1, dy, splat.du);
       const float S = fmaf(v, fmaf(v, splat.S2, splat.S1), splat.S0);
-      const float alpha = alpha_of(splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S));
       float& T = transmittance[r][p][k];
-      if (alpha == 0 || T == 0) return;
-      const float after = T - alpha * T;
-      if (after < float(kMinTransmittance)) {
-        colour[r][p][k] = fmaf(T, part(background, k), colour[r][p][k]), T = 0;
-        return;
-      }
-      float c = part(by_place(powers[order], bgr), k);
-      for (int q = order - 1; q >= 0; --q) c = fmaf(c, v, part(by_place(powers[q], bgr), k));
-      colour[r][p][k] = fmaf(alpha * T, fmaxf(c, 0.f), colour[r][p][k]), T = after;
+      const float power = splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S);
+      const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
+      float c = part(highest, k);
+      for (int q = order - 1; q >= 0; --q) c = fmaf(c, v, part(by_place(frame.optics, powers[q]), k));
+      const bool hit = power >= float(kLog2MinAlpha), stop = after < float(kMinTransmittance);
+      // One that stops keeps its light for the background; an alpha of nothing leaves it as it is
+      const float light = stop ? part(background, k) * T : fmaxf(c, 0.f) * (alpha * T);
+      if (hit) colour[r][p][k] += light, T = stop ? 0 : after;
     });
   }
 };
@@ -211,7 +203,7 @@ struct Samples {
 // Culls and stages the candidates of a batch; returns how many stay. By all threads of the block.
 template <class C>
 __device__ int stage(const LensFrame& frame, const uint32_t* list, unsigned count, float centre_x, float centre_y,
-                     Staged<C>& staged) {
+                     bool exact, Staged<C>& staged) {
   const int lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   const uint32_t id = threadIdx.x < count ? list[threadIdx.x] : list[0];
   const float4* source = reinterpret_cast<const float4*>(frame.splats.splats + id);
@@ -219,8 +211,9 @@ __device__ int stage(const LensFrame& frame, const uint32_t* list, unsigned coun
   a.x -= centre_x, a.z -= centre_y;
   const Splat<float> splat = assembled(a, b, c);
   const float half = 0.5f * kBlockHeight - 0.5f;
-  const bool hit = threadIdx.x < count &&
-                   Strip(splat, -half, half, 0.f, 1.f, 0.f).touches(0.f, 0.5f * kBlockWidth - 0.5f);
+  const Strip strip(splat, -half, half);
+  const bool hit =
+      threadIdx.x < count && !strip.empty && strip.whole_rig(splat).touches(0.f, 0.5f * kBlockWidth - 0.5f);
   const unsigned hits = __ballot_sync(~0u, hit);
   if (lane == 0) staged.counts[warp] = __popc(hits);
   __syncthreads();
@@ -232,16 +225,16 @@ __device__ int stage(const LensFrame& frame, const uint32_t* list, unsigned coun
   }
   if (hit) {
     const ShapeError error(splat);
-    bool careful = a.w >= kCarefulOpacity || frame.state->exact ||
+    bool careful = a.w >= kCarefulOpacity || exact ||
                    (C::Quadratic ? error.quadratic : error.linear) > kMostShapeError;
     float4 colour, slope, fit[4];
     if (C::Harmonics) {
       careful = !straight_colour(frame.splats, id, colour, slope) || careful;
-      staged.slope[place] = by_place(slope, frame.optics.bgr);
+      staged.slope[place] = by_place(frame.optics, slope);
     } else {
       colour = reinterpret_cast<const float4*>(frame.splats.colours)[id];
     }
-    polynomial<C>(splat, by_place(colour, frame.optics.bgr), fit);
+    polynomial<C>(splat, by_place(frame.optics, colour), fit);
     staged.splat[0][place] = a, staged.splat[1][place] = b, staged.splat[2][place] = c;
 #pragma unroll
     for (int k = 0; k < 4; ++k) staged.fit[k][place] = fit[k];
@@ -259,10 +252,10 @@ __device__ int cull(const Staged<C>& staged, int count, float x, float top, uint
   for (int first = 0; first < count; first += 32) {
     const int i = min(first + lane, count - 1);
     const Splat<float> splat = assembled(staged.splat[0][i], staged.splat[1][i], staged.splat[2][i]);
-    const bool hit = first + lane < count && Strip(splat, top, top + C::kWarpHeight - 1, 0.f, 1.f, 0.f)
-                                                 .touches(x, 0.5f * kWarpWidth - 0.5f);
+    const Strip strip(splat, top, top + C::kWarpHeight - 1);
+    const bool hit = first + lane < count && !strip.empty && strip.whole_rig(splat).touches(x, 0.5f * kWarpWidth - 0.5f);
     const unsigned hits = __ballot_sync(~0u, hit);
-    if (hit) queue[queued + __popc(hits & ((1u << lane) - 1))] = i | (staged.ids[i] & kCarefulId ? kCarefulBit : 0);
+    if (hit) queue[queued + __popc(hits & ((1u << lane) - 1))] = i | staged.ids[i] >> 31 << 15;
     queued += __popc(hits);
   }
   __syncwarp();
@@ -270,10 +263,12 @@ __device__ int cull(const Staged<C>& staged, int count, float x, float top, uint
 }
 
 template <class C, class Out>
-__device__ void draw_tile(const LensFrame& frame, unsigned unit, float4 background, Out* out, Staged<C>& staged) {
+__device__ void draw_tile(const LensFrame& frame, const Lists& lists, bool exact, unsigned unit, float4 background,
+                          Out* out, Staged<C>& staged) {
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   const Tiling& tiling = frame.pixel;
   const int tile = unit / 4, part = unit % 4;
+  const uint2 range = lists.range(tile);
   const int left = tile % tiling.across * 2 * kBlockWidth + part % 2 * kBlockWidth;
   const int top = tile / tiling.across * 2 * kBlockHeight + part / 2 * kBlockHeight;
   if (left >= frame.optics.width_px || top >= frame.optics.height_px) return;
@@ -281,13 +276,12 @@ __device__ void draw_tile(const LensFrame& frame, unsigned unit, float4 backgrou
   const int lane_x = warp_x + 2 * (lane % 8), lane_y = warp_y + lane / 8;
   Samples<C> samples(frame, left, top, lane_x, lane_y);
 
-  const List list(frame, tile);
-  for (unsigned begin = 0; begin < list.count; begin += C::kThreads) {
+  for (unsigned begin = range.x; begin < range.y; begin += C::kThreads) {
     const bool opaque = samples.opaque();
     if (__syncthreads_and(opaque)) break;
-    const unsigned count = min(unsigned(C::kThreads), list.count - begin);
-    const int all = stage<C>(frame, list.ids + begin, count, left + 0.5f * kBlockWidth, top + 0.5f * kBlockHeight,
-                             staged);
+    const unsigned count = min(unsigned(C::kThreads), range.y - begin);
+    const int all = stage<C>(frame, lists.ids + begin, count, left + 0.5f * kBlockWidth, top + 0.5f * kBlockHeight,
+                             exact, staged);
     if (__all_sync(~0u, opaque)) continue;
     uint16_t* queue = staged.queue[warp];
     const int queued = cull<C>(staged, all, warp_x + 0.5f * (kWarpWidth - kBlockWidth),
@@ -295,17 +289,18 @@ __device__ void draw_tile(const LensFrame& frame, unsigned unit, float4 backgrou
     int h = 0;
 #pragma unroll 1
     while (h < queued) {
-      const unsigned first = queue[h], second = h + 1 < queued ? queue[h + 1] : kCarefulBit;
-      if (((first | second) & kCarefulBit) == 0) {  // two at a time hide each other's latency
+#pragma unroll 1
+      for (; h + 1 < queued; h += 2) {  // two at a time hide each other's latency
+        const unsigned first = queue[h], second = queue[h + 1];
+        if ((first | second) & kCarefulBit) break;
         samples.add(staged, first), samples.add(staged, second);
-        h += 2;
-      } else {
-        if (first & kCarefulBit)
-          samples.add_carefully(staged, first & ~kCarefulBit, frame.splats, frame.optics.bgr, background);
-        else
-          samples.add(staged, first);
-        ++h;
       }
+      if (h == queued) break;
+      const unsigned one = queue[h++];
+      if (one & kCarefulBit)
+        samples.add_carefully(staged, one & ~kCarefulBit, frame, background);
+      else
+        samples.add(staged, one);
     }
   }
 
@@ -331,11 +326,15 @@ __global__ void __launch_bounds__(C::kThreads, C::kBlocks)
     composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   if (frame.state->kernel != int(C::kernel)) return;
   __shared__ Staged<C> staged;
-  const float4 behind =
-      by_place(make_float4(background[0], background[1], background[2], 0), frame.optics.bgr);
+  const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
+  const Lists lists(frame);
+  const bool exact = frame.state->exact;
   const unsigned units = 4 * unsigned(frame.pixel.tiles());
-  for (unsigned unit = blockIdx.x; unit < units; unit = next_unit(frame, C::kernel, staged.next_tile))
-    draw_tile<C>(frame, unit, behind, out, staged);
+  WorkQueue work(frame, C::kernel, staged.next_tile);
+  for (unsigned unit = blockIdx.x; unit < units; unit = work.take()) {
+    work.claim();
+    draw_tile<C>(frame, lists, exact, unit, behind, out, staged);
+  }
 }
 
 template <class C, class Out>

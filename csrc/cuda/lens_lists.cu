@@ -43,11 +43,12 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
     float centre = 0, half = 1;
     if (by_lens) group_offsets(frame.optics.ordinals, group, centre, half);
     const float top = float(row) * height;
-    const Strip strip(s, top + 0.5f, top + height - 0.5f, centre, half, tiling.shear);
-    if (!strip.rows) continue;
-    const float reach = strip.spread + sqrtf(strip.square);
-    const float low = fmaf(tiling.scale, strip.middle - reach, tiling.low) / tiling.width;
-    const float high = fmaf(tiling.scale, strip.middle + reach, tiling.high) / tiling.width;
+    const Strip strip(s, top + 0.5f, top + height - 0.5f, tiling.shear);
+    if (strip.empty) continue;
+    const Span span = strip.at(s, centre, half);
+    const float reach = span.spread + sqrtf(span.square);
+    const float low = fmaf(tiling.scale, span.middle - reach, tiling.low) / tiling.width;
+    const float high = fmaf(tiling.scale, span.middle + reach, tiling.high) / tiling.width;
     const int a = int(fmaxf(floorf(low), 0.f)), b = int(fminf(floorf(high), float(tiling.across - 1)));
     if (b >= a) visit((row * tiling.across + a) * groups + group, (row * tiling.across + b) * groups + group, groups);
   }

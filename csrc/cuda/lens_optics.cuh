@@ -9,8 +9,10 @@ __device__ inline uint64_t phase_at(const LensOptics& lens, int row, int subpixe
   return lens.phase0 + lens.phase_x * uint64_t(int64_t(subpixel)) + lens.phase_y * uint64_t(int64_t(row));
 }
 
-__device__ inline int view_of(const LensOptics& lens, uint64_t phase) {
-  return int(__umul64hi(phase, uint64_t(lens.views)));
+// The high part of phase * views.
+__device__ inline unsigned view_of(const LensOptics& lens, uint64_t phase) {
+  const unsigned views = unsigned(lens.views), high = unsigned(phase >> 32);
+  return unsigned((uint64_t(high) * views + __umulhi(unsigned(phase), views)) >> 32);
 }
 
 // The camera coordinate x of a phase: n + 1/2, or x itself.
@@ -26,10 +28,15 @@ __device__ inline int lens_start(const LensOptics& lens, int row, int number) {
   return phase < lens.phase_x ? m : phase >> 63 ? m + 1 : m - 1;
 }
 
-// Image channel of a sub-pixel.
-__device__ inline int channel_of(const LensOptics& lens, int subpixel) {
-  const int place = (subpixel % 3 + 3) % 3;
-  return lens.bgr ? 2 - place : place;
+// Place of a sub-pixel within its pixel.
+__device__ inline int place_of(int subpixel) { return (subpixel % 3 + 3) % 3; }
+
+// Where a sub-pixel m >= 0 of a row stands in the image: pixels are stored as red, green, blue.
+__device__ inline int in_image(const LensOptics& lens, int m) { return lens.bgr ? m + 2 - 2 * (m % 3) : m; }
+
+// Colours in the order of the sub-pixels of a pixel, left to right.
+__device__ inline float4 by_place(const LensOptics& lens, float4 c) {
+  return lens.bgr ? make_float4(c.z, c.y, c.x, c.w) : c;
 }
 
 }  // namespace lfgs::cuda
