@@ -17,6 +17,7 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.workspace import Scene, Stats, Workspace, check
 
 COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a rig
+FRAME_COLOUR_ORDERS = (4, 8, 12, 16)  # the same for frames on CUDA, which remember the one that was good enough
 COLOUR_TOLERANCE = 5e-5  # largest error of a colour polynomial, of 1
 
 
@@ -211,7 +212,8 @@ def frame_kind(job: _LensArguments) -> Any:
     """What frames of such arguments are known to need, on CUDA."""
     from lightfield_gs.frame_cuda import kind_of
 
-    return kind_of(job.scene, job.numbers, job.rig, job.lens, job.colour_orders, COLOUR_TOLERANCE)
+    orders = (0,) if job.scene.degree == 0 else FRAME_COLOUR_ORDERS
+    return kind_of(job.scene, job.numbers, job.rig, job.lens, orders, COLOUR_TOLERANCE)
 
 
 def _draw_frame(job: _LensArguments, as_bytes: bool, stats: Stats) -> Tensor:

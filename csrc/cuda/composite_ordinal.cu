@@ -1,7 +1,7 @@
 // Composite of a light-field frame by tiles of lenses, for rigs of large disparity. Needs tensor cores (sm_80).
 //
 // The t-th sub-pixels of neighbouring lenses see nearly the same part of the rig: an *ordinal* t covers 1 / P_e of it.
-// A warp task is 4 lenses x 16 rows at one ordinal, 64 samples. With x, y, v (the view) about the task's centre,
+// A warp task is 4 lenses x 16 rows at one ordinal, 64 samples. With x, y, v (the view, scaled) about the task's centre,
 //   exponent = A(y) - d(x, y, v)^2,   A = log2 o - tau (y - v0)^2,   d = S^(-1/2) (x - m(y, s)) to second order in v,
 // are inner products of features of the sample with coefficients of the splat: d has 16 of them, A has 8, in half
 // precision, large coefficients as the sum of two halves; the tensor cores multiply, in float. So do the colours: of
@@ -21,11 +21,16 @@ namespace {
 constexpr int kWarpLenses = 4, kWarpRows = 16, kWarpsAcross = kTileLenses / kWarpLenses;
 constexpr int kWarpsDown = kTileRows / kWarpRows, kWarps = kWarpsAcross * kWarpsDown, kThreads = 32 * kWarps;
 constexpr int kFragments = 4, kHalves = 2;  // of 16 samples; of 32 samples, 8 rows each
-constexpr int kBatch = 256;                 // splats staged at a time
-constexpr float kViewUnit = 0.25f;          // v = kViewUnit * views: exact in half for integer views
 constexpr float kMaxLineNumber = kMostOrdinals - 1, kMinLineNumber = 4, kMostViewsEach = 16;
 constexpr unsigned kOnes = 0x3c003c00u;     // two halves
 constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
+
+// Splats staged at a time.
+template <bool Harmonics>
+constexpr int kBatch = Harmonics ? 192 : 256;
+
+// Offset that v = 1 stands for.
+__device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.ordinals.view_unit; }
 
 // What a warp keeps in shared memory.
 template <bool Harmonics>
@@ -33,15 +38,17 @@ struct WarpMemory {
   // First features, 32 samples x 48 bytes. Then coefficients of 32 hits, 16 bytes each: d in two parts, exponent.
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[Harmonics ? 32 : 1];
-  uint8_t queue[kGroupOrdinals][kBatch], survivors[kBatch];
+  uint8_t queue[kGroupOrdinals][kBatch<Harmonics>], survivors[kBatch<Harmonics>];
   float2 state[kGroupOrdinals * kHalves][32];  // colour and transmittance of each sample of the group
   short2 start[kHalves][32];                   // of the lens in its row, from the tile's first; its length
 };
 
 template <bool Harmonics>
 struct Memory {
-  float4 splat[3][kBatch];
-  float4 colour[Harmonics ? 4 : 1][kBatch];  // harmonics: a quartic over the group of ordinals, 5 x 3 numbers
+  float4 splat[3][kBatch<Harmonics>];
+  // Colours; harmonics: at each ordinal of the group, and as halves the first and second power of v
+  float4 colour[Harmonics ? kGroupOrdinals : 1][kBatch<Harmonics>];  // .w: of the first place
+  uint2 slopes[Harmonics ? kGroupOrdinals : 1][Harmonics ? kBatch<Harmonics> : 1];  // of the others
   WarpMemory<Harmonics> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
   unsigned next_tile;
@@ -90,10 +97,18 @@ __device__ inline void blend(float d, float A, float change, float& colour, floa
   if (power >= float(kLog2MinAlpha)) transmittance = fmaf(-alpha, transmittance, transmittance);
 }
 
-// Of the three places of a pixel, as a parabola in v: a[0] + a[1] v + a[2] v^2; only a[0] without harmonics.
+// Of the three places of a pixel, as a parabola in v: value + slope.x v + slope.y v^2; only the value without harmonics.
 struct Colour {
-  float a[3][3];
+  float value[3];
+  __half2 slope[3];
+
+  __device__ Colour() {
+#pragma unroll
+    for (int c = 0; c < 3; ++c) value[c] = 0, slope[c] = __float2half2_rn(0.f);
+  }
 };
+__device__ inline unsigned bits(__half2 h) { return *reinterpret_cast<const unsigned*>(&h); }
+__device__ inline __half2 as_half2(unsigned b) { return *reinterpret_cast<const __half2*>(&b); }
 
 // The warp task, and what its lanes know of it.
 template <bool Harmonics>
@@ -199,7 +214,7 @@ struct Task {
       const int pixel = int(floorf((start[h] + ordinal + 0.5f) * (1.f / 3)));
       const float x = pixel + 0.5f - x_centre, y = lane / kWarpLenses + 8 * h + 0.5f - 0.5f * kWarpRows;
       // From its start no sub-pixel of a lens wraps
-      const float v = (camera_of(lens, phase[h] + lens.phase_x * uint64_t(ordinal)) - lens.ordinals.view[ordinal]) * kViewUnit;
+      const float v = (camera_of(lens, phase[h] + lens.phase_x * uint64_t(ordinal)) - lens.ordinals.view[ordinal]) * lens.ordinals.view_unit;
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
       const uint4 low = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
       const uint4 high = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
@@ -220,7 +235,7 @@ struct Task {
   // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the ordinal's centre.
   __device__ void coefficients(const Splat<float>& s, int ordinal, float x_centre, uint4& low, uint4& high,
                                uint4& exponent) const {
-    const float centre = frame.optics.ordinals.centre[ordinal], unit = frame.optics.s_step / kViewUnit;
+    const float centre = frame.optics.ordinals.centre[ordinal], unit = offset_unit(frame.optics);
     const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), inverse = __fdividef(1.f, S), r = rsqrtf(S);
     const float s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
     const float p1 = -0.5f * s1, p2 = fmaf(0.375f * s1, s1, -0.5f * s2);
@@ -237,32 +252,14 @@ struct Task {
     exponent = make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0);
   }
 
-  // The colour of a staged splat around an ordinal.
-  __device__ Colour colour(int i, int ordinal, float group_centre, float group_half) const {
-    Colour out{};
-    if (!Harmonics) {
-      const float4 c = memory.colour[0][i];
-      out.a[0][0] = c.x, out.a[0][1] = c.y, out.a[0][2] = c.z;
-      return out;
-    }
-    const float4 q0 = memory.colour[0][i], q1 = memory.colour[Harmonics ? 1 : 0][i];
-    const float4 q2 = memory.colour[Harmonics ? 2 : 0][i], q3 = memory.colour[Harmonics ? 3 : 0][i];
-    const float power[5][3] = {{q0.x, q0.y, q0.z}, {q0.w, q1.x, q1.y}, {q1.z, q1.w, q2.x}, {q2.y, q2.z, q2.w}, {q3.x, q3.y, q3.z}};
-    const float unit = frame.optics.s_step / kViewUnit, half = frame.optics.ordinals.half[ordinal];
-    const float reach = half > 0 ? half / fabsf(unit) : 1.f;  // in v
-    const float w = (frame.optics.ordinals.centre[ordinal] - group_centre) / group_half;
-    const float step = reach * unit / group_half;
-#pragma unroll
-    for (int c = 0; c < 3; ++c) {
-      auto at = [&](float t) {
-        float value = power[4][c];
-#pragma unroll
-        for (int k = 3; k >= 0; --k) value = fmaf(value, t, power[k][c]);
-        return fmaxf(value, 0.f);
-      };
-      const float left = at(w - step), middle = at(w), right = at(w + step);
-      out.a[0][c] = middle, out.a[1][c] = (right - left) / (2 * reach);
-      out.a[2][c] = (right + left - 2 * middle) / (2 * reach * reach);
+  // The colour of a staged splat at ordinal t of the group.
+  __device__ Colour colour(int i, int t) const {
+    Colour out;
+    const float4 c = memory.colour[Harmonics ? t : 0][i];
+    out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
+    if (Harmonics) {
+      const uint2 slopes = memory.slopes[Harmonics ? t : 0][Harmonics ? i : 0];
+      out.slope[0] = as_half2(__float_as_uint(c.w)), out.slope[1] = as_half2(slopes.x), out.slope[2] = as_half2(slopes.y);
     }
     return out;
   }
@@ -272,33 +269,36 @@ struct Task {
     const int place = (places >> 2 * sample & 3) + shift;
     return place >= 3 ? place - 3 : place;
   }
-  __device__ static float pick(const float (&colour)[3], int place) {
-    return place == 0 ? colour[0] : place == 1 ? colour[1] : colour[2];
+  template <class T>
+  __device__ static T pick(const T (&parts)[3], int place) {
+    return place == 0 ? parts[0] : place == 1 ? parts[1] : parts[2];
+  }
+  // v of an accumulated sample; it stands in the last columns of its features.
+  __device__ float view_of(const unsigned (&features)[kFragments][4], int sample) const {
+    const unsigned pair = __shfl_sync(~0u, features[sample / 2][sample % 2], lane | 3);
+    return __low2float(as_half2(pair));
   }
 
   // Adds the n hits at ordinal t of the group to the samples' state.
-  __device__ void draw(int t, int n, int ordinal, float group_centre, float group_half) {
+  __device__ void draw(int t, int n, int ordinal) {
     const int quad = lane % 4, row = lane / 4;
     const float x_centre = floorf(x_first + (ordinal + 0.5f) * (1.f / 3));
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
     if (!features(ordinal, x_centre, d_features, A_features)) return;
     const int shift = ordinal % 3;
-    float views[2 * kFragments];
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
-      const int place = place_after(s, shift);
-      unsigned v = 0;
-      if (Harmonics) v = __shfl_sync(~0u, d_features[s / 2][s % 2], lane | 3);  // v stands in the last columns
-      views[s] = __half2float(__ushort_as_half(static_cast<unsigned short>(v)));
-      colour_features[s / 2][s % 2] = place == quad ? kOnes : 0;
-      colour_features[s / 2][s % 2 + 2] = place == quad ? halves(views[s], views[s] * views[s]) : 0;
+      const bool own_place = place_after(s, shift) == quad;
+      const float v = Harmonics ? view_of(d_features, s) : 0;
+      colour_features[s / 2][s % 2] = own_place ? kOnes : 0;
+      colour_features[s / 2][s % 2 + 2] = own_place ? halves(v, v * v) : 0;
     }
 
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) transmittances[s] = 1;
     const int quarter = (n + 3) / 4;
-    Colour kept{}, current{};
+    Colour kept, current;
     int begin = 0;
     for (; begin < quarter; begin += 8) {
       // 32 hits, one a lane: 8 of each quarter, columns 2 q and 2 q + 1 of four batches
@@ -307,13 +307,13 @@ struct Task {
       const bool valid = j < min(quarter, n - q * quarter);
       uint4 low{}, high{}, exponent = make_uint4(split(-1000.f), 0, 0, 0);
       bool limit = false;
-      current = Colour{};
+      current = Colour();
       if (valid) {
         const int i = own.queue[t][q * quarter + j];
         const Splat<float> splat = staged(i);
         limit = splat.log2_opacity > float(kLog2MaxAlpha);
         coefficients(splat, ordinal, x_centre, low, high, exponent);
-        current = colour(i, ordinal, group_centre, group_half);
+        current = colour(i, t);
       }
       store_operands(low, high, exponent, current, kept);
       __syncwarp();
@@ -353,7 +353,7 @@ struct Task {
         for (int b = 0; b < batches; ++b) batch(b, std::true_type{});
       }
     }
-    if (quarter % 2 == 0) close(current, quarter - 1 - (begin - 8), shift, views, colours, transmittances);
+    if (quarter % 2 == 0) close(current, quarter - 1 - (begin - 8), shift, d_features, colours, transmittances);
     join(t, colours, transmittances);
   }
 
@@ -365,36 +365,40 @@ struct Task {
     const int source = lane % 2 ? lane - 1 : first ? lane + 25 : lane - 7;
     Colour change;
 #pragma unroll
-    for (int k = 0; k < (Harmonics ? 3 : 1); ++k)
-#pragma unroll
-      for (int c = 0; c < 3; ++c) {
-        const float before = __shfl_sync(~0u, last ? kept.a[k][c] : current.a[k][c], source);
-        change.a[k][c] = current.a[k][c] - before;
-        kept.a[k][c] = current.a[k][c];
-      }
+    for (int c = 0; c < 3; ++c) {
+      change.value[c] = current.value[c] - __shfl_sync(~0u, last ? kept.value[c] : current.value[c], source);
+      if (Harmonics)
+        change.slope[c] = __hsub2(
+            current.slope[c], as_half2(__shfl_sync(~0u, bits(last ? kept.slope[c] : current.slope[c]), source)));
+    }
+    kept = current;
     reinterpret_cast<uint4*>(own.operands)[lane] = low;
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = high;
     reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = exponent;
-    own.colour[lane] = make_uint4(split(change.a[0][0]), split(change.a[0][1]), split(change.a[0][2]), 0);
+    own.colour[lane] = make_uint4(split(change.value[0]), split(change.value[1]), split(change.value[2]), 0);
     if (Harmonics)
-      own.slope[lane] = make_uint4(halves(change.a[1][0], change.a[2][0]), halves(change.a[1][1], change.a[2][1]),
-                                   halves(change.a[1][2], change.a[2][2]), 0);
+      own.slope[Harmonics ? lane : 0] = make_uint4(bits(change.slope[0]), bits(change.slope[1]), bits(change.slope[2]), 0);
   }
 
   // Takes the last colour of each quarter off again where no spare column has done so. j: its place in the last 32 hits.
-  __device__ void close(const Colour& current, int j, int shift, const float (&views)[2 * kFragments],
+  __device__ void close(const Colour& current, int j, int shift, const unsigned (&features)[kFragments][4],
                         float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
     const int source = j / 2 * 8 + lane % 4 * 2 + j % 2;
-    float end[3][3];
+    Colour end;
 #pragma unroll
-    for (int k = 0; k < (Harmonics ? 3 : 1); ++k)
-#pragma unroll
-      for (int c = 0; c < 3; ++c) end[k][c] = __shfl_sync(~0u, current.a[k][c], source);
+    for (int c = 0; c < 3; ++c) {
+      end.value[c] = __shfl_sync(~0u, current.value[c], source);
+      if (Harmonics) end.slope[c] = as_half2(__shfl_sync(~0u, bits(current.slope[c]), source));
+    }
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
       const int place = place_after(s, shift);
-      float value = pick(end[0], place);
-      if (Harmonics) value += views[s] * fmaf(views[s], pick(end[2], place), pick(end[1], place));
+      float value = pick(end.value, place);
+      if (Harmonics) {
+        const __half2 slope = pick(end.slope, place);
+        const float v = view_of(features, s);
+        value += v * fmaf(v, __high2float(slope), __low2float(slope));
+      }
       colours[s] = fmaf(-transmittances[s], value, colours[s]);
     }
   }
@@ -453,41 +457,51 @@ struct Task {
   }
 };
 
-// A splat's colours over the offsets centre -+ half as a quartic in w = (s - centre) / half, through five Chebyshev
-// nodes. The three numbers of power k follow those of power k - 1.
-__device__ inline void quartic(const LensFrame& frame, uint32_t id, float centre, float half, float (&out)[16]) {
-  constexpr float kNodes[5] = {0.95105652f, 0.58778525f, 0, -0.58778525f, -0.95105652f};
+// The colours of a splat about every ordinal of a group: parabolas through the ends and the middle, above zero.
+__device__ inline void stage_colours(const LensFrame& frame, uint32_t id, int i, int first, int last,
+                                     Memory<true>& memory) {
+  const Ordinals& ordinals = frame.optics.ordinals;
   const Splats<float>& splats = frame.splats;
   const int order = splats.orders[id];
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
-  float values[5][3];
+  constexpr int kNodes = 3 * kGroupOrdinals, kAhead = 4;
+  float values[kNodes][3] = {};
+  for (int high = order; high >= 0; high -= kAhead) {
+    float4 c[kAhead];
 #pragma unroll
-  for (int n = 0; n < 5; ++n) values[n][0] = values[n][1] = values[n][2] = 0;
-  for (int k = order; k >= 0; --k) {
-    const float4 c = by_place(frame.optics, powers[k]);
+    for (int k = 0; k < kAhead; ++k)
+      c[k] = high >= k ? by_place(frame.optics, powers[high - k]) : make_float4(0, 0, 0, 0);
 #pragma unroll
-    for (int n = 0; n < 5; ++n) {
-      const float s = fmaf(kNodes[n], half, centre);
-      values[n][0] = fmaf(values[n][0], s, c.x), values[n][1] = fmaf(values[n][1], s, c.y);
-      values[n][2] = fmaf(values[n][2], s, c.z);
+    for (int n = 0; n < kNodes; ++n) {
+      const int ordinal = min(first + n / 3, last);
+      const float s = fmaf(float(n % 3 - 1), ordinals.half[ordinal], ordinals.centre[ordinal]);
+#pragma unroll
+      for (int k = 0; k < kAhead; ++k)
+        if (high >= k) {
+          values[n][0] = fmaf(values[n][0], s, c[k].x), values[n][1] = fmaf(values[n][1], s, c[k].y);
+          values[n][2] = fmaf(values[n][2], s, c[k].z);
+        }
     }
   }
-  // Even and odd parts at the nodes a > b > 0: f = m + w (o1 + o3 w^2) + w^2 (e2 + e4 w^2)
-  constexpr float a = 0.95105652f, b = 0.58778525f, aa = a * a, bb = b * b;
 #pragma unroll
-  for (int c = 0; c < 3; ++c) {
-    const float m = values[2][c];
-    const float odd_a = 0.5f * (values[0][c] - values[4][c]) / a, odd_b = 0.5f * (values[1][c] - values[3][c]) / b;
-    const float even_a = (0.5f * (values[0][c] + values[4][c]) - m) / aa;
-    const float even_b = (0.5f * (values[1][c] + values[3][c]) - m) / bb;
-    const float o3 = (odd_a - odd_b) / (aa - bb), e4 = (even_a - even_b) / (aa - bb);
-    out[c] = m, out[3 + c] = odd_a - o3 * aa, out[6 + c] = even_a - e4 * aa, out[9 + c] = o3, out[12 + c] = e4;
+  for (int t = 0; t < kGroupOrdinals; ++t) {
+    const float half = ordinals.half[min(first + t, last)];
+    const float reach = half > 0 ? half / offset_unit(frame.optics) : 1.f;  // in v, with its sign
+    float middle[3];
+    __half2 slope[3];
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+      const float low = fmaxf(values[3 * t][c], 0.f), high = fmaxf(values[3 * t + 2][c], 0.f);
+      middle[c] = fmaxf(values[3 * t + 1][c], 0.f);
+      slope[c] = __floats2half2_rn((high - low) / (2 * reach), (high + low - 2 * middle[c]) / (2 * reach * reach));
+    }
+    memory.colour[t][i] = make_float4(middle[0], middle[1], middle[2], __uint_as_float(bits(slope[0])));
+    memory.slopes[t][i] = make_uint2(bits(slope[1]), bits(slope[2]));
   }
-  out[15] = 0;
 }
 
 template <bool Harmonics>
-__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, float centre, float half,
+__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, int last,
                       Memory<Harmonics>& memory) {
   constexpr int kParts = Harmonics ? 3 : 4;
   for (int j = threadIdx.x; j < count * kParts; j += kThreads) {
@@ -499,13 +513,7 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, fl
       memory.colour[0][i] = by_place(frame.optics, reinterpret_cast<const float4*>(frame.splats.colours)[id]);
   }
   if constexpr (Harmonics) {
-    if (threadIdx.x < count) {
-      float q[16];
-      quartic(frame, ids[threadIdx.x], centre, half, q);
-#pragma unroll
-      for (int k = 0; k < 4; ++k)
-        memory.colour[k][threadIdx.x] = make_float4(q[4 * k], q[4 * k + 1], q[4 * k + 2], q[4 * k + 3]);
-    }
+    if (threadIdx.x < count) stage_colours(frame, ids[threadIdx.x], threadIdx.x, first, last, memory);
   }
 }
 
@@ -538,22 +546,20 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
 
   for (int group = 0; group < ordinals.groups; ++group) {
     const int first = group * ordinals.per_group, last = min(first + ordinals.per_group, ordinals.count) - 1;
-    const float a = ordinals.centre[first], b = ordinals.centre[last], centre = 0.5f * (a + b);
-    const float half = fmaxf(0.5f * fabsf(b - a) + fmaxf(ordinals.half[first], ordinals.half[last]), 1e-6f);
 #pragma unroll
     for (int t = 0; t < kGroupOrdinals * kHalves; ++t) task.own.state[t][task.lane] = make_float2(0, 1);
     const uint2 range = lists.range(int64_t(tile) * ordinals.groups + group);
-    for (unsigned begin = range.x; begin < range.y; begin += kBatch) {
-      const int count = min(unsigned(kBatch), range.y - begin);
+    for (unsigned begin = range.x; begin < range.y; begin += kBatch<Harmonics>) {
+      const int count = min(unsigned(kBatch<Harmonics>), range.y - begin);
       __syncthreads();
-      stage<Harmonics>(frame, lists.ids + begin, count, centre, half, memory);
+      stage<Harmonics>(frame, lists.ids + begin, count, first, last, memory);
       __syncthreads();
       const int hits = task.cull(count, first, last);
 #pragma unroll 1
       for (int ordinal = first; ordinal <= last; ++ordinal) {
         const int n = __shfl_sync(~0u, hits, ordinal - first);
         if (n == 0 || (begin > range.x && task.opaque(ordinal - first))) continue;
-        task.draw(ordinal - first, n, ordinal, centre, half);
+        task.draw(ordinal - first, n, ordinal);
       }
     }
     __syncwarp();

@@ -18,7 +18,7 @@ namespace {
 
 constexpr int kBlockWidth = 32, kBlockHeight = 16, kWarpWidth = 16, kWarpsAcross = 2;
 constexpr float kCarefulOpacity = -0.0218f;       // log2(0.985): what an opaque splat stops is less than 2/255
-constexpr float kMostColourCurvature = 4e-4f;     // dropped s^2 of a colour: half of it is the error
+constexpr float kMostColourCurvature = 2.5e-4f;     // dropped s^2 of a colour: half of it is the error
 constexpr unsigned kCarefulBit = 1u << 15, kCarefulId = 1u << 31;  // in queues, in ids
 
 template <int LaneRows_, bool Quadratic_, bool Harmonics_>
@@ -267,10 +267,10 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, bool exact
                           Out* out, Staged<C>& staged) {
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   const Tiling& tiling = frame.pixel;
-  const int tile = unit / 4, part = unit % 4;
+  const unsigned tile = unit / 4, part = unit % 4, across = unsigned(tiling.across);
   const uint2 range = lists.range(tile);
-  const int left = tile % tiling.across * 2 * kBlockWidth + part % 2 * kBlockWidth;
-  const int top = tile / tiling.across * 2 * kBlockHeight + part / 2 * kBlockHeight;
+  const int left = int(tile % across * 2 + part % 2) * kBlockWidth;
+  const int top = int(tile / across * 2 + part / 2) * kBlockHeight;
   if (left >= frame.optics.width_px || top >= frame.optics.height_px) return;
   const int warp_x = warp % kWarpsAcross * kWarpWidth, warp_y = warp / kWarpsAcross * C::kWarpHeight;
   const int lane_x = warp_x + 2 * (lane % 8), lane_y = warp_y + lane / 8;

@@ -24,6 +24,7 @@ Ordinals ordinals_of(const Lens& lens) {
   out.groups = (out.count + kGroupOrdinals - 1) / kGroupOrdinals;
   out.first_lens = int(std::floor(lowest_phase(lens) / lens.line_number));
   const double views_each = double(lens.views) / lens.line_number, last = double(lens.views) - 1;
+  out.view_unit = float(std::exp2(-std::ceil(std::log2((views_each + (lens.continuous ? 0 : 1)) / 2))));
   for (int t = 0; t < std::min(out.count, kMostOrdinals); ++t) {
     double low = t * views_each, high = (t + 1) * views_each;
     if (!lens.continuous) low = std::floor(low - 1e-6) + 0.5, high = std::floor(high + 1e-6) + 0.5;

@@ -27,6 +27,7 @@ struct FrameState {
   unsigned long long sums[8];    // see FrameSum, fixed point
 };
 
+constexpr uint32_t kNotDrawn = ~0u;  // depth of a splat that is not drawn: sorted last
 constexpr int kMostOrdinals = 32;
 
 // Sub-pixels t of all lenses, t = 0, 1, ...: the part of the rig that they see.
@@ -34,7 +35,8 @@ struct Ordinals {
   int count, per_group, groups;
   int first_lens;                                    // left-most lens of the panel
   float centre[kMostOrdinals], half[kMostOrdinals];  // of s
-  float view[kMostOrdinals];                         // of the view number, at the centre
+  float view[kMostOrdinals];                         // of the camera coordinate, at the centre
+  float view_unit;                                   // a power of 2 that scales its distance from there to about 1
 };
 
 // The lens for kernels, in float.

@@ -58,23 +58,32 @@ __global__ void count_kernel(const __grid_constant__ LensFrame frame) {
   const int64_t i = (int64_t(blockIdx.x) * kThreads + threadIdx.x) / kLanes;
   const bool inside = i < frame.splats.count;
   int64_t count = 0;
-  if (inside && i < frame.state->drawn)
+  if (inside && frame.sorted_depths[i] != kNotDrawn)
     for_each_run(frame.splats.splats[frame.order[i]], frame, threadIdx.x % kLanes,
                  [&](int first, int last, int stride) { count += (last - first) / stride + 1; });
   for (int step = 1; step < kLanes; step *= 2) count += __shfl_xor_sync(~0u, count, step);
   if (inside && threadIdx.x % kLanes == 0) frame.ends[i] = count;
 }
 
+// After the scan: the totals.
 __global__ void total_kernel(const __grid_constant__ LensFrame frame) {
-  const int64_t n = frame.splats.count;
-  frame.state->pairs = n ? frame.ends[n - 1] : 0;
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, n = frame.splats.count;
+  if (i >= n) return;
+  if (i == n - 1) frame.state->pairs = frame.ends[i];
+  if (frame.sorted_depths[i] != kNotDrawn && (i == n - 1 || frame.sorted_depths[i + 1] == kNotDrawn))
+    frame.state->drawn = unsigned(i + 1);
 }
 
-// Where the frame has more pairs than places nothing is written: composite then walks all splats.
+// Where the frame has more pairs than places none is written: composite then walks all splats. Places that stay empty
+// hold the largest key, beyond every tile.
 template <class Key>
 __global__ void fill_kernel(const __grid_constant__ LensFrame frame) {
-  const int64_t i = (int64_t(blockIdx.x) * kThreads + threadIdx.x) / kLanes;
-  if (frame.state->pairs > frame.capacity) return;
+  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / kLanes;
+  const int64_t pairs = int64_t(frame.state->pairs), used = pairs <= frame.capacity ? pairs : 0;
+  Key* keys = static_cast<Key*>(frame.keys);
+  for (int64_t at = used + thread; at < frame.capacity; at += int64_t(gridDim.x) * kThreads)
+    keys[at] = Key(~Key(0)), frame.values[at] = 0;
+  if (pairs > frame.capacity) return;
   const bool inside = i < frame.state->drawn;
   const uint32_t id = inside ? frame.order[i] : 0;
   const int lane = threadIdx.x % kLanes;
@@ -91,7 +100,6 @@ __global__ void fill_kernel(const __grid_constant__ LensFrame frame) {
     if (lane >= step) sum += other;
   }
   int64_t at = (inside && i ? frame.ends[i - 1] : 0) + sum - mine;
-  Key* keys = static_cast<Key*>(frame.keys);
   for_each_run(splat, frame, lane, [&](int first, int last, int stride) {
     for (int tile = first; tile <= last; tile += stride, ++at) keys[at] = Key(tile), frame.values[at] = id;
   });
@@ -119,9 +127,6 @@ size_t sort_bytes(int64_t items) {
 template <class Key>
 void fill(const LensFrame& frame, cudaStream_t stream) {
   const int64_t n = frame.splats.count, capacity = frame.capacity;
-  // Places that stay empty hold the largest key, beyond every tile
-  check(cudaMemsetAsync(frame.keys, 0xff, size_t(capacity) * sizeof(Key), stream), "bin: clear the keys");
-  check(cudaMemsetAsync(frame.values, 0, size_t(capacity) * sizeof(uint32_t), stream), "bin: clear the values");
   fill_kernel<Key><<<unsigned(blocks_for(n * kLanes, kThreads)), kThreads, 0, stream>>>(frame);
   check_launch("bin: fill");
   size_t bytes = frame.temporary_bytes;
@@ -161,7 +166,7 @@ void frame_count(const LensFrame& frame, Stream stream) {
   size_t bytes = frame.temporary_bytes;
   check(cub::DeviceScan::InclusiveSum(frame.temporary, bytes, frame.ends, frame.ends, n, cudaStream_t(stream)),
         "bin: scan");
-  total_kernel<<<1, 1, 0, cudaStream_t(stream)>>>(frame);
+  total_kernel<<<unsigned(blocks_for(n, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(frame);
   check_launch("bin: total");
 }
 

@@ -9,16 +9,12 @@ __device__ inline uint64_t phase_at(const LensOptics& lens, int row, int subpixe
   return lens.phase0 + lens.phase_x * uint64_t(int64_t(subpixel)) + lens.phase_y * uint64_t(int64_t(row));
 }
 
-// The high part of phase * views.
-__device__ inline unsigned view_of(const LensOptics& lens, uint64_t phase) {
-  const unsigned views = unsigned(lens.views), high = unsigned(phase >> 32);
-  return unsigned((uint64_t(high) * views + __umulhi(unsigned(phase), views)) >> 32);
-}
-
-// The camera coordinate x of a phase: n + 1/2, or x itself.
+// The camera coordinate x of a phase: n + 1/2 with n the high part of phase * views, or x itself.
 __device__ inline float camera_of(const LensOptics& lens, uint64_t phase) {
-  if (lens.continuous) return float(double(phase) * (1.0 / 18446744073709551616.0) * lens.views);
-  return float(view_of(lens, phase)) + 0.5f;
+  const unsigned views = unsigned(lens.views), high = unsigned(phase >> 32);
+  const uint64_t product = uint64_t(high) * views + __umulhi(unsigned(phase), views);
+  const unsigned part = lens.continuous ? unsigned(product) : 1u << 31;
+  return fmaf(float(part), 1.f / 4294967296.f, float(unsigned(product >> 32)));
 }
 
 // First sub-pixel of a lens in a row: an estimate in float, made exact with the phase. Lenses of 4 sub-pixels or more.

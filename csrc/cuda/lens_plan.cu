@@ -12,11 +12,11 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   FrameState& state = *frame.state;
   const LensOptics& lens = frame.optics;
   const float pixels = float(lens.width_px) * float(lens.height_px), rate = 1.045e9f;
-  const float share = state.sampled ? float(state.drawn) / float(state.sampled) : 0.f;
+  const float share = float(sample_stride(frame.splats.count));
   auto sum = [&](int k) { return float(state.sums[k]) / kSumUnit * share; };
   auto hits = [&](float w, float h, float f) {
     return (sum(kArea) + 2 * w * sum(kHalfHeight) + 2 * f * sum(kDisparityHeight) + 2 * h * sum(kHalfWidth) +
-            f * h * sum(kDisparity) + w * h * float(state.drawn)) / pixels;
+            f * h * sum(kDisparity) + w * h * share * float(state.sampled)) / pixels;
   };
   auto mean = [&](int k) { return state.sampled ? float(state.sums[k]) / kErrorUnit / float(state.sampled) : 0.f; };
   const bool linear = mean(kLinearError) <= kMeanShapeError, quadratic = mean(kQuadraticError) <= kMeanShapeError;

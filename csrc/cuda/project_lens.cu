@@ -8,6 +8,8 @@
 #include "math/footprint.h"
 #include "math/harmonics.h"
 
+#include <type_traits>
+
 namespace lfgs::cuda {
 namespace {
 
@@ -15,31 +17,44 @@ using glm::vec3;
 constexpr int kThreads = 128;
 
 // The colour polynomial of one drawn splat: values at the nodes -> Chebyshev coefficients -> the powers it needs.
+template <int Order>
 __device__ void store_colours(const Gaussians<const float>& gaussians, const vec3& mean, const View<float>& rig,
                               const BasisTable& basis, float tolerance, int64_t i, const Splats<float>& out,
                               unsigned* error) {
-  const int order = basis.order, nodes = order + 1;
-  const float* sh = gaussians.sh + 3 * gaussians.sh_count() * i;
-  vec3 chebyshev[kMaxColourOrder + 1];
-  for (int k = 0; k < nodes; ++k) chebyshev[k] = vec3(0);
-  for (int j = 0; j < nodes; ++j) {
-    const vec3 value = sh_colour<float>(gaussians.sh_degree, sh, mean, eye_at(rig, basis.nodes[j]));
-    for (int k = 0; k < nodes; ++k) chebyshev[k] += basis.to_chebyshev[k * nodes + j] * value;
+  constexpr int kNodes = Order + 1;
+  const int count = gaussians.sh_count();
+  float sh[3 * kMaxShCount];  // read once, in registers
+#pragma unroll
+  for (int k = 0; k < 3 * kMaxShCount; ++k) sh[k] = k < 3 * count ? gaussians.sh[3 * count * i + k] : 0;
+  vec3 chebyshev[kNodes];
+#pragma unroll
+  for (int k = 0; k < kNodes; ++k) chebyshev[k] = vec3(0);
+#pragma unroll 1
+  for (int j = 0; j < kNodes; ++j) {
+    const vec3 value = sh_colour<float>(3, sh, mean, eye_at(rig, basis.nodes[j]));
+#pragma unroll
+    for (int k = 0; k < kNodes; ++k) chebyshev[k] += basis.to_chebyshev[k * kNodes + j] * value;
   }
   auto size = [&](int k) { return fmaxf(fabsf(chebyshev[k].x), fmaxf(fabsf(chebyshev[k].y), fabsf(chebyshev[k].z))); };
   // Errors are positive, so their bits order like the numbers
-  if (order >= 2) {
-    const unsigned bits = __float_as_uint(size(order) + size(order - 1));
-    if (bits > *static_cast<volatile unsigned*>(error)) atomicMax(error, bits);
-  }
+  const unsigned bits = __float_as_uint(size(Order) + size(Order - 1));
+  if (bits > *static_cast<volatile unsigned*>(error)) atomicMax(error, bits);
 
-  int kept = order;
-  for (float dropped = 0; kept > 0 && (dropped += size(kept)) <= tolerance;) --kept;
+  int kept = Order;
+  float dropped = 0;
+#pragma unroll
+  for (int k = Order; k > 0; --k) {
+    dropped += size(k);
+    kept = dropped <= tolerance && kept == k ? k - 1 : kept;
+  }
   out.orders[i] = kept;
-  float4* colours = reinterpret_cast<float4*>(out.colours) + i * nodes;
+  float4* colours = reinterpret_cast<float4*>(out.colours) + i * kNodes;
+#pragma unroll 1
   for (int p = 0; p <= kept; ++p) {
     vec3 power(0);
-    for (int k = p; k <= kept; ++k) power += basis.to_powers[p * nodes + k] * chebyshev[k];
+#pragma unroll
+    for (int k = 0; k < kNodes; ++k)
+      if (k <= kept) power += basis.to_powers[p * kNodes + k] * chebyshev[k];
     if (kept == 0) power = glm::max(power, vec3(0));
     colours[p] = make_float4(power.x, power.y, power.z, 0);
   }
@@ -53,6 +68,7 @@ __device__ void store_colour(const Gaussians<const float>& gaussians, int64_t i,
 }
 
 // Projects, culls and stores splat i; returns it (reach_y < 0: not drawn).
+template <int Order>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const View<float>& rig, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, float tolerance, int64_t i,
                                     const Splats<float>& out, unsigned* error) {
@@ -62,36 +78,49 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   out.splats[i] = splat;
   if (out.orders) out.orders[i] = 0;
   if (splat.reach_y < 0) return splat;
-  if (basis.order == 0)
+  if constexpr (Order == 0)
     store_colour(gaussians, i, out);
   else
-    store_colours(gaussians, shape.mean, rig, basis, tolerance, i, out, error);
+    store_colours<Order>(gaussians, shape.mean, rig, basis, tolerance, i, out, error);
   return splat;
 }
 
+template <int Order>
 __global__ void project_lens_kernel(Gaussians<const float> gaussians, View<float> rig, int64_t width_px,
                                     int64_t height_px, const __grid_constant__ BasisTable basis, float tolerance,
                                     Splats<float> out, uint64_t* keys, unsigned* error) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
-  const Splat<float> splat = store_splat(gaussians, rig, width_px, height_px, basis, tolerance, i, out, error);
+  const Splat<float> splat = store_splat<Order>(gaussians, rig, width_px, height_px, basis, tolerance, i, out, error);
   keys[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : ~uint64_t(0);
 }
 
+template <int Order>
 __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __grid_constant__ LensFrame frame,
                                      const __grid_constant__ BasisTable basis) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   Splat<float> splat;
   splat.reach_y = -1;
   if (i < gaussians.count) {
-    splat = store_splat(gaussians, frame.rig, frame.optics.width_px, frame.optics.height_px, basis, frame.tolerance, i,
-                        frame.splats, &frame.state->colour_error);
-    frame.depths[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : ~0u;
+    splat = store_splat<Order>(gaussians, frame.rig, frame.optics.width_px, frame.optics.height_px, basis,
+                               frame.tolerance, i, frame.splats, &frame.state->colour_error);
+    frame.depths[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : kNotDrawn;
     frame.indices[i] = uint32_t(i);
   }
-  const unsigned drawn = __popc(__ballot_sync(~0u, splat.reach_y >= 0));
-  if (threadIdx.x % 32 == 0 && drawn) atomicAdd(&frame.state->drawn, drawn);
   if (blockIdx.x % sample_stride(gaussians.count) == 0) add_to_sums(frame, splat);
+}
+
+// Calls run with the order of the colours as a compile-time number.
+template <class Run>
+void with_order(int order, const Run& run) {
+  switch (order) {
+    case 0: return run(std::integral_constant<int, 0>());
+    case 4: return run(std::integral_constant<int, 4>());
+    case 8: return run(std::integral_constant<int, 8>());
+    case 12: return run(std::integral_constant<int, 12>());
+    case 16: return run(std::integral_constant<int, 16>());
+  }
+  throw Error("colour order on CUDA must be 0, 4, 8, 12 or 16, not " + std::to_string(order));
 }
 
 }  // namespace
@@ -100,9 +129,11 @@ void project_lens(const Gaussians<const float>& gaussians, const View<double>& r
                   const Splats<float>& out, uint64_t* keys, float* error, Stream stream) {
   if (gaussians.count == 0) return;
   const BasisTable basis{ColourBasis(out.colour_order)};
-  project_lens_kernel<<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-      gaussians, rounded(rig), lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
-      reinterpret_cast<unsigned*>(error));
+  with_order(out.colour_order, [&](auto order) {
+    project_lens_kernel<order><<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
+        gaussians, rounded(rig), lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
+        reinterpret_cast<unsigned*>(error));
+  });
   check_launch("project_lens");
 }
 
@@ -114,8 +145,10 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
   check(cudaMemsetAsync(frame.state, 0, sizeof(FrameState), cudaStream_t(stream)), "project: clear the state");
   if (gaussians.count) {
     const BasisTable basis{ColourBasis(frame.splats.colour_order)};
-    frame_project_kernel<<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-        gaussians, frame, basis);
+    with_order(frame.splats.colour_order, [&](auto order) {
+      frame_project_kernel<order><<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0,
+                                    cudaStream_t(stream)>>>(gaussians, frame, basis);
+    });
     check_launch("frame_project");
   }
   frame_plan(frame, stream);
