@@ -28,24 +28,14 @@ struct Lists {
   __device__ uint2 range(int64_t number) const { return ranges ? ranges[number] : make_uint2(0, drawn); }
 };
 
-// Hands out the pieces of work of a kernel, by all threads of a block: piece = first; then next() while it is < count.
-// The number that follows is asked for early, so that nobody waits for it.
+// Hands out the pieces of work of a kernel. The next is asked for early, so that nobody waits for it.
 struct WorkQueue {
   unsigned* next;
-  unsigned& shared;
   unsigned claimed = 0;
 
-  __device__ WorkQueue(const LensFrame& frame, LensKernel kernel, unsigned& shared_)
-      : next(&frame.state->next_tile[int(kernel)]), shared(shared_) {}
-  __device__ void claim() {
-    if (threadIdx.x == 0) claimed = gridDim.x + atomicAdd(next, 1u);
-  }
-  __device__ unsigned take() {
-    __syncthreads();
-    if (threadIdx.x == 0) shared = claimed;
-    __syncthreads();
-    return shared;
-  }
+  __device__ WorkQueue(const LensFrame& frame, LensKernel kernel) : next(&frame.state->next_tile[int(kernel)]) {}
+  // By one thread of those that share a piece; `first` are handed out already.
+  __device__ void claim(unsigned first) { claimed = first + atomicAdd(next, 1u); }
 };
 
 __device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {

@@ -457,47 +457,41 @@ struct Task {
   }
 };
 
-// The colours of a splat about every ordinal of a group: parabolas through the ends and the middle, above zero.
-__device__ inline void stage_colours(const LensFrame& frame, uint32_t id, int i, int first, int last,
-                                     Memory<true>& memory) {
-  const Ordinals& ordinals = frame.optics.ordinals;
+// The colour of staged splat i about an ordinal: the parabola through its ends and middle, each not below zero.
+__device__ inline void stage_colour(const LensFrame& frame, uint32_t id, int i, int t, int ordinal,
+                                    Memory<true>& memory) {
   const Splats<float>& splats = frame.splats;
   const int order = splats.orders[id];
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
-  constexpr int kNodes = 3 * kGroupOrdinals, kAhead = 4;
-  float values[kNodes][3] = {};
+  const float centre = frame.optics.ordinals.centre[ordinal], half = frame.optics.ordinals.half[ordinal];
+  constexpr int kAhead = 4;  // loads under way at a time
+  float values[3][3] = {};   // low, middle, high; places
   for (int high = order; high >= 0; high -= kAhead) {
     float4 c[kAhead];
 #pragma unroll
     for (int k = 0; k < kAhead; ++k)
       c[k] = high >= k ? by_place(frame.optics, powers[high - k]) : make_float4(0, 0, 0, 0);
 #pragma unroll
-    for (int n = 0; n < kNodes; ++n) {
-      const int ordinal = min(first + n / 3, last);
-      const float s = fmaf(float(n % 3 - 1), ordinals.half[ordinal], ordinals.centre[ordinal]);
+    for (int k = 0; k < kAhead; ++k)
 #pragma unroll
-      for (int k = 0; k < kAhead; ++k)
-        if (high >= k) {
-          values[n][0] = fmaf(values[n][0], s, c[k].x), values[n][1] = fmaf(values[n][1], s, c[k].y);
-          values[n][2] = fmaf(values[n][2], s, c[k].z);
-        }
-    }
+      for (int n = 0; n < 3; ++n) {
+        const float s = high >= k ? fmaf(float(n - 1), half, centre) : 1.f;
+        values[n][0] = fmaf(values[n][0], s, c[k].x), values[n][1] = fmaf(values[n][1], s, c[k].y);
+        values[n][2] = fmaf(values[n][2], s, c[k].z);
+      }
   }
+  const float reach = half > 0 ? half / offset_unit(frame.optics) : 1.f;  // in v, with its sign
+  const float inverse = 0.5f / reach;
+  float middle[3];
+  __half2 slope[3];
 #pragma unroll
-  for (int t = 0; t < kGroupOrdinals; ++t) {
-    const float half = ordinals.half[min(first + t, last)];
-    const float reach = half > 0 ? half / offset_unit(frame.optics) : 1.f;  // in v, with its sign
-    float middle[3];
-    __half2 slope[3];
-#pragma unroll
-    for (int c = 0; c < 3; ++c) {
-      const float low = fmaxf(values[3 * t][c], 0.f), high = fmaxf(values[3 * t + 2][c], 0.f);
-      middle[c] = fmaxf(values[3 * t + 1][c], 0.f);
-      slope[c] = __floats2half2_rn((high - low) / (2 * reach), (high + low - 2 * middle[c]) / (2 * reach * reach));
-    }
-    memory.colour[t][i] = make_float4(middle[0], middle[1], middle[2], __uint_as_float(bits(slope[0])));
-    memory.slopes[t][i] = make_uint2(bits(slope[1]), bits(slope[2]));
+  for (int c = 0; c < 3; ++c) {
+    const float low = fmaxf(values[0][c], 0.f), high = fmaxf(values[2][c], 0.f);
+    middle[c] = fmaxf(values[1][c], 0.f);
+    slope[c] = __floats2half2_rn((high - low) * inverse, (high + low - 2 * middle[c]) * 2 * inverse * inverse);
   }
+  memory.colour[t][i] = make_float4(middle[0], middle[1], middle[2], __uint_as_float(bits(slope[0])));
+  memory.slopes[t][i] = make_uint2(bits(slope[1]), bits(slope[2]));
 }
 
 template <bool Harmonics>
@@ -513,7 +507,9 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, in
       memory.colour[0][i] = by_place(frame.optics, reinterpret_cast<const float4*>(frame.splats.colours)[id]);
   }
   if constexpr (Harmonics) {
-    if (threadIdx.x < count) stage_colours(frame, ids[threadIdx.x], threadIdx.x, first, last, memory);
+    const int ordinals = last - first + 1;
+    for (int j = threadIdx.x; j < count * ordinals; j += kThreads)
+      stage_colour(frame, ids[j / ordinals], j / ordinals, j % ordinals, first + j % ordinals, memory);
   }
 }
 
@@ -589,10 +585,13 @@ __global__ void __launch_bounds__(kThreads, 2)
   const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
   const unsigned tiles = unsigned(frame.ordinal.across * frame.ordinal.down);
-  WorkQueue work(frame, LensKernel::kOrdinal, memory.next_tile);
-  for (unsigned tile = blockIdx.x; tile < tiles; tile = work.take()) {
-    work.claim();
+  WorkQueue work(frame, LensKernel::kOrdinal);
+  for (unsigned tile = blockIdx.x; tile < tiles; tile = memory.next_tile) {
+    if (threadIdx.x == 0) work.claim(gridDim.x);
     draw_tile<Harmonics>(frame, lists, tile, row_bytes, behind, out, memory);
+    __syncthreads();
+    if (threadIdx.x == 0) memory.next_tile = work.claimed;
+    __syncthreads();
   }
 #endif
 }

@@ -1,11 +1,12 @@
 // Composite of a light-field frame by tiles of pixels, for rigs of small disparity.
 //
-// A block has 32 x 16 pixels, a warp 16 x 4 or 16 x 8 of them, a lane two neighbours in every fourth row: 6 or 12
-// sub-pixels. The block culls 128 or 256 splats of its list and turns what is left into polynomials about its centre,
+// A warp has 16 x 4 or 16 x 8 pixels, a lane two neighbours in every fourth row: 6 or 12 sub-pixels. Warps do not wait
+// for each other. A warp culls its tile's list 32 splats at a time against its own pixels; of every 32 that stay each
+// lane turns one into a polynomial about the patch's centre,
 //   exponent = log2 o - (t (y - v0))^2 - d^2,   d = r(s) (x - m(y, s)),   r = S^(-1/2) about linear or quadratic in s,
-// the warp culls these against its own pixels, and its lanes evaluate them: no division, one exp2 a sample. Colours
-// enter as differences, C += T (c_i - c_(i-1)), which saves an instruction. Splats for which that is too rough (nearly
-// opaque, of a shape or colour that varies much over the rig) are evaluated as they are written, *carefully*.
+// which all lanes then evaluate: no division, one exp2 a sample. Colours enter as differences, C += T (c_i - c_(i-1)),
+// which saves an instruction. Splats for which that is too rough (nearly opaque, of a shape or colour that varies much
+// over the rig) are evaluated as they are written, *carefully*.
 #include "cuda/blend.cuh"
 #include "cuda/check.h"
 #include "cuda/composite_lens.cuh"
@@ -16,32 +17,26 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kBlockWidth = 32, kBlockHeight = 16, kWarpWidth = 16, kWarpsAcross = 2;
+constexpr int kPatchWidth = 16, kWarps = 4, kThreads = 32 * kWarps;
 constexpr float kCarefulOpacity = -0.0218f;       // log2(0.985): what an opaque splat stops is less than 2/255
-constexpr float kMostColourCurvature = 2.5e-4f;     // dropped s^2 of a colour: half of it is the error
-constexpr unsigned kCarefulBit = 1u << 15, kCarefulId = 1u << 31;  // in queues, in ids
+constexpr float kMostColourCurvature = 2.5e-4f;   // dropped s^2 of a colour: half of it is the error
 
 template <int LaneRows_, bool Quadratic_, bool Harmonics_>
 struct Config {
   static constexpr int LaneRows = LaneRows_;
   static constexpr bool Quadratic = Quadratic_, Harmonics = Harmonics_;
-  static constexpr int kWarpHeight = 4 * LaneRows, kWarpsDown = kBlockHeight / kWarpHeight;
-  static constexpr int kWarps = kWarpsAcross * kWarpsDown, kThreads = 32 * kWarps;
-  static constexpr int kBlocks = LaneRows == 1 ? 4 : 6;  // on a multiprocessor
+  static constexpr int kPatchHeight = 4 * LaneRows;
+  static constexpr int kBlocks = LaneRows == 1 ? 8 : 6;  // on a multiprocessor
   static constexpr LensKernel kernel =
       Quadratic ? LensKernel::kPixelQuadratic : LaneRows == 1 ? LensKernel::kPixelSmall : LensKernel::kPixel;
 };
 
-// Splats of a batch that survived the block's cull, in coordinates about its centre.
+// What a warp keeps in shared memory.
 template <class C>
 struct Staged {
-  float4 splat[3][C::kThreads];  // as in memory, u0 and v0 moved
-  float4 fit[4][C::kThreads];    // see polynomial()
-  float4 slope[C::Harmonics ? C::kThreads : 1];
-  uint32_t ids[C::kThreads];
-  uint16_t queue[C::kWarps][C::kThreads];  // of each warp; kCarefulBit
-  int counts[C::kWarps];
-  unsigned next_tile;
+  float4 fit[4][32];  // of 32 hits, see polynomial()
+  float4 slope[C::Harmonics ? 32 : 1];
+  uint32_t ids[64];   // hits that wait: fewer than 32, and those of one cull
 };
 
 // The polynomial of d and the rest of what a sample needs:
@@ -84,9 +79,17 @@ __device__ inline bool straight_colour(const Splats<float>& splats, uint32_t id,
   return good;
 }
 
+// A splat, its centre about a point.
+__device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
+  const float4* source = reinterpret_cast<const float4*>(splats.splats + id);
+  float4 a = source[0];
+  a.x -= centre.x, a.z -= centre.y;
+  return assembled(a, source[1], source[2]);
+}
+
 template <class C>
 struct Samples {
-  float x[2], y[C::LaneRows];  // about the block's centre
+  float x[2], y[C::LaneRows];  // about the patch's centre
   float s[C::LaneRows][2][3], colour[C::LaneRows][2][3], transmittance[C::LaneRows][2][3];
   float4 last, last_slope;  // colour of the last splat
 
@@ -96,11 +99,11 @@ struct Samples {
 #pragma unroll
     for (int r = 0; r < C::LaneRows; ++r) {
       const int row = top + lane_y + 4 * r;
-      y[r] = lane_y + 4 * r + 0.5f - 0.5f * kBlockHeight;
+      y[r] = lane_y + 4 * r + 0.5f - 0.5f * C::kPatchHeight;
 #pragma unroll
       for (int p = 0; p < 2; ++p) {
         const int column = left + lane_x + p;
-        x[p] = lane_x + p + 0.5f - 0.5f * kBlockWidth;
+        x[p] = lane_x + p + 0.5f - 0.5f * kPatchWidth;
         uint64_t phase = phase_at(lens, row, 3 * column);
 #pragma unroll
         for (int k = 0; k < 3; ++k, phase += lens.phase_x) {
@@ -174,12 +177,29 @@ struct Samples {
     last = last_slope = make_float4(0, 0, 0, 0);
   }
 
+  // Over the background.
+  template <class Out>
+  __device__ void store(const LensOptics& lens, int column, int row, float4 background, Out* out) {
+#pragma unroll
+    for (int r = 0; r < C::LaneRows; ++r) {
+      float values[6];
+#pragma unroll
+      for (int p = 0; p < 2; ++p)
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+          float change = part(background, k) - part(last, k);
+          if (C::Harmonics) change -= s[r][p][k] * part(last_slope, k);
+          values[3 * p + k] = fmaf(transmittance[r][p][k], change, colour[r][p][k]);
+        }
+      store_pixels(lens, column, row + 4 * r, values, out);
+    }
+  }
+
   // As written: a division, the limit of alpha, the whole colour polynomial, the stop of what is opaque.
-  __device__ void add_carefully(const Staged<C>& staged, int i, const LensFrame& frame, float4 background) {
+  __device__ void add_carefully(const LensFrame& frame, uint32_t id, float2 centre, float4 background) {
     close();
     const Splats<float>& splats = frame.splats;
-    const Splat<float> splat = assembled(staged.splat[0][i], staged.splat[1][i], staged.splat[2][i]);
-    const uint32_t id = staged.ids[i] & ~kCarefulId;
+    const Splat<float> splat = splat_about(splats, id, centre);
     const int order = C::Harmonics ? splats.orders[id] : 0;
     const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
     const float4 highest = by_place(frame.optics, powers[order]);
@@ -200,147 +220,110 @@ struct Samples {
   }
 };
 
-// Culls and stages the candidates of a batch; returns how many stay. By all threads of the block.
+// Makes the polynomials of the first `count` <= 32 waiting hits; returns which are to be evaluated carefully.
 template <class C>
-__device__ int stage(const LensFrame& frame, const uint32_t* list, unsigned count, float centre_x, float centre_y,
-                     bool exact, Staged<C>& staged) {
-  const int lane = threadIdx.x % 32, warp = threadIdx.x / 32;
-  const uint32_t id = threadIdx.x < count ? list[threadIdx.x] : list[0];
-  const float4* source = reinterpret_cast<const float4*>(frame.splats.splats + id);
-  float4 a = source[0], b = source[1], c = source[2];
-  a.x -= centre_x, a.z -= centre_y;
-  const Splat<float> splat = assembled(a, b, c);
-  const float half = 0.5f * kBlockHeight - 0.5f;
-  const Strip strip(splat, -half, half);
-  const bool hit =
-      threadIdx.x < count && !strip.empty && strip.whole_rig(splat).touches(0.f, 0.5f * kBlockWidth - 0.5f);
-  const unsigned hits = __ballot_sync(~0u, hit);
-  if (lane == 0) staged.counts[warp] = __popc(hits);
-  __syncthreads();
-  int place = __popc(hits & ((1u << lane) - 1)), all = 0;
-#pragma unroll
-  for (int w = 0; w < C::kWarps; ++w) {
-    place += w < warp ? staged.counts[w] : 0;
-    all += staged.counts[w];
-  }
-  if (hit) {
+__device__ unsigned specialise(const LensFrame& frame, int count, float2 centre, bool exact, Staged<C>& staged) {
+  const int lane = threadIdx.x % 32;
+  bool careful = false;
+  if (lane < count) {
+    const uint32_t id = staged.ids[lane];
+    const Splat<float> splat = splat_about(frame.splats, id, centre);
     const ShapeError error(splat);
-    bool careful = a.w >= kCarefulOpacity || exact ||
-                   (C::Quadratic ? error.quadratic : error.linear) > kMostShapeError;
+    careful = splat.log2_opacity >= kCarefulOpacity || exact ||
+              (C::Quadratic ? error.quadratic : error.linear) > kMostShapeError;
     float4 colour, slope, fit[4];
     if (C::Harmonics) {
       careful = !straight_colour(frame.splats, id, colour, slope) || careful;
-      staged.slope[place] = by_place(frame.optics, slope);
+      staged.slope[C::Harmonics ? lane : 0] = by_place(frame.optics, slope);
     } else {
       colour = reinterpret_cast<const float4*>(frame.splats.colours)[id];
     }
     polynomial<C>(splat, by_place(frame.optics, colour), fit);
-    staged.splat[0][place] = a, staged.splat[1][place] = b, staged.splat[2][place] = c;
 #pragma unroll
-    for (int k = 0; k < 4; ++k) staged.fit[k][place] = fit[k];
-    staged.ids[place] = id | (careful ? kCarefulId : 0);
+    for (int k = 0; k < 4; ++k) staged.fit[k][lane] = fit[k];
   }
-  __syncthreads();
-  return all;
-}
-
-// Numbers of the staged splats that may touch the warp's pixels, in order; returns how many.
-template <class C>
-__device__ int cull(const Staged<C>& staged, int count, float x, float top, uint16_t* queue) {
-  const int lane = threadIdx.x % 32;
-  int queued = 0;
-  for (int first = 0; first < count; first += 32) {
-    const int i = min(first + lane, count - 1);
-    const Splat<float> splat = assembled(staged.splat[0][i], staged.splat[1][i], staged.splat[2][i]);
-    const Strip strip(splat, top, top + C::kWarpHeight - 1);
-    const bool hit = first + lane < count && !strip.empty && strip.whole_rig(splat).touches(x, 0.5f * kWarpWidth - 0.5f);
-    const unsigned hits = __ballot_sync(~0u, hit);
-    if (hit) queue[queued + __popc(hits & ((1u << lane) - 1))] = i | staged.ids[i] >> 31 << 15;
-    queued += __popc(hits);
-  }
-  __syncwarp();
-  return queued;
+  return __ballot_sync(~0u, careful);
 }
 
 template <class C, class Out>
-__device__ void draw_tile(const LensFrame& frame, const Lists& lists, bool exact, unsigned unit, float4 background,
-                          Out* out, Staged<C>& staged) {
-  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  const Tiling& tiling = frame.pixel;
-  const unsigned tile = unit / 4, part = unit % 4, across = unsigned(tiling.across);
+__device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exact, unsigned unit, float4 background,
+                           Out* out, Staged<C>& staged) {
+  constexpr unsigned kAcross = 4, kDown = 32 / C::kPatchHeight;  // patches of a list's tile
+  const int lane = threadIdx.x % 32, lane_x = 2 * (lane % 8), lane_y = lane / 8;
+  const unsigned tile = unit / (kAcross * kDown), part = unit % (kAcross * kDown), across = unsigned(frame.pixel.across);
   const uint2 range = lists.range(tile);
-  const int left = int(tile % across * 2 + part % 2) * kBlockWidth;
-  const int top = int(tile / across * 2 + part / 2) * kBlockHeight;
+  const int left = int(tile % across * kAcross + part % kAcross) * kPatchWidth;
+  const int top = int(tile / across * kDown + part / kAcross) * C::kPatchHeight;
   if (left >= frame.optics.width_px || top >= frame.optics.height_px) return;
-  const int warp_x = warp % kWarpsAcross * kWarpWidth, warp_y = warp / kWarpsAcross * C::kWarpHeight;
-  const int lane_x = warp_x + 2 * (lane % 8), lane_y = warp_y + lane / 8;
+  const float2 centre = make_float2(left + 0.5f * kPatchWidth, top + 0.5f * C::kPatchHeight);
+  const float half_height = 0.5f * C::kPatchHeight - 0.5f;
   Samples<C> samples(frame, left, top, lane_x, lane_y);
 
-  for (unsigned begin = range.x; begin < range.y; begin += C::kThreads) {
-    const bool opaque = samples.opaque();
-    if (__syncthreads_and(opaque)) break;
-    const unsigned count = min(unsigned(C::kThreads), range.y - begin);
-    const int all = stage<C>(frame, lists.ids + begin, count, left + 0.5f * kBlockWidth, top + 0.5f * kBlockHeight,
-                             exact, staged);
-    if (__all_sync(~0u, opaque)) continue;
-    uint16_t* queue = staged.queue[warp];
-    const int queued = cull<C>(staged, all, warp_x + 0.5f * (kWarpWidth - kBlockWidth),
-                               warp_y + 0.5f - 0.5f * kBlockHeight, queue);
-    int h = 0;
-#pragma unroll 1
-    while (h < queued) {
-#pragma unroll 1
-      for (; h + 1 < queued; h += 2) {  // two at a time hide each other's latency
-        const unsigned first = queue[h], second = queue[h + 1];
-        if ((first | second) & kCarefulBit) break;
-        samples.add(staged, first), samples.add(staged, second);
-      }
-      if (h == queued) break;
-      const unsigned one = queue[h++];
-      if (one & kCarefulBit)
-        samples.add_carefully(staged, one & ~kCarefulBit, frame, background);
-      else
-        samples.add(staged, one);
-    }
-  }
+  int waiting = 0;
+  for (unsigned begin = range.x; begin < range.y; begin += 32) {
+    // Those of the next 32 that may touch the patch wait
+    const bool inside = begin + lane < range.y;
+    const uint32_t id = lists.ids[inside ? begin + lane : begin];
+    const Splat<float> splat = splat_about(frame.splats, id, centre);
+    const Strip strip(splat, -half_height, half_height);
+    const bool hit = inside && !strip.empty && strip.whole_rig(splat).touches(0.f, 0.5f * kPatchWidth - 0.5f);
+    const unsigned hits = __ballot_sync(~0u, hit);
+    if (hit) staged.ids[waiting + __popc(hits & ((1u << lane) - 1))] = id;
+    waiting += __popc(hits);
+    __syncwarp();
+    const bool end = begin + 32 >= range.y;
+    if (waiting < 32 && !(end && waiting > 0)) continue;
 
-  const float4 end = make_float4(background.x - samples.last.x, background.y - samples.last.y,
-                                 background.z - samples.last.z, 0);
-#pragma unroll
-  for (int r = 0; r < C::LaneRows; ++r) {
-    float values[6];
-#pragma unroll
-    for (int p = 0; p < 2; ++p)
-#pragma unroll
-      for (int k = 0; k < 3; ++k) {
-        float change = Samples<C>::part(end, k);
-        if (C::Harmonics) change -= samples.s[r][p][k] * Samples<C>::part(samples.last_slope, k);
-        values[3 * p + k] = fmaf(samples.transmittance[r][p][k], change, samples.colour[r][p][k]);
+    // 32 of them, or at the end what there is; a second round when both the end and more than 32 have come
+    do {
+      const int count = min(waiting, 32);
+      const unsigned careful = specialise<C>(frame, count, centre, exact, staged);
+      __syncwarp();
+      int h = 0;
+#pragma unroll 1
+      while (h < count) {
+#pragma unroll 1
+        for (; h + 1 < count && (careful >> h & 3) == 0; h += 2)  // two hide each other's latency
+          samples.add(staged, h), samples.add(staged, h + 1);
+        if (h == count) break;
+        if (careful >> h & 1)
+          samples.add_carefully(frame, staged.ids[h], centre, background);
+        else
+          samples.add(staged, h);
+        ++h;
       }
-    store_pixels(frame.optics, left + lane_x, top + lane_y + 4 * r, values, out);
+      waiting -= count;
+      const uint32_t left_over = staged.ids[32 + lane];
+      __syncwarp();
+      staged.ids[lane] = left_over;
+      __syncwarp();
+    } while (end && waiting > 0);
+    if (__all_sync(~0u, samples.opaque())) break;
   }
+  samples.store(frame.optics, left + lane_x, top + lane_y, background, out);
 }
 
 template <class C, class Out>
-__global__ void __launch_bounds__(C::kThreads, C::kBlocks)
+__global__ void __launch_bounds__(kThreads, C::kBlocks)
     composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   if (frame.state->kernel != int(C::kernel)) return;
-  __shared__ Staged<C> staged;
+  __shared__ Staged<C> staged[kWarps];
   const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
   const bool exact = frame.state->exact;
-  const unsigned units = 4 * unsigned(frame.pixel.tiles());
-  WorkQueue work(frame, C::kernel, staged.next_tile);
-  for (unsigned unit = blockIdx.x; unit < units; unit = work.take()) {
-    work.claim();
-    draw_tile<C>(frame, lists, exact, unit, behind, out, staged);
+  const unsigned units = unsigned(frame.pixel.tiles()) * (4 * 32 / C::kPatchHeight);
+  WorkQueue work(frame, C::kernel);
+  for (unsigned unit = blockIdx.x * kWarps + threadIdx.x / 32; unit < units;
+       unit = __shfl_sync(~0u, work.claimed, 0)) {
+    if (threadIdx.x % 32 == 0) work.claim(gridDim.x * kWarps);
+    draw_patch<C>(frame, lists, exact, unit, behind, out, staged[threadIdx.x / 32]);
   }
 }
 
 template <class C, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   const auto kernel = composite_pixel_kernel<C, Out>;
-  kernel<<<resident_blocks(kernel, C::kThreads, 0), C::kThreads, 0, stream>>>(frame, background, out);
+  kernel<<<resident_blocks(kernel, kThreads, 0), kThreads, 0, stream>>>(frame, background, out);
   check_launch("composite_pixel");
 }
 
