@@ -279,18 +279,15 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exac
       const int count = min(waiting, 32);
       const unsigned careful = specialise<C>(frame, count, centre, exact, staged);
       __syncwarp();
-      int h = 0;
+      unsigned marks = careful;
+      for (int h = 0;;) {
+        const int next = marks ? __ffs(marks) - 1 : count;
 #pragma unroll 1
-      while (h < count) {
-#pragma unroll 1
-        for (; h + 1 < count && (careful >> h & 3) == 0; h += 2)  // two hide each other's latency
-          samples.add(staged, h), samples.add(staged, h + 1);
-        if (h == count) break;
-        if (careful >> h & 1)
-          samples.add_carefully(frame, staged.ids[h], centre, background);
-        else
-          samples.add(staged, h);
-        ++h;
+        for (; h + 1 < next; h += 2) samples.add(staged, h), samples.add(staged, h + 1);
+        if (h < next) samples.add(staged, h);
+        if (next == count) break;
+        samples.add_carefully(frame, staged.ids[next], centre, background);
+        marks &= marks - 1, h = next + 1;
       }
       waiting -= count;
       const uint32_t left_over = staged.ids[32 + lane];
