@@ -7,7 +7,9 @@ namespace lfgs::cuda {
 
 // alpha = min(0.99, 2^power), zero where it is below 1/255 (or power is not a number).
 __device__ inline float alpha_of(float power) {
-  return power >= float(kLog2MinAlpha) ? fminf(exp2f(power), float(kMaxAlpha)) : 0.f;
+  float alpha;
+  asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(alpha) : "f"(power));  // exp2f without its care for tiny results
+  return power >= float(kLog2MinAlpha) ? fminf(alpha, float(kMaxAlpha)) : 0.f;
 }
 
 // Light that a sample still takes; `weight` receives the share of this splat. A sample whose transmittance would fall
