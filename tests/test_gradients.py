@@ -131,7 +131,8 @@ def test_nothing_to_draw_has_zero_gradients():
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_dense_op_is_registered_as_torch_wants_it(dtype):
     moving, fixed = dense_inputs(2, 2, 6, 1, 12, 9, dtype=dtype)
-    torch.library.opcheck(torch.ops.lightfield_gs.render_dense, (*moving, *fixed))
+    for name in ("render_dense", "render_dense_with_state"):
+        torch.library.opcheck(getattr(torch.ops.lightfield_gs, name), (*moving, *fixed))
 
 
 # ---- light-field images
