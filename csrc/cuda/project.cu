@@ -30,9 +30,9 @@ __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<f
   const View<float> view = cameras.view<float>(image);
   const Shape<float> shape = shape_of(scene, i);
   const int64_t index = image * n + i;
-  if (!project_splat(view, shape, cameras.width_px, cameras.height_px, image, index, out, keys)) return;
-  const vec3 colour =
-      sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
+  vec3 colour(0);
+  if (project_splat(view, shape, cameras.width_px, cameras.height_px, image, index, out, keys))
+    colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
   reinterpret_cast<float4*>(out.colours)[index] =
       make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
 }
