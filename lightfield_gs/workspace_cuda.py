@@ -31,8 +31,8 @@ class CudaWorkspace:
                                         self.orders.data_ptr())
 
     def _use_lists(self, lists: Tensor, *buffers: Tensor) -> None:
-        """Bytes: range of each tile [tiles, 2] int64, range of slots of each splat [I, N, 2] int32, then slots and splats
-        of the sorted pairs, int32. buffers: tiles, sorted tiles, slots and their splats, which only the filling needs.
+        """Bytes: range of each tile [tiles, 2] int64, of slots of each splat [I, N, 2] int32, then slots and splats of
+        the sorted pairs, int32. buffers: tiles, sorted tiles, slots and their splats, which only the filling needs.
         """
         self.lists, self.count = lists, (lists.numel() - self.lists_bytes) // 8
         self.ranges = lists[:16 * self.image.tiles()].view(torch.int64)

@@ -1,4 +1,4 @@
-"""Ordinary images on CUDA where the kernels could go wrong: odd sizes, deep stacks, early stops, too much. Needs a GPU."""
+"""Ordinary images on CUDA where kernels could go wrong: odd sizes, deep stacks, early stops, too much. Needs a GPU."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ __global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= splats.images * splats.count) return;
   uint32_t count = 0;
-  for_each_tile_row(load_splat(splats.splats + i), image, [&](int first, int last) { count += last - first + 1; });
+  for_each_tile_row(read_splat(splats.splats + i), image, [&](int first, int last) { count += last - first + 1; });
   counts[i] = count;
 }
 
@@ -63,7 +63,7 @@ __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* i
   const uint32_t tiles = uint32_t(tile_count(image.tile, image.width_px, image.height_px));
   const uint32_t first_tile = index / uint32_t(splats.count) * tiles;
   uint32_t at = begin;
-  for_each_tile_row(load_splat(splats.splats + index), image, [&](int first, int last) {
+  for_each_tile_row(read_splat(splats.splats + index), image, [&](int first, int last) {
     for (int tile = first; tile <= last; ++tile, ++at) {
       pairs.tiles[at] = first_tile + tile;
       pairs.slots[at] = at;

@@ -66,11 +66,25 @@ __device__ uint32_t patches_of(const Splat<float>& s) {
 }
 
 __device__ Staged stage(const Splats<float>& splats, uint32_t id, const Pixel& pixel) {
-  Splat<float> s = load_splat(splats.splats + id);
+  Splat<float> s = read_splat(splats.splats + id);
   const float4 c = __ldg(reinterpret_cast<const float4*>(splats.colours) + id);
   s.u0 -= float(pixel.x0), s.v0 -= float(pixel.y0);
   return {make_float4(s.u0, s.v0, s.c0, s.tau), make_float4(c.x, c.y, c.z, s.depth),
           make_float2(s.log2_opacity, 1 / s.S0), patches_of(s)};
+}
+
+// Which of 32 candidates, from `first` on, may touch the patch of this warp. The first is the highest bit: it is found
+// in one step.
+__device__ unsigned candidates(const Staged* staged, int first, int count, const Pixel& pixel) {
+  const int own = first + 31 - pixel.lane;
+  return __ballot_sync(kAll, own < count && staged[own].patches >> pixel.warp & 1);
+}
+
+// Takes the first one out of such a set; returns its number.
+__device__ int take_first(unsigned& set) {
+  const int first = __clz(int(set));
+  set ^= 0x80000000u >> first;
+  return first;
 }
 
 __global__ void __launch_bounds__(kThreads)
@@ -89,10 +103,8 @@ __global__ void __launch_bounds__(kThreads)
 
     // 32 candidates at a time: each lane looks at one, then all evaluate those that may touch the patch
     for (int first = 0; first < count && __any_sync(kAll, transmittance > 0); first += 32) {
-      const int own = first + pixel.lane;
-      const bool hit = own < count && staged[own].patches >> pixel.warp & 1;
-      for (unsigned todo = __ballot_sync(kAll, hit); todo; todo &= todo - 1) {
-        const Staged& s = staged[first + __ffs(int(todo)) - 1];
+      for (unsigned todo = candidates(staged, first, count, pixel); todo;) {
+        const Staged& s = staged[first + take_first(todo)];
         float weight;
         over(alpha_of(s.power(pixel.x, pixel.y)), transmittance, rest, weight);
         r += weight * s.colour.x, g += weight * s.colour.y, b += weight * s.colour.z, depth += weight * s.colour.w;
@@ -116,12 +128,12 @@ constexpr int kBatch = 64;  // splats staged at a time
 constexpr int kHits = 8;
 static_assert(kHits * kPatchHeight == 32);
 
-// A sample on its way back: what its own gradients and its image say of everything behind the splat at hand.
+// A sample on its way back; behind: what its own gradients and its image say of all that is behind the splat at hand.
 struct Sample {
   float4 gradient;  // of r, g, b, depth
-  float transmittance, total, prefix = 0;
+  float transmittance, behind;
 
-  // The gradient of the exponent at this sample (x), and the weight of the splat there (y); see the CPU's
+  // The gradient of the exponent at this sample, over ln 2 (x), and the weight of the splat there (y); see the CPU's
   // BackwardSplat for the formula. Moves the sample behind the splat.
   __device__ float2 pass(const Staged& s, float x, float y) {
     const float power = s.power(x, y), before = transmittance;
@@ -131,9 +143,9 @@ struct Sample {
     const float weight = alpha * before;
     const float v = gradient.x * s.colour.x + gradient.y * s.colour.y + gradient.z * s.colour.z +
                     gradient.w * s.colour.w;
-    prefix += weight * v;
-    const float g_alpha = before * v - __fdividef(total - prefix, 1 - alpha);
-    return make_float2(power < float(kLog2MaxAlpha) ? g_alpha * alpha * float(kLn2) : 0.f, weight);
+    behind -= weight * v;
+    const float g_alpha = before * v - behind * fast_reciprocal(1 - alpha);
+    return make_float2(power < float(kLog2MaxAlpha) ? g_alpha * alpha : 0.f, weight);
   }
 };
 
@@ -144,30 +156,31 @@ __device__ Sample sample_at(const Pixel& pixel, DenseImages<const float> images,
   const float *rgb = images.image + 3 * pixel.index, *g_rgb = gradients.image + 3 * pixel.index;
   const float4 g = make_float4(g_rgb[0], g_rgb[1], g_rgb[2], gradients.depth[pixel.index]);
   rest = 1 - images.alpha[pixel.index];
-  const float total = g.x * rgb[0] + g.y * rgb[1] + g.z * rgb[2] + g.w * images.depth[pixel.index] -
-                      gradients.alpha[pixel.index] * rest;
-  return {g, 1, total};
+  const float all = g.x * rgb[0] + g.y * rgb[1] + g.z * rgb[2] + g.w * images.depth[pixel.index] -
+                    gradients.alpha[pixel.index] * rest;
+  return {g, 1, all};
 }
 
-// Sums over a patch for one splat, a lane for each row of it: effects and gradients are those of the row's pixels, the
-// first at (x, y). Rows are joined over the lanes kHits apart. Numbers: exponent * (1, dy, dy^2), dx * (1, dy), S,
+// Sums over a patch for one splat, a lane for each row of it: effects and gradients are those of the row's pixels, its
+// middle at (x, y). Rows are joined over the lanes kHits apart. Numbers: exponent * (1, dy, dy^2), dx * (1, dy), S,
 // depth, r, g, b.
 __device__ void sum_over_patch(const Staged& s, const float2* effects, const float4* gradients, float x, float y,
                                float (&sums)[kDenseSums]) {
-  const float dy = y - s.place.y, first = x - s.place.x - s.place.z * dy;
-  float g = 0, g_dx = 0, g_dx2 = 0, colour[4] = {};
+  float moments[3] = {}, colour[4] = {};  // moments: of the distance from the middle
 #pragma unroll
   for (int i = 0; i < kPatchWidth; ++i) {
     const float2 effect = effects[i];
     const float4 gradient = gradients[i];
-    const float dx = first + i, moment = effect.x * dx;
-    g += effect.x, g_dx += moment, g_dx2 += moment * dx;
+    const float across = i - 0.5f * (kPatchWidth - 1);
+    moments[0] += effect.x, moments[1] += across * effect.x, moments[2] += across * across * effect.x;
     colour[0] += effect.y * gradient.w, colour[1] += effect.y * gradient.x;
     colour[2] += effect.y * gradient.y, colour[3] += effect.y * gradient.z;
   }
-  const float gx = -2 * s.size.y * g_dx;
+  for (float& moment : moments) moment *= float(kLn2);
+  const float dy = y - s.place.y, dx = x - s.place.x - s.place.z * dy, g = moments[0];
+  const float gx = -2 * s.size.y * (moments[1] + dx * g);
   sums[0] = g, sums[1] = g * dy, sums[2] = g * dy * dy, sums[3] = gx, sums[4] = gx * dy;
-  sums[5] = s.size.y * s.size.y * g_dx2;
+  sums[5] = s.size.y * s.size.y * (moments[2] + dx * (2 * moments[1] + dx * g));
   for (int c = 0; c < 4; ++c) sums[6 + c] = colour[c];
 #pragma unroll
   for (int f = 0; f < kDenseSums; ++f)
@@ -204,9 +217,9 @@ __global__ void __launch_bounds__(kThreads, 4)
   pixel_gradients[pixel.warp][pixel.lane] = sample.gradient;
   background_backward(pixel, sample, rest, partial_background, tile_background);
 
-  // Of the sums: hit and row of this lane, and the centre of the row's first pixel
+  // Of the sums: hit and row of this lane, and the middle of the row
   const int hit = pixel.lane % kHits, row = pixel.lane / kHits;
-  const float row_x = pixel.warp % kPatchesAcross * kPatchWidth + 0.5f;
+  const float row_x = (pixel.warp % kPatchesAcross + 0.5f) * kPatchWidth;
   const float row_y = pixel.warp / kPatchesAcross * kPatchHeight + row + 0.5f;
 
   const int64_t end = ranges[2 * int64_t(blockIdx.x) + 1];
@@ -219,16 +232,15 @@ __global__ void __launch_bounds__(kThreads, 4)
     }
     __syncthreads();
     for (int first = 0; first < count && __any_sync(kAll, sample.transmittance > 0); first += 32) {
-      const int own = first + pixel.lane;
-      const bool touched = own < count && staged[own].patches >> pixel.warp & 1;
-      if (touched) atomicOr(&summed[own], 1u << pixel.warp);
-      int filled = 0, splat = first;  // splat: of the hit that this lane sums
-      for (unsigned todo = __ballot_sync(kAll, touched); todo;) {
-        const int k = first + __ffs(int(todo)) - 1;
-        todo &= todo - 1;
-        effects[pixel.warp][filled][pixel.lane] = sample.pass(staged[k], pixel.x, pixel.y);
-        if (hit == filled) splat = k;
-        if (++filled < kHits && todo) continue;
+      unsigned todo = candidates(staged, first, count, pixel);
+      if (todo << pixel.lane >> 31) atomicOr(&summed[first + pixel.lane], 1u << pixel.warp);
+      while (todo) {
+        int filled = 0, splat = first;  // splat: of the hit that this lane sums
+        do {
+          const int k = first + take_first(todo);
+          effects[pixel.warp][filled][pixel.lane] = sample.pass(staged[k], pixel.x, pixel.y);
+          splat = hit == filled ? k : splat;
+        } while (++filled < kHits && todo);
         __syncwarp();
         float sums[kDenseSums];
         sum_over_patch(staged[splat], &effects[pixel.warp][hit][row * kPatchWidth],
@@ -236,7 +248,6 @@ __global__ void __launch_bounds__(kThreads, 4)
         if (row == 0 && hit < filled)
           for (int f = 0; f < kDenseSums; ++f) partial[pixel.warp][splat][f] = sums[f];
         __syncwarp();
-        filled = 0;
       }
     }
     __syncthreads();

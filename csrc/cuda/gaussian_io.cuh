@@ -14,7 +14,7 @@ __device__ inline Shape<float> shape_of(const Gaussians<const float>& g, int64_t
 // A splat is three vectors of 16 bytes in memory.
 static_assert(sizeof(Splat<float>) == 3 * sizeof(float4));
 
-__device__ inline Splat<float> load_splat(const Splat<float>* from) {
+__device__ inline Splat<float> read_splat(const Splat<float>* from) {
   union {
     float4 vectors[3];
     Splat<float> splat;
@@ -23,7 +23,7 @@ __device__ inline Splat<float> load_splat(const Splat<float>* from) {
   return u.splat;
 }
 
-__device__ inline void store_splat(const Splat<float>& splat, Splat<float>* to) {
+__device__ inline void write_splat(const Splat<float>& splat, Splat<float>* to) {
   union {
     float4 vectors[3];
     Splat<float> splat;

@@ -16,7 +16,7 @@ __device__ bool project_splat(const View<float>& view, const Shape<float>& shape
                               int64_t image, int64_t index, const Splats<float>& out, uint64_t* keys) {
   Splat<float> splat = Projection<float>(view, shape).splat(view, shape.opacity);
   cull_outside(splat, width_px, height_px);
-  store_splat(splat, out.splats + index);
+  write_splat(splat, out.splats + index);
   const bool drawn = splat.reach_y >= 0;
   keys[index] = drawn ? uint64_t(image) << kDepthBits | __float_as_uint(splat.depth) : ~uint64_t(0);
   return drawn;

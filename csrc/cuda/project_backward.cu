@@ -60,7 +60,7 @@ __global__ void __launch_bounds__(kThreads)
     ViewAdjoint<float> g_view;
     if (slots.first < slots.last) {
       vec3 g_colour;
-      const Splat<float> g_splat = splat_gradient(load_splat(splats.splats + index), slot_gradients, slots, g_colour);
+      const Splat<float> g_splat = splat_gradient(read_splat(splats.splats + index), slot_gradients, slots, g_colour);
       Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
 
       // Colours, through their clamp at zero; eye = -R^T t
