@@ -189,7 +189,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json is not None:
         check_output_path(args.json)
     if args.what == "training-step":
-        rows = bench_training.rows(threads, args.repeats)
+        rows = (bench_training.rows(threads, args.repeats) if args.device == "cpu" else
+                [bench_training.cuda_row(args.repeats)])
         print(bench_training.table(rows))
         result = {"rows": rows}
     else:

@@ -60,11 +60,11 @@ class Cameras:
         """jacobian_limits, or the default ones, [..., C, 5]."""
         if self.jacobian_limits is not None:
             return self.jacobian_limits
-        size = torch.tensor([self.width_px, self.height_px], dtype=self.focal_px.dtype, device=self.focal_px.device)
-        low = -(self.principal_point_px + 0.15 * size) / self.focal_px
-        high = (1.15 * size - self.principal_point_px) / self.focal_px
-        offset = torch.zeros_like(low[..., :1])
-        return torch.cat([low[..., :1], high[..., :1], low[..., 1:], high[..., 1:], offset], -1)
+        edges = []
+        for axis, size in enumerate((self.width_px, self.height_px)):
+            centre, focal = self.principal_point_px[..., axis], self.focal_px[..., axis]
+            edges += [-(centre + 0.15 * size) / focal, (1.15 * size - centre) / focal]
+        return torch.stack([*edges, torch.zeros_like(edges[0])], -1)
 
     def select(self, views: slice | list[int] | torch.Tensor) -> "Cameras":
         """The cameras at these places along C."""

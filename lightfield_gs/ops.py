@@ -14,7 +14,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.errors import InputError
-from lightfield_gs.workspace import Scene, Stats, Workspace, check
+from lightfield_gs.workspace import Scene, State, Stats, Workspace, check
 
 COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a rig
 FRAME_COLOUR_ORDERS = (4, 8, 12, 16)  # the same for frames on CUDA, which remember the one that was good enough
@@ -22,23 +22,23 @@ COLOUR_TOLERANCE = 5e-5  # largest error of a colour polynomial, of 1
 
 
 def _workspace(scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, threads: int,
-               lens: bool) -> Any:
+               lens: bool, state: State | None = None) -> Any:
     """The workspace of the scene's device."""
     if scene.tensors[0].is_cuda:
         from lightfield_gs.workspace_cuda import CudaWorkspace
 
-        return CudaWorkspace(scene, images, width, height, colour_order, stats, lens)
-    return Workspace(scene, images, width, height, colour_order, stats, threads)
+        return CudaWorkspace(scene, images, width, height, colour_order, stats, lens, state)
+    return Workspace(scene, images, width, height, colour_order, stats, threads, state)
 
 
 # Dense: ordinary images
 
 
 class _DenseJob:
-    """Arguments of render_dense, checked, and the stages up to the composite."""
+    """Arguments of render_dense, checked, and the stages up to the composite, or what a render left of them."""
 
     def __init__(self, means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits,
-                 width: int, height: int, stats: Stats, threads: int):
+                 width: int, height: int, stats: Stats, threads: int, state: State | None = None):
         self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
         if world_to_camera.dim() != 4:
             raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
@@ -51,11 +51,12 @@ class _DenseJob:
                                 check("intrinsics", intrinsics, (*lead, 4), means),
                                 check("limits", limits, (*lead, 5), means)]
         self.cameras = scene.core.Cameras(*lead, width, height, *(t.data_ptr() for t in self.cameras_tensors))
-        self.work = _workspace(scene, self.images, width, height, 0, stats, threads, lens=False)
         with scene.guard:
-            with stats.stage("project"):
-                self.work.project_dense(self.cameras)
-            self.work.order_and_bin()
+            self.work = _workspace(scene, self.images, width, height, 0, stats, threads, lens=False, state=state)
+            if state is None:
+                with stats.stage("project"):
+                    self.work.project_dense(self.cameras)
+                self.work.order_and_bin()
 
     def image_shapes(self) -> list[tuple[int, ...]]:
         size = (*self.lead, self.height, self.width)
@@ -64,16 +65,18 @@ class _DenseJob:
 
 def dense_forward(*arguments: Any, stats: Stats | None = None, threads: int | None = None) -> tuple[Tensor, ...]:
     """render_dense without autograd; see there. Also fills `stats`."""
-    stats, threads = stats or Stats(), threads or torch.get_num_threads()
+    return _dense_forward(arguments, stats or Stats(), threads or torch.get_num_threads())[0]
+
+
+def _dense_forward(arguments: tuple[Any, ...], stats: Stats, threads: int) -> tuple[tuple[Tensor, ...], State]:
     job = _DenseJob(*arguments, stats, threads)
     with job.scene.guard, stats.stage("composite"):
         out = [job.scene.new(*shape) for shape in job.image_shapes()]
         native = job.scene.core.DenseImages(*(t.data_ptr() for t in out))
         job.work.composite_dense(job.cameras, job.background, native)
-    return tuple(out)
+    return tuple(out), job.work.state()
 
 
-@torch.library.custom_op("lightfield_gs::render_dense", mutates_args=(), device_types=("cpu", "cuda"))
 def render_dense(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
                  background: Tensor, world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
                  height: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -85,25 +88,46 @@ def render_dense(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: 
     [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized). Differentiable in all but intrinsics and limits.
     Source: Kerbl et al. 2023. Raises InputError.
     """
-    return dense_forward(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits,
-                         width, height)
+    return torch.ops.lightfield_gs.render_dense_with_state(means, quaternions, scales, opacities, sh, background,
+                                                           world_to_camera, intrinsics, limits, width, height)[:3]
 
 
-@render_dense.register_fake
+_library = torch.library.Library("lightfield_gs", "FRAGMENT")
+_library.define("render_dense" + torch.library.infer_schema(render_dense, mutates_args=()))
+_library.impl("render_dense", render_dense, "CompositeImplicitAutograd")
+
+
+@torch.library.custom_op("lightfield_gs::render_dense_with_state", mutates_args=(), device_types=("cpu", "cuda"))
+def render_dense_with_state(
+        means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
+        world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
+        height: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """render_dense, and the State that spares the reverse to project, order and bin once more."""
+    out, state = _dense_forward((means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics,
+                                 limits, width, height), Stats(), torch.get_num_threads())
+    return (*out, *state)
+
+
+@render_dense_with_state.register_fake
 def _(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits, width, height):
-    size = (*world_to_camera.shape[:2], height, width)
-    return means.new_empty((*size, 3)), means.new_empty(size), means.new_empty(size)
+    lead, count = world_to_camera.shape[:2], means.shape[1]
+    size = (*lead, height, width)
+    state = [means.new_empty(shape) for shape in State.shapes(lead[0] * lead[1], count, 0)]
+    lists = means.new_empty(torch.library.get_ctx().new_dynamic_size(), dtype=torch.uint8)
+    return means.new_empty((*size, 3)), means.new_empty(size), means.new_empty(size), *state, lists
 
 
 @torch.library.custom_op("lightfield_gs::render_dense_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def render_dense_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
                           background: Tensor, world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
-                          height: int, image: Tensor, alpha: Tensor, depth: Tensor, g_image: Tensor, g_alpha: Tensor,
-                          g_depth: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Gradients of render_dense's first seven arguments from its outputs and their gradients."""
+                          height: int, image: Tensor, alpha: Tensor, depth: Tensor, splats: Tensor, colours: Tensor,
+                          lists: Tensor, g_image: Tensor, g_alpha: Tensor, g_depth: Tensor
+                          ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Gradients of render_dense's first seven arguments from what render_dense_with_state returned and the gradients of
+    its images."""
     threads = torch.get_num_threads()
     job = _DenseJob(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits, width,
-                    height, Stats(), threads)
+                    height, Stats(), threads, State(splats, colours, lists))
     core, work = job.scene.core, job.work
     images = [check(n, t, s, means) for n, t, s in zip(("image", "alpha", "depth"), (image, alpha, depth),
                                                        job.image_shapes())]
@@ -125,16 +149,18 @@ def _(means, quaternions, scales, opacities, sh, background, world_to_camera, *r
 def _dense_setup(ctx, inputs, output):
     *tensors, ctx.width, ctx.height = inputs
     ctx.save_for_backward(*tensors, *output)
+    ctx.mark_non_differentiable(*output[3:])
+    ctx.set_materialize_grads(False)  # no zeros for the state
 
 
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
-    grads = [torch.zeros_like(out) if g is None else g for g, out in zip(grads, saved[9:])]
+    grads = [torch.zeros_like(out) if g is None else g for g, out in zip(grads[:3], saved[9:])]
     out = torch.ops.lightfield_gs.render_dense_backward(*saved[:9], ctx.width, ctx.height, *saved[9:], *grads)
     return (*out, None, None, None, None)
 
 
-render_dense.register_autograd(_dense_backward, setup_context=_dense_setup)
+render_dense_with_state.register_autograd(_dense_backward, setup_context=_dense_setup)
 
 
 # Lens: the sub-pixels of a panel

@@ -191,8 +191,10 @@ def _constant_background(background: tuple[float, ...], dtype: torch.dtype, devi
 
 
 def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """A tensor on a GPU is taken as it is: looking for NaN there would wait for it."""
+    there = isinstance(background, Tensor) and background.is_cuda
     colour = torch.as_tensor(background, dtype=dtype, device=device)
-    if colour.dim() == 0 or colour.shape[-1] != 3 or not bool(torch.isfinite(colour).all()):
+    if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
         raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {background}")
     return colour
 

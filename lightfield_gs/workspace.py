@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
-from typing import Any, Iterator
+from typing import Any, Iterator, NamedTuple
 
 import torch
 from torch import Tensor
@@ -129,18 +129,54 @@ class Scene:
         return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))
 
 
+class State(NamedTuple):
+    """What a render leaves to its reverse: splats [I, N, SPLAT_FIELDS], colours [I, N, order + 1, COLOUR_STRIDE] and,
+    as bytes, what lies in which tile (a layout of the backend's own)."""
+
+    splats: Tensor
+    colours: Tensor
+    lists: Tensor
+
+    @classmethod
+    def shapes(cls, images: int, count: int, colour_order: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Of splats and colours."""
+        return (images, count, _core.SPLAT_FIELDS), (images, count, colour_order + 1, _core.COLOUR_STRIDE)
+
+    def check(self, images: int, scene: Scene, colour_order: int, least_bytes: int) -> State:
+        """Itself; raises InputError if it is not of such a render."""
+        splats, colours = (check(f"state: {name}", t, shape, scene.tensors[0]) for name, t, shape in zip(
+            self._fields, self, self.shapes(images, scene.count, colour_order)))
+        size = self.lists.numel()
+        if self.lists.dtype != torch.uint8 or self.lists.dim() != 1 or size < least_bytes:
+            raise InputError(f"state: lists must be {least_bytes} bytes or more, got {list(self.lists.shape)} of "
+                             f"{self.lists.dtype}")
+        return State(splats, colours, self.lists.contiguous())
+
+
 class Workspace:
     """Splats and bins of one render on the CPU, and the stages over them."""
 
     def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats,
-                 threads: int):
+                 threads: int, state: State | None = None):
         n, self.scene, self.images, self.stats, self.threads = scene.count, scene, images, stats, threads
         self.width, self.height, self.colour_order = width, height, colour_order
-        self.splats = scene.new(images, n, _core.SPLAT_FIELDS)
-        self.colours = scene.new(images, n, colour_order + 1, _core.COLOUR_STRIDE)
+        self.offsets = images * _core.band_count(height) + 1  # of bands into their lists
+        if state is None:
+            self.splats, self.colours = (scene.new(*shape) for shape in State.shapes(images, n, colour_order))
+        else:
+            self.splats, self.colours, lists = state.check(images, scene, colour_order, 8 * self.offsets)
+            self._use_lists(lists)
         self.orders = scene.new(images, n, dtype=torch.int32)
         self.native = scene.core.Splats(images, n, colour_order, self.splats.data_ptr(), self.colours.data_ptr(),
                                         self.orders.data_ptr())
+
+    def _use_lists(self, lists: Tensor) -> None:
+        """Bytes: band offsets [I * bands + 1] int64, then the splats of the pairs, int32."""
+        self.lists, self.pairs = lists, (lists.numel() - 8 * self.offsets) // 4
+        self.bins = _core.Bins(lists.data_ptr(), lists.data_ptr() + 8 * self.offsets)
+
+    def state(self) -> State:
+        return State(self.splats, self.colours, self.lists)
 
     def project_dense(self, cameras: Any) -> None:
         self.scene.core.project_dense(self.scene.native(), cameras, self.native, self.threads)
@@ -156,16 +192,15 @@ class Workspace:
             drawn = scene.new(self.images, dtype=torch.int64)
             core.order(self.native, order.data_ptr(), drawn.data_ptr(), threads)
         with self.stats.stage("bin"):
-            self.band_offsets = scene.new(self.images * _core.band_count(self.height) + 1, dtype=torch.int64)
-            bins = _core.Bins(self.band_offsets.data_ptr(), 0)
-            self.pairs = core.bin_count(self.native, order.data_ptr(), drawn.data_ptr(), self.height, bins, threads)
-            self.band_splats = scene.new(self.pairs, dtype=torch.int32)
-            self.bins = _core.Bins(self.band_offsets.data_ptr(), self.band_splats.data_ptr())
+            offsets = scene.new(self.offsets, dtype=torch.int64)
+            bins = _core.Bins(offsets.data_ptr(), 0)
+            pairs = core.bin_count(self.native, order.data_ptr(), drawn.data_ptr(), self.height, bins, threads)
+            self._use_lists(scene.new(8 * self.offsets + 4 * pairs, dtype=torch.uint8))
+            self.lists[:8 * self.offsets] = offsets.view(torch.uint8)
             core.bin_fill(self.native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
         self.stats.images += self.images
         self.stats.gaussians_drawn += int(drawn.sum())
-        self.stats.add_buffers(self.splats, self.colours, self.orders, order, drawn, self.band_offsets,
-                               self.band_splats)
+        self.stats.add_buffers(self.splats, self.colours, self.orders, order, drawn, self.lists)
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
         self.stats.count(self.scene.core.composite_dense(self.native, self.bins, cameras, background.data_ptr(), out,

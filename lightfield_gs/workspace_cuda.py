@@ -8,22 +8,42 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.workspace import Scene, Stats
+from lightfield_gs.workspace import Scene, State, Stats
 
 
 class CudaWorkspace:
     """Splats, keys and tile lists of one render; every buffer from torch's allocator, all work on its stream."""
 
-    def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, lens: bool):
-        n, self.scene, self.images, self.stats = scene.count, scene, images, stats
+    def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, lens: bool,
+                 state: State | None = None):
+        n, self.scene, self.images, self.stats, self.items = scene.count, scene, images, stats, images * scene.count
         self.image = _core.cuda.Image(images, width, height, lens)
         self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
-        self.splats = scene.new(images, n, _core.SPLAT_FIELDS)
-        self.colours = scene.new(images, n, colour_order + 1, _core.COLOUR_STRIDE)
-        self.orders = scene.new(images, n, dtype=torch.int32)
-        self.keys = scene.new(images * n, dtype=torch.int64)
+        self.lists_bytes = 16 * self.image.tiles() + 8 * self.items  # before those of the pairs
+        if state is None:
+            self.splats, self.colours = (scene.new(*shape) for shape in State.shapes(images, n, colour_order))
+            self.keys = scene.new(self.items, dtype=torch.int64)
+        else:
+            self.splats, self.colours, lists = state.check(images, scene, colour_order, self.lists_bytes)
+            self._use_lists(lists)
+        self.orders = scene.new(images, n if lens else 0, dtype=torch.int32)
         self.native = scene.core.Splats(images, n, colour_order, self.splats.data_ptr(), self.colours.data_ptr(),
                                         self.orders.data_ptr())
+
+    def _use_lists(self, lists: Tensor, *buffers: Tensor) -> None:
+        """Bytes: range of each tile [tiles, 2] int64, of slots of each splat [I, N, 2] int32, then slots and splats of
+        the sorted pairs, int32. buffers: tiles, sorted tiles, slots and their splats, which only the filling needs.
+        """
+        self.lists, self.count = lists, (lists.numel() - self.lists_bytes) // 8
+        self.ranges = lists[:16 * self.image.tiles()].view(torch.int64)
+        self.slot_ranges = lists.data_ptr() + 16 * self.image.tiles()
+        tiles, sorted_tiles, slots, slot_splats = (t.data_ptr() for t in buffers) if buffers else (0, 0, 0, 0)
+        sorted_slots = lists.data_ptr() + self.lists_bytes
+        self.pairs = _core.cuda.Pairs(self.count, tiles, sorted_tiles, slots, sorted_slots, slot_splats,
+                                      sorted_slots + 4 * self.count)
+
+    def state(self) -> State:
+        return State(self.splats, self.colours, self.lists)
 
     def project_dense(self, cameras: Any) -> None:
         _core.cuda.project_dense(self.scene.native(), cameras, self.native, self.keys.data_ptr(), self.stream)
@@ -36,30 +56,30 @@ class CudaWorkspace:
         return float(error) if self.scene.degree > 0 else 0.0
 
     def order_and_bin(self) -> None:
-        scene, cuda, items = self.scene, _core.cuda, self.images * self.scene.count
+        scene, cuda, items = self.scene, _core.cuda, self.items
         with self.stats.stage("order"):
-            self.sorted_keys, self.indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
+            sorted_keys, indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
             temporary = scene.new(cuda.order_bytes(items), dtype=torch.uint8)
-            cuda.order(items, self.images, self.keys.data_ptr(), self.sorted_keys.data_ptr(), self.indices.data_ptr(),
+            cuda.order(items, self.images, self.keys.data_ptr(), sorted_keys.data_ptr(), indices.data_ptr(),
                        temporary.data_ptr(), temporary.numel(), self.stream)
         with self.stats.stage("bin"):
-            self.ends = scene.new(items, dtype=torch.int64)
+            counts, ends = (scene.new(items, dtype=t) for t in (torch.int32, torch.int64))
             scan = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
-            order = (self.sorted_keys.data_ptr(), self.indices.data_ptr(), self.ends.data_ptr())
-            cuda.bin_count(self.native, self.image, *order, scan.data_ptr(), scan.numel(), self.stream)
-            count = int(self.ends[-1]) if items else 0
-            self.pair_buffers = [scene.new(count, dtype=torch.int32) for _ in range(5)]
-            self.pairs = cuda.Pairs(count, *(t.data_ptr() for t in self.pair_buffers))
-            self.ranges = scene.new(self.image.tiles(), 2, dtype=torch.int64, zero=True)
-            sort = scene.new(cuda.fill_bytes(count), dtype=torch.uint8)
-            cuda.bin_fill(self.native, self.image, *order, self.pairs, self.ranges.data_ptr(), sort.data_ptr(),
-                          sort.numel(), self.stream)
+            cuda.bin_count(self.native, self.image, indices.data_ptr(), counts.data_ptr(), ends.data_ptr(),
+                           scan.data_ptr(), scan.numel(), self.stream)
+            count = int(ends[-1]) if items else 0
+            sort = scene.new(cuda.fill_bytes(count), dtype=torch.uint8)  # first: raises for more pairs than can be
+            buffers = [scene.new(count, dtype=torch.int32) for _ in range(4)]
+            self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), *buffers)
+            self.ranges.zero_()
+            cuda.bin_fill(self.native, self.image, indices.data_ptr(), ends.data_ptr(), self.pairs,
+                          self.ranges.data_ptr(), self.slot_ranges, sort.data_ptr(), sort.numel(), self.stream)
         self.stats.pairs += count
         if self.stats.device is not None:  # reading the count back waits
             self.stats.images += self.images
             self.stats.gaussians_drawn += int((self.keys != -1).sum())
-        self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, self.sorted_keys, self.indices,
-                               temporary, self.ends, scan, *self.pair_buffers, self.ranges, sort)
+        self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, sorted_keys, indices, temporary,
+                               counts, ends, scan, *buffers, self.lists, sort)
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
         _core.cuda.composite_dense(self.native, self.image, self.ranges.data_ptr(), self.pairs,
@@ -75,16 +95,14 @@ class CudaWorkspace:
                        g_cameras: Tensor) -> tuple[list[Tensor], Tensor]:
         """Gradients of the five fields, and of the background in parts [I * parts, 3]; fills g_cameras [B, V, 4, 4]."""
         scene, cuda = self.scene, _core.cuda
-        slots = scene.new(self.pair_buffers[0].numel(), cuda.DENSE_SUMS)
+        slots = scene.new(self.count, cuda.DENSE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
         cuda.composite_dense_backward(self.native, self.image, self.ranges.data_ptr(), self.pairs, images, gradients,
                                       slots.data_ptr(), g_background.data_ptr(), self.stream)
         out, native = scene.gradients()
-        places = scene.new(self.images * scene.count, dtype=torch.int32)
-        views = scene.new(self.images, cuda.view_blocks(scene.count), 3, 4, zero=True)
-        cuda.project_dense_backward(scene.native(), cameras, self.native, self.sorted_keys.data_ptr(),
-                                    self.indices.data_ptr(), self.ends.data_ptr(), places.data_ptr(), slots.data_ptr(),
-                                    native, views.data_ptr(), self.stream)
+        views = scene.new(self.images, cuda.view_blocks(scene.count), 3, 4)
+        cuda.project_dense_backward(scene.native(), cameras, self.native, self.slot_ranges, slots.data_ptr(), native,
+                                    views.data_ptr(), self.stream)
         g_cameras.view(-1, 4, 4)[:, :3] = views.sum(1)
         return out, g_background
 
@@ -92,14 +110,12 @@ class CudaWorkspace:
                       g_image: Tensor) -> tuple[list[Tensor], Tensor]:
         """Gradients of the five fields, and of the background in parts [parts, 3]."""
         scene, cuda = self.scene, _core.cuda
-        slots = scene.new(self.pair_buffers[0].numel(), cuda.LENS_SUMS + 3 * self.colours.shape[2])
+        slots = scene.new(self.count, cuda.LENS_SUMS + 3 * self.colours.shape[2])
         g_background = scene.new(self.image.tiles(), 3)
         cuda.composite_lens_backward(self.native, self.image, self.ranges.data_ptr(), self.pairs, lens,
                                      image.data_ptr(), g_image.data_ptr(), slots.data_ptr(), g_background.data_ptr(),
                                      self.stream)
         out, native = scene.gradients()
-        places = scene.new(scene.count, dtype=torch.int32)
-        cuda.project_lens_backward(scene.native(), rig, self.native, self.sorted_keys.data_ptr(),
-                                   self.indices.data_ptr(), self.ends.data_ptr(), places.data_ptr(), slots.data_ptr(),
-                                   native, self.stream)
+        cuda.project_lens_backward(scene.native(), rig, self.native, self.slot_ranges, slots.data_ptr(), native,
+                                   self.stream)
         return out, g_background

@@ -4,7 +4,7 @@ import pytest
 import torch
 from rasterizer_cases import dense_views, panel, random_scene, rig, stacked
 
-from lightfield_gs import encode, reference
+from lightfield_gs import InputError, encode, reference
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.rendering import lens_arguments
 
@@ -131,7 +131,17 @@ def test_nothing_to_draw_has_zero_gradients():
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_dense_op_is_registered_as_torch_wants_it(dtype):
     moving, fixed = dense_inputs(2, 2, 6, 1, 12, 9, dtype=dtype)
-    torch.library.opcheck(torch.ops.lightfield_gs.render_dense, (*moving, *fixed))
+    for name in ("render_dense", "render_dense_with_state"):
+        torch.library.opcheck(getattr(torch.ops.lightfield_gs, name), (*moving, *fixed))
+
+
+def test_a_state_of_another_render_is_refused():
+    moving, fixed = dense_inputs(1, 2, 5, 1, 12, 9)
+    *images, splats, colours, lists = torch.ops.lightfield_gs.render_dense_with_state(*moving, *fixed)
+    for state in [(splats[:1], colours, lists), (splats, colours[:1], lists), (splats, colours, lists[:8]),
+                  (splats, colours, lists.int())]:
+        with pytest.raises(InputError, match="state"):
+            torch.ops.lightfield_gs.render_dense_backward(*moving, *fixed, *images, *state, *images)
 
 
 # ---- light-field images

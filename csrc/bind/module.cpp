@@ -149,9 +149,9 @@ void bind_cuda(py::module_ m) {
                 bytes, at<void>(stream));
   }, NoGil());
   m.def("count_bytes", &cuda::count_bytes);
-  m.def("bin_count", [](const Splats<float>& splats, const cuda::Image& image, Address sorted, Address indices,
+  m.def("bin_count", [](const Splats<float>& splats, const cuda::Image& image, Address indices, Address counts,
                         Address ends, Address temporary, size_t bytes, Address stream) {
-    cuda::bin_count(splats, image, at<uint64_t>(sorted), at<uint32_t>(indices), at<int64_t>(ends), at<void>(temporary),
+    cuda::bin_count(splats, image, at<uint32_t>(indices), at<uint32_t>(counts), at<int64_t>(ends), at<void>(temporary),
                     bytes, at<void>(stream));
   }, NoGil());
   m.def("fill_bytes", &cuda::fill_bytes);
@@ -159,17 +159,17 @@ void bind_cuda(py::module_ m) {
   m.attr("DENSE_SUMS") = cuda::kDenseSums;
   py::class_<cuda::Pairs>(m, "Pairs")
       .def(py::init([](int64_t count, Address tiles, Address sorted_tiles, Address slots, Address sorted_slots,
-                       Address slot_splats) {
+                       Address slot_splats, Address sorted_splats) {
              return cuda::Pairs{count, at<uint32_t>(tiles), at<uint32_t>(sorted_tiles), at<uint32_t>(slots),
-                                at<uint32_t>(sorted_slots), at<uint32_t>(slot_splats)};
+                                at<uint32_t>(sorted_slots), at<uint32_t>(slot_splats), at<uint32_t>(sorted_splats)};
            }),
            py::arg("count"), py::arg("tiles"), py::arg("sorted_tiles"), py::arg("slots"), py::arg("sorted_slots"),
-           py::arg("slot_splats"));
-  m.def("bin_fill", [](const Splats<float>& splats, const cuda::Image& image, Address sorted, Address indices,
-                       Address ends, const cuda::Pairs& pairs, Address ranges, Address temporary, size_t bytes,
+           py::arg("slot_splats"), py::arg("sorted_splats"));
+  m.def("bin_fill", [](const Splats<float>& splats, const cuda::Image& image, Address indices, Address ends,
+                       const cuda::Pairs& pairs, Address ranges, Address slot_ranges, Address temporary, size_t bytes,
                        Address stream) {
-    cuda::bin_fill(splats, image, at<uint64_t>(sorted), at<uint32_t>(indices), at<int64_t>(ends), pairs,
-                   at<int64_t>(ranges), at<void>(temporary), bytes, at<void>(stream));
+    cuda::bin_fill(splats, image, at<uint32_t>(indices), at<int64_t>(ends), pairs, at<int64_t>(ranges),
+                   at<cuda::SlotRange>(slot_ranges), at<void>(temporary), bytes, at<void>(stream));
   }, NoGil());
   m.def("composite_dense", [](const Splats<float>& splats, const cuda::Image& image, Address ranges,
                               const cuda::Pairs& pairs, Address background, const DenseImages<float>& out,
@@ -192,12 +192,10 @@ void bind_cuda(py::module_ m) {
                                          at<void>(stream));
         }, NoGil());
   m.def("project_dense_backward",
-        [as_const](const G& g, const Cameras<float>& cameras, const Splats<float>& splats, Address sorted,
-                   Address indices, Address ends, Address places, Address slot_gradients, const G& out,
-                   Address view_partials, Address stream) {
-          cuda::project_dense_backward(as_const(g), cameras, splats, at<uint64_t>(sorted), at<uint32_t>(indices),
-                                       at<int64_t>(ends), at<uint32_t>(places), at<float>(slot_gradients), out,
-                                       at<float>(view_partials), at<void>(stream));
+        [as_const](const G& g, const Cameras<float>& cameras, const Splats<float>& splats, Address slot_ranges,
+                   Address slot_gradients, const G& out, Address view_partials, Address stream) {
+          cuda::project_dense_backward(as_const(g), cameras, splats, at<cuda::SlotRange>(slot_ranges),
+                                       at<float>(slot_gradients), out, at<float>(view_partials), at<void>(stream));
         }, NoGil());
   m.attr("LENS_SUMS") = cuda::kLensSums;
   m.def("composite_lens_backward",
@@ -209,11 +207,10 @@ void bind_cuda(py::module_ m) {
                                         at<void>(stream));
         }, NoGil());
   m.def("project_lens_backward",
-        [as_const](const G& g, const View<double>& rig, const Splats<float>& splats, Address sorted, Address indices,
-                   Address ends, Address places, Address slot_gradients, const G& out, Address stream) {
-          cuda::project_lens_backward(as_const(g), rig, splats, at<uint64_t>(sorted), at<uint32_t>(indices),
-                                      at<int64_t>(ends), at<uint32_t>(places), at<float>(slot_gradients), out,
-                                      at<void>(stream));
+        [as_const](const G& g, const View<double>& rig, const Splats<float>& splats, Address slot_ranges,
+                   Address slot_gradients, const G& out, Address stream) {
+          cuda::project_lens_backward(as_const(g), rig, splats, at<cuda::SlotRange>(slot_ranges),
+                                      at<float>(slot_gradients), out, at<void>(stream));
         }, NoGil());
 }
 #endif

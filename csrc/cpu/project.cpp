@@ -70,9 +70,11 @@ void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& camera
       Splat<double> splat = Projection<double>(view, shape).splat(view, shape.opacity);
       cull_outside(splat, cameras.width_px, cameras.height_px);
       out.splats[image * n + i] = rounded<T>(splat);
+      T* stored = out.colours + (image * n + i) * kColourStride;
+      std::fill_n(stored, kColourStride, T(0));
       if (splat.reach_y < 0) continue;
       const dvec3 colour = sh_colour<double>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, eye);
-      for (int c = 0; c < 3; ++c) out.colours[(image * n + i) * kColourStride + c] = T(std::max(0.0, colour[c]));
+      for (int c = 0; c < 3; ++c) stored[c] = T(std::max(0.0, colour[c]));
     }
   });
 }

@@ -5,9 +5,22 @@
 
 namespace lfgs::cuda {
 
+// 2^x and 1 / x to two units in the last place, without care for numbers too small to be normal.
+__device__ inline float fast_exp2(float x) {
+  float y;
+  asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+__device__ inline float fast_reciprocal(float x) {
+  float y;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+
 // alpha = min(0.99, 2^power), zero where it is below 1/255 (or power is not a number).
 __device__ inline float alpha_of(float power) {
-  return power >= float(kLog2MinAlpha) ? fminf(exp2f(power), float(kMaxAlpha)) : 0.f;
+  const float alpha = fast_exp2(power);
+  return power >= float(kLog2MinAlpha) ? fminf(alpha, float(kMaxAlpha)) : 0.f;
 }
 
 // Light that a sample still takes; `weight` receives the share of this splat. A sample whose transmittance would fall

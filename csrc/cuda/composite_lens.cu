@@ -95,7 +95,7 @@ __global__ void __launch_bounds__(kThreads)
     if (__syncthreads_and(!open)) break;
     const int count = int(min(int64_t(kBatch), end - begin));
     for (int k = threadIdx.x; k < count; k += kThreads) {
-      const uint32_t id = pairs.slot_splats[pairs.sorted_slots[begin + k]];
+      const uint32_t id = splat_of(pairs, begin + k);
       staged[k] = place.local(splats.splats[id]), ids[k] = id;
     }
     __syncthreads();
@@ -165,7 +165,7 @@ __global__ void __launch_bounds__(kThreads)
     const int count = int(min(int64_t(kBackwardBatch), end - begin));
     if (threadIdx.x < count) {
       slots[threadIdx.x] = pairs.sorted_slots[begin + threadIdx.x];
-      ids[threadIdx.x] = pairs.slot_splats[slots[threadIdx.x]];
+      ids[threadIdx.x] = splat_of(pairs, begin + threadIdx.x);
       staged[threadIdx.x] = place.local(splats.splats[ids[threadIdx.x]]);
     }
     __syncthreads();

@@ -1,17 +1,12 @@
 // What the kernels that composite a light-field frame share: their lists, the hand-out of tiles, storing.
 #pragma once
 
+#include "cuda/blend.cuh"
 #include "cuda/check.h"
 #include "cuda/lens_frame.h"
 #include "math/projection.h"
 
 namespace lfgs::cuda {
-
-__device__ inline float fast_exp2(float x) {
-  float y;
-  asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
-  return y;
-}
 
 // The lists of a frame: splats, nearest first. A frame with more pairs than places has none: then all that is drawn.
 struct Lists {

@@ -1,4 +1,4 @@
-// Reading one Gaussian on the device.
+// Reading one Gaussian, and reading and writing one splat, on the device.
 #pragma once
 
 #include "math/projection.h"
@@ -9,6 +9,27 @@ namespace lfgs::cuda {
 __device__ inline Shape<float> shape_of(const Gaussians<const float>& g, int64_t i) {
   const float *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
   return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, g.opacities[i]};
+}
+
+// A splat is three vectors of 16 bytes in memory.
+static_assert(sizeof(Splat<float>) == 3 * sizeof(float4));
+
+__device__ inline Splat<float> read_splat(const Splat<float>* from) {
+  union {
+    float4 vectors[3];
+    Splat<float> splat;
+  } u;
+  for (int k = 0; k < 3; ++k) u.vectors[k] = __ldg(reinterpret_cast<const float4*>(from) + k);
+  return u.splat;
+}
+
+__device__ inline void write_splat(const Splat<float>& splat, Splat<float>* to) {
+  union {
+    float4 vectors[3];
+    Splat<float> splat;
+  } u;
+  u.splat = splat;
+  for (int k = 0; k < 3; ++k) reinterpret_cast<float4*>(to)[k] = u.vectors[k];
 }
 
 }  // namespace lfgs::cuda

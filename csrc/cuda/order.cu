@@ -30,12 +30,13 @@ size_t order_bytes(int64_t items) {
 void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted_keys, uint32_t* indices,
            void* temporary, size_t temporary_bytes, Stream stream) {
   if (items == 0) return;
+  require(items < int64_t(1) << 32, "more than 2^32 Gaussians in all images: render fewer images at a time");
   size_t bytes = temporary_bytes - size_t(items) * sizeof(uint32_t);
   uint32_t* unsorted = reinterpret_cast<uint32_t*>(static_cast<char*>(temporary) + bytes);
   count_up<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(items, unsorted);
   check_launch("order");
   // Keys of what is not drawn have all bits set: one bit more than the image numbers keeps them last
-  const int end_bit = 32 + int(std::bit_width(uint64_t(images)));
+  const int end_bit = kDepthBits + int(std::bit_width(uint64_t(images)));
   check(cub::DeviceRadixSort::SortPairs(temporary, bytes, keys, sorted_keys, unsorted, indices, items, 0, end_bit,
                                         cudaStream_t(stream)),
         "order");

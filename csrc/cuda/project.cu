@@ -12,13 +12,13 @@ using glm::vec3;
 constexpr int kThreads = 128;
 
 // Projects, culls and stores one splat and its sort key; returns whether it is drawn.
-__device__ bool store_splat(const View<float>& view, const Shape<float>& shape, int64_t width_px, int64_t height_px,
-                            int64_t image, int64_t index, const Splats<float>& out, uint64_t* keys) {
+__device__ bool project_splat(const View<float>& view, const Shape<float>& shape, int64_t width_px, int64_t height_px,
+                              int64_t image, int64_t index, const Splats<float>& out, uint64_t* keys) {
   Splat<float> splat = Projection<float>(view, shape).splat(view, shape.opacity);
   cull_outside(splat, width_px, height_px);
-  out.splats[index] = splat;
+  write_splat(splat, out.splats + index);
   const bool drawn = splat.reach_y >= 0;
-  keys[index] = drawn ? uint64_t(image) << 32 | __float_as_uint(splat.depth) : ~uint64_t(0);
+  keys[index] = drawn ? uint64_t(image) << kDepthBits | __float_as_uint(splat.depth) : ~uint64_t(0);
   return drawn;
 }
 
@@ -30,9 +30,9 @@ __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<f
   const View<float> view = cameras.view<float>(image);
   const Shape<float> shape = shape_of(scene, i);
   const int64_t index = image * n + i;
-  if (!store_splat(view, shape, cameras.width_px, cameras.height_px, image, index, out, keys)) return;
-  const vec3 colour =
-      sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
+  vec3 colour(0);
+  if (project_splat(view, shape, cameras.width_px, cameras.height_px, image, index, out, keys))
+    colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
   reinterpret_cast<float4*>(out.colours)[index] =
       make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
 }

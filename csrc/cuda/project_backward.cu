@@ -12,20 +12,19 @@ namespace {
 
 using glm::vec3;
 constexpr int kThreads = 128, kWarps = kThreads / 32, kViewNumbers = 12;
-constexpr uint32_t kNowhere = ~0u;
-
-// Where each splat stands in the sorted order, or kNowhere.
-__global__ void places_kernel(int64_t items, const uint64_t* keys, const uint32_t* indices, uint32_t* places) {
-  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
-  if (i < items) places[indices[i]] = keys[i] == ~uint64_t(0) ? kNowhere : uint32_t(i);
-}
 
 // Sum over a splat's slots, turned into the gradient of the splat and of its colour.
-__device__ Splat<float> splat_gradient(const Splat<float>& s, const float* slots, int64_t first, int64_t last,
+__device__ Splat<float> splat_gradient(const Splat<float>& s, const float* slot_gradients, SlotRange slots,
                                        vec3& colour) {
+  static_assert(kDenseSums % 2 == 0);
   float sum[kDenseSums] = {};
-  for (int64_t slot = first; slot < last; ++slot)
-    for (int f = 0; f < kDenseSums; ++f) sum[f] += slots[slot * kDenseSums + f];
+  for (uint32_t slot = slots.first; slot < slots.last; ++slot) {
+    const float2* own = reinterpret_cast<const float2*>(slot_gradients + int64_t(slot) * kDenseSums);
+    for (int f = 0; f < kDenseSums / 2; ++f) {
+      const float2 two = own[f];
+      sum[2 * f] += two.x, sum[2 * f + 1] += two.y;
+    }
+  }
   Splat<float> g{};
   g.u0 = -sum[3];
   g.v0 = 2 * s.tau * sum[1] + s.c0 * sum[3];
@@ -42,8 +41,8 @@ __device__ void store(const Shape<float>& g, const Gaussians<float>& out, int64_
 
 __global__ void __launch_bounds__(kThreads)
     project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
-                                  const uint32_t* places, const int64_t* ends, const float* slot_gradients,
-                                  Gaussians<float> out, float* view_partials) {
+                                  const SlotRange* slot_ranges, const float* slot_gradients, Gaussians<float> out,
+                                  float* view_partials) {
   __shared__ float partial[kWarps][kViewNumbers];
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, scene = blockIdx.y, n = gaussians.count;
   const bool real = i < n;
@@ -56,13 +55,12 @@ __global__ void __launch_bounds__(kThreads)
   for (int64_t v = 0; v < cameras.per_scene; ++v) {
     const int64_t image = scene * cameras.per_scene + v;
     const View<float> view = cameras.view<float>(image);
-    const uint32_t place = real ? places[image * n + i] : kNowhere;
+    const int64_t index = image * n + i;
+    const SlotRange slots = real ? slot_ranges[index] : SlotRange{0, 0};
     ViewAdjoint<float> g_view;
-    if (place != kNowhere) {
-      const int64_t index = image * n + i;
+    if (slots.first < slots.last) {
       vec3 g_colour;
-      const Splat<float> g_splat = splat_gradient(splats.splats[index], slot_gradients, place ? ends[place - 1] : 0,
-                                                  ends[place], g_colour);
+      const Splat<float> g_splat = splat_gradient(read_splat(splats.splats + index), slot_gradients, slots, g_colour);
       Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
 
       // Colours, through their clamp at zero; eye = -R^T t
@@ -93,15 +91,17 @@ __global__ void __launch_bounds__(kThreads)
 
 __global__ void __launch_bounds__(kThreads)
     project_lens_backward_kernel(Gaussians<const float> gaussians, View<float> rig, BasisTable basis,
-                                 Splats<float> splats, const uint32_t* places, const int64_t* ends,
-                                 const float* slot_gradients, Gaussians<float> out) {
+                                 Splats<float> splats, const SlotRange* slot_ranges, const float* slot_gradients,
+                                 Gaussians<float> out) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
-  if (i >= gaussians.count || places[i] == kNowhere) return;
+  if (i >= gaussians.count) return;
+  const SlotRange slots = slot_ranges[i];
+  if (slots.first == slots.last) return;
   const Splat<float> s = splats.splats[i];
   const int order = basis.order, nodes = order + 1, all_sums = kLensSums + 3 * nodes, kept = splats.orders[i];
   float sum[kLensSums + 3 * (kMaxColourOrder + 1)];
   for (int f = 0; f < all_sums; ++f) sum[f] = 0;
-  for (int64_t slot = places[i] ? ends[places[i] - 1] : 0; slot < ends[places[i]]; ++slot)
+  for (int64_t slot = slots.first; slot < slots.last; ++slot)
     for (int f = 0; f < all_sums; ++f) sum[f] += slot_gradients[slot * all_sums + f];
 
   Splat<float> g_splat{};
@@ -138,30 +138,21 @@ __global__ void __launch_bounds__(kThreads)
 int64_t view_blocks(int64_t gaussians) { return blocks_for(gaussians, kThreads); }
 
 void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
-                            const Splats<float>& splats, const uint64_t* sorted_keys, const uint32_t* indices,
-                            const int64_t* ends, uint32_t* places, const float* slot_gradients,
+                            const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
                             const Gaussians<float>& out, float* view_partials, Stream stream) {
-  const int64_t items = splats.images * splats.count;
-  if (items == 0) return;
-  places_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(items, sorted_keys,
-                                                                                             indices, places);
-  check_launch("project_dense_backward: places");
+  if (gaussians.count == 0 || cameras.scenes == 0) return;
   const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
   project_dense_backward_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
-      gaussians, cameras, splats, places, ends, slot_gradients, out, view_partials);
+      gaussians, cameras, splats, slot_ranges, slot_gradients, out, view_partials);
   check_launch("project_dense_backward");
 }
 
 void project_lens_backward(const Gaussians<const float>& gaussians, const View<double>& rig,
-                           const Splats<float>& splats, const uint64_t* sorted_keys, const uint32_t* indices,
-                           const int64_t* ends, uint32_t* places, const float* slot_gradients,
+                           const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
                            const Gaussians<float>& out, Stream stream) {
   if (gaussians.count == 0) return;
-  const unsigned blocks = unsigned(blocks_for(gaussians.count, kThreads));
-  places_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians.count, sorted_keys, indices, places);
-  check_launch("project_lens_backward: places");
-  project_lens_backward_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
-      gaussians, rounded(rig), BasisTable{ColourBasis(splats.colour_order)}, splats, places, ends, slot_gradients, out);
+  project_lens_backward_kernel<<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
+      gaussians, rounded(rig), BasisTable{ColourBasis(splats.colour_order)}, splats, slot_ranges, slot_gradients, out);
   check_launch("project_lens_backward");
 }
 

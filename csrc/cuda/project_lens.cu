@@ -75,7 +75,7 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   const Shape<float> shape = shape_of(gaussians, i);
   Splat<float> splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
   cull_outside(splat, width_px, height_px);
-  out.splats[i] = splat;
+  write_splat(splat, out.splats + i);
   if (out.orders) out.orders[i] = 0;
   if (splat.reach_y < 0) return splat;
   if constexpr (Order == 0)

@@ -26,34 +26,43 @@ struct Image {
   TileSize tile;
 };
 
-// --- project: also writes the sort keys [I * N]: image in the high half, depth in the low; ~0 where nothing is drawn.
+// --- project: also writes the sort keys [I * N]: the image above kDepthBits bits of depth, which is positive; ~0 where
+// nothing is drawn.
+constexpr int kDepthBits = 31;
 void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
                    uint64_t* keys, Stream stream);
 // error receives the largest estimated error of a colour polynomial (one float, zeroed by the caller).
 void project_lens(const Gaussians<const float>& gaussians, const View<double>& rig, const Lens& lens, double tolerance,
                   const Splats<float>& out, uint64_t* keys, float* error, Stream stream);
 
-// --- order: indices [I * N] sorted by key.
+// --- order: indices [I * N] sorted by key. Raises when 32 bits do not hold an index.
 size_t order_bytes(int64_t items);
 void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted_keys, uint32_t* indices,
            void* temporary, size_t temporary_bytes, Stream stream);
 
-// --- bin: count writes, per sorted splat, the running number of its (tile, splat) pairs: ends [I * N].
+// --- bin: count writes, per splat, how many (tile, splat) pairs it has: counts [I * N]; and, per sorted splat, their
+// running number: ends [I * N].
 size_t count_bytes(int64_t items);
-void bin_count(const Splats<float>& splats, const Image& image, const uint64_t* sorted_keys, const uint32_t* indices,
+void bin_count(const Splats<float>& splats, const Image& image, const uint32_t* indices, uint32_t* counts,
                int64_t* ends, void* temporary, size_t temporary_bytes, Stream stream);
 // Buffers of fill, a number per pair. A *slot* is the place of a pair in splat-major order: those of the i-th sorted
-// splat are [ends[i - 1], ends[i]).
+// splat are [ends[i - 1], ends[i]). Only what is sorted is of use after fill.
 struct Pairs {
   int64_t count;
-  uint32_t *tiles, *sorted_tiles;  // tile of each slot; the same sorted
-  uint32_t *slots, *sorted_slots;  // 0, 1, 2, ...; the slot of each sorted pair
-  uint32_t* slot_splats;           // splat of each slot
+  uint32_t *tiles, *sorted_tiles;         // tile of each slot; of each sorted pair
+  uint32_t *slots, *sorted_slots;         // 0, 1, 2, ...; the slot of each sorted pair
+  uint32_t *slot_splats, *sorted_splats;  // splat of each slot; of each sorted pair
 };
-// fill writes the pairs, nearest first within a tile, and ranges [I * tiles, 2] into them.
+LFGS_HD uint32_t splat_of(const Pairs& pairs, int64_t sorted_pair) { return pairs.sorted_splats[sorted_pair]; }
+// The slots of one splat, [first, last).
+struct SlotRange {
+  uint32_t first, last;
+};
+// fill writes the pairs, nearest first within a tile, ranges [I * tiles, 2] into them (zeroed by the caller: empty
+// tiles are left alone) and slot_ranges [I * N]. fill_bytes raises when 32 bits do not hold a slot.
 size_t fill_bytes(int64_t pairs);
-void bin_fill(const Splats<float>& splats, const Image& image, const uint64_t* sorted_keys, const uint32_t* indices,
-              const int64_t* ends, const Pairs& pairs, int64_t* ranges, void* temporary, size_t temporary_bytes,
+void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const int64_t* ends,
+              const Pairs& pairs, int64_t* ranges, SlotRange* slot_ranges, void* temporary, size_t temporary_bytes,
               Stream stream);
 
 // --- composite
@@ -69,19 +78,18 @@ void composite_dense_backward(const Splats<float>& splats, const Image& image, c
                               const Pairs& pairs, DenseImages<const float> images,
                               DenseImages<const float> gradients, float* slot_gradients, float* tile_background,
                               Stream stream);
-// out is written whole; view_partials [I, view_blocks(N), 12]: rows of [R|t], to be summed over the blocks.
+// out is written whole, but added to in its harmonics; view_partials [I, view_blocks(N), 12]: rows of [R|t], to be
+// summed over the blocks.
 int64_t view_blocks(int64_t gaussians);
 void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
-                            const Splats<float>& splats, const uint64_t* sorted_keys, const uint32_t* indices,
-                            const int64_t* ends, uint32_t* places, const float* slot_gradients,
+                            const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
                             const Gaussians<float>& out, float* view_partials, Stream stream);
 
 void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                              const Pairs& pairs, const Lens& lens, const float* pixels, const float* gradient,
                              float* slot_gradients, float* tile_background, Stream stream);
 void project_lens_backward(const Gaussians<const float>& gaussians, const View<double>& rig,
-                           const Splats<float>& splats, const uint64_t* sorted_keys, const uint32_t* indices,
-                           const int64_t* ends, uint32_t* places, const float* slot_gradients,
+                           const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
                            const Gaussians<float>& out, Stream stream);
 
 }  // namespace lfgs::cuda

@@ -66,7 +66,7 @@ struct DenseImages {
   T* depth = nullptr;  // [I, H, W] sum of weight * z
 };
 
-// --- project
+// --- project; project_dense writes colours whole, zeros where nothing is drawn
 template <class T>
 void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads);
 
