@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from lightfield_gs import bench_peers, bench_training, build_info
+from lightfield_gs import bench_paper, bench_peers, bench_training, build_info
 from lightfield_gs.bench_measure import measure
 from lightfield_gs.bench_scenes import NAMED_CONES, benchmark_rig, load_scene
+from lightfield_gs.bench_tables import comparison_line, cost_line, machine_line, table
 from lightfield_gs.bench_timing import machine
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
@@ -31,6 +32,8 @@ ORACLE_SAMPLES = 20_000
 ORACLE_SEED = 1
 PSNR_CAP_DB = 120.0  # of images without any error
 BENCH_METHODS = (*METHODS, *bench_peers.PEERS)
+COUNTERS = ("stages_ms", "pairs", "evaluations_per_subpixel", "work_bytes", "memory_bytes", "memory_bytes_unchunked")
+DEFAULT_SCENES, DEFAULT_METHODS = ("sheet:128",), ("direct",)
 
 
 @dataclass(frozen=True)
@@ -93,10 +96,9 @@ def bench_case(case: Case, methods: list[str], device: str, repeats: int | None,
             "cone": "panel" if case.cone is None else case.cone, "cone_deg": rig.cone_deg}
     rows, comparisons, first = [], [], None
     for method in methods:
-        _progress(f"{case.scene}: {method}")
         measured = measure(gaussians, panel, rig, method, repeats, threads)
-        counters = {key: measured.stats[key] for key in ("stages_ms", "pairs", "evaluations_per_subpixel",
-                                                         "work_bytes")}
+        _progress(f"{case.scene}: {method}, {len(measured.times_ms)} runs, fastest {min(measured.times_ms):.3f} ms")
+        counters = {key: measured.stats.get(key) for key in COUNTERS}
         rows.append({**what, "method": method, "device": device, **measured.summary(), **counters,
                      "peak_bytes": measured.peak_bytes, **oracle.errors(measured.image)})
         if first is None:
@@ -132,57 +134,20 @@ def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
             "differing": int((difference > 0).sum()), "over_1": int((difference > 1).sum())}
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each."""
-    head = ("scene", "Gaussians", "SH", "cone", "method", "ms", "min", "max", "pairs", "eval/sub-px", "work MB",
-            "peak MB", "PSNR dB", "max /255", "over 1/255")
-    lines = [(row["scene"], str(row["gaussians"]), str(row["sh_degree"]), _cone(row), row["method"],
-              _ms(row["ms_median"]), _ms(row["ms_min"]), _ms(row["ms_max"]), _or_dash(row["pairs"], "d"),
-              _or_dash(row["evaluations_per_subpixel"], ".1f"), _megabytes(row["work_bytes"]),
-              _megabytes(row["peak_bytes"]), f"{row['psnr_db']:.1f}", str(row["max_error_255"]),
-              f"{row['share_over_1']:.2g}") for row in rows]
-    text = aligned([head, *lines])
-    text += ["stages of " + f"{row['scene']} {_cone(row)} SH {row['sh_degree']} {row['method']}, ms: "
-             + ", ".join(f"{stage} {_ms(ms)}" for stage, ms in row["stages_ms"].items()) for row in rows]
-    return "\n".join(text)
-
-
-def aligned(lines: list[tuple[str, ...]]) -> list[str]:
-    """Lines of cells as text, the columns flush right."""
-    widths = [max(map(len, column)) for column in zip(*lines)]
-    return ["  ".join(cell.rjust(width) for cell, width in zip(line, widths)) for line in lines]
-
-
-def _cone(row: dict[str, Any]) -> str:
-    named = row["cone"] in NAMED_CONES
-    return f"{row['cone']} ({row['cone_deg']:.3g})" if named else f"{row['cone_deg']:g}"
-
-
-def _ms(value: float) -> str:
-    return f"{value:.0f}" if value >= 100 else f"{value:.2f}" if value >= 10 else f"{value:.3f}"
-
-
-def _or_dash(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
-def _megabytes(value: int | None) -> str:
-    return _or_dash(None if value is None else value / 1e6, ".1f")
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs bench`."""
-    parser.add_argument("what", nargs="?", default="light-field", choices=("light-field", "training-step"),
-                        help="a light-field image, or forward and backward of the rasterizer in a training step")
-    parser.add_argument("--scene", default="sheet:128", help="sheet:S, cloud:N or a .ply; several with commas")
+    parser.add_argument("what", nargs="?", default="light-field", choices=("light-field", "paper", "training-step"),
+                        help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
+                             "methods), or forward and backward of the rasterizer in a training step")
+    parser.add_argument("--scene", help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128)")
     parser.add_argument("--panel", default=DEFAULT_PANEL,
                         help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of "
                              "published figures")
     parser.add_argument("--cone", help="viewing cone in degrees, or narrow (40 px of disparity over all views) or wide "
                                        "(53 degrees); several with commas (default: the panel's)")
     parser.add_argument("--sh-degree", help="0..3 of synthetic scenes, several with commas (default: 0)")
-    parser.add_argument("--methods", default="direct",
-                        help=f"with commas, of {', '.join(BENCH_METHODS)} (the last ones on CUDA, when installed)")
+    parser.add_argument("--methods", help=f"with commas, of {', '.join(BENCH_METHODS)} (the last one on CUDA, when "
+                                          f"gsplat is installed; default: direct)")
     parser.add_argument("--device", default="cpu", help="cpu or cuda (default: %(default)s)")
     parser.add_argument("--repeats", type=int, help="runs of each, fewer of those beyond a minute (default: 5, and 20 "
                                                     "of what takes less than 50 ms on CUDA)")
@@ -205,9 +170,9 @@ def run(args: argparse.Namespace) -> int:
         rows = bench_training.rows(threads, args.repeats or bench_training.REPEATS)
         result, text = {"rows": rows}, bench_training.table(rows)
     else:
-        result, text = _light_field(args, threads)
+        result, text = _light_field(args, threads, args.what == "paper")
     result["machine"] = machine(args.device)
-    print(_machine_line(result["machine"]))
+    print(machine_line(result["machine"]))
     print(text)
     if args.json is not None:
         with atomic_path(args.json) as temporary:
@@ -215,12 +180,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _light_field(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
-    methods = _methods(args.methods, args.device)
+def _light_field(args: argparse.Namespace, threads: list[int | None], paper: bool) -> tuple[dict[str, Any], str]:
+    """Rows of every case and method, and their text. paper: its scenes and methods, unless others are named."""
+    scenes, methods = (bench_paper.SCENES, bench_paper.METHODS) if paper else (DEFAULT_SCENES, DEFAULT_METHODS)
+    scenes = scenes if args.scene is None else args.scene.split(",")
+    methods = _methods(list(methods) if args.methods is None else args.methods.split(","), args.device)
     if len(threads) > 1:
         raise InputError(f"--threads: expected one number for a light-field image, got {args.threads}")
     panel = Panel.load(args.panel)
-    cases = [Case(scene, panel, cone, degree) for scene in args.scene.split(",") for cone in _cones(args.cone)
+    cases = [Case(scene, panel, cone, degree) for scene in scenes for cone in _cones(args.cone)
              for degree in _sh_degrees(args.sh_degree)]
     rows, comparisons = [], []
     for case in cases:
@@ -229,28 +197,11 @@ def _light_field(args: argparse.Namespace, threads: list[int | None]) -> tuple[d
         comparisons += new_comparisons
     costs = harmonics_cost(rows)
     result = {"rows": rows, "comparisons": comparisons, "harmonics": costs, "peers": bench_peers.versions(methods)}
-    return result, "\n".join([table(rows), *map(_comparison_line, comparisons), *map(_cost_line, costs)])
+    text = [bench_paper.tables(rows)] if paper else [table(rows), *map(comparison_line, comparisons)]
+    return result, "\n".join([*text, *map(cost_line, costs)])
 
 
-def _machine_line(found: dict[str, Any]) -> str:
-    gpu = f"{found['gpu']}, CUDA {found['cuda']}, " if "gpu" in found else ""
-    return f"{gpu}{found['processor']}, {found['cores']} cores, torch {found['torch']}"
-
-
-def _comparison_line(c: dict[str, Any]) -> str:
-    return (f"{c['scene']} {_cone(c)} SH {c['sh_degree']}: {c['methods'][0]} is {c['times_faster']:.1f} times as fast "
-            f"as {c['methods'][1]}; of {c['subpixels']} sub-pixels {c['differing']} differ, {c['over_1']} by more than "
-            f"1/255, at most by {c['max_difference_255']}/255")
-
-
-def _cost_line(c: dict[str, Any]) -> str:
-    low, high = c["sh_degrees"]
-    return (f"{c['scene']} {c['cone']} {c['method']}: SH degree {high} takes {c['times_as_long']:.2f} times as long as "
-            f"degree {low}")
-
-
-def _methods(text: str, device: str) -> list[str]:
-    methods = text.split(",")
+def _methods(methods: list[str], device: str) -> list[str]:
     if unknown := sorted(set(methods) - set(BENCH_METHODS)):
         raise InputError(f"--methods: expected of {', '.join(BENCH_METHODS)}, got {', '.join(unknown)}")
     if peers := sorted(set(methods) & set(bench_peers.PEERS)):

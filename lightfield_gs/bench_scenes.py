@@ -93,7 +93,7 @@ def load_scene(name: str, sh_degree: int | None = None) -> Gaussians:
     if Path(name).suffix.lower() != ".ply":
         raise InputError(f"scene {name!r}: expected sheet:S, cloud:N or the path of a .ply file")
     if sh_degree is not None:
-        raise InputError(f"scene {name!r}: a file has its own SH degree; leave out --sh-degree, or name synthetic scenes")
+        raise InputError(f"scene {name!r}: a file has its own SH degree, leave out --sh-degree")
     return Gaussians.load(name)
 
 

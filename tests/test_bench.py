@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from lightfield_gs import bench, bench_scenes, bench_timing
+from lightfield_gs import bench, bench_paper, bench_scenes, bench_timing
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
 
 KEYS = {"scene", "gaussians", "sh_degree", "panel", "cone", "cone_deg", "method", "device", "ms_median", "ms_min",
-        "ms_max", "runs", "stages_ms", "pairs", "evaluations_per_subpixel", "work_bytes", "peak_bytes", "psnr_db",
-        "max_error_255", "share_over_1"}
+        "ms_max", "runs", "stages_ms", "pairs", "evaluations_per_subpixel", "work_bytes", "memory_bytes",
+        "memory_bytes_unchunked", "peak_bytes", "psnr_db", "max_error_255", "share_over_1"}
 STAGES = {"plan", "project", "order", "bin", "composite"}
 
 
@@ -159,6 +159,35 @@ def test_cost_of_harmonics_is_within_one_scene_cone_and_method():
         (5, [0, 3], 1.2), (40, [0, 1], 1.25)]
 
 
+def test_paper_prints_a_line_for_each_scene_and_keeps_the_numbers(tmp_path, capsys):
+    Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
+    path = tmp_path / "paper.json"
+    assert bench.run(arguments("paper", "--scene", "sheet:8,cloud:100", "--panel", str(tmp_path / "small.yaml"),
+                               "--repeats", "1", "--json", str(path))) == 0
+    rows = json.loads(path.read_text())["rows"]
+    methods = [method for method in ("classic", "sorted", "direct") if method in bench.METHODS]
+    expected = itertools.product(("sheet:8", "cloud:100"), methods)
+    assert [(row["scene"], row["method"]) for row in rows] == list(expected)
+    shown = capsys.readouterr().out
+    assert "Table 1" in shown and "Table 3" in shown and "not at hand" in shown
+    assert len([line for line in shown.splitlines() if line.split()[:2] == ["sheet:8", "64"]]) == 1
+
+
+def test_paper_tables_hold_ratios_and_memory():
+    def row(method, ms, memory=None, unchunked=None):
+        return {"scene": "sheet:8", "gaussians": 64, "cone": "panel", "cone_deg": 40.0, "sh_degree": 0, "ms_median": ms,
+                "method": method, "work_bytes": 3_000_000, "memory_bytes": memory, "memory_bytes_unchunked": unchunked}
+
+    shown = bench_paper.tables([row("classic", 100.0), row("direct", 5.0), row(
+        "sorted", 40.0, {"geometry": 1_000_000, "image": 0, "binning": 2_500_000},
+        {"geometry": 9_000_000, "image": 0, "binning": 20_000_000})]).splitlines()
+    times = shown[2].split()
+    assert times[:8] == ["sheet:8", "64", "40", "100", "5.000", "40.00", "20.0", "2.5"]
+    memory = shown[-5]
+    assert "9.0 -> 1.0" in memory and "20.0 -> 2.5" in memory and memory.split()[1] == "sorted"
+    assert len(bench_paper.SCENES) == len(set(bench_paper.SCENES)) == 10
+
+
 def test_training_step_rows(tmp_path, monkeypatch):
     monkeypatch.setattr("lightfield_gs.bench_training.OBJECTS", 1)
     monkeypatch.setattr("lightfield_gs.bench_training.SIZE_PX", 16)
@@ -170,7 +199,7 @@ def test_training_step_rows(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("words", ["--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",
-                                   "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--cone 0", "--repeats 0", "--device gpu",
+                                   "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=", "--cone 0", "--repeats 0", "--device gpu",
                                    "--threads x", "--panel no-such-panel", "--scene cube:4",
                                    "--json /no/such/folder/rows.json", "--threads 1,2"])
 def test_bad_arguments_are_refused_before_any_work(words):
