@@ -86,12 +86,10 @@ def bench_case(case: Case, methods: list[str], device: str, repeats: int | None,
     Raises InputError.
     """
     _progress(f"{case.scene}: making or reading the scene")
-    gaussians = load_scene(case.scene, case.sh_degree)
+    gaussians = load_scene(case.scene, case.sh_degree).to(device)
     panel, rig = case.panel, benchmark_rig(case.scene, gaussians, case.panel, case.cone)
     _progress(f"{case.scene}: oracle, {ORACLE_SAMPLES} sub-pixels")
     oracle = oracle_samples(gaussians, panel, rig)
-
-    gaussians = gaussians.to(device)
     what = {"scene": case.scene, "gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "panel": panel.name,
             "cone": "panel" if case.cone is None else case.cone, "cone_deg": rig.cone_deg}
     rows, comparisons, first = [], [], None
