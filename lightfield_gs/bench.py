@@ -32,7 +32,8 @@ ORACLE_SAMPLES = 20_000
 ORACLE_SEED = 1
 PSNR_CAP_DB = 120.0  # of images without any error
 BENCH_METHODS = (*METHODS, *bench_peers.PEERS)
-COUNTERS = ("stages_ms", "pairs", "evaluations_per_subpixel", "work_bytes", "memory_bytes", "memory_bytes_unchunked")
+COUNTERS = ("stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes", "memory_bytes",
+            "memory_bytes_unchunked")  # of encode's stats; None where a method does not tell
 DEFAULT_SCENES, DEFAULT_METHODS = ("sheet:128",), ("direct",)
 
 

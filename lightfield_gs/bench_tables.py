@@ -17,9 +17,13 @@ def table(rows: list[dict[str, Any]]) -> str:
               megabytes(row["peak_bytes"]), f"{row['psnr_db']:.1f}", str(row["max_error_255"]),
               f"{row['share_over_1']:.2g}") for row in rows]
     text = aligned([head, *lines])
-    text += ["stages of " + f"{row['scene']} {_cone(row)} SH {row['sh_degree']} {row['method']}, ms: "
-             + ", ".join(f"{stage} {in_ms(ms)}" for stage, ms in row["stages_ms"].items()) for row in rows]
-    return "\n".join(text)
+    return "\n".join([*text, *map(_stages_line, rows)])
+
+
+def _stages_line(row: dict[str, Any]) -> str:
+    kernel = f" ({row['kernel']} kernel)" if row["kernel"] else ""
+    stages = ", ".join(f"{stage} {in_ms(ms)}" for stage, ms in row["stages_ms"].items())
+    return f"stages of {row['scene']} {_cone(row)} SH {row['sh_degree']} {row['method']}{kernel}, ms: {stages}"
 
 
 def aligned(lines: list[tuple[str, ...]]) -> list[str]:

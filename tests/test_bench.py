@@ -13,8 +13,8 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
 
 KEYS = {"scene", "gaussians", "sh_degree", "panel", "cone", "cone_deg", "method", "device", "ms_median", "ms_min",
-        "ms_max", "runs", "stages_ms", "pairs", "evaluations_per_subpixel", "work_bytes", "memory_bytes",
-        "memory_bytes_unchunked", "peak_bytes", "psnr_db", "max_error_255", "share_over_1"}
+        "ms_max", "runs", "stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes",
+        "memory_bytes", "memory_bytes_unchunked", "peak_bytes", "psnr_db", "max_error_255", "share_over_1"}
 STAGES = {"plan", "project", "order", "bin", "composite"}
 
 
