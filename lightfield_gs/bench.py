@@ -20,7 +20,7 @@ from lightfield_gs import bench_paper, bench_peers, bench_training, build_info
 from lightfield_gs.bench_measure import measure
 from lightfield_gs.bench_scenes import NAMED_CONES, benchmark_rig, load_scene
 from lightfield_gs.bench_tables import comparison_line, cost_line, machine_line, table
-from lightfield_gs.bench_timing import machine
+from lightfield_gs.bench_timing import REPEATS, machine
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path, check_output_path
@@ -166,7 +166,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json is not None:
         check_output_path(args.json)
     if args.what == "training-step":
-        rows = bench_training.rows(threads, args.repeats or bench_training.REPEATS)
+        rows = bench_training.rows(threads, args.repeats or REPEATS)
         result, text = {"rows": rows}, bench_training.table(rows)
     else:
         result, text = _light_field(args, threads, args.what == "paper")

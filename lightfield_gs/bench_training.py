@@ -19,7 +19,6 @@ from lightfield_gs.rendering import render
 from lightfield_gs.rig import Rig
 
 OBJECTS, VIEWS, SIZE_PX = 8, 4, 128
-REPEATS = 5
 CONE_DEG = 40.0
 LAYER_DISTANCE = 0.3  # scene units
 

@@ -199,9 +199,9 @@ def test_training_step_rows(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("words", ["--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",
-                                   "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=", "--cone 0", "--repeats 0", "--device gpu",
-                                   "--threads x", "--panel no-such-panel", "--scene cube:4",
-                                   "--json /no/such/folder/rows.json", "--threads 1,2"])
+                                   "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=",
+                                   "--cone 0", "--repeats 0", "--device gpu", "--threads x", "--panel no-such-panel",
+                                   "--scene cube:4", "--json /no/such/folder/rows.json", "--threads 1,2"])
 def test_bad_arguments_are_refused_before_any_work(words):
     with pytest.raises(InputError) as error:
         bench.run(arguments(*words.split()))
