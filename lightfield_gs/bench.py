@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import statistics
 import sys
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,19 +16,25 @@ from typing import Any
 import numpy as np
 import torch
 
-from lightfield_gs import bench_training, build_info
-from lightfield_gs.bench_scenes import ZERO_DEPTH, load_scene
+from lightfield_gs import bench_paper, bench_peers, bench_training, build_info
+from lightfield_gs.bench_measure import measure
+from lightfield_gs.bench_scenes import NAMED_CONES, benchmark_rig, load_scene
+from lightfield_gs.bench_tables import comparison_line, cost_line, machine_line, table
+from lightfield_gs.bench_timing import REPEATS, machine
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.rendering import METHODS, encode
+from lightfield_gs.rendering import METHODS
 from lightfield_gs.rig import Rig
 
 ORACLE_SAMPLES = 20_000
 ORACLE_SEED = 1
-SECONDS_PER_METHOD = 60.0  # no further repeat once a method has run for so long
 PSNR_CAP_DB = 120.0  # of images without any error
+BENCH_METHODS = (*METHODS, *bench_peers.PEERS)
+COUNTERS = ("stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes", "memory_bytes",
+            "memory_bytes_unchunked")  # of encode's stats; None where a method does not tell
+DEFAULT_SCENES, DEFAULT_METHODS = ("sheet:128",), ("direct",)
 
 
 @dataclass(frozen=True)
@@ -64,76 +67,63 @@ def oracle_samples(gaussians: Gaussians, panel: Panel, rig: Rig, count: int = OR
     return OracleSamples(rows, columns, channels, np.rint(255 * np.clip(colours, 0, 1)).astype(np.int64))
 
 
-def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone_deg: float | None) -> Rig:
-    """The rig of a scene: that of the synthetic ones (module bench_scenes), or automatic framing of a .ply file."""
-    if Path(scene).suffix.lower() == ".ply":
-        rig = Rig.frame(gaussians, panel)
-        return Rig(rig.world_to_camera, rig.focal_px, rig.principal_point_px, rig.zero_depth, cone_deg)
-    focal, centre = (panel.width_px, panel.width_px), (panel.width_px / 2, panel.height_px / 2)
-    return Rig(np.eye(4), focal, centre, ZERO_DEPTH, cone_deg)
+@dataclass(frozen=True)
+class Case:
+    """What is drawn: a scene by name, before a panel, in a cone (degrees, a name, or None: the panel's).
+
+    sh_degree: of a synthetic scene; None: as the scene is.
+    """
+
+    scene: str
+    panel: Panel
+    cone: str | float | None
+    sh_degree: int | None
 
 
-def time_method(gaussians: Gaussians, panel: Panel, rig: Rig, method: str, repeats: int,
-                threads: int | None = None) -> tuple[torch.Tensor, list[float], dict[str, Any]]:
-    """The image, the times in ms (sorted), and the counters of the run of median time (`stats` of encode)."""
-    runs, spent = [], 0.0
-    while len(runs) < repeats and (not runs or spent < SECONDS_PER_METHOD):
-        stats: dict[str, Any] = {}
-        if gaussians.means.is_cuda:  # counters make the stages wait for each other: time without, then count
-            took, image = _seconds_on_cuda(lambda: encode(gaussians, panel, rig, method))
-            encode(gaussians, panel, rig, method, stats=stats)
-        else:
-            begin = time.perf_counter()
-            image = encode(gaussians, panel, rig, method, stats=stats, threads=threads)
-            took = time.perf_counter() - begin
-        spent += took
-        runs.append((1e3 * took, stats))
-    runs.sort(key=lambda run: run[0])
-    return image, [ms for ms, _ in runs], runs[(len(runs) - 1) // 2][1]
-
-
-def _seconds_on_cuda(render: Callable[[], torch.Tensor]) -> tuple[float, torch.Tensor]:
-    """The time of a warm run by CUDA events, and its result."""
-    render()
-    start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-    start.record()
-    image = render()
-    end.record()
-    end.synchronize()
-    return start.elapsed_time(end) / 1e3, image
-
-
-def bench_scene(scene: str, panel: Panel, cone_deg: float | None, methods: list[str], device: str, repeats: int,
-                threads: int | None = None) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rows of one scene and cone, a method each, and how the others' images compare with the first method's.
+def bench_case(case: Case, methods: list[str], device: str, repeats: int | None,
+               threads: int | None = None) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows of one case, a method each, and how the others' images compare with the first method's.
 
     Raises InputError.
     """
-    _progress(f"{scene}: making or reading the scene")
-    gaussians = load_scene(scene)
-    rig = benchmark_rig(scene, gaussians, panel, cone_deg)
-    _progress(f"{scene}: oracle, {ORACLE_SAMPLES} sub-pixels")
+    _progress(f"{case.scene}: making or reading the scene")
+    gaussians = load_scene(case.scene, case.sh_degree).to(device)
+    panel, rig = case.panel, benchmark_rig(case.scene, gaussians, case.panel, case.cone)
+    _progress(f"{case.scene}: oracle, {ORACLE_SAMPLES} sub-pixels")
     oracle = oracle_samples(gaussians, panel, rig)
-
-    gaussians = gaussians.to(device)
+    what = {"scene": case.scene, "gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "panel": panel.name,
+            "cone": "panel" if case.cone is None else case.cone, "cone_deg": rig.cone_deg}
     rows, comparisons, first = [], [], None
     for method in methods:
-        _progress(f"{scene}: {method}, at most {repeats} runs")
-        image, times, stats = time_method(gaussians, panel, rig, method, repeats, threads)
-        rows.append({
-            "scene": scene, "gaussians": gaussians.count, "panel": panel.name,
-            "cone_deg": panel.cone_deg if rig.cone_deg is None else rig.cone_deg, "method": method, "device": device,
-            "ms_median": statistics.median(times), "ms_min": times[0], "ms_max": times[-1],
-            "stages_ms": stats["stages_ms"], "pairs": stats["pairs"],
-            "evaluations_per_subpixel": stats["evaluations_per_subpixel"], "work_bytes": stats["work_bytes"],
-            **oracle.errors(image)})
+        measured = measure(gaussians, panel, rig, method, repeats, threads)
+        _progress(f"{case.scene}: {method}, {len(measured.times_ms)} runs, fastest {min(measured.times_ms):.3f} ms")
+        counters = {key: measured.stats.get(key) for key in COUNTERS}
+        rows.append({**what, "method": method, "device": device, **measured.summary(), **counters,
+                     "peak_bytes": measured.peak_bytes, **oracle.errors(measured.image)})
         if first is None:
-            first = image
+            first = measured.image
         else:
-            comparisons.append({"scene": scene, "cone_deg": rows[0]["cone_deg"], "methods": [methods[0], method],
+            comparisons.append({**what, "methods": [methods[0], method],
                                 "times_faster": rows[-1]["ms_median"] / rows[0]["ms_median"],
-                                **differences(first, image)})
+                                **differences(first, measured.image)})
     return rows, comparisons
+
+
+def harmonics_cost(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """How many times as long each row took as that of the same scene, cone and method with the least SH degree."""
+    least: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for row in rows:
+        key = (row["scene"], row["cone"], row["method"])
+        if key not in least or row["sh_degree"] < least[key]["sh_degree"]:
+            least[key] = row
+    costs = []
+    for row in rows:
+        base = least[row["scene"], row["cone"], row["method"]]
+        if row["sh_degree"] > base["sh_degree"]:
+            costs.append({"scene": row["scene"], "cone": row["cone"], "method": row["method"],
+                          "sh_degrees": [base["sh_degree"], row["sh_degree"]],
+                          "times_as_long": row["ms_median"] / base["ms_median"]})
+    return costs
 
 
 def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
@@ -143,38 +133,25 @@ def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
             "differing": int((difference > 0).sum()), "over_1": int((difference > 1).sum())}
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each."""
-    head = ("scene", "Gaussians", "cone", "method", "ms", "min", "max", "pairs", "eval/sub-px", "work MB", "PSNR dB",
-            "max /255", "over 1/255")
-    lines = [(row["scene"], f"{row['gaussians']}", f"{row['cone_deg']:g}", row["method"], _ms(row["ms_median"]),
-              _ms(row["ms_min"]), _ms(row["ms_max"]), f"{row['pairs']}",
-              "-" if row["evaluations_per_subpixel"] is None else f"{row['evaluations_per_subpixel']:.1f}",
-              f"{row['work_bytes'] / 1e6:.1f}", f"{row['psnr_db']:.1f}",
-              f"{row['max_error_255']}", f"{row['share_over_1']:.2g}") for row in rows]
-    widths = [max(len(line[column]) for line in (head, *lines)) for column in range(len(head))]
-    text = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths)) for line in (head, *lines)]
-    text += ["stages of " + f"{row['scene']} {row['cone_deg']:g} {row['method']}, ms: "
-             + ", ".join(f"{stage} {ms:.1f}" for stage, ms in row["stages_ms"].items()) for row in rows]
-    return "\n".join(text)
-
-
-def _ms(value: float) -> str:
-    return f"{value:.0f}" if value >= 100 else f"{value:.2f}"
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs bench`."""
-    parser.add_argument("what", nargs="?", default="light-field", choices=("light-field", "training-step"),
-                        help="a light-field image, or forward and backward of the rasterizer in a training step")
-    parser.add_argument("--scene", default="sheet:128", help="sheet:S, cloud:N or a .ply; several with commas")
-    parser.add_argument("--panel", default=DEFAULT_PANEL, help="name, YAML or visual.json (default: %(default)s)")
-    parser.add_argument("--cone", help="viewing cone in degrees, several with commas (default: the panel's)")
-    parser.add_argument("--methods", default="direct", help=f"with commas, of {', '.join(METHODS)}")
+    parser.add_argument("what", nargs="?", default="light-field", choices=("light-field", "paper", "training-step"),
+                        help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
+                             "methods), or forward and backward of the rasterizer in a training step")
+    parser.add_argument("--scene", help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128)")
+    parser.add_argument("--panel", default=DEFAULT_PANEL,
+                        help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of "
+                             "published figures")
+    parser.add_argument("--cone", help="viewing cone in degrees, or narrow (40 px of disparity over all views) or wide "
+                                       "(53 degrees); several with commas (default: the panel's)")
+    parser.add_argument("--sh-degree", help="0..3 of synthetic scenes, several with commas (default: 0)")
+    parser.add_argument("--methods", help=f"with commas, of {', '.join(BENCH_METHODS)} (the last one on CUDA, when "
+                                          f"gsplat is installed; default: direct)")
     parser.add_argument("--device", default="cpu", help="cpu or cuda (default: %(default)s)")
-    parser.add_argument("--repeats", type=int, default=5, help="runs of each, fewer of those beyond a minute")
+    parser.add_argument("--repeats", type=int, help="runs of each, fewer of those beyond a minute (default: 5, and 20 "
+                                                    "of what takes less than 50 ms on CUDA)")
     parser.add_argument("--threads", help="threads (default: all cores); several with commas for training-step")
-    parser.add_argument("--json", type=Path, help="where to write the rows")
+    parser.add_argument("--json", type=Path, help="where to write the rows, and what machine they are from")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -183,46 +160,74 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--device: expected cpu or cuda, got {args.device!r}")
     if args.device == "cuda" and not ("cuda" in build_info()["devices"] and torch.cuda.is_available()):
         raise InputError("--device cuda: needs a GPU, and a build that found nvcc (LFGS_CUDA=ON insists on it)")
-    if args.repeats < 1:
+    if args.repeats is not None and args.repeats < 1:
         raise InputError(f"--repeats: expected 1 or more, got {args.repeats}")
     threads = _numbers("--threads", args.threads, int)
     if args.json is not None:
         check_output_path(args.json)
     if args.what == "training-step":
-        rows = (bench_training.rows(threads, args.repeats) if args.device == "cpu" else
-                [bench_training.cuda_row(args.repeats)])
-        print(bench_training.table(rows))
-        result = {"rows": rows}
+        repeats = args.repeats or REPEATS
+        rows = bench_training.rows(threads, repeats) if args.device == "cpu" else [bench_training.cuda_row(repeats)]
+        result, text = {"rows": rows}, bench_training.table(rows)
     else:
-        result = _light_field(args, threads)
-        print(table(result["rows"]))
-        for c in result["comparisons"]:
-            print(f"{c['scene']} {c['cone_deg']:g}: {c['methods'][0]} is {c['times_faster']:.1f} times as fast as "
-                  f"{c['methods'][1]}; of {c['subpixels']} sub-pixels {c['differing']} differ, {c['over_1']} by more "
-                  f"than 1/255, at most by {c['max_difference_255']}/255")
+        result, text = _light_field(args, threads, args.what == "paper")
+    result["machine"] = machine(args.device)
+    print(machine_line(result["machine"]))
+    print(text)
     if args.json is not None:
         with atomic_path(args.json) as temporary:
             temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return 0
 
 
-def _light_field(args: argparse.Namespace, threads: list[int | None]) -> dict[str, list[dict[str, Any]]]:
-    methods = args.methods.split(",")
-    if unknown := sorted(set(methods) - set(METHODS)):
-        raise InputError(f"--methods: expected of {', '.join(METHODS)}, got {', '.join(unknown)}")
+def _light_field(args: argparse.Namespace, threads: list[int | None], paper: bool) -> tuple[dict[str, Any], str]:
+    """Rows of every case and method, and their text. paper: its scenes and methods, unless others are named."""
+    scenes, methods = (bench_paper.SCENES, bench_paper.METHODS) if paper else (DEFAULT_SCENES, DEFAULT_METHODS)
+    scenes = scenes if args.scene is None else args.scene.split(",")
+    methods = _methods(list(methods) if args.methods is None else args.methods.split(","), args.device)
     if len(threads) > 1:
         raise InputError(f"--threads: expected one number for a light-field image, got {args.threads}")
     panel = Panel.load(args.panel)
-    result: dict[str, list[dict[str, Any]]] = {"rows": [], "comparisons": []}
-    for scene in args.scene.split(","):
-        for cone in _numbers("--cone", args.cone, float):
-            rows, comparisons = bench_scene(scene, panel, cone, methods, args.device, args.repeats, threads[0])
-            result["rows"] += rows
-            result["comparisons"] += comparisons
-    return result
+    cases = [Case(scene, panel, cone, degree) for scene in scenes for cone in _cones(args.cone)
+             for degree in _sh_degrees(args.sh_degree)]
+    rows, comparisons = [], []
+    for case in cases:
+        new_rows, new_comparisons = bench_case(case, methods, args.device, args.repeats, threads[0])
+        rows += new_rows
+        comparisons += new_comparisons
+    costs = harmonics_cost(rows)
+    result = {"rows": rows, "comparisons": comparisons, "harmonics": costs, "peers": bench_peers.versions(methods)}
+    text = [bench_paper.tables(rows)] if paper else [table(rows), *map(comparison_line, comparisons)]
+    return result, "\n".join([*text, *map(cost_line, costs)])
 
 
-def _numbers(option: str, text: str | None, kind: type) -> list[Any]:
+def _methods(methods: list[str], device: str) -> list[str]:
+    if unknown := sorted(set(methods) - set(BENCH_METHODS)):
+        raise InputError(f"--methods: expected of {', '.join(BENCH_METHODS)}, got {', '.join(unknown)}")
+    if peers := sorted(set(methods) & set(bench_peers.PEERS)):
+        if device != "cuda":
+            raise InputError(f"--methods {', '.join(peers)}: runs on a GPU alone, add --device cuda")
+        bench_peers.gsplat()  # the complaint comes before any work
+    return methods
+
+
+def _cones(text: str | None) -> list[Any]:
+    """Cones as `cone_degrees` takes them; [None] when the option was not given."""
+    if text is None:
+        return [None]
+    return [part if part in NAMED_CONES else _numbers("--cone", part, float, f", or {' or '.join(NAMED_CONES)}")[0]
+            for part in text.split(",")]
+
+
+def _sh_degrees(text: str | None) -> list[int | None]:
+    if text is None:
+        return [None]
+    if not all(part in ("0", "1", "2", "3") for part in text.split(",")):
+        raise InputError(f"--sh-degree: expected degrees 0..3 with commas between, got {text!r}")
+    return [int(part) for part in text.split(",")]
+
+
+def _numbers(option: str, text: str | None, kind: type, otherwise: str = "") -> list[Any]:
     """The positive numbers of "a,b,c"; [None] when the option was not given."""
     if text is None:
         return [None]
@@ -231,7 +236,7 @@ def _numbers(option: str, text: str | None, kind: type) -> list[Any]:
     except ValueError:
         values = []
     if not values or not all(0 < value < float("inf") for value in values):
-        raise InputError(f"{option}: expected positive numbers with commas between, got {text!r}")
+        raise InputError(f"{option}: expected positive numbers with commas between{otherwise}, got {text!r}")
     return values
 
 

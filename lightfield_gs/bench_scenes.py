@@ -1,4 +1,4 @@
-"""Synthetic scenes for benchmarks: the same Gaussians, bit for bit, wherever they are made.
+"""Synthetic scenes and cones for benchmarks: the same Gaussians, bit for bit, wherever they are made.
 
 `sheet:S` is what a single-image network draws: S*S Gaussians, one per pixel, on a wavy sheet of depths round 2.
 `cloud:N` is its opposite: N Gaussians of any rotation, log-normal in size, on three nested shells, overlapping deeply.
@@ -8,14 +8,23 @@ width in pixels.
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.panel import Panel
+from lightfield_gs.rig import Rig
 
 ZERO_DEPTH = 2.0
+NARROW_PX = 40.0  # disparity over all views of a point at 4/5 of the zero plane's depth, cone "narrow"
+WIDE_DEG = 53.0  # cone "wide"
+NAMED_CONES = ("narrow", "wide")
+_HARMONIC_DEVIATIONS = (0.15, 0.1, 0.05)  # of the coefficients of degree 1, 2, 3
+_HARMONIC_SEED = 99
 _SH_CONSTANT = 0.28209479177387814  # the harmonic of degree 0
 
 
@@ -58,17 +67,56 @@ def cloud(count: int, seed: int = 0) -> Gaussians:
     return _gaussians(means, quaternions, scales, opacities, colours)
 
 
-def load_scene(name: str) -> Gaussians:
-    """A scene by name: `sheet:S`, `cloud:N`, or the path of a .ply file. Raises InputError."""
+def with_harmonics(gaussians: Gaussians, degree: int) -> Gaussians:
+    """A scene of SH degree 0 with random coefficients up to `degree` (1..3) added; those of a lower one begin alike."""
+    import torch
+
+    random = np.random.default_rng(_HARMONIC_SEED)
+    bands = [random.normal(0, _HARMONIC_DEVIATIONS[band - 1], (gaussians.count, 2 * band + 1, 3))
+             for band in range(1, degree + 1)]
+    higher = torch.from_numpy(np.concatenate(bands, axis=1).astype(np.float32))
+    return replace(gaussians, sh=torch.cat([gaussians.sh, higher], dim=1))
+
+
+def load_scene(name: str, sh_degree: int | None = None) -> Gaussians:
+    """A scene by name: `sheet:S`, `cloud:N`, or the path of a .ply file.
+
+    sh_degree: 0..3 of a synthetic scene (None: 0); a file has its own. Raises InputError.
+    """
     kind, _, size = name.partition(":")
     makers = {"sheet": sheet, "cloud": cloud}
     if kind in makers and size:
         if not size.isascii() or not size.isdigit() or not 1 <= int(size) <= 1 << 24:
             raise InputError(f"scene {name!r}: expected a whole number 1..16777216 after '{kind}:', got {size!r}")
-        return makers[kind](int(size))
+        scene = makers[kind](int(size))
+        return with_harmonics(scene, sh_degree) if sh_degree else scene
     if Path(name).suffix.lower() != ".ply":
         raise InputError(f"scene {name!r}: expected sheet:S, cloud:N or the path of a .ply file")
+    if sh_degree is not None:
+        raise InputError(f"scene {name!r}: a file has its own SH degree, leave out --sh-degree")
     return Gaussians.load(name)
+
+
+def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> float:
+    """The full angle of a cone: the number itself, None (the panel's), or a named one.
+
+    "wide" is 53 degrees. "narrow" is the cone whose outermost views (x = 0 and N) see a point at 4/5 of the zero
+    plane's depth 40 px apart: with the offsets +-Z0 tan(cone/2) of the rig, fx 2 Z0 tan(cone/2) (5/4 - 1)/Z0 = 40 px.
+    """
+    if cone == "narrow":
+        return 2 * math.degrees(math.atan(2 * NARROW_PX / focal_px))
+    if cone == "wide":
+        return WIDE_DEG
+    return panel.cone_deg if cone is None else cone
+
+
+def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | float | None) -> Rig:
+    """The rig of a scene: that of the synthetic ones, or automatic framing of a .ply file; its cone always stated."""
+    if Path(scene).suffix.lower() == ".ply":
+        rig = Rig.frame(gaussians, panel)
+        return replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
+    focal, centre = (panel.width_px, panel.width_px), (panel.width_px / 2, panel.height_px / 2)
+    return Rig(np.eye(4), focal, centre, ZERO_DEPTH, cone_degrees(cone, panel, panel.width_px))
 
 
 def _gaussians(means: np.ndarray, quaternions: np.ndarray, scales: np.ndarray, opacities: np.ndarray,

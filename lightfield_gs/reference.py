@@ -4,7 +4,8 @@ No tiles, no fits, no fixed-point phases: it shares nothing with the native rast
 the other, and autograd through it is the truth for gradients. Lens phase: van Berkel, "Image preparation for 3D-LCD",
 1999; the rig's offsets: Shi et al., Photonics 2025, 12(3), 279. The arithmetic is in reference_blend.
 
-Speed: 20,000 random sub-pixels of 262,144 Gaussians take less than ten seconds on two cores, in some 500 MB.
+Speed: 20,000 random sub-pixels of 262,144 Gaussians take less than ten seconds on two cores, in some 500 MB. Gaussians
+on a GPU are judged there.
 """
 
 from __future__ import annotations
@@ -41,6 +42,9 @@ def _chunks(projection: Projection, samples: Samples) -> Iterator[tuple[slice, S
 def _colours(projection: Projection, columns: Tensor, rows: Tensor, offsets: Tensor, channels: Tensor,
              background: Tensor) -> tuple[Tensor, Tensor]:
     """Colours [M] and margins [M] of samples in any order, each of one channel."""
+    device = projection.scene.means.device
+    columns, rows, offsets, channels, background = (
+        t.to(device) for t in (columns, rows, offsets, channels, background))
     order = torch.sort(rows, stable=True).indices
     samples, channels = Samples(columns[order], rows[order], offsets[order]), channels[order]
     colours, margins = [], []
@@ -109,7 +113,7 @@ def subpixel_colours(gaussians: Gaussians, panel: Panel, rig: Rig, rows: np.ndar
     projection = Projection(Scene.of(gaussians), rig_eye(panel, rig))
     colours, margins = _colours(projection, _centres(columns), _centres(rows), torch.from_numpy(offsets),
                                 torch.as_tensor(channels, dtype=torch.int64), _float64(background))
-    return (colours.numpy(), margins.numpy()) if return_margin else colours.numpy()
+    return (colours.cpu().numpy(), margins.cpu().numpy()) if return_margin else colours.cpu().numpy()
 
 
 def lens_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
@@ -131,7 +135,7 @@ def pixel_colours(gaussians: Gaussians, cameras: Cameras, camera: int, rows: np.
     offsets = torch.zeros(len(rows), dtype=torch.float64)
     colours, margins = _colours(projection, _centres(columns), _centres(rows), offsets,
                                 torch.as_tensor(channels, dtype=torch.int64), _float64(background))
-    return (colours.numpy(), margins.numpy()) if return_margin else colours.numpy()
+    return (colours.cpu().numpy(), margins.cpu().numpy()) if return_margin else colours.cpu().numpy()
 
 
 def dense_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,

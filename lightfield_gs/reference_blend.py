@@ -6,7 +6,7 @@ Sources: Kerbl et al., "3D Gaussian Splatting", 2023 (blending and its threshold
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,7 +37,7 @@ class Scene:
     @staticmethod
     def of(gaussians: Gaussians) -> Scene:
         fields = (gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh)
-        return Scene(*(field.detach().to("cpu", torch.float64) for field in fields))
+        return Scene(*(field.detach().to(torch.float64) for field in fields))
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,12 @@ class Eye:
     limits: Tensor
     to_centre: Tensor | float = 0.0
     shift_px: float = 0.0  # pixels per scene unit
+
+    def to(self, device: torch.device) -> Eye:
+        """The same eye, its tensors on a device."""
+        to_centre = self.to_centre.to(device) if isinstance(self.to_centre, Tensor) else self.to_centre
+        return replace(self, world_to_camera=self.world_to_camera.to(device), intrinsics=self.intrinsics.to(device),
+                       limits=self.limits.to(device), to_centre=to_centre)
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,7 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
     """The first `count` (1, 4, 9, 16) real spherical harmonics [P,K] of unit directions [P,3], signs as in 3DGS."""
     x, y, z = directions.unbind(-1)
     k0, k1, k20, k21, k22, k30, k31, k32, k33 = (
-        np.sqrt(value / np.pi) / 4 for value in (4, 12, 5, 60, 15, 7, 21 / 2, 105, 35 / 2))
+        float(np.sqrt(value / np.pi)) / 4 for value in (4, 12, 5, 60, 15, 7, 21 / 2, 105, 35 / 2))
     basis = [torch.full_like(x, k0)]
     if count > 1:
         basis += [-k1 * y, k1 * z, -k1 * x]
@@ -115,8 +121,8 @@ class Projection:
     """One scene before one eye: view-space means and covariances of the Gaussians it may draw, near ones first."""
 
     def __init__(self, scene: Scene, eye: Eye):
-        self.scene, self.eye = scene, eye
-        self.axes, self.translation = eye.world_to_camera[:3, :3], eye.world_to_camera[:3, 3]
+        self.scene, self.eye = scene, eye.to(scene.means.device)
+        self.axes, self.translation = self.eye.world_to_camera[:3, :3], self.eye.world_to_camera[:3, 3]
         self.position = scene.means @ self.axes.T + self.translation
         spread = self.axes @ rotations(scene.quaternions) * scene.scales[:, None, :]
         self.covariance = spread @ spread.transpose(1, 2)
@@ -180,7 +186,7 @@ class Projection:
         """Front-to-back blending; a sample stops before its transmittance would fall below 1e-4 (Kerbl et al.)."""
         sample, gaussian = self.pairs(samples)
         count = torch.bincount(sample, minlength=len(samples.rows))
-        rank = torch.arange(len(sample)) - (count.cumsum(0) - count)[sample]
+        rank = torch.arange(len(sample), device=sample.device) - (count.cumsum(0) - count)[sample]
         full = self.alpha(gaussian, Samples(samples.columns[sample], samples.rows[sample], samples.offsets[sample]))
         shape = (len(samples.rows), max(1, int(count.max())))
 

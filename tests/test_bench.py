@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from lightfield_gs import bench, bench_scenes
+from lightfield_gs import bench, bench_paper, bench_scenes, bench_timing
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
 
-KEYS = {"scene", "gaussians", "panel", "cone_deg", "method", "device", "ms_median", "ms_min", "ms_max", "stages_ms",
-        "pairs", "evaluations_per_subpixel", "work_bytes", "psnr_db", "max_error_255", "share_over_1"}
+KEYS = {"scene", "gaussians", "sh_degree", "panel", "cone", "cone_deg", "method", "device", "ms_median", "ms_min",
+        "ms_max", "runs", "stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes",
+        "memory_bytes", "memory_bytes_unchunked", "peak_bytes", "psnr_db", "max_error_255", "share_over_1"}
 STAGES = {"plan", "project", "order", "bin", "composite"}
 
 
@@ -47,6 +48,64 @@ def test_unknown_scenes_are_named(name):
         bench_scenes.load_scene(name)
 
 
+def disparity_px(panel: Panel, cone: str | float, depth: float) -> float:
+    """Between the two outermost views, of a point on the axis, by the cameras themselves."""
+    rig = bench_scenes.benchmark_rig("sheet:1", bench_scenes.sheet(1), panel, cone)
+    cameras = rig.cameras_at(panel, [0.0, float(panel.views)])
+    point = cameras.world_to_camera @ torch.tensor([0.0, 0.0, depth, 1.0], dtype=torch.float64)
+    x = cameras.focal_px[:, 0] * point[:, 0] / point[:, 2] + cameras.principal_point_px[:, 0]
+    return float((x[1] - x[0]).abs())
+
+
+@pytest.mark.parametrize("name", ["bench-8k-96v", "bench-4k-71v"])
+def test_narrow_is_forty_pixels_and_wide_is_53_degrees(name):
+    panel = Panel.load(name)
+    assert (panel.line_number, panel.slant_tan) == (16.013, pytest.approx(np.tan(0.18), abs=1e-15))
+    assert disparity_px(panel, "narrow", 0.8 * bench_scenes.ZERO_DEPTH) == pytest.approx(40, abs=1e-9)
+    assert disparity_px(panel, "narrow", bench_scenes.ZERO_DEPTH) == pytest.approx(0, abs=1e-9)
+    assert bench_scenes.cone_degrees("wide", panel, panel.width_px) == 53
+    assert bench_scenes.cone_degrees(None, panel, 1.0) == panel.cone_deg
+
+
+def test_narrow_on_8k_is_the_baseline_of_other_programs():
+    panel = Panel.load("bench-8k-96v")
+    rig = bench_scenes.benchmark_rig("sheet:1", bench_scenes.sheet(1), panel, "narrow")
+    assert rig.half_width(panel) == pytest.approx(40 / 1920, rel=1e-12)
+    wide = bench_scenes.benchmark_rig("sheet:1", bench_scenes.sheet(1), panel, "wide")
+    assert wide.half_width(panel) == pytest.approx(0.997, abs=5e-4)
+
+
+def test_harmonics_are_added_the_same_every_time():
+    plain, *rich = (bench_scenes.load_scene("cloud:5000", degree) for degree in (0, 1, 3, 3))
+    assert [scene.sh_degree for scene in (plain, *rich)] == [0, 1, 3, 3]
+    assert torch.equal(rich[1].sh, rich[2].sh) and torch.equal(rich[1].sh[:, :4], rich[0].sh)
+    assert torch.equal(rich[1].sh[:, :1], plain.sh) and torch.equal(rich[1].means, plain.means)
+    for first, last, deviation in ((1, 4, 0.15), (4, 9, 0.1), (9, 16, 0.05)):
+        assert float(rich[1].sh[:, first:last].std()) == pytest.approx(deviation, rel=0.03)
+    with pytest.raises(InputError, match="own SH degree"):
+        bench_scenes.load_scene("some.ply", 0)
+
+
+def test_runs_are_counted_and_kept_in_their_order(monkeypatch):
+    calls = itertools.count()
+    result, times = bench_timing.timed(lambda: next(calls), False, 3)
+    assert result == 2 and len(times) == 3 and min(times) > 0
+    monkeypatch.setattr(bench_timing, "SECONDS_PER_CALL", 0.0)
+    assert len(bench_timing.timed(lambda: None, False, 3)[1]) == 1
+
+
+def test_short_calls_on_a_gpu_are_repeated_more_often(monkeypatch):
+    took = iter([900.0, 1.0] + [1.0] * 20 + [900.0, 400.0] + [400.0] * 5)  # the first two of each warm up
+    monkeypatch.setattr(bench_timing, "_cuda_ms", lambda call: (call(), next(took)))
+    assert bench_timing.timed(lambda: "image", True) == ("image", [1.0] * 20)
+    assert bench_timing.timed(lambda: "image", True) == ("image", [400.0] * 5)
+
+
+def test_machine_is_described():
+    found = bench_timing.machine("cpu")
+    assert found["torch"] == torch.__version__ and found["cores"] >= 1 and found["processor"] and "gpu" not in found
+
+
 def test_errors_are_counted_in_steps_of_8_bits():
     zeros = np.zeros(4, np.int64)
     oracle = bench.OracleSamples(zeros, np.arange(4), zeros, np.array([10, 20, 30, 40]))
@@ -65,25 +124,68 @@ def test_rows_have_the_keys_and_the_images_are_right(tmp_path, capsys):
     small = Panel(width_px=192, height_px=96, views=12, line_number=6.3, slant_tan=0.2, name="small")
     small.to_yaml(tmp_path / "small.yaml")
     code = bench.run(arguments("--scene", "sheet:24,cloud:500", "--panel", str(tmp_path / "small.yaml"), "--cone",
-                               "5,40", "--methods", "direct,classic", "--repeats", "2",
+                               "narrow,40", "--methods", "direct,classic", "--repeats", "2", "--sh-degree", "0,2",
                                "--json", str(tmp_path / "rows.json")))
     assert code == 0
     result = json.loads((tmp_path / "rows.json").read_text())
     rows, comparisons = result["rows"], result["comparisons"]
-    expected = itertools.product(("sheet:24", "cloud:500"), (5, 40), ("direct", "classic"))
-    assert [(row["scene"], row["cone_deg"], row["method"]) for row in rows] == list(expected)
+    expected = itertools.product(("sheet:24", "cloud:500"), ("narrow", 40), (0, 2), ("direct", "classic"))
+    assert [(row["scene"], row["cone"], row["sh_degree"], row["method"]) for row in rows] == list(expected)
     for row in rows:
         assert set(row) == KEYS
         assert row["gaussians"] == (576 if row["scene"] == "sheet:24" else 500) and row["panel"] == "small"
+        assert row["cone_deg"] == (40 if row["cone"] == 40 else pytest.approx(2 * np.degrees(np.arctan(80 / 192))))
         assert STAGES <= set(row["stages_ms"])
-        assert 0 < row["ms_min"] <= row["ms_median"] <= row["ms_max"]
+        assert 0 < row["ms_min"] <= row["ms_median"] <= row["ms_max"] and row["runs"] == 2
         assert row["pairs"] > 0 and row["evaluations_per_subpixel"] > 0 and row["work_bytes"] > 0
         assert row["psnr_db"] >= 70 and row["max_error_255"] <= 2
-    assert [(pair["scene"], pair["cone_deg"]) for pair in comparisons] == [
-        (row["scene"], row["cone_deg"]) for row in rows[::2]]
+    assert [(pair["scene"], pair["cone"], pair["sh_degree"]) for pair in comparisons] == [
+        (row["scene"], row["cone"], row["sh_degree"]) for row in rows[::2]]
     assert all(pair["subpixels"] == 192 * 96 * 3 and pair["max_difference_255"] <= 1 for pair in comparisons)
+    assert [cost["sh_degrees"] for cost in result["harmonics"]] == [[0, 2]] * 8
+    assert result["machine"]["torch"] == torch.__version__ and result["peers"] == {}
     shown = capsys.readouterr()
-    assert "composite" in shown.out and "sheet:24" in shown.out and "bench:" in shown.err
+    assert "composite" in shown.out and "narrow (45.2)" in shown.out and "bench:" in shown.err
+    assert "SH degree 2 takes" in shown.out and torch.__version__ in shown.out
+
+
+def test_cost_of_harmonics_is_within_one_scene_cone_and_method():
+    def row(cone, degree, ms, method="direct"):
+        return {"scene": "sheet:4", "cone": cone, "method": method, "sh_degree": degree, "ms_median": ms}
+
+    costs = bench.harmonics_cost([row(5, 3, 12.0), row(5, 0, 10.0), row(40, 0, 4.0), row(40, 1, 5.0),
+                                  row(5, 3, 7.0, "classic")])
+    assert [(cost["cone"], cost["sh_degrees"], cost["times_as_long"]) for cost in costs] == [
+        (5, [0, 3], 1.2), (40, [0, 1], 1.25)]
+
+
+def test_paper_prints_a_line_for_each_scene_and_keeps_the_numbers(tmp_path, capsys):
+    Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
+    path = tmp_path / "paper.json"
+    assert bench.run(arguments("paper", "--scene", "sheet:8,cloud:100", "--panel", str(tmp_path / "small.yaml"),
+                               "--repeats", "1", "--json", str(path))) == 0
+    rows = json.loads(path.read_text())["rows"]
+    methods = [method for method in ("classic", "sorted", "direct") if method in bench.METHODS]
+    expected = itertools.product(("sheet:8", "cloud:100"), methods)
+    assert [(row["scene"], row["method"]) for row in rows] == list(expected)
+    shown = capsys.readouterr().out
+    assert "Table 1" in shown and "Table 3" in shown and "not at hand" in shown
+    assert len([line for line in shown.splitlines() if line.split()[:2] == ["sheet:8", "64"]]) == 1
+
+
+def test_paper_tables_hold_ratios_and_memory():
+    def row(method, ms, memory=None, unchunked=None):
+        return {"scene": "sheet:8", "gaussians": 64, "cone": "panel", "cone_deg": 40.0, "sh_degree": 0, "ms_median": ms,
+                "method": method, "work_bytes": 3_000_000, "memory_bytes": memory, "memory_bytes_unchunked": unchunked}
+
+    shown = bench_paper.tables([row("classic", 100.0), row("direct", 5.0), row(
+        "sorted", 40.0, {"geometry": 1_000_000, "image": 0, "binning": 2_500_000},
+        {"geometry": 9_000_000, "image": 0, "binning": 20_000_000})]).splitlines()
+    times = shown[2].split()
+    assert times[:8] == ["sheet:8", "64", "40", "100", "5.000", "40.00", "20.0", "2.5"]
+    memory = shown[-5]
+    assert "9.0 -> 1.0" in memory and "20.0 -> 2.5" in memory and memory.split()[1] == "sorted"
+    assert len(bench_paper.SCENES) == len(set(bench_paper.SCENES)) == 10
 
 
 def test_training_step_rows(tmp_path, monkeypatch):
@@ -96,9 +198,10 @@ def test_training_step_rows(tmp_path, monkeypatch):
     assert all(row["gaussians"] == 512 and row["ms_forward"] > 0 and row["ms_backward"] > 0 for row in rows)
 
 
-@pytest.mark.parametrize("words", ["--methods direct,fast", "--cone wide", "--cone 0", "--repeats 0", "--device gpu",
-                                   "--threads x", "--panel no-such-panel", "--scene cube:4",
-                                   "--json /no/such/folder/rows.json", "--threads 1,2"])
+@pytest.mark.parametrize("words", ["--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",
+                                   "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=",
+                                   "--cone 0", "--repeats 0", "--device gpu", "--threads x", "--panel no-such-panel",
+                                   "--scene cube:4", "--json /no/such/folder/rows.json", "--threads 1,2"])
 def test_bad_arguments_are_refused_before_any_work(words):
     with pytest.raises(InputError) as error:
         bench.run(arguments(*words.split()))

@@ -148,6 +148,15 @@ def test_lens_and_cameras_tell_the_same():
         np.testing.assert_allclose(dense, lens[here], atol=1e-12)
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_samples_on_a_gpu_are_those_on_the_cpu():
+    random = np.random.default_rng(3)
+    places = [random.integers(0, size, 500) for size in (48, 64, 3)]
+    gaussians = cloud(300)
+    here, there = (reference.subpixel_colours(g, PANEL, RIG, *places) for g in (gaussians, gaussians.to("cuda")))
+    np.testing.assert_allclose(there, here, rtol=0, atol=1e-12)
+
+
 def test_whole_images_agree_with_chosen_samples():
     gaussians = sheet(12)
     fields = [field.double() for field in gaussians.fields().values()]
