@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -14,9 +15,10 @@ from lightfield_gs.workspace import Scene, Stats
 class CudaWorkspace:
     """Splats, keys and tile lists of one render; every buffer from torch's allocator, all work on its stream."""
 
-    def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, lens: bool):
+    def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, lens: bool,
+                 tile: Any = None):
         n, self.scene, self.images, self.stats = scene.count, scene, images, stats
-        self.image = _core.cuda.Image(images, width, height, lens)
+        self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
         self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
         self.splats = scene.new(images, n, _core.SPLAT_FIELDS)
         self.colours = scene.new(images, n, colour_order + 1, _core.COLOUR_STRIDE)
@@ -35,7 +37,8 @@ class CudaWorkspace:
                                 error.data_ptr(), self.stream)
         return float(error) if self.scene.degree > 0 else 0.0
 
-    def order_and_bin(self) -> None:
+    def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        """admit: asked once `pair_count` is known, whether to go on; returns its answer."""
         scene, cuda, items = self.scene, _core.cuda, self.images * self.scene.count
         with self.stats.stage("order"):
             self.sorted_keys, self.indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
@@ -47,7 +50,9 @@ class CudaWorkspace:
             scan = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
             order = (self.sorted_keys.data_ptr(), self.indices.data_ptr(), self.ends.data_ptr())
             cuda.bin_count(self.native, self.image, *order, scan.data_ptr(), scan.numel(), self.stream)
-            count = int(self.ends[-1]) if items else 0
+            self.pair_count = count = int(self.ends[-1]) if items else 0
+            if not admit():
+                return False
             self.pair_buffers = [scene.new(count, dtype=torch.int32) for _ in range(5)]
             self.pairs = cuda.Pairs(count, *(t.data_ptr() for t in self.pair_buffers))
             self.ranges = scene.new(self.image.tiles(), 2, dtype=torch.int64, zero=True)
@@ -60,6 +65,7 @@ class CudaWorkspace:
             self.stats.gaussians_drawn += int((self.keys != -1).sum())
         self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, self.sorted_keys, self.indices,
                                temporary, self.ends, scan, *self.pair_buffers, self.ranges, sort)
+        return True
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
         _core.cuda.composite_dense(self.native, self.image, self.ranges.data_ptr(), self.pairs,

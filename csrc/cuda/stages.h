@@ -50,6 +50,8 @@ struct Pairs {
   uint32_t *slots, *sorted_slots;  // 0, 1, 2, ...; the slot of each sorted pair
   uint32_t* slot_splats;           // splat of each slot
 };
+// The splat of the k-th pair in the order of `ranges`.
+LFGS_HD uint32_t splat_of(const Pairs& pairs, int64_t k) { return pairs.slot_splats[pairs.sorted_slots[k]]; }
 // fill writes the pairs, nearest first within a tile, and ranges [I * tiles, 2] into them.
 size_t fill_bytes(int64_t pairs);
 void bin_fill(const Splats<float>& splats, const Image& image, const uint64_t* sorted_keys, const uint32_t* indices,
@@ -61,6 +63,10 @@ void composite_dense(const Splats<float>& splats, const Image& image, const int6
                      const float* background, DenseImages<float> out, Stream stream);
 void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                     const Lens& lens, const float* background, float* out, uint8_t* out8, Stream stream);
+// order [image.count * tiles]: the (view, tile) lists by falling work. Writes to out, or where that is null to out8.
+void composite_sorted(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                      const SubpixelLists& lists, const int64_t* order, const float* background, float* out,
+                      uint8_t* out8, Stream stream);
 
 // --- the reverses. Every slot is written by one block in a fixed order, and sums run in slot order: the same
 // bits in every run. slot_gradients [pairs, kDenseSums]; tile_background [I * tiles, 3].
