@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     from lightfield_gs.panel import Panel
     from lightfield_gs.rendering import encode, interlace, render
     from lightfield_gs.rig import Rig
+    from lightfield_gs.sorted_plan import SortedPlan
 
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
 _HOMES = {"Cameras": "cameras", "Gaussians": "gaussians", "InputError": "errors", "Panel": "panel", "Rig": "rig",
-          "SplatterNet": "models", "encode": "rendering", "interlace": "rendering", "render": "rendering"}
+          "SortedPlan": "sorted_plan", "SplatterNet": "models", "encode": "rendering", "interlace": "rendering",
+          "render": "rendering"}
 __all__ = [*_HOMES, "build_info"]
 __version__ = "0.1.0"
 

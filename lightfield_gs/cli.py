@@ -9,6 +9,7 @@ import argparse
 import importlib
 import math
 import os
+import re
 import signal
 import sys
 import time
@@ -20,6 +21,7 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+_UNITS = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 _VECTOR_OPTIONS = ("--eye", "--background")  # their values may begin with a minus sign
 
 
@@ -87,12 +89,24 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
         help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
     add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
+    add("--cameras", type=Path, metavar="JSON",
+        help="one camera for each view, for --method sorted, in place of a rig: world_to_camera [N,4,4] (OpenCV axes, "
+        "scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of the panel)")
+    add("--view-map", type=Path, metavar="NPY",
+        help="the view of each sub-pixel, for --method sorted, in place of the panel's lens: int32 [H,W,3], 0..N-1, or "
+        "-1 for the background")
     add("--save-rig", type=Path, metavar="YAML", help="write the rig that was used")
     add("--mask", type=Path, metavar="IMAGE", help="cut-out of a photo, of its size: bright or opaque on the object")
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add("--save-gaussians", type=Path, metavar="PLY", help="write the scene as a 3DGS .ply")
-    add("--method", choices=("direct", "classic"), default="direct",
-        help="direct: all sub-pixels in one pass; classic: a picture a view, then interlaced (slow; for comparison)")
+    add("--method", choices=("direct", "sorted", "classic"), default="direct",
+        help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
+        "picture a view, then interlaced (slow; for comparison)")
+    add("--memory-budget", type=_bytes, metavar="SIZE",
+        help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
+        "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)")
+    add("--device", choices=("auto", "cpu", "cuda"), default="auto",
+        help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)")
     add("--views", choices=("integer", "continuous"), default="integer",
         help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)")
     add("--background", type=_background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
@@ -142,6 +156,15 @@ def _threads(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text[:9]) <= 1024:
         raise argparse.ArgumentTypeError(f"expected 1..1024, got '{text}'")
     return int(text)
+
+
+def _bytes(text: str) -> int:
+    """"256MB" -> 256000000."""
+    match = re.fullmatch(r"(\d{1,15}(?:\.\d{1,15})?)(B|[KMG]i?B)", text)
+    value = 0 if match is None else int(float(match[1]) * _UNITS[match[2]])
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a size such as 256MB or 1.5GiB, got '{text}'")
+    return value
 
 
 def _joined(arguments: list[str]) -> list[str]:

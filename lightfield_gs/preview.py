@@ -87,7 +87,7 @@ def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float
     views = []
     for position in positions:
         cameras = small_rig.cameras_at(small_panel, [position])
-        views.append(to_integers(render(gaussians, cameras, background=background)[0].numpy(), 8))
+        views.append(to_integers(render(gaussians, cameras, background=background)[0].cpu().numpy(), 8))
     return views
 
 

@@ -16,12 +16,13 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
+from lightfield_gs.sorted import cameras_and_plan, encode_sorted
+from lightfield_gs.sorted_plan import SortedPlan, views_shown
 from lightfield_gs.workspace import Stats
 
-METHODS = ("direct", "classic")
+METHODS = ("direct", "sorted", "classic")
 VIEWS = ("integer", "continuous")
 OUTPUTS = {"uint8": torch.uint8, "float32": torch.float32, "float64": torch.float64}
-_MOST_CLASSIC_VIEWS = 65536
 _CLASSIC_PIXELS = 4_000_000  # rendered at a time: small images go in batches
 
 
@@ -56,18 +57,26 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
     return tuple(out) if len(out) > 1 else out[0]
 
 
-def encode(gaussians: Gaussians, panel: Panel, rig: Rig, method: str = "direct", *, views: str = "integer",
+def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: str = "direct", *,
+           views: str = "integer", cameras: Cameras | None = None,
+           view_map: np.ndarray | Tensor | SortedPlan | None = None, memory_budget: int | None = None,
            background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8", threads: int | None = None,
            stats: dict[str, Any] | None = None) -> Tensor:
     """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
 
-    method: "direct" renders only the sub-pixels (all cameras of the rig share one projection and one sort); "classic"
-    renders one dense image per view and interlaces them, the usual way and the cross-check of the other.
+    method: "direct" renders only the sub-pixels (all cameras of the rig share one projection and one sort); "sorted"
+    renders only the sub-pixels too, but view by view, with any cameras and any view map (Shi et al. 2025); "classic"
+    renders one dense image per view and interlaces them, the usual way and the cross-check of the others.
     views: "integer": camera at floor(x) + 1/2; "continuous": at the exact x of the sub-pixel.
+    Only for "sorted": cameras [N] at the panel's resolution, in place of the rig's; view_map int32 [H, W, 3] by image
+    channel, which of the N cameras each sub-pixel shows, or -1 for the background (or a SortedPlan made of such a map,
+    to sort only once), in place of the panel's; memory_budget: bytes that the work memory may take on the device of
+    the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or 1 GiB on CUDA).
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
     "direct" are differentiable. threads: CPU threads (default: torch's). stats: a dict to fill with stages_ms
     (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
-    CUDA), work_bytes, gaussians_culled, colour_error.
+    CUDA), work_bytes, gaussians_culled, colour_error; for "sorted" also memory_bytes and memory_bytes_unchunked, by
+    stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
     Raises InputError.
     """
     if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
@@ -81,12 +90,18 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig, method: str = "direct",
         gaussians.validate()
     if threads is not None and threads < 1:
         raise InputError(f"threads must be at least 1, got {threads}")
+    _check_sorted_only(method, views, rig, cameras, view_map, memory_budget)
     precision = torch.float64 if output == "float64" else torch.float32
     gaussians = gaussians.to(dtype=precision)
     colour = _background(background, gaussians.means).reshape(-1)
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "classic":
         image = _classic(gaussians, panel, rig, views, colour, output, threads, counters)
+    elif method == "sorted":
+        with counters.stage("plan"):
+            chosen = cameras_and_plan(panel, rig, cameras, view_map, views == "continuous", gaussians.device)
+        image = encode_sorted(_tensors(gaussians), *chosen, memory_budget, colour, output == "uint8",
+                              threads or torch.get_num_threads(), counters)
     else:
         image = _direct(gaussians, panel, rig, views, colour, output, threads, counters)
     if stats is not None:
@@ -162,26 +177,28 @@ def _take_over(out: Tensor, images: Tensor, places: Tensor, first: int) -> None:
 
 @lru_cache(maxsize=1)  # of a panel at 8K this takes a second
 def _classic_plan(panel: Panel, continuous: bool, device: torch.device) -> tuple[Tensor, np.ndarray]:
-    """_views_shown, the places on the device."""
-    places, x = _views_shown(panel, continuous)
+    """views_shown, the places on the device."""
+    places, x = views_shown(panel, continuous)
     return torch.from_numpy(places).to(device), x
 
 
-def _views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]:
-    """For every sub-pixel (flat) its place in x; x: the distinct camera coordinates that the panel shows."""
-    view_map = panel.view_map(continuous).reshape(-1)
-    if not continuous:
-        used = np.bincount(view_map, minlength=panel.views) > 0
-        places = view_map if used.all() else (np.cumsum(used) - 1).astype(np.int32)[view_map]
-        return places, np.flatnonzero(used) + 0.5
-    # Equal up to the rounding of the fixed-point phase; a few rows tell a panel with too many
-    view_map = np.round(view_map, 9)
-    if len(np.unique(view_map[:2**21])) <= _MOST_CLASSIC_VIEWS:
-        x, places = np.unique(view_map, return_inverse=True)
-        if len(x) <= _MOST_CLASSIC_VIEWS:
-            return places, x
-    raise InputError(f"method classic renders one dense image per distinct view, and this panel shows more than "
-                     f"{_MOST_CLASSIC_VIEWS} continuous ones: use method direct, or integer views")
+def _check_sorted_only(method: str, views: str, rig: Rig | None, cameras: Cameras | None, view_map: Any,
+                       memory_budget: int | None) -> None:
+    """Raises InputError where arguments of one method meet another."""
+    if method != "sorted":
+        for name, value in (("cameras", cameras), ("view_map", view_map), ("memory_budget", memory_budget)):
+            if value is not None:
+                raise InputError(f"{name}= is for method 'sorted', not {method!r}: the other methods draw the panel's "
+                                 "own views by a rig")
+        if rig is None:
+            raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
+    if memory_budget is None:
+        return
+    if isinstance(memory_budget, bool) or not isinstance(memory_budget, int) or memory_budget < 1:
+        raise InputError(f"memory_budget must be a whole number of bytes, at least 1, got {memory_budget!r}")
+    if views == "continuous":
+        raise InputError("memory_budget goes with integer views: cameras for all distinct places within a lens have no "
+                         "bound; use method direct, which takes little memory, or integer views")
 
 
 def _tensors(gaussians: Gaussians) -> list[Tensor]:
@@ -219,3 +236,5 @@ def _report(counters: Stats, gaussians: Gaussians, panel: Panel, out: dict[str, 
                colour_error=counters.colour_error)
     if counters.kernel is not None:
         out.update(kernel=counters.kernel)
+    if counters.memory_bytes:
+        out.update(memory_bytes=counters.memory_bytes, memory_bytes_unchunked=counters.memory_bytes_unchunked)

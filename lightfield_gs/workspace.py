@@ -1,8 +1,9 @@
-"""Buffers of one render: checked inputs, splats, bins. With ops.py the only place that hands addresses to the core."""
+"""Buffers of one render: checked inputs, splats, bins. Only here, in ops and in sorted* the core gets addresses."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Iterator, NamedTuple
@@ -26,6 +27,8 @@ class Stats:
     pairs: int = 0
     evaluations: int = 0
     work_bytes: int = 0
+    memory_bytes: dict[str, int] = field(default_factory=dict)            # of method sorted, see sorted.encode_sorted
+    memory_bytes_unchunked: dict[str, int] = field(default_factory=dict)
     images: int = 0
     gaussians_drawn: int = 0  # in all images
     colour_error: float = 0.0
@@ -185,22 +188,26 @@ class Workspace:
         """The largest estimated error of a colour polynomial."""
         return self.scene.core.project_lens(self.scene.native(), rig, lens, tolerance, self.native, self.threads)
 
-    def order_and_bin(self) -> None:
+    def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        """admit: asked once `pairs` are counted, whether to go on; returns its answer."""
         scene, core, threads = self.scene, self.scene.core, self.threads
         with self.stats.stage("order"):
             order = scene.new(self.images, scene.count, dtype=torch.int32)
             drawn = scene.new(self.images, dtype=torch.int64)
             core.order(self.native, order.data_ptr(), drawn.data_ptr(), threads)
         with self.stats.stage("bin"):
-            offsets = scene.new(self.offsets, dtype=torch.int64)
-            bins = _core.Bins(offsets.data_ptr(), 0)
-            pairs = core.bin_count(self.native, order.data_ptr(), drawn.data_ptr(), self.height, bins, threads)
-            self._use_lists(scene.new(8 * self.offsets + 4 * pairs, dtype=torch.uint8))
-            self.lists[:8 * self.offsets] = offsets.view(torch.uint8)
+            self.band_offsets = scene.new(self.offsets, dtype=torch.int64)
+            bins = _core.Bins(self.band_offsets.data_ptr(), 0)
+            self.pairs = core.bin_count(self.native, order.data_ptr(), drawn.data_ptr(), self.height, bins, threads)
+            if not admit():
+                return False
+            self._use_lists(scene.new(8 * self.offsets + 4 * self.pairs, dtype=torch.uint8))
+            self.lists[:8 * self.offsets] = self.band_offsets.view(torch.uint8)
             core.bin_fill(self.native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
         self.stats.images += self.images
         self.stats.gaussians_drawn += int(drawn.sum())
         self.stats.add_buffers(self.splats, self.colours, self.orders, order, drawn, self.lists)
+        return True
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
         self.stats.count(self.scene.core.composite_dense(self.native, self.bins, cameras, background.data_ptr(), out,

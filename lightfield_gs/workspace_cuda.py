@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -15,9 +16,9 @@ class CudaWorkspace:
     """Splats, keys and tile lists of one render; every buffer from torch's allocator, all work on its stream."""
 
     def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, lens: bool,
-                 state: State | None = None):
+                 state: State | None = None, tile: Any = None):
         n, self.scene, self.images, self.stats, self.items = scene.count, scene, images, stats, images * scene.count
-        self.image = _core.cuda.Image(images, width, height, lens)
+        self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
         self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
         self.lists_bytes = 16 * self.image.tiles() + 8 * self.items  # before those of the pairs
         if state is None:
@@ -55,7 +56,8 @@ class CudaWorkspace:
                                 error.data_ptr(), self.stream)
         return float(error) if self.scene.degree > 0 else 0.0
 
-    def order_and_bin(self) -> None:
+    def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        """admit: asked once `pair_count` is known, whether to go on; returns its answer."""
         scene, cuda, items = self.scene, _core.cuda, self.items
         with self.stats.stage("order"):
             sorted_keys, indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
@@ -67,7 +69,9 @@ class CudaWorkspace:
             scan = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
             cuda.bin_count(self.native, self.image, indices.data_ptr(), counts.data_ptr(), ends.data_ptr(),
                            scan.data_ptr(), scan.numel(), self.stream)
-            count = int(ends[-1]) if items else 0
+            self.pair_count = count = int(ends[-1]) if items else 0
+            if not admit():
+                return False
             sort = scene.new(cuda.fill_bytes(count), dtype=torch.uint8)  # first: raises for more pairs than can be
             buffers = [scene.new(count, dtype=torch.int32) for _ in range(4)]
             self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), *buffers)
@@ -80,6 +84,7 @@ class CudaWorkspace:
             self.stats.gaussians_drawn += int((self.keys != -1).sum())
         self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, sorted_keys, indices, temporary,
                                counts, ends, scan, *buffers, self.lists, sort)
+        return True
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
         _core.cuda.composite_dense(self.native, self.image, self.ranges.data_ptr(), self.pairs,

@@ -38,7 +38,7 @@ BAD_SCENES = {
 
 
 @pytest.mark.parametrize("case", BAD_SCENES)
-@pytest.mark.parametrize("method", ["direct", "classic"])
+@pytest.mark.parametrize("method", ["direct", "sorted", "classic"])
 def test_encode_refuses(case, method):
     change, field = BAD_SCENES[case]
     with pytest.raises(InputError, match=field) as caught:
@@ -68,7 +68,7 @@ def test_a_batch_is_not_encoded():
 
 def test_no_gaussians_give_the_background():
     empty = Gaussians(*(tensor[:0] for tensor in scene().fields().values()))
-    for method in ("direct", "classic"):
+    for method in ("direct", "sorted", "classic"):
         image = encode(empty, PANEL, RIG, method, background=(1, 0.5, 0), output="float32")
         assert image.tolist() == torch.tensor([1, 0.5, 0]).expand(16, 24, 3).tolist()
 

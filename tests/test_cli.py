@@ -100,10 +100,74 @@ def test_rig_and_gaussians_round_trip(folder, capsys):
 
 
 def test_methods_agree(folder, capsys):
-    for method in ("direct", "classic"):
+    for method in ("direct", "sorted", "classic"):
         run(capsys, f"encode s.ply -o {method}.exr --panel p.yaml --method {method}")
     error = np.abs(read_image("direct.exr") - read_image("classic.exr"))
     assert np.quantile(error, 0.999) < 1 / 255
+    assert np.abs(read_image("sorted.exr") - read_image("classic.exr")).max() < 1 / 255
+
+
+def cameras_json(path, cameras, **changes):
+    fields = {name: getattr(cameras, name).tolist() for name in ("world_to_camera", "focal_px", "principal_point_px")}
+    path.write_text(json.dumps({**fields, **changes}))
+
+
+def test_sorted_takes_cameras_a_view_map_and_a_budget(folder, capsys):
+    from lightfield_gs.rendering import encode
+    from sorted_cases import random_map, toe_in
+
+    cameras, table = toe_in(PANEL, 7), random_map(PANEL, 7, 1)
+    cameras_json(folder / "c.json", cameras)
+    np.save("m.npy", table)
+    run(capsys, "encode s.ply -o o.exr --panel p.yaml --method sorted --cameras c.json --view-map m.npy "
+                "--memory-budget 500KB --device cpu")
+    expected = encode(Gaussians.load("s.ply"), PANEL, None, "sorted", cameras=cameras, view_map=table, output="float32")
+    assert np.array_equal(read_image("o.exr"), expected.numpy())
+    metadata = read_info("o.exr").metadata
+    assert "rig" not in metadata
+    made = json.loads(metadata["encoding"])
+    for name, file in (("cameras", "c.json"), ("view_map", "m.npy")):
+        assert made[name] == {"file": file, "sha256": hashlib.sha256((folder / file).read_bytes()).hexdigest()}
+    run(capsys, "encode s.ply -o v.png --panel p.yaml --method sorted --view-map m.npy --preview v")
+    assert (folder / "v/views.png").exists()
+
+
+@pytest.mark.parametrize("change, words", [
+    ({"focal_px": None}, "focal_px.*\\[N, 2\\]"), ({"focal_px": [[1, 2], [3]]}, "focal_px.*lengths"),
+    ({"focal_px": [["1", "2"]] * 12}, "focal_px"), ({"focal_px": [[0, 5]] * 12}, "focal_px must be > 0"),
+    ({"principal_point_px": [[1, 2]] * 11}, "same number"), ({"focal_px": [[10**400, 1]] * 12}, "focal_px"),
+    ({"principal_point_px": [[1, float("nan")]] * 12}, "finite"),
+    ({"principal_point_px": [[True, False]] * 12}, "principal_point_px"),
+    ({"world_to_camera": [[[2.0, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]] * 12}, "rotation"),
+    ({"world_to_camera": [[[1e300] * 4] * 4] * 12}, "rotation"), ({"world_to_camera": []}, r"got float64 \[0\]"),
+    ({"fx": 1}, "unknown key 'fx'")])
+def test_cameras_that_make_no_sense(folder, capsys, change, words):
+    from sorted_cases import toe_in
+
+    cameras_json(folder / "c.json", toe_in(PANEL, 12), **change)
+    error = complaint(capsys, "encode s.ply -o o.png --panel p.yaml --method sorted --cameras c.json")
+    assert "c.json" in error and re.search(words, error) and not (folder / "o.png").exists()
+
+
+def test_view_maps_that_are_none(folder, capsys):
+    good = np.zeros((60, 96, 3), np.int32)
+    np.save("m.npy", good)
+    stored = (folder / "m.npy").read_bytes()
+    random = np.random.default_rng(0)
+    files = {"empty": b"", "text": b"hello", "cut": stored[:-1], "header only": stored[:128], "zip": b"PK\3\4" + stored}
+    for index in range(60):
+        damaged = bytearray(stored[:300])
+        for place in random.integers(0, 128, 3):
+            damaged[place] = random.integers(0, 256)
+        files[f"damaged {index}"] = bytes(damaged)
+    np.save("o.npy", np.array([{}], object), allow_pickle=True)
+    np.save("f.npy", good.astype(np.float32))
+    np.save("r.npy", good + 12)
+    files |= {name: (folder / f"{name[0]}.npy").read_bytes() for name in ("object", "float", "range")}
+    for name, content in files.items():
+        (folder / "m.npy").write_bytes(content)
+        error = complaint(capsys, "encode s.ply -o o.png --panel p.yaml --method sorted --view-map m.npy")
+        assert "m.npy" in error and not (folder / "o.png").exists(), name
 
 
 def test_metadata(folder, capsys):
@@ -195,6 +259,18 @@ def columns_of(picture: np.ndarray) -> float:
     ("encode no.ply -o o.png", "cannot read"), ("encode no.jpg -o o.png", "cannot read"),
     ("encode text.png -o o.png", "not an image"), ("encode cut.ply -o o.png", "cut"),
     ("encode scene.spz -o o.png", "SPZ"), ("encode s.ply -o o.png --mask m.png", "--mask is for photos"),
+    ("encode s.ply -o o.png --cameras c.json", "for --method sorted"),
+    ("encode s.ply -o o.png --method classic --view-map m.npy", "for --method sorted"),
+    ("encode s.ply -o o.png --memory-budget 1GB", "for --method sorted"),
+    ("encode s.ply -o o.png --method sorted --memory-budget 1000", "256MB"),
+    ("encode s.ply -o o.png --method sorted --memory-budget 0MB", "256MB"),
+    ("encode s.ply -o o.png --method sorted --memory-budget 1KB", "too few"),
+    ("encode s.ply -o o.png --method sorted --cameras no.json", "cannot read"),
+    ("encode s.ply -o o.png --method sorted --cameras text.png", "not JSON"),
+    ("encode s.ply -o o.png --method sorted --cameras c.json --save-rig r.yaml", "leave out one"),
+    ("encode s.ply -o o.png --method sorted --cameras c.json --rig r.yaml", "leave out one"),
+    ("encode s.ply -o o.png --method sorted --view-map no.npy", "cannot read"),
+    ("encode s.ply -o o.png --device tpu", "invalid choice"),
     ("encode s.ply -o o.png --method guess", "invalid choice"), ("encode s.ply -o o.png --views all", "invalid choice"),
     ("encode s.ply -o o.png --background 1,2,3", "0..1"), ("encode s.ply -o o.png --background -1,0,0", "0..1"),
     ("encode s.ply -o o.png --background red", "3 numbers"),
@@ -233,6 +309,11 @@ def test_complaints_are_one_line_and_leave_nothing(folder, capsys, line, words):
     after = {path.name for path in folder.iterdir()}
     # A preview that cannot be made comes after the image, which is whole.
     assert after - before <= ({"o.png"} if "--preview" in line else set())
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_cuda_is_asked_for_in_vain(folder, capsys):
+    assert "needs a GPU" in complaint(capsys, "encode s.ply -o o.png --panel p.yaml --device cuda")
 
 
 def test_interrupt(folder, capsys, monkeypatch):

@@ -16,5 +16,6 @@ T* at(Address address) {
 }
 
 void bind_lens_frame(pybind11::module_ m);  // of the CUDA backend
+void bind_sorted(pybind11::module_ root);   // after the types of module.cpp
 
 }  // namespace lfgs

@@ -133,6 +133,10 @@ void bind_cuda(py::module_ m) {
              return cuda::Image{count, width_px, height_px, lens ? cuda::kLensTile : cuda::kDenseTile};
            }),
            py::arg("count"), py::arg("width_px"), py::arg("height_px"), py::arg("lens"))
+      .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, const SubpixelTile& tile) {
+             return cuda::Image{count, width_px, height_px, {tile.width_px, tile.height_px()}};
+           }),
+           py::arg("count"), py::arg("width_px"), py::arg("height_px"), py::arg("tile"))
       .def("tiles", [](const cuda::Image& i) { return i.count * cuda::tile_count(i.tile, i.width_px, i.height_px); });
   m.def("project_dense", [as_const](const G& g, const Cameras<float>& cameras, const Splats<float>& out, Address keys,
                                     Address stream) {
@@ -287,4 +291,5 @@ PYBIND11_MODULE(_core, m) {
   bind_cuda(cuda_module);
   bind_lens_frame(cuda_module);
 #endif
+  bind_sorted(m);
 }

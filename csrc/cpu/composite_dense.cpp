@@ -1,7 +1,6 @@
 // Stage composite for ordinary images, and its reverse. A work item is one band of one image; a band is cut into tiles,
 // a tile into patches of one vector each (4 columns, as many rows as fit); splats come nearest first.
 #include <algorithm>
-#include <cstring>
 #include <iterator>
 #include <vector>
 
@@ -14,7 +13,7 @@
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
-#include "math/blend-inl.h"
+#include "cpu/patches-inl.h"
 
 #ifndef LFGS_COMPOSITE_DENSE_ONCE
 #define LFGS_COMPOSITE_DENSE_ONCE
@@ -48,14 +47,12 @@ struct DenseTile {
   static constexpr int kLanes = int(hn::MaxLanes(D()));
   static constexpr int kColumns = kLanes < 4 ? kLanes : 4, kRows = kLanes / kColumns;
   static constexpr int kSide = kBandRows, kAcross = kSide / kColumns;
-  static constexpr int kSamples = kSide * kSide, kPatches = kSamples / kLanes, kWords = (kPatches + 63) / 64;
+  static constexpr int kSamples = kSide * kSide, kPatches = kSamples / kLanes;
 
-  alignas(64) T x[kSamples], y[kSamples];                 // pixel centres from the tile's corner
-  alignas(64) T patch_x[kPatches], patch_y[kPatches];     // middles of the patches
+  alignas(64) T x[kSamples], y[kSamples];  // pixel centres from the tile's corner
   alignas(64) T value[4][kSamples], transmittance[kSamples], rest[kSamples];  // r, g, b, depth
   alignas(64) T gradient[4][kSamples], total[kSamples], prefix[kSamples];
-  uint64_t open[kWords];     // bit per patch: some sample still takes light
-  uint64_t touched[kWords];  // by the splat at hand
+  Patches<T, kPatches> patches;
   int64_t image, x0, y0;
 
   DenseTile() {
@@ -63,17 +60,16 @@ struct DenseTile {
       const int patch = i / kLanes, lane = i % kLanes;
       x[i] = T(patch % kAcross * kColumns + lane % kColumns) + T(0.5);
       y[i] = T(patch / kAcross * kRows + lane / kColumns) + T(0.5);
-      patch_x[patch] = T(patch % kAcross * kColumns) + T(0.5) * kColumns;
-      patch_y[patch] = T(patch / kAcross * kRows) + T(0.5) * kRows;
+      patches.x[patch] = T(patch % kAcross * kColumns) + T(0.5) * kColumns;
+      patches.y[patch] = T(patch / kAcross * kRows) + T(0.5) * kRows;
+      patches.half_x[patch] = T(0.5) * T(kColumns - 1), patches.half_y[patch] = T(0.5) * T(kRows - 1);
     }
   }
 
   void move_to(int64_t image_, int64_t x0_, int64_t y0_) {
     image = image_, x0 = x0_, y0 = y0_;
-    std::fill(open, open + kWords, kPatches >= 64 ? ~0ull : (1ull << kPatches % 64) - 1);
+    patches.reopen(kPatches);
   }
-  bool closed() const { return std::all_of(open, open + kWords, [](uint64_t w) { return w == 0; }); }
-  void close(int patch) { open[patch / 64] &= ~(1ull << patch % 64); }
 
   // Calls visit(sample, index of its pixel) for the tile's samples inside the image.
   template <class Visit>
@@ -83,61 +79,18 @@ struct DenseTile {
       if (column < width && row < height) visit(i, (image * height + row) * width + column);
     }
   }
-
-  // Marks the open patches that a splat may touch, (u, v) being its centre from the tile's corner; returns how many.
-  HWY_INLINE int find(const Splat<T>& s, T u, T v) {
-    const D d;
-    const T half_x = T(0.5) * T(kColumns - 1), half_y = T(0.5) * T(kRows - 1), margin = T(0.01);
-    const V spread = hn::Set(d, half_x + half_y * std::abs(s.c0) + margin);
-    int count = 0;
-    std::fill(touched, touched + kWords, 0);
-    for (int p = 0; p < kPatches; p += kLanes) {
-      const V middle = hn::Sub(hn::Load(d, patch_y + p), hn::Set(d, v));
-      const V nearest = hn::Max(hn::Sub(hn::Abs(middle), hn::Set(d, half_y)), hn::Zero(d));
-      const V exponent = hn::NegMulAdd(hn::Mul(hn::Set(d, s.tau), nearest), nearest,
-                                       hn::Set(d, s.log2_opacity - T(kLog2MinAlpha) + T(1e-3)));
-      const V centre = hn::MulAdd(hn::Set(d, s.c0), middle, hn::Set(d, u));
-      const V distance = hn::Max(hn::Sub(hn::Abs(hn::Sub(hn::Load(d, patch_x + p), centre)), spread), hn::Zero(d));
-      const auto near = hn::Le(hn::Mul(distance, distance), hn::Mul(exponent, hn::Set(d, s.S0)));
-      const auto hit = hn::And(near, hn::Ge(exponent, hn::Zero(d)));
-      alignas(8) uint8_t bits[8] = {};
-      hn::StoreMaskBits(d, hit, bits);
-      uint64_t word;
-      std::memcpy(&word, bits, 8);
-      touched[p / 64] |= word << p % 64 & open[p / 64];
-    }
-    for (int w = 0; w < kWords; ++w) count += __builtin_popcountll(touched[w]);
-    return count;
-  }
-
-  // Calls visit(patch) for the patches that find marked.
-  template <class Visit>
-  HWY_INLINE void for_each_touched(const Visit& visit) const {
-    for (int w = 0; w < kWords; ++w)
-      for (uint64_t todo = touched[w]; todo; todo &= todo - 1) visit(64 * w + __builtin_ctzll(todo));
-  }
 };
 
-// A splat's constants as the samples of a tile read them.
+// A splat as the samples of a tile read it.
 template <class T>
-struct DenseSplat {
-  using D = Tag<T>;
-  using V = hn::Vec<D>;
-  V u, v, c0, tau, log2_opacity, inverse_S;
+struct DenseSplat : SplatTerms<T> {
+  using typename SplatTerms<T>::V;
   V channel[4];  // r, g, b, depth
 
-  HWY_INLINE DenseSplat(const Splat<T>& s, const T* colour, T u_, T v_) {
-    const D d;
-    u = hn::Set(d, u_), v = hn::Set(d, v_), c0 = hn::Set(d, s.c0), tau = hn::Set(d, s.tau);
-    log2_opacity = hn::Set(d, s.log2_opacity), inverse_S = hn::Set(d, T(1) / s.S0);
+  HWY_INLINE DenseSplat(const Splat<T>& s, const T* colour, T u, T v) : SplatTerms<T>(s, u, v) {
+    const Tag<T> d;
     channel[0] = hn::Set(d, colour[0]), channel[1] = hn::Set(d, colour[1]), channel[2] = hn::Set(d, colour[2]);
     channel[3] = hn::Set(d, s.depth);
-  }
-  // log2 of opacity * weight; also the sample's place in the footprint.
-  HWY_INLINE V power(V x, V y, V& dx, V& dy) const {
-    dy = hn::Sub(y, v);
-    dx = hn::NegMulAdd(c0, dy, hn::Sub(x, u));
-    return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::NegMulAdd(hn::Mul(tau, dy), dy, log2_opacity));
   }
 };
 
@@ -146,24 +99,14 @@ void ForwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s) {
   using Tile = DenseTile<T>;
   using V = typename Tile::V;
   const Tag<T> d;
-  tile.for_each_touched([&](int patch) HWY_ATTR {
+  tile.patches.for_each_touched([&](int patch) HWY_ATTR {
     const int i = patch * Tile::kLanes;
     V dx, dy;
     const V alpha = Alpha(d, s.power(hn::Load(d, tile.x + i), hn::Load(d, tile.y + i), dx, dy));
-    const V before = hn::Load(d, tile.transmittance + i);
-    V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
-
-    // A sample whose transmittance would fall too low ends here: what it still lets through is kept for the end
-    const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
-    if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
-      hn::BlendedStore(before, hn::And(stop, hn::Gt(before, hn::Zero(d))), d, tile.rest + i);
-      weight = hn::IfThenZeroElse(stop, weight);
-      after = hn::IfThenZeroElse(stop, after);
-      if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.close(patch);
-    }
+    V weight;
+    if (HWY_UNLIKELY(Over(d, alpha, tile.transmittance + i, tile.rest + i, weight))) tile.patches.close(patch);
     for (int k = 0; k < 4; ++k)
       hn::Store(hn::MulAdd(weight, s.channel[k], hn::Load(d, tile.value[k] + i)), d, tile.value[k] + i);
-    hn::Store(after, d, tile.transmittance + i);
   });
 }
 
@@ -176,7 +119,7 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
   const Tag<T> d;
   SplatSums<Tag<T>> sums(d);
   V g_channel[4] = {hn::Zero(d), hn::Zero(d), hn::Zero(d), hn::Zero(d)};
-  tile.for_each_touched([&](int patch) HWY_ATTR {
+  tile.patches.for_each_touched([&](int patch) HWY_ATTR {
     const int i = patch * Tile::kLanes;
     V dx, dy;
     const V power = s.power(hn::Load(d, tile.x + i), hn::Load(d, tile.y + i), dx, dy);
@@ -186,7 +129,7 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
     const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
     hn::Store(hn::IfThenZeroElse(stop, after), d, tile.transmittance + i);
     alpha = hn::IfThenZeroElse(stop, alpha);
-    if (HWY_UNLIKELY(hn::AllTrue(d, stop))) tile.close(patch);
+    if (HWY_UNLIKELY(hn::AllTrue(d, stop))) tile.patches.close(patch);
 
     const V weight = hn::Mul(alpha, before);
     V v = hn::Zero(d);
@@ -269,10 +212,10 @@ void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, Dense
       BeginBackward(job, tile, job.band_background + 3 * item);
     else
       BeginForward(tile);
-    for (const int32_t* id = lists.begin(t); id != lists.end(t) && !tile.closed(); ++id) {
+    for (const int32_t* id = lists.begin(t); id != lists.end(t) && !tile.patches.closed(); ++id) {
       const Splat<T>& splat = splats[*id];
       const T u = splat.u0 - T(tile.x0), v = splat.v0 - T(y0);
-      const int found = tile.find(splat, u, v);
+      const int found = tile.patches.find(splat, u, v);
       if (found == 0) continue;
       counters.evaluations += found * Tile::kLanes;
       const int64_t index = image * job.splats.count + *id;

@@ -53,7 +53,8 @@ struct Pairs {
   uint32_t *slots, *sorted_slots;         // 0, 1, 2, ...; the slot of each sorted pair
   uint32_t *slot_splats, *sorted_splats;  // splat of each slot; of each sorted pair
 };
-LFGS_HD uint32_t splat_of(const Pairs& pairs, int64_t sorted_pair) { return pairs.sorted_splats[sorted_pair]; }
+// The splat of the k-th pair in the order of `ranges`.
+LFGS_HD uint32_t splat_of(const Pairs& pairs, int64_t k) { return pairs.sorted_splats[k]; }
 // The slots of one splat, [first, last).
 struct SlotRange {
   uint32_t first, last;
@@ -70,6 +71,10 @@ void composite_dense(const Splats<float>& splats, const Image& image, const int6
                      const float* background, DenseImages<float> out, Stream stream);
 void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                     const Lens& lens, const float* background, float* out, uint8_t* out8, Stream stream);
+// order [image.count * tiles]: the (view, tile) lists by falling work. Writes to out, or where that is null to out8.
+void composite_sorted(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                      const SubpixelLists& lists, const int64_t* order, const float* background, float* out,
+                      uint8_t* out8, Stream stream);
 
 // --- the reverses. Every slot is written by one block in a fixed order, and sums run in slot order: the same
 // bits in every run. slot_gradients [pairs, kDenseSums]; tile_background [I * tiles, 3].

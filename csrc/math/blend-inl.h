@@ -19,12 +19,12 @@ namespace lfgs {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-// The tag of each precision: as many float lanes as the machine has, one double lane.
+// The tag of each precision: as many float lanes as the machine has, 16 at most; one double lane.
 template <class T>
 struct TagOf;
 template <>
 struct TagOf<float> {
-  using type = hn::ScalableTag<float>;
+  using type = hn::CappedTag<float, 16>;
 };
 template <>
 struct TagOf<double> {
@@ -81,6 +81,27 @@ HWY_INLINE hn::Vec<D> Alpha(D d, hn::Vec<D> power) {
   using T = hn::TFromD<D>;
   const auto alpha = hn::Min(Exp2(d, power), hn::Set(d, T(kMaxAlpha)));
   return hn::IfThenElseZero(hn::Ge(power, hn::Set(d, T(kLog2MinAlpha))), alpha);
+}
+
+// One splat over a vector of samples: `weight` is its share of the light of each, which their transmittances lose. A
+// sample whose transmittance would fall too low ends here: what it still lets through is kept in `rest` for the
+// background. Returns whether a sample ended and with it the last of the vector.
+template <class D>
+HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmittance, hn::TFromD<D>* HWY_RESTRICT rest,
+                     hn::Vec<D>& weight) {
+  const auto before = hn::Load(d, transmittance);
+  weight = hn::Mul(alpha, before);
+  auto after = hn::Sub(before, weight);
+  bool done = false;
+  const auto stop = hn::Lt(after, hn::Set(d, hn::TFromD<D>(kMinTransmittance)));
+  if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
+    hn::BlendedStore(before, hn::And(stop, hn::Gt(before, hn::Zero(d))), d, rest);
+    weight = hn::IfThenZeroElse(stop, weight);
+    after = hn::IfThenZeroElse(stop, after);
+    done = hn::AllTrue(d, hn::Eq(after, hn::Zero(d)));
+  }
+  hn::Store(after, d, transmittance);
+  return done;
 }
 
 // Gradient sums of one splat over the samples it touches, a vector each; see Splat for the fields.

@@ -11,6 +11,7 @@
 #include "math/projection.h"
 #include "scene/gaussians.h"
 #include "scene/lens.h"
+#include "scene/subpixels.h"
 #include "scene/view.h"
 
 namespace lfgs {
@@ -66,6 +67,13 @@ struct DenseImages {
   T* depth = nullptr;  // [I, H, W] sum of weight * z
 };
 
+// --- plan of sorted sub-pixels: count writes how many show each (view, tile), counts [V * tiles]; fill writes the
+// codes of SubpixelLists. places [map.views]: the place of each view among the V that have lists, or -1.
+void plan_sorted_count(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t views,
+                       int32_t* counts, int threads);
+void plan_sorted_fill(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t views,
+                      const int64_t* starts, uint16_t* codes, int threads);
+
 // --- project; project_dense writes colours whole, zeros where nothing is drawn
 template <class T>
 void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads);
@@ -108,6 +116,12 @@ template <class T>
 Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
                                   DenseImages<const T> images, DenseImages<const T> gradients,
                                   const int64_t* first_pair, T* pair_gradients, T* band_background, int threads);
+
+// One channel of one sample a sub-pixel, each view by its own camera: image i is the i-th view of the lists. Writes
+// to out, or where that is null to out8 as round(255 clamp(c, 0, 1)); background [3].
+template <class T>
+Counters composite_sorted(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const SubpixelLists& lists,
+                          const T* background, T* out, uint8_t* out8, int threads);
 
 // The pixel type of out: 0: T, 1: uint8 = round(255 clamp(c, 0, 1)).
 template <class T>

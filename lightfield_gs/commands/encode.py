@@ -6,7 +6,7 @@ import argparse
 import hashlib
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,7 @@ def run(args: argparse.Namespace) -> None:
     for path in (args.save_rig, args.save_gaussians):
         if path is not None:
             check_output_path(path)
+    _check_options(args)
     panel = Panel.load(args.panel)
     import torch
 
@@ -38,13 +39,18 @@ def run(args: argparse.Namespace) -> None:
 
     if args.threads is not None:
         _use_threads(args.threads)
+    device = _device(args.device)
     rig = None if args.rig is None else Rig.from_yaml(args.rig)
+    views = _views(args, panel)
     watch.lap("start")
     with torch.inference_mode():
-        gaussians, rig = _scene(args, panel, rig, watch)
+        gaussians, camera = _scene(args, device, watch)
+        if rig is None and "cameras" not in views:
+            rig = Rig.frame(gaussians, panel, camera)
         stats: dict = {}
         image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
-                       output="uint8" if bits == 8 else "float32", threads=args.threads, stats=stats).numpy()
+                       output="uint8" if bits == 8 else "float32", threads=args.threads, stats=stats, **views)
+        image = image.cpu().numpy()
         watch.lap("image", stats["stages_ms"])
         write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig), args.compression)
         if args.save_rig is not None:
@@ -61,30 +67,67 @@ def run(args: argparse.Namespace) -> None:
     print(watch.line())
 
 
-def _scene(args: argparse.Namespace, panel: Panel, rig: "Rig | None",
-           watch: Stopwatch) -> "tuple[Gaussians, Rig]":
-    """The Gaussians of the input and a rig for them."""
-    from lightfield_gs.gaussians import Gaussians
-    from lightfield_gs.rig import Rig
+def _check_options(args: argparse.Namespace) -> None:
+    """Raises InputError where options do not go together."""
+    if args.method != "sorted":
+        for option, value in (("--cameras", args.cameras), ("--view-map", args.view_map),
+                              ("--memory-budget", args.memory_budget)):
+            if value is not None:
+                raise InputError(f"{option} is for --method sorted, not {args.method}")
+    if args.cameras is not None:
+        for option, value in (("--rig", args.rig), ("--save-rig", args.save_rig), ("--preview", args.preview)):
+            if value is not None:
+                raise InputError(f"{option} is about a rig, and --cameras takes its place; leave out one of them")
 
-    camera = None
+
+def _device(name: str) -> str:
+    """cpu or cuda. Raises InputError where cuda is asked for and cannot be had."""
+    import torch
+
+    from lightfield_gs import build_info
+
+    usable = "cuda" in build_info()["devices"] and torch.cuda.is_available()
+    if name == "cuda" and not usable:
+        raise InputError("--device cuda: needs a GPU, a torch that uses it, and a build that found nvcc (LFGS_CUDA=ON "
+                         "insists on it); use --device cpu")
+    return "cuda" if usable and name != "cpu" else "cpu"
+
+
+def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
+    """The arguments of `encode` that only the method sorted has, those that were given."""
+    from lightfield_gs.io.view_files import read_cameras, read_view_map
+
+    views: dict[str, Any] = {}
+    if args.cameras is not None:
+        views["cameras"] = read_cameras(args.cameras, panel)
+    if args.view_map is not None:
+        count = views["cameras"].count if "cameras" in views else panel.views
+        views["view_map"] = read_view_map(args.view_map, panel, count)
+    if args.memory_budget is not None:
+        views["memory_budget"] = args.memory_budget
+    return views
+
+
+def _scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":
+    """The Gaussians of the input, and the pose of its camera if it has one."""
+    from lightfield_gs.gaussians import Gaussians
+
     if args.input.suffix.lower() in _SCENE_SUFFIXES:
         for option, value in (("--mask", args.mask), ("--checkpoint", args.checkpoint)):
             if value is not None:
                 raise InputError(f"{option} is for photos, and {args.input} is a file of Gaussians; leave it out")
-        gaussians = Gaussians.load(args.input)
+        gaussians = Gaussians.load(args.input).to(device)
         watch.lap("load")
-    else:
-        from lightfield_gs.io.photo import load_photo
-        from lightfield_gs.models import SplatterNet
+        return gaussians, None
+    from lightfield_gs.io.photo import load_photo
+    from lightfield_gs.models import SplatterNet
 
-        photo = load_photo(args.input, args.mask)
-        network = SplatterNet.from_pretrained(args.checkpoint)
-        watch.lap("load")
-        gaussians = network.predict(photo)
-        watch.lap("network")
-        camera = np.eye(4)  # the photo's own
-    return gaussians, rig or Rig.frame(gaussians, panel, camera)
+    photo = load_photo(args.input, args.mask)
+    network = SplatterNet.from_pretrained(args.checkpoint).to(device)
+    watch.lap("load")
+    gaussians = network.predict(photo)
+    watch.lap("network")
+    return gaussians, np.eye(4)
 
 
 def _bits(path: Path, bit_depth: int | None) -> int:
@@ -113,13 +156,18 @@ def _use_threads(threads: int) -> None:
     oiio.attribute("threads", threads)
 
 
-def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel, rig: "Rig") -> dict[str, str]:
+def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
+              rig: "Rig | None") -> dict[str, str]:
     """What the image was made from and by; the values but "software" and "input" are JSON."""
     scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
     encoding = {"method": args.method, "views": args.views, "background": list(args.background)}
+    for name, path in (("cameras", args.cameras), ("view_map", args.view_map)):
+        if path is not None:
+            encoding[name] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     versions = package_versions()
+    maker = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
     return {"software": f"lightfield-gs {versions['lightfield-gs']}", "input": args.input.name,
-            "panel": json.dumps(panel.to_dict()), "rig": json.dumps(rig.to_dict()), "scene": json.dumps(scene),
+            "panel": json.dumps(panel.to_dict()), **maker, "scene": json.dumps(scene),
             "encoding": json.dumps(encoding), "versions": json.dumps(versions)}
 
 

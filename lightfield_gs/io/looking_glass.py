@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.json_file import read_object
 
 _LIMIT_BYTES = 1 << 20
 
@@ -21,7 +21,7 @@ def panel_fields(source: str | Path | dict[str, Any], views: int) -> dict[str, A
     Raises InputError when the file cannot be read, or a value is missing or makes no sense.
     """
     where = "Looking Glass calibration" if isinstance(source, dict) else str(source)
-    data = source if isinstance(source, dict) else _read_json(Path(source))
+    data = source if isinstance(source, dict) else read_object(source, _LIMIT_BYTES)
     pitch, slope, center, dpi, width, height = (
         _number(data, key, where) for key in ("pitch", "slope", "center", "DPI", "screenW", "screenH"))
     if pitch <= 0 or dpi <= 0 or abs(slope) < 0.1:
@@ -40,20 +40,6 @@ def panel_fields(source: str | Path | dict[str, Any], views: int) -> dict[str, A
         if key in data and _number(data, key, where):
             raise InputError(f"{where}: {key} is set; mirrored displays are not supported, turn the display instead")
     return fields
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > _LIMIT_BYTES:
-            raise InputError(f"{path}: {path.stat().st_size} bytes is too long for a visual.json")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON: {' '.join(str(error).split())[:200]}") from error
-    if not isinstance(data, dict):
-        raise InputError(f"{path}: expected an object of calibration values, got {type(data).__name__}")
-    return data
 
 
 def _number(data: dict[str, Any], key: str, where: str) -> float:

@@ -1,0 +1,102 @@
+// Samples of one camera in patches, a vector each: which patches a splat may touch, and what it is at their samples.
+
+#if defined(LFGS_CPU_PATCHES_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_PATCHES_INL_H_
+#undef LFGS_CPU_PATCHES_INL_H_
+#else
+#define LFGS_CPU_PATCHES_INL_H_
+#endif
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "hwy/highway.h"
+#include "math/blend-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lfgs {
+namespace HWY_NAMESPACE {
+
+// The boxes around the sample centres of kCount patches, from the tile's corner, and which of them are still open.
+template <class T, int kCount>
+struct Patches {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  static constexpr int kLanes = int(hn::MaxLanes(D())), kWords = (kCount + 63) / 64;
+  static_assert(kCount % kLanes == 0);
+
+  alignas(64) T x[kCount] = {}, y[kCount] = {}, half_x[kCount] = {}, half_y[kCount] = {};
+  uint64_t open[kWords];     // bit per patch: some sample still takes light
+  uint64_t touched[kWords];  // by the splat at hand
+
+  // Opens the first `count` patches.
+  void reopen(int count) {
+    for (int w = 0; w < kWords; ++w) {
+      const int bits = std::clamp(count - 64 * w, 0, 64);
+      open[w] = bits == 64 ? ~0ull : (1ull << bits) - 1;
+    }
+  }
+  bool closed() const { return std::all_of(open, open + kWords, [](uint64_t w) { return w == 0; }); }
+  void close(int patch) { open[patch / 64] &= ~(1ull << patch % 64); }
+
+  // Marks the open patches that a splat may touch, (u, v) being its centre from the tile's corner; returns how many.
+  HWY_INLINE int find(const Splat<T>& s, T u, T v) {
+    const D d;
+    const V slope = hn::Set(d, std::abs(s.c0)), margin = hn::Set(d, T(0.01));
+    int count = 0;
+    std::fill(touched, touched + kWords, 0);
+    for (int p = 0; p < kCount; p += kLanes) {
+      const V half = hn::Load(d, half_y + p);
+      const V middle = hn::Sub(hn::Load(d, y + p), hn::Set(d, v));
+      const V nearest = hn::Max(hn::Sub(hn::Abs(middle), half), hn::Zero(d));
+      const V exponent = hn::NegMulAdd(hn::Mul(hn::Set(d, s.tau), nearest), nearest,
+                                       hn::Set(d, s.log2_opacity - T(kLog2MinAlpha) + T(1e-3)));
+      const V centre = hn::MulAdd(hn::Set(d, s.c0), middle, hn::Set(d, u));
+      const V spread = hn::Add(hn::MulAdd(half, slope, hn::Load(d, half_x + p)), margin);
+      const V distance = hn::Max(hn::Sub(hn::Abs(hn::Sub(hn::Load(d, x + p), centre)), spread), hn::Zero(d));
+      const auto near = hn::Le(hn::Mul(distance, distance), hn::Mul(exponent, hn::Set(d, s.S0)));
+      const auto hit = hn::And(near, hn::Ge(exponent, hn::Zero(d)));
+      alignas(8) uint8_t bits[8] = {};
+      hn::StoreMaskBits(d, hit, bits);
+      uint64_t word;
+      std::memcpy(&word, bits, 8);
+      touched[p / 64] |= word << p % 64 & open[p / 64];
+    }
+    for (int w = 0; w < kWords; ++w) count += __builtin_popcountll(touched[w]);
+    return count;
+  }
+
+  // Calls visit(patch) for the patches that find marked.
+  template <class Visit>
+  HWY_INLINE void for_each_touched(const Visit& visit) const {
+    for (int w = 0; w < kWords; ++w)
+      for (uint64_t todo = touched[w]; todo; todo &= todo - 1) visit(64 * w + __builtin_ctzll(todo));
+  }
+};
+
+// A splat's constants as the samples of a tile read them, a vector each.
+template <class T>
+struct SplatTerms {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  V u, v, c0, tau, log2_opacity, inverse_S;
+
+  HWY_INLINE SplatTerms(const Splat<T>& s, T u_, T v_) {
+    const D d;
+    u = hn::Set(d, u_), v = hn::Set(d, v_), c0 = hn::Set(d, s.c0), tau = hn::Set(d, s.tau);
+    log2_opacity = hn::Set(d, s.log2_opacity), inverse_S = hn::Set(d, T(1) / s.S0);
+  }
+  // log2 of opacity * weight; also the sample's place in the footprint.
+  HWY_INLINE V power(V x, V y, V& dx, V& dy) const {
+    dy = hn::Sub(y, v);
+    dx = hn::NegMulAdd(c0, dy, hn::Sub(x, u));
+    return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::NegMulAdd(hn::Mul(tau, dy), dy, log2_opacity));
+  }
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lfgs
+HWY_AFTER_NAMESPACE();
+
+#endif  // LFGS_CPU_PATCHES_INL_H_
