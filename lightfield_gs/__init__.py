@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lightfield_gs.cameras import Cameras
+    from lightfield_gs.encoder import Encoder
     from lightfield_gs.errors import InputError
     from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.models import SplatterNet
@@ -16,9 +17,9 @@ if TYPE_CHECKING:
     from lightfield_gs.sorted_plan import SortedPlan
 
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
-_HOMES = {"Cameras": "cameras", "Gaussians": "gaussians", "InputError": "errors", "Panel": "panel", "Rig": "rig",
-          "SortedPlan": "sorted_plan", "SplatterNet": "models", "encode": "rendering", "interlace": "rendering",
-          "render": "rendering"}
+_HOMES = {"Cameras": "cameras", "Encoder": "encoder", "Gaussians": "gaussians", "InputError": "errors",
+          "Panel": "panel", "Rig": "rig", "SortedPlan": "sorted_plan", "SplatterNet": "models", "encode": "rendering",
+          "interlace": "rendering", "render": "rendering"}
 __all__ = [*_HOMES, "build_info"]
 __version__ = "0.1.0"
 

@@ -103,9 +103,13 @@ class FrameKind:
         """Has the frame's state copied to the host, for adapt."""
         self.host.copy_(frame.copy_state(), non_blocking=True)
         if not torch.cuda.is_current_stream_capturing():
-            event = torch.cuda.Event()
-            event.record()
-            self.noted = frame, event
+            self.mark(frame)
+
+    def mark(self, frame: Frame) -> None:
+        """The copy of the frame's state is under way: what follows on the stream comes after it."""
+        event = torch.cuda.Event()
+        event.record()
+        self.noted = frame, event
 
     def adapt(self) -> bool:
         """Reserves more, and says so, when the last noted frame has arrived and had not enough."""

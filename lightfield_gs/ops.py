@@ -166,7 +166,7 @@ render_dense_with_state.register_autograd(_dense_backward, setup_context=_dense_
 # Lens: the sub-pixels of a panel
 
 
-class _LensArguments:
+class LensArguments:
     """Arguments of render_lens, checked."""
 
     def __init__(self, means, quaternions, scales, opacities, sh, background, rig: list[float], lens: list[int],
@@ -188,7 +188,7 @@ class _LensArguments:
         return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
 
 
-def _lens_workspace(job: _LensArguments, stats: Stats, threads: int) -> Any:
+def _lens_workspace(job: LensArguments, stats: Stats, threads: int) -> Any:
     """The workspace of a light field after all stages up to the composite."""
     with job.scene.guard:
         with stats.stage("project"):
@@ -224,7 +224,7 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, stats: Stats | None = 
     """
     stats, threads = stats or Stats(), threads or torch.get_num_threads()
     with stats.stage("plan"):
-        job = _LensArguments(*arguments)
+        job = LensArguments(*arguments)
     if job.scene.tensors[0].is_cuda:
         return _draw_frame(job, as_bytes, stats)
     work = _lens_workspace(job, stats, threads)
@@ -234,7 +234,7 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, stats: Stats | None = 
     return out
 
 
-def frame_kind(job: _LensArguments) -> Any:
+def frame_kind(job: LensArguments) -> Any:
     """What frames of such arguments are known to need, on CUDA."""
     from lightfield_gs.frame_cuda import kind_of
 
@@ -242,7 +242,7 @@ def frame_kind(job: _LensArguments) -> Any:
     return kind_of(job.scene, job.numbers, job.rig, job.lens, orders, COLOUR_TOLERANCE)
 
 
-def _draw_frame(job: _LensArguments, as_bytes: bool, stats: Stats) -> Tensor:
+def _draw_frame(job: LensArguments, as_bytes: bool, stats: Stats) -> Tensor:
     with job.scene.guard:
         with stats.stage("plan"):
             kind = frame_kind(job)
@@ -268,7 +268,7 @@ def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     bgr, continuous. lens_shape: line_number, slant_tan, phase (sub-pixels), offset_start, offset_step (scene units).
     lightfield_gs.encode builds them from a Panel and a Rig. Raises InputError.
     """
-    job = _LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
+    job = LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
     work, out = _lens_workspace(job, Stats(), torch.get_num_threads()), job.image()
     with job.scene.guard:
         work.composite_lens(job.lens, job.background, out)
@@ -285,7 +285,7 @@ def render_lens_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opa
                          background: Tensor, rig: list[float], lens: list[int], lens_shape: list[float],
                          image: Tensor, g_image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Gradients of render_lens's first six arguments from its output and the gradient of that."""
-    job = _LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
+    job = LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
     image, g_image = (check(n, t, (job.height, job.width, 3), means) for n, t in (("image", image),
                                                                                  ("g_image", g_image)))
     work = _lens_workspace(job, Stats(), torch.get_num_threads())

@@ -45,7 +45,7 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
         raise InputError(f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
                          f"cameras {list(cameras.world_to_camera.shape)}")
     tensors = [t if batched else t.unsqueeze(0) for t in _tensors(gaussians)]
-    colour = _background(background, like).expand(*views[0].shape[:2], 3)
+    colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
     image, coverage, weighted_depth = torch.ops.lightfield_gs.render_dense(*tensors, colour, *views, cameras.width_px,
                                                                            cameras.height_px)
     out = [image]
@@ -79,9 +79,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
     Raises InputError.
     """
-    if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
-        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {tuple(OUTPUTS)}, got {method!r}, "
-                         f"{views!r} and {output!r}")
+    check_options(method, views, output)
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
     if gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing():
@@ -93,7 +91,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     _check_sorted_only(method, views, rig, cameras, view_map, memory_budget)
     precision = torch.float64 if output == "float64" else torch.float32
     gaussians = gaussians.to(dtype=precision)
-    colour = _background(background, gaussians.means).reshape(-1)
+    colour = background_tensor(background, gaussians.means).reshape(-1)
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "classic":
         image = _classic(gaussians, panel, rig, views, colour, output, threads, counters)
@@ -107,6 +105,13 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     if stats is not None:
         _report(counters, gaussians, panel, stats)
     return image
+
+
+def check_options(method: str, views: str, output: str) -> None:
+    """Raises InputError for what `encode` does not know."""
+    if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
+        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {tuple(OUTPUTS)}, got {method!r}, "
+                         f"{views!r} and {output!r}")
 
 
 def interlace(views: Tensor, panel: Panel) -> Tensor:
@@ -205,7 +210,8 @@ def _tensors(gaussians: Gaussians) -> list[Tensor]:
     return [gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh]
 
 
-def _background(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
+def background_tensor(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
+    """A background as a tensor [..., 3] of the dtype and on the device of `like`. Raises InputError."""
     if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
         return _constant_background(tuple(background), like.dtype, like.device)
     return _checked_background(background, like.dtype, like.device)

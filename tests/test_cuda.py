@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from lightfield_gs import Gaussians, InputError, Panel, Rig, _core, encode, frame_cuda, render
+from lightfield_gs import Encoder, Gaussians, InputError, Panel, Rig, _core, encode, frame_cuda, render
 from lightfield_gs.bench_scenes import cloud, sheet
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
@@ -93,6 +93,49 @@ def test_bytes_are_the_rounded_floats(scene):
     panel = Panel(**LENS)
     floats, bytes_ = (encode(on_gpu(scene), panel, rig(panel), output=output) for output in ("float32", "uint8"))
     assert torch.equal(bytes_, (255 * floats.clamp(0, 1) + 0.5).to(torch.uint8))
+
+
+@pytest.mark.parametrize("views", ["integer", "continuous"])
+def test_an_encoder_replays_frames(scene, views):
+    panel, scene = Panel(**LENS), on_gpu(scene)
+    encoder = Encoder(panel, rig(panel), views=views, background=BACKGROUND)
+    options = dict(views=views, background=BACKGROUND)
+    assert torch.equal(encoder(scene), encode(scene, panel, rig(panel), **options))
+    graph = encoder._captured.graph
+    scene.means[:, 2] += 0.3  # the same tensors with other values: replayed
+    assert torch.equal(encoder(scene), encode(scene, panel, rig(panel), **options))
+    assert encoder._captured.graph is graph
+    fewer = Gaussians(*(t[::2].contiguous() for t in scene.fields().values()))
+    assert torch.equal(encoder(fewer), encode(fewer, panel, rig(panel), **options))
+
+
+def test_an_encoder_makes_room_when_a_scene_grows(scene):
+    panel, scene = Panel(**LENS), on_gpu(scene)
+    encoder = Encoder(panel, rig(panel))
+    scene.scales.mul_(0.1)
+    encoder(scene)
+    scene.scales.mul_(30)
+    expected = encode(Gaussians(*(t.clone() for t in scene.fields().values())), panel, rig(panel))
+    for _ in range(3):
+        assert torch.equal(encoder(scene), expected)
+        torch.cuda.synchronize()
+    assert encoder._captured.kind.capacity >= encoder._captured.frame.state()["pairs"]
+
+
+def test_an_encode_can_be_captured_once_its_kind_is_known(scene):
+    panel, scene = Panel(**{**LENS, "views": 94}), on_gpu(scene)
+    encode(scene, Panel(**LENS), rig(panel))  # loads what is loaded late
+    graph = torch.cuda.CUDAGraph()
+    with pytest.raises(InputError, match="encode once before"):
+        with torch.cuda.graph(graph):
+            encode(scene, panel, rig(panel))
+    expected = encode(scene, panel, rig(panel))
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        image = encode(scene, panel, rig(panel))
+    image.zero_()
+    graph.replay()
+    assert torch.equal(image, expected)
 
 
 def test_images_are_those_of_the_cpu(scene):

@@ -5,7 +5,7 @@ import pytest
 import torch
 from rasterizer_cases import PANELS, all_subpixels, hard_scene, panel, random_scene, rig
 
-from lightfield_gs import encode, interlace, reference, render
+from lightfield_gs import Encoder, encode, interlace, reference, render
 from lightfield_gs.bench_scenes import cloud, sheet
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
@@ -192,6 +192,15 @@ def test_bad_gaussians_are_named(field, value):
     for method in METHODS:
         with pytest.raises(InputError, match=field):
             encode(scene, shown, rig(shown), method)
+
+
+@pytest.mark.parametrize("options", [{}, {"views": "continuous", "background": BACKGROUND, "output": "float32"}])
+def test_an_encoder_draws_what_encode_draws(options):
+    shown, gaussians = panel("default lens"), random_scene(60)
+    fan = rig(shown)
+    assert torch.equal(Encoder(shown, fan, **options)(gaussians), encode(gaussians, shown, fan, **options))
+    with pytest.raises(InputError, match="views"):
+        Encoder(shown, fan, views="some")
 
 
 def test_batches_belong_to_render():
