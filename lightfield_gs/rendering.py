@@ -71,7 +71,8 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     Only for "sorted": cameras [N] at the panel's resolution, in place of the rig's; view_map int32 [H, W, 3] by image
     channel, which of the N cameras each sub-pixel shows, or -1 for the background (or a SortedPlan made of such a map,
     to sort only once), in place of the panel's; memory_budget: bytes that the work memory may take on the device of
-    the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or 1 GiB on CUDA).
+    the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or 1 GiB on CUDA); on CUDA those
+    asked of torch's allocator, which may round each buffer up.
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
     "direct" are differentiable. threads: CPU threads (default: torch's). stats: a dict to fill with stages_ms
     (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on

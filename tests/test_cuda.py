@@ -44,6 +44,11 @@ def far_apart(a: torch.Tensor, b: torch.Tensor) -> int:
     return int(((a - b.cpu()).abs() > 1 / 255).sum())
 
 
+def most_apart(a: torch.Tensor, b: torch.Tensor) -> int:
+    """Largest difference of two 8-bit images."""
+    return int((a.to(torch.int16) - b).abs().max())
+
+
 @pytest.mark.parametrize("views", ["integer", "continuous"])
 @pytest.mark.parametrize("panel", PANELS)
 def test_light_field_is_that_of_the_cpu(scene, panel, views):
@@ -84,7 +89,7 @@ def test_a_frame_with_too_few_places_is_drawn_right(scene, kernel, monkeypatch):
     expected = encode(on_gpu(scene), panel, rig(panel))
     kind = next(reversed(frame_cuda._kinds.values()))
     kind.capacity, kind.noted = 10, None
-    assert torch.equal(encode(on_gpu(scene), panel, rig(panel)), expected)
+    assert most_apart(encode(on_gpu(scene), panel, rig(panel)), expected) <= 1  # other batches, other rounding
     torch.cuda.synchronize()
     assert kind.adapt() and kind.capacity > 10
 
@@ -117,7 +122,7 @@ def test_an_encoder_makes_room_when_a_scene_grows(scene):
     scene.scales.mul_(30)
     expected = encode(Gaussians(*(t.clone() for t in scene.fields().values())), panel, rig(panel))
     for _ in range(3):
-        assert torch.equal(encoder(scene), expected)
+        assert most_apart(encoder(scene), expected) <= 1
         torch.cuda.synchronize()
     assert encoder._captured.kind.capacity >= encoder._captured.frame.state()["pairs"]
 

@@ -92,12 +92,12 @@ def test_what_shows_nothing_is_background(scene):
 
 
 def work_bytes(shown, scene, cameras, plan, budget) -> tuple[int, torch.Tensor, dict]:
-    """What torch's allocator saw beside the image, the image, and the stats."""
+    """What torch's allocator was asked for at most, beside the image; the image, and the stats."""
     torch.cuda.synchronize()
     torch.cuda.reset_peak_memory_stats()
-    before, stats = torch.cuda.memory_allocated(), {}
+    before, stats = torch.cuda.memory_stats()["requested_bytes.all.current"], {}
     image = sorted_image(scene, shown, cameras, plan, output="uint8", memory_budget=budget, stats=stats)
-    return torch.cuda.max_memory_allocated() - before - image.numel(), image, stats
+    return torch.cuda.memory_stats()["requested_bytes.all.peak"] - before - image.numel(), image, stats
 
 
 def test_any_budget_gives_the_same_bits_and_is_kept():

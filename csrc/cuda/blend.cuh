@@ -5,7 +5,7 @@
 
 namespace lfgs::cuda {
 
-// 2^x and 1 / x to two units in the last place, without care for numbers too small to be normal.
+// 2^x, 1 / x and x^(-1/2) to two units in the last place, without care for numbers too small to be normal.
 __device__ inline float fast_exp2(float x) {
   float y;
   asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
@@ -14,6 +14,12 @@ __device__ inline float fast_exp2(float x) {
 __device__ inline float fast_reciprocal(float x) {
   float y;
   asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+
+__device__ inline float fast_rsqrt(float x) {
+  float y;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
   return y;
 }
 

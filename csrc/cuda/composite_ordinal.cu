@@ -11,6 +11,7 @@
 // takes one contiguous quarter of a task's hits; over is associative, the quarters are joined once.
 #include <cuda_fp16.h>
 
+#include "cuda/blend.cuh"
 #include "cuda/composite_lens.cuh"
 #include "cuda/lens_optics.cuh"
 #include "cuda/strip.cuh"
@@ -23,6 +24,7 @@ constexpr int kWarpsDown = kTileRows / kWarpRows, kWarps = kWarpsAcross * kWarps
 constexpr int kFragments = 4, kHalves = 2;  // of 16 samples; of 32 samples, 8 rows each
 constexpr float kMaxLineNumber = kMostOrdinals - 1, kMinLineNumber = 4, kMostViewsEach = 16;
 constexpr unsigned kOnes = 0x3c003c00u;     // two halves
+constexpr unsigned kNothing = 0xe3d0;       // -1000 and 0: an exponent that draws nothing
 constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 
 // Splats staged at a time.
@@ -236,7 +238,7 @@ struct Task {
   __device__ void coefficients(const Splat<float>& s, int ordinal, float x_centre, uint4& low, uint4& high,
                                uint4& exponent) const {
     const float centre = frame.optics.ordinals.centre[ordinal], unit = offset_unit(frame.optics);
-    const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), inverse = __fdividef(1.f, S), r = rsqrtf(S);
+    const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), r = fast_rsqrt(S), inverse = r * r;
     const float s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
     const float p1 = -0.5f * s1, p2 = fmaf(0.375f * s1, s1, -0.5f * s2);
     const float Y = middle_y - s.v0, tilt = fmaf(centre, s.c1, s.c0);
@@ -305,16 +307,13 @@ struct Task {
       __syncwarp();
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
       const bool valid = j < min(quarter, n - q * quarter);
-      uint4 low{}, high{}, exponent = make_uint4(split(-1000.f), 0, 0, 0);
-      bool limit = false;
-      current = Colour();
-      if (valid) {
-        const int i = own.queue[t][q * quarter + j];
-        const Splat<float> splat = staged(i);
-        limit = splat.log2_opacity > float(kLog2MaxAlpha);
-        coefficients(splat, ordinal, x_centre, low, high, exponent);
-        current = colour(i, t);
-      }
+      const int i = own.queue[t][valid ? q * quarter + j : 0];
+      const Splat<float> splat = staged(i);
+      bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
+      uint4 low, high, exponent;
+      coefficients(splat, ordinal, x_centre, low, high, exponent);
+      if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
+      current = valid ? colour(i, t) : Colour();
       store_operands(low, high, exponent, current, kept);
       __syncwarp();
       limit = __any_sync(~0u, limit);
@@ -457,41 +456,57 @@ struct Task {
   }
 };
 
-// The colour of staged splat i about an ordinal: the parabola through its ends and middle, each not below zero.
-__device__ inline void stage_colour(const LensFrame& frame, uint32_t id, int i, int t, int ordinal,
-                                    Memory<true>& memory) {
+// The colours of staged splat i about kShare ordinals of the group from number t: parabolas through the ends and the
+// middle of each, none below zero.
+constexpr int kShare = 3;  // fewer read the polynomial more often, more leave threads without work
+__device__ inline void stage_colours(const LensFrame& frame, uint32_t id, int i, int t, int first, int last,
+                                     Memory<true>& memory) {
+  const Ordinals& ordinals = frame.optics.ordinals;
   const Splats<float>& splats = frame.splats;
   const int order = splats.orders[id];
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
-  const float centre = frame.optics.ordinals.centre[ordinal], half = frame.optics.ordinals.half[ordinal];
   constexpr int kAhead = 4;  // loads under way at a time
-  float values[3][3] = {};   // low, middle, high; places
+  float s[kShare][3], values[kShare][3][3] = {};  // ordinals; low, middle, high; places
+#pragma unroll
+  for (int o = 0; o < kShare; ++o)
+#pragma unroll
+    for (int n = 0; n < 3; ++n) {
+      const int ordinal = min(first + t + o, last);
+      s[o][n] = fmaf(float(n - 1), ordinals.half[ordinal], ordinals.centre[ordinal]);
+    }
   for (int high = order; high >= 0; high -= kAhead) {
     float4 c[kAhead];
 #pragma unroll
-    for (int k = 0; k < kAhead; ++k)
-      c[k] = high >= k ? by_place(frame.optics, powers[high - k]) : make_float4(0, 0, 0, 0);
+    for (int k = 0; k < kAhead; ++k) c[k] = by_place(frame.optics, powers[max(high - k, 0)]);
 #pragma unroll
-    for (int k = 0; k < kAhead; ++k)
+    for (int k = 0; k < kAhead; ++k) {
+      if (high < k) break;
 #pragma unroll
-      for (int n = 0; n < 3; ++n) {
-        const float s = high >= k ? fmaf(float(n - 1), half, centre) : 1.f;
-        values[n][0] = fmaf(values[n][0], s, c[k].x), values[n][1] = fmaf(values[n][1], s, c[k].y);
-        values[n][2] = fmaf(values[n][2], s, c[k].z);
-      }
+      for (int o = 0; o < kShare; ++o)
+#pragma unroll
+        for (int n = 0; n < 3; ++n) {
+          float(&value)[3] = values[o][n];
+          value[0] = fmaf(value[0], s[o][n], c[k].x), value[1] = fmaf(value[1], s[o][n], c[k].y);
+          value[2] = fmaf(value[2], s[o][n], c[k].z);
+        }
+    }
   }
-  const float reach = half > 0 ? half / offset_unit(frame.optics) : 1.f;  // in v, with its sign
-  const float inverse = 0.5f / reach;
-  float middle[3];
-  __half2 slope[3];
 #pragma unroll
-  for (int c = 0; c < 3; ++c) {
-    const float low = fmaxf(values[0][c], 0.f), high = fmaxf(values[2][c], 0.f);
-    middle[c] = fmaxf(values[1][c], 0.f);
-    slope[c] = __floats2half2_rn((high - low) * inverse, (high + low - 2 * middle[c]) * 2 * inverse * inverse);
+  for (int o = 0; o < kShare; ++o) {
+    if (first + t + o > last) break;
+    const float half = ordinals.half[first + t + o];
+    const float inverse = half > 0 ? 0.5f * offset_unit(frame.optics) / half : 0.5f;  // of v there, with its sign
+    float middle[3];
+    __half2 slope[3];
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+      const float low = fmaxf(values[o][0][c], 0.f), high = fmaxf(values[o][2][c], 0.f);
+      middle[c] = fmaxf(values[o][1][c], 0.f);
+      slope[c] = __floats2half2_rn((high - low) * inverse, (high + low - 2 * middle[c]) * 2 * inverse * inverse);
+    }
+    memory.colour[t + o][i] = make_float4(middle[0], middle[1], middle[2], __uint_as_float(bits(slope[0])));
+    memory.slopes[t + o][i] = make_uint2(bits(slope[1]), bits(slope[2]));
   }
-  memory.colour[t][i] = make_float4(middle[0], middle[1], middle[2], __uint_as_float(bits(slope[0])));
-  memory.slopes[t][i] = make_uint2(bits(slope[1]), bits(slope[2]));
 }
 
 template <bool Harmonics>
@@ -507,9 +522,9 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, in
       memory.colour[0][i] = by_place(frame.optics, reinterpret_cast<const float4*>(frame.splats.colours)[id]);
   }
   if constexpr (Harmonics) {
-    const int ordinals = last - first + 1;
-    for (int j = threadIdx.x; j < count * ordinals; j += kThreads)
-      stage_colour(frame, ids[j / ordinals], j / ordinals, j % ordinals, first + j % ordinals, memory);
+    constexpr int kItems = kGroupOrdinals / kShare;
+    for (int j = threadIdx.x; j < count * kItems; j += kThreads)
+      stage_colours(frame, ids[j / kItems], j / kItems, j % kItems * kShare, first, last, memory);
   }
 }
 

@@ -44,7 +44,7 @@ struct Staged {
 //   exponent = f1.w - (f2.x + f2.y y)^2 - d^2;   colour (f2.z, f2.w, f3.x). [] only when quadratic.
 template <class C>
 __device__ void polynomial(const Splat<float>& s, float4 colour, float4 fit[4]) {
-  auto root = [&](float v) { return rsqrtf(fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
+  auto root = [&](float v) { return fast_rsqrt(fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
   float r0, r1, r2 = 0;
   if (C::Quadratic) {  // through the nodes 0, -+ sqrt(3)/2
     const float middle = root(0.f), right = root(0.8660254f), left = root(-0.8660254f);

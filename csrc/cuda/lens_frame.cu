@@ -28,8 +28,8 @@ Ordinals ordinals_of(const Lens& lens) {
   for (int t = 0; t < std::min(out.count, kMostOrdinals); ++t) {
     double low = t * views_each, high = (t + 1) * views_each;
     if (!lens.continuous) low = std::floor(low - 1e-6) + 0.5, high = std::floor(high + 1e-6) + 0.5;
-    low = std::clamp(low, lens.continuous ? 0.0 : 0.5, last + 0.5);
-    high = std::clamp(high, low, lens.continuous ? last + 1 : last + 0.5);
+    const double least = lens.continuous ? 0 : 0.5, most = lens.continuous ? last + 1 : last + 0.5;
+    low = std::clamp(low, least, most), high = std::clamp(high, low, most);
     const double view = (low + high) / 2;
     out.view[t] = float(view);
     out.centre[t] = float(lens.s_start() + lens.s_step() * view);
