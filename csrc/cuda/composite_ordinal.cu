@@ -42,7 +42,10 @@ struct WarpMemory {
   uint4 colour[32], slope[Harmonics ? 32 : 1];
   uint8_t queue[kGroupOrdinals][kBatch<Harmonics>], survivors[kBatch<Harmonics>];
   float2 state[kGroupOrdinals * kHalves][32];  // colour and transmittance of each sample of the group
-  short2 start[kHalves][32];                   // of the lens in its row, from the tile's first; its length
+  // Of the lens of each sample, in its row: the first sub-pixel and its phase, the number of sub-pixels. In memory: the
+  // compiler would rather compute them again for every ordinal than keep so many registers.
+  int start[kHalves][32], length[kHalves][32];
+  uint64_t phase[kHalves][32];
 };
 
 template <bool Harmonics>
@@ -109,6 +112,10 @@ struct Colour {
     for (int c = 0; c < 3; ++c) value[c] = 0, slope[c] = __float2half2_rn(0.f);
   }
 };
+template <class T>
+__device__ inline T at_place(const T (&parts)[3], int place) {
+  return place == 0 ? parts[0] : place == 1 ? parts[1] : parts[2];
+}
 __device__ inline unsigned bits(__half2 h) { return *reinterpret_cast<const unsigned*>(&h); }
 __device__ inline __half2 as_half2(unsigned b) { return *reinterpret_cast<const __half2*>(&b); }
 
@@ -122,9 +129,7 @@ struct Task {
   float middle_y;
   float x_sheared, half_x;           // of ordinal -1/2, x + tan y; half width to the outermost pixel centres
   float x_first;                     // x of ordinal -1/2 in the middle row
-  int start[kHalves], length[kHalves];  // sub-pixels of this lane's lens in its two rows
-  uint64_t phase[kHalves];
-  int places;                        // start modulo 3 of the samples that this lane accumulates, two bits each
+  unsigned places;                   // bit 8 p + s: the lens of sample s that this lane accumulates starts at place p
 
   __device__ Task(const LensFrame& frame_, Memory<Harmonics>& memory_, int tile_x, int tile_y)
       : frame(frame_), memory(memory_), own(memory_.warps[threadIdx.x / 32]), lane(threadIdx.x % 32) {
@@ -137,21 +142,16 @@ struct Task {
     x_sheared = phase0 / 3 + 0.5f * lens.slant_tan + 1.f / 6;
     x_first = x_sheared - lens.slant_tan * middle_y;
     half_x = (0.5f * (kWarpLenses - 1) * lens.line_number + 0.5f) / 3 + 1.f / 3 + 0.01f;
-#pragma unroll
     for (int h = 0; h < kHalves; ++h) {
       const int row = row0 + lane / kWarpLenses + 8 * h, number = lens0 + lane % kWarpLenses;
-      start[h] = lens_start(lens, row, number);
-      length[h] = lens_start(lens, row, number + 1) - start[h];
-      phase[h] = phase_at(lens, row, start[h]);
-      own.start[h][lane] = make_short2(start[h] - memory.rows[row - tile_y * kTileRows].x, length[h]);
+      const int start = lens_start(lens, row, number);
+      own.start[h][lane] = start, own.length[h][lane] = lens_start(lens, row, number + 1) - start;
+      own.phase[h][lane] = phase_at(lens, row, start);
     }
     __syncwarp();
     places = 0;
-#pragma unroll
-    for (int s = 0; s < 2 * kFragments; ++s) {  // fragment s / 2, its row lane / 4 or 8 more
-      const int m = __shfl_sync(~0u, start[s / 4], s / 2 % 2 * 16 + s % 2 * 8 + lane / 4);
-      places |= place_of(m) << 2 * s;
-    }
+    for (int s = 0; s < 2 * kFragments; ++s)  // fragment s / 2, its row lane / 4 or 8 more
+      places |= 1u << 8 * place_of(own.start[s / 4][s / 2 % 2 * 16 + s % 2 * 8 + lane / 4]) + s;
   }
 
   // x + tan y of an ordinal's samples, and of those of a group
@@ -176,12 +176,13 @@ struct Task {
       const int i = min(begin + lane, count - 1);
       const Splat<float> splat = staged(i);
       const Strip rows = strip(splat);
-      const bool hit = begin + lane < count && !rows.empty && rows.at(splat, 0.5f * (a + b), reach).touches(x, half);
+      const bool hit = (begin + lane < count) & rows.at(splat, 0.5f * (a + b), reach).touches(x, half);
       const unsigned hits = __ballot_sync(~0u, hit);
       if (hit) own.survivors[survivors + __popc(hits & before)] = i;
       survivors += __popc(hits);
     }
     __syncwarp();
+    const float x_first_ordinal = sheared(first);
     int counts[kGroupOrdinals] = {};
     for (int begin = 0; begin < survivors; begin += 32) {
       const bool inside = begin + lane < survivors;
@@ -191,8 +192,8 @@ struct Task {
 #pragma unroll
       for (int t = 0; t < kGroupOrdinals; ++t) {
         const int ordinal = min(first + t, last);
-        const bool hit = inside && first + t <= last &&
-                         rows.at(splat, ordinals.centre[ordinal], ordinals.half[ordinal]).touches(sheared(ordinal), half_x);
+        const Span span = rows.at(splat, ordinals.centre[ordinal], ordinals.half[ordinal]);
+        const bool hit = inside & (first + t <= last) & span.touches(x_first_ordinal + t * (1.f / 3), half_x);
         const unsigned hits = __ballot_sync(~0u, hit);
         if (hit) own.queue[t][counts[t] + __popc(hits & before)] = i;
         counts[t] += __popc(hits);
@@ -212,11 +213,12 @@ struct Task {
     bool any = false;
 #pragma unroll
     for (int h = 0; h < kHalves; ++h) {
-      any |= ordinal < length[h];
-      const int pixel = int(floorf((start[h] + ordinal + 0.5f) * (1.f / 3)));
+      any |= ordinal < own.length[h][lane];
+      const int pixel = int(floorf((own.start[h][lane] + ordinal + 0.5f) * (1.f / 3)));
       const float x = pixel + 0.5f - x_centre, y = lane / kWarpLenses + 8 * h + 0.5f - 0.5f * kWarpRows;
       // From its start no sub-pixel of a lens wraps
-      const float v = (camera_of(lens, phase[h] + lens.phase_x * uint64_t(ordinal)) - lens.ordinals.view[ordinal]) * lens.ordinals.view_unit;
+      const float camera = camera_of(lens, own.phase[h][lane] + lens.phase_x * uint64_t(ordinal));
+      const float v = (camera - lens.ordinals.view[ordinal]) * lens.ordinals.view_unit;
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
       const uint4 low = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
       const uint4 high = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
@@ -234,10 +236,10 @@ struct Task {
     return __any_sync(~0u, any);
   }
 
-  // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the ordinal's centre.
-  __device__ void coefficients(const Splat<float>& s, int ordinal, float x_centre, uint4& low, uint4& high,
-                               uint4& exponent) const {
-    const float centre = frame.optics.ordinals.centre[ordinal], unit = offset_unit(frame.optics);
+  // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the offset centre; unit is
+  // the offset that v = 1 stands for.
+  __device__ void coefficients(const Splat<float>& s, float centre, float unit, float x_centre, uint4& low,
+                               uint4& high, uint4& exponent) const {
     const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), r = fast_rsqrt(S), inverse = r * r;
     const float s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
     const float p1 = -0.5f * s1, p2 = fmaf(0.375f * s1, s1, -0.5f * s2);
@@ -266,15 +268,17 @@ struct Task {
     return out;
   }
 
-  // Place within its pixel of an accumulated sample at an ordinal; shift: the ordinal modulo 3.
-  __device__ int place_after(int sample, int shift) const {
-    const int place = (places >> 2 * sample & 3) + shift;
-    return place >= 3 ? place - 3 : place;
+  // The samples, a bit each, of which this lane of a quad multiplies the colours: those of place `quad` at an ordinal.
+  __device__ unsigned own_place(int ordinal) const {
+    const int quad = lane % 4;
+    return places >> 8 * (quad == 3 ? 3 : (quad + 3 - ordinal % 3) % 3);
   }
+  // What belongs to the place of an accumulated sample; parts by the place that its lens starts at.
   template <class T>
-  __device__ static T pick(const T (&parts)[3], int place) {
-    return place == 0 ? parts[0] : place == 1 ? parts[1] : parts[2];
+  __device__ T pick(const T (&parts)[3], int sample) const {
+    return places >> sample & 1 ? parts[0] : places >> (8 + sample) & 1 ? parts[1] : parts[2];
   }
+
   // v of an accumulated sample; it stands in the last columns of its features.
   __device__ float view_of(const unsigned (&features)[kFragments][4], int sample) const {
     const unsigned pair = __shfl_sync(~0u, features[sample / 2][sample % 2], lane | 3);
@@ -287,13 +291,13 @@ struct Task {
     const float x_centre = floorf(x_first + (ordinal + 0.5f) * (1.f / 3));
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
     if (!features(ordinal, x_centre, d_features, A_features)) return;
-    const int shift = ordinal % 3;
+    const float centre = frame.optics.ordinals.centre[ordinal], unit = offset_unit(frame.optics);
+    const unsigned mine = own_place(ordinal);
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
-      const bool own_place = place_after(s, shift) == quad;
       const float v = Harmonics ? view_of(d_features, s) : 0;
-      colour_features[s / 2][s % 2] = own_place ? kOnes : 0;
-      colour_features[s / 2][s % 2 + 2] = own_place ? halves(v, v * v) : 0;
+      colour_features[s / 2][s % 2] = mine >> s & 1 ? kOnes : 0;
+      colour_features[s / 2][s % 2 + 2] = mine >> s & 1 ? halves(v, v * v) : 0;
     }
 
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
@@ -311,7 +315,7 @@ struct Task {
       const Splat<float> splat = staged(i);
       bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       uint4 low, high, exponent;
-      coefficients(splat, ordinal, x_centre, low, high, exponent);
+      coefficients(splat, centre, unit, x_centre, low, high, exponent);
       if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
       current = valid ? colour(i, t) : Colour();
       store_operands(low, high, exponent, current, kept);
@@ -352,7 +356,7 @@ struct Task {
         for (int b = 0; b < batches; ++b) batch(b, std::true_type{});
       }
     }
-    if (quarter % 2 == 0) close(current, quarter - 1 - (begin - 8), shift, d_features, colours, transmittances);
+    if (quarter % 2 == 0) close(current, quarter - 1 - (begin - 8), ordinal % 3, d_features, colours, transmittances);
     join(t, colours, transmittances);
   }
 
@@ -383,18 +387,18 @@ struct Task {
   __device__ void close(const Colour& current, int j, int shift, const unsigned (&features)[kFragments][4],
                         float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
     const int source = j / 2 * 8 + lane % 4 * 2 + j % 2;
-    Colour end;
+    Colour end;  // by the place that a lens starts at
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
-      end.value[c] = __shfl_sync(~0u, current.value[c], source);
-      if (Harmonics) end.slope[c] = as_half2(__shfl_sync(~0u, bits(current.slope[c]), source));
+      const int place = c + shift >= 3 ? c + shift - 3 : c + shift;
+      end.value[c] = __shfl_sync(~0u, at_place(current.value, place), source);
+      if (Harmonics) end.slope[c] = as_half2(__shfl_sync(~0u, bits(at_place(current.slope, place)), source));
     }
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
-      const int place = place_after(s, shift);
-      float value = pick(end.value, place);
+      float value = pick(end.value, s);
       if (Harmonics) {
-        const __half2 slope = pick(end.slope, place);
+        const __half2 slope = pick(end.slope, s);
         const float v = view_of(features, s);
         value += v * fmaf(v, __high2float(slope), __low2float(slope));
       }
@@ -444,12 +448,12 @@ struct Task {
       const int sample = quad % 2 * kFragments + quad / 2 * kHalves + i, fragment = sample / 2;
       const int half = fragment / 2, slot = fragment % 2 * 16 + sample % 2 * 8 + lane / 4;
       const int row = down * kWarpRows + slot / kWarpLenses + 8 * half;
-      const short2 start = own.start[half][slot];
-      int place = place_of(memory.rows[row].x + start.x + first);
-      for (int ordinal = first; ordinal <= last && ordinal < start.y; ++ordinal) {
+      const int start = own.start[half][slot], end = min(own.length[half][slot] - 1, last);
+      int place = place_of(start + first), at = start - memory.rows[row].x + first;
+      for (int ordinal = first; ordinal <= end; ++ordinal, ++at) {
         const float2 state = own.state[(ordinal - first) * kHalves + i][lane];
         const float behind = place == 0 ? background.x : place == 1 ? background.y : background.z;
-        put(row, start.x + ordinal, fmaf(state.y, behind, state.x));
+        put(row, at, fmaf(state.y, behind, state.x));
         place = place == 2 ? 0 : place + 1;
       }
     }

@@ -266,7 +266,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exac
     const uint32_t id = lists.ids[inside ? begin + lane : begin];
     const Splat<float> splat = splat_about(frame.splats, id, centre);
     const Strip strip(splat, -half_height, half_height);
-    const bool hit = inside && !strip.empty && strip.whole_rig(splat).touches(0.f, 0.5f * kPatchWidth - 0.5f);
+    const bool hit = inside & strip.whole_rig(splat).touches(0.f, 0.5f * kPatchWidth - 0.5f);
     const unsigned hits = __ballot_sync(~0u, hit);
     if (hit) staged.ids[waiting + __popc(hits & ((1u << lane) - 1))] = id;
     waiting += __popc(hits);

@@ -44,7 +44,7 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
     if (by_lens) group_offsets(frame.optics.ordinals, group, centre, half);
     const float top = float(row) * height;
     const Strip strip(s, top + 0.5f, top + height - 0.5f, tiling.shear);
-    if (strip.empty) continue;
+    if (strip.range < 0) continue;
     const Span span = strip.at(s, centre, half);
     const float reach = span.spread + sqrtf(span.square);
     const float low = fmaf(tiling.scale, span.middle - reach, tiling.low) / tiling.width;

@@ -6,7 +6,7 @@
 
 namespace lfgs::cuda {
 
-// Where a splat may touch some offsets' samples: middle -+ (spread + sqrt(square)).
+// Where a splat may touch some offsets' samples: middle -+ (spread + sqrt(square)); square below zero: nowhere.
 struct Span {
   float middle, spread, square;
 
@@ -19,17 +19,16 @@ struct Span {
 
 // The part of a splat in rows of centres y_low .. y_high, along x + shear * y.
 struct Strip {
-  bool empty;          // it does not reach these rows
   float dy, dh;        // middle and half height of the rows that it reaches, from its centre
-  float range;         // exponent left there
+  float range;         // exponent left there; below zero: it does not reach these rows
   float slope, base, sweep, turn;  // of the centre line: see at()
 
   __device__ Strip(const Splat<float>& s, float y_low, float y_high) {
     const float d1 = fmaxf(y_low - s.v0, -s.reach_y), d2 = fminf(y_high - s.v0, s.reach_y);
     const float nearest = fmaxf(d1, 0.f) + fminf(d2, 0.f);
-    empty = d1 > d2;
     dy = 0.5f * (d1 + d2), dh = 0.5f * (d2 - d1);
     range = fmaxf(fmaf(-s.tau * nearest, nearest, s.log2_opacity - float(kLog2MinAlpha)), 0.f) * 1.00001f;
+    range = d1 <= d2 ? range : -1.f;
     slope = s.c0, base = fmaf(slope, dy, s.u0);
     sweep = fmaf(s.c1, dy, s.du), turn = fmaf(fabsf(s.c1), dh, fabsf(sweep));
   }
