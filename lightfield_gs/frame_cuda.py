@@ -127,6 +127,7 @@ class FrameKind:
             frame.project()
             frame.order()
             frame.count()
+            frame.fill()  # without places it only says how many pairs there are
             order = self.colour_order
             self._needs(frame.state())
             if order == self.colour_order:

@@ -90,8 +90,8 @@ struct LensFrame {
 // The stages, in this order. gaussians: the frame's count and degree. Colours at order > 0: sh_degree > 0.
 void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, Stream stream);
 void frame_order(const LensFrame& frame, Stream stream);
-void frame_count(const LensFrame& frame, Stream stream);  // after it state->pairs is known
-void frame_fill(const LensFrame& frame, Stream stream);
+void frame_count(const LensFrame& frame, Stream stream);
+void frame_fill(const LensFrame& frame, Stream stream);  // after it state->pairs is known
 void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 
 // Part of frame_project: chooses the kernel.

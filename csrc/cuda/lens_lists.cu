@@ -54,8 +54,10 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
   }
 }
 
-__global__ void count_kernel(const __grid_constant__ LensFrame frame) {
-  const int64_t i = (int64_t(blockIdx.x) * kThreads + threadIdx.x) / kLanes;
+// Also empties the ranges.
+__global__ void count_kernel(const __grid_constant__ LensFrame frame, int64_t ranges) {
+  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / kLanes;
+  for (int64_t at = thread; at < ranges; at += int64_t(gridDim.x) * kThreads) frame.ranges[at] = 0;
   const bool inside = i < frame.splats.count;
   int64_t count = 0;
   if (inside && frame.sorted_depths[i] != kNotDrawn)
@@ -65,26 +67,20 @@ __global__ void count_kernel(const __grid_constant__ LensFrame frame) {
   if (inside && threadIdx.x % kLanes == 0) frame.ends[i] = count;
 }
 
-// After the scan: the totals.
-__global__ void total_kernel(const __grid_constant__ LensFrame frame) {
-  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, n = frame.splats.count;
-  if (i >= n) return;
-  if (i == n - 1) frame.state->pairs = frame.ends[i];
-  if (frame.sorted_depths[i] != kNotDrawn && (i == n - 1 || frame.sorted_depths[i + 1] == kNotDrawn))
-    frame.state->drawn = unsigned(i + 1);
-}
-
 // Where the frame has more pairs than places none is written: composite then walks all splats. Places that stay empty
 // hold the largest key, beyond every tile.
 template <class Key>
 __global__ void fill_kernel(const __grid_constant__ LensFrame frame) {
-  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / kLanes;
-  const int64_t pairs = int64_t(frame.state->pairs), used = pairs <= frame.capacity ? pairs : 0;
+  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / kLanes, n = frame.splats.count;
+  const int64_t pairs = frame.ends[n - 1], used = pairs <= frame.capacity ? pairs : 0;
+  const bool inside = i < n && frame.sorted_depths[i] != kNotDrawn;
+  if (thread == 0) frame.state->pairs = pairs;
+  if (inside && thread % kLanes == 0 && (i == n - 1 || frame.sorted_depths[i + 1] == kNotDrawn))
+    frame.state->drawn = unsigned(i + 1);
   Key* keys = static_cast<Key*>(frame.keys);
   for (int64_t at = used + thread; at < frame.capacity; at += int64_t(gridDim.x) * kThreads)
     keys[at] = Key(~Key(0)), frame.values[at] = 0;
   if (pairs > frame.capacity) return;
-  const bool inside = i < frame.state->drawn;
   const uint32_t id = inside ? frame.order[i] : 0;
   const int lane = threadIdx.x % kLanes;
   Splat<float> splat;
@@ -129,6 +125,7 @@ void fill(const LensFrame& frame, cudaStream_t stream) {
   const int64_t n = frame.splats.count, capacity = frame.capacity;
   fill_kernel<Key><<<unsigned(blocks_for(n * kLanes, kThreads)), kThreads, 0, stream>>>(frame);
   check_launch("bin: fill");
+  if (capacity == 0) return;
   size_t bytes = frame.temporary_bytes;
   const int bits = std::bit_width(uint64_t(frame.most_tiles()));
   check(cub::DeviceRadixSort::SortPairs(frame.temporary, bytes, static_cast<Key*>(frame.keys),
@@ -160,20 +157,18 @@ void frame_order(const LensFrame& frame, Stream stream) {
 
 void frame_count(const LensFrame& frame, Stream stream) {
   const int64_t n = frame.splats.count;
-  if (n == 0) return;
-  count_kernel<<<unsigned(blocks_for(n * kLanes, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(frame);
+  const int64_t ranges = 2 * frame.most_tiles();
+  count_kernel<<<unsigned(blocks_for(std::max<int64_t>(n, 1) * kLanes, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
+      frame, ranges);
   check_launch("bin: count");
   size_t bytes = frame.temporary_bytes;
-  check(cub::DeviceScan::InclusiveSum(frame.temporary, bytes, frame.ends, frame.ends, n, cudaStream_t(stream)),
-        "bin: scan");
-  total_kernel<<<unsigned(blocks_for(n, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(frame);
-  check_launch("bin: total");
+  if (n > 0)
+    check(cub::DeviceScan::InclusiveSum(frame.temporary, bytes, frame.ends, frame.ends, n, cudaStream_t(stream)),
+          "bin: scan");
 }
 
 void frame_fill(const LensFrame& frame, Stream stream) {
-  check(cudaMemsetAsync(frame.ranges, 0, size_t(2 * frame.most_tiles()) * sizeof(uint32_t), cudaStream_t(stream)),
-        "bin: clear the ranges");
-  if (frame.splats.count == 0 || frame.capacity == 0) return;
+  if (frame.splats.count == 0) return;
   if (frame.key_bytes == 2)
     fill<uint16_t>(frame, cudaStream_t(stream));
   else
