@@ -26,7 +26,7 @@ struct Config {
   static constexpr int LaneRows = LaneRows_;
   static constexpr bool Quadratic = Quadratic_, Harmonics = Harmonics_;
   static constexpr int kPatchHeight = 4 * LaneRows;
-  static constexpr int kBlocks = LaneRows == 1 ? 8 : 6;  // on a multiprocessor
+  static constexpr int kBlocks = LaneRows == 1 ? 8 : 5;  // on a multiprocessor: more would spill
   static constexpr LensKernel kernel =
       Quadratic ? LensKernel::kPixelQuadratic : LaneRows == 1 ? LensKernel::kPixelSmall : LensKernel::kPixel;
 };

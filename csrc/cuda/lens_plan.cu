@@ -5,9 +5,9 @@
 namespace lfgs::cuda {
 namespace {
 
-// Times in ms on an H200 (132 x 4 x 1.98 GHz warp instructions a second): tasks * (cost * hits + set-up) / use. Hits of a
-// patch of w x h pixels that sees the fraction f of the rig: sum of area + (w + f D) 2 b + h 2 a + (w + f D) h over the
-// splats, by their density.
+// Times in ms on an H200, fitted to eight frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp instructions
+// of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
+// area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density.
 __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   FrameState& state = *frame.state;
   const LensOptics& lens = frame.optics;
@@ -23,15 +23,15 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
 
   const float wide = hits(15, 7, 1), small = hits(15, 3, 1);
   float cost[int(LensKernel::kCount)];
-  cost[int(LensKernel::kPixelSmall)] = linear ? pixels / 64 * (60 * small + 500) / (0.80f * rate) : INFINITY;
-  cost[int(LensKernel::kPixel)] = linear ? pixels / 128 * (110 * wide + 700) / (0.78f * rate) : INFINITY;
+  cost[int(LensKernel::kPixelSmall)] = linear ? pixels / 64 * (100 * small + 200) / rate : INFINITY;
+  cost[int(LensKernel::kPixel)] = linear ? pixels / 128 * (181 * wide + 115) / rate : INFINITY;
   // Without a good polynomial every splat costs a division a sample
-  cost[int(LensKernel::kPixelQuadratic)] = pixels / 128 * ((quadratic ? 127 : 400) * wide + 700) / (0.78f * rate);
+  cost[int(LensKernel::kPixelQuadratic)] = pixels / 128 * ((quadratic ? 208 : 416) * wide + 115) / rate;
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
   cost[int(LensKernel::kOrdinal)] = frame.has_ordinal
-      ? tasks * (29 * hits(across, 15, narrowing * 7 / 6) + 410) / (0.67f * rate) : INFINITY;
+      ? tasks * (60 * hits(across, 15, narrowing * 7 / 6) + 360) / rate : INFINITY;
 
   int best = int(LensKernel::kPixelQuadratic);
   for (int k = 0; k < int(LensKernel::kCount); ++k)
