@@ -1,7 +1,7 @@
 // Composite of a light-field frame by tiles of lenses, for rigs of large disparity. Needs tensor cores (sm_80).
 //
 // The t-th sub-pixels of neighbouring lenses see nearly the same part of the rig: an *ordinal* t covers 1 / P_e of it.
-// A warp task is 4 lenses x 16 rows at one ordinal, 64 samples. With x, y, v (the view, scaled) about the task's centre,
+// A warp task is 4 lenses x 16 rows at one ordinal, 64 samples. With x, y, v (the view, scaled) about its centre,
 //   exponent = A(y) - d(x, y, v)^2,   A = log2 o - tau (y - v0)^2,   d = S^(-1/2) (x - m(y, s)) to second order in v,
 // are inner products of features of the sample with coefficients of the splat: d has 16 of them, A has 8, in half
 // precision, large coefficients as the sum of two halves; the tensor cores multiply, in float. So do the colours: of
@@ -90,7 +90,10 @@ __device__ inline void load_matrix(unsigned (&r)[4], unsigned address) {
                : "memory");
 }
 __device__ inline void load_matrix(unsigned (&r)[2], unsigned address) {
-  asm volatile("ldmatrix.sync.aligned.m8n8.x2.shared.b16 {%0,%1},[%2];" : "=r"(r[0]), "=r"(r[1]) : "r"(address) : "memory");
+  asm volatile("ldmatrix.sync.aligned.m8n8.x2.shared.b16 {%0,%1},[%2];"
+               : "=r"(r[0]), "=r"(r[1])
+               : "r"(address)
+               : "memory");
 }
 
 template <bool Limit>
@@ -102,7 +105,7 @@ __device__ inline void blend(float d, float A, float change, float& colour, floa
   if (power >= float(kLog2MinAlpha)) transmittance = fmaf(-alpha, transmittance, transmittance);
 }
 
-// Of the three places of a pixel, as a parabola in v: value + slope.x v + slope.y v^2; only the value without harmonics.
+// Of the three places of a pixel, as a parabola in v: value + slope.x v + slope.y v^2; without harmonics the value.
 struct Colour {
   float value[3];
   __half2 slope[3];
@@ -211,6 +214,7 @@ struct Task {
     const LensOptics& lens = frame.optics;
     const unsigned base = unsigned(__cvta_generic_to_shared(own.operands));
     bool any = false;
+    uint4 low[kHalves], high[kHalves], rows[kHalves];  // all before the first is stored: their latencies overlap
 #pragma unroll
     for (int h = 0; h < kHalves; ++h) {
       any |= ordinal < own.length[h][lane];
@@ -220,11 +224,15 @@ struct Task {
       const float camera = camera_of(lens, own.phase[h][lane] + lens.phase_x * uint64_t(ordinal));
       const float v = (camera - lens.ordinals.view[ordinal]) * lens.ordinals.view_unit;
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
-      const uint4 low = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
-      const uint4 high = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
+      low[h] = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
+      high[h] = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
+      rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), 0);
+    }
+#pragma unroll
+    for (int h = 0; h < kHalves; ++h) {
       __syncwarp();
       uint4* to = reinterpret_cast<uint4*>(own.operands + lane * kFeatureBytes);
-      to[0] = low, to[1] = high, to[2] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), 0);
+      to[0] = low[h], to[1] = high[h], to[2] = rows[h];
       __syncwarp();
 #pragma unroll
       for (int f = 0; f < 2; ++f) {
@@ -263,7 +271,8 @@ struct Task {
     out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
     if (Harmonics) {
       const uint2 slopes = memory.slopes[Harmonics ? t : 0][Harmonics ? i : 0];
-      out.slope[0] = as_half2(__float_as_uint(c.w)), out.slope[1] = as_half2(slopes.x), out.slope[2] = as_half2(slopes.y);
+      out.slope[0] = as_half2(__float_as_uint(c.w));
+      out.slope[1] = as_half2(slopes.x), out.slope[2] = as_half2(slopes.y);
     }
     return out;
   }
@@ -325,9 +334,10 @@ struct Task {
       auto batch = [&](int b, auto limited) {
         const char* at = own.operands + quad / 2 * kHighOffset + (8 * b + row) * 16 + quad % 2 * 8;
         const uint2 d_b = *reinterpret_cast<const uint2*>(at);
-        const unsigned A_b = reinterpret_cast<const unsigned*>(own.operands + kExponentOffset)[(8 * b + row) * 4 + quad];
-        const unsigned c_b = reinterpret_cast<const unsigned*>(own.colour)[(8 * b + row) * 4 + quad];
-        const unsigned s_b = Harmonics ? reinterpret_cast<const unsigned*>(own.slope)[(8 * b + row) * 4 + quad] : 0;
+        const int word = (8 * b + row) * 4 + quad;
+        const unsigned A_b = reinterpret_cast<const unsigned*>(own.operands + kExponentOffset)[word];
+        const unsigned c_b = reinterpret_cast<const unsigned*>(own.colour)[word];
+        const unsigned s_b = Harmonics ? reinterpret_cast<const unsigned*>(own.slope)[word] : 0;
 #pragma unroll
         for (int f = 0; f < kFragments; ++f) {
           float d[4], A[4], c[4];
@@ -380,10 +390,11 @@ struct Task {
     reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = exponent;
     own.colour[lane] = make_uint4(split(change.value[0]), split(change.value[1]), split(change.value[2]), 0);
     if (Harmonics)
-      own.slope[Harmonics ? lane : 0] = make_uint4(bits(change.slope[0]), bits(change.slope[1]), bits(change.slope[2]), 0);
+      own.slope[Harmonics ? lane : 0] =
+          make_uint4(bits(change.slope[0]), bits(change.slope[1]), bits(change.slope[2]), 0);
   }
 
-  // Takes the last colour of each quarter off again where no spare column has done so. j: its place in the last 32 hits.
+  // Takes the last colour of each quarter off again where no spare column did. j: its place in the last 32 hits.
   __device__ void close(const Colour& current, int j, int shift, const unsigned (&features)[kFragments][4],
                         float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
     const int source = j / 2 * 8 + lane % 4 * 2 + j % 2;
@@ -439,7 +450,7 @@ struct Task {
     return __all_sync(~0u, all);
   }
 
-  // Hands every finished sample of ordinals first .. last to put(row in the tile, sub-pixel from the tile's first, value).
+  // Hands every finished sample of ordinals first .. last to put(row in the tile, sub-pixel from its first, value).
   template <class Put>
   __device__ void finish(int first, int last, const float4& background, const Put& put) {
     const int quad = lane % 4, down = threadIdx.x / 32 / kWarpsAcross;
@@ -596,7 +607,8 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
 
 template <bool Harmonics, class Out>
 __global__ void __launch_bounds__(kThreads, 2)
-    composite_ordinal_kernel(const __grid_constant__ LensFrame frame, int row_bytes, const float* background, Out* out) {
+    composite_ordinal_kernel(const __grid_constant__ LensFrame frame, int row_bytes, const float* background,
+                             Out* out) {
 #if __CUDA_ARCH__ >= 800
   if (frame.state->kernel != int(LensKernel::kOrdinal)) return;
   extern __shared__ __align__(16) char shared[];

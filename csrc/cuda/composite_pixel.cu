@@ -250,7 +250,8 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exac
                            Out* out, Staged<C>& staged) {
   constexpr unsigned kAcross = 4, kDown = 32 / C::kPatchHeight;  // patches of a list's tile
   const int lane = threadIdx.x % 32, lane_x = 2 * (lane % 8), lane_y = lane / 8;
-  const unsigned tile = unit / (kAcross * kDown), part = unit % (kAcross * kDown), across = unsigned(frame.pixel.across);
+  const unsigned tile = unit / (kAcross * kDown), part = unit % (kAcross * kDown);
+  const unsigned across = unsigned(frame.pixel.across);
   const uint2 range = lists.range(tile);
   const int left = int(tile % across * kAcross + part % kAcross) * kPatchWidth;
   const int top = int(tile / across * kDown + part / kAcross) * C::kPatchHeight;

@@ -57,7 +57,7 @@ Tiling pixel_tiling(const Lens& lens) {
   return {across, down, 1, kPixelTileHeight, float(kPixelTileWidth), 1, 0.5f, -0.5f, 0};
 }
 
-// Sub-pixel place k of the pixel at x in row i has D = 3 x - 3/2 + k + 3 i tan + origin and lies in lens floor(D / P_e).
+// Place k of the pixel at x in row i has D = 3 x - 3/2 + k + 3 i tan + origin and lies in lens floor(D / P_e).
 // Tiles count from the first lens of the panel; strips are sheared along y = i + 1/2.
 Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
   const double first = optics.ordinals.first_lens * lens.line_number;

@@ -14,7 +14,7 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kThreads = 128, kLanes = 4;  // lanes that share the tile rows of a splat
+constexpr int kThreads = 128, kLanes = 2;  // lanes that share the tile rows of a splat
 
 __device__ bool ordinal_chosen(const LensFrame& frame) {
   return frame.state->kernel == int(LensKernel::kOrdinal);
@@ -142,7 +142,8 @@ size_t lists_temporary_bytes(const LensFrame& frame) {
   size_t scan = 0;
   check(cub::DeviceScan::InclusiveSum(nullptr, scan, (int64_t*)nullptr, (int64_t*)nullptr, frame.splats.count),
         "lists: size of the scan");
-  const size_t pairs = frame.key_bytes == 2 ? sort_bytes<uint16_t>(frame.capacity) : sort_bytes<uint32_t>(frame.capacity);
+  const int64_t capacity = frame.capacity;
+  const size_t pairs = frame.key_bytes == 2 ? sort_bytes<uint16_t>(capacity) : sort_bytes<uint32_t>(capacity);
   return std::max({scan, sort_bytes<uint32_t>(frame.splats.count), pairs});
 }
 

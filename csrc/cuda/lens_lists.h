@@ -1,4 +1,4 @@
-// Lists of a light-field frame: splats by depth, and for every tile (and group of ordinals) the splats that may touch it.
+// Lists of a light-field frame: splats by depth, and for every tile (and group of ordinals) those that may touch it.
 #pragma once
 
 #include "cuda/lens_frame.h"

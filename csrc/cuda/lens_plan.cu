@@ -5,8 +5,8 @@
 namespace lfgs::cuda {
 namespace {
 
-// Times in ms on an H200, fitted to eight frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp instructions
-// of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
+// Times in ms on an H200, fitted to eight frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp
+// instructions of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
 // area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density.
 __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   FrameState& state = *frame.state;
