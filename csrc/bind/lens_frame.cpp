@@ -17,7 +17,7 @@ void bind_lens_frame(py::module_ m) {
   using cuda::LensFrame;
   using G = Gaussians<float>;
   m.attr("FRAME_STATE_BYTES") = sizeof(FrameState);
-  m.attr("FRAME_KERNELS") = std::vector<std::string>{"pixel-small", "pixel", "pixel-quadratic", "ordinal"};
+  m.attr("FRAME_KERNELS") = std::vector<std::string>{"pixel", "pixel-quadratic", "ordinal"};
   py::class_<LensFrame>(m, "LensFrame")
       .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, double>(), py::kw_only(),
            py::arg("gaussians"), py::arg("sh_degree"), py::arg("colour_order"), py::arg("rig"), py::arg("lens"),

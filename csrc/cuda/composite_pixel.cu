@@ -1,8 +1,8 @@
 // Composite of a light-field frame by tiles of pixels, for rigs of small disparity.
 //
-// A warp has 16 x 4 or 16 x 8 pixels, a lane two neighbours in every fourth row: 6 or 12 sub-pixels. Warps do not wait
-// for each other. A warp culls its tile's list 32 splats at a time against its own pixels; of every 32 that stay each
-// lane turns one into a polynomial about the patch's centre,
+// A warp has 16 x 8 pixels, a lane two neighbours in each of two rows: 12 sub-pixels. Warps do not wait for each other.
+// A warp culls its tile's list 32 splats at a time against its own pixels; of every 32 that stay each lane turns one
+// into a polynomial about the patch's centre,
 //   exponent = log2 o - (t (y - v0))^2 - d^2,   d = r(s) (x - m(y, s)),   r = S^(-1/2) about linear or quadratic in s,
 // which all lanes then evaluate: no division, one exp2 a sample. Colours enter as differences, C += T (c_i - c_(i-1)),
 // which saves an instruction. Splats for which that is too rough (nearly opaque, of a shape or colour that varies much
@@ -17,18 +17,15 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kPatchWidth = 16, kWarps = 4, kThreads = 32 * kWarps;
-constexpr float kCarefulOpacity = -0.0218f;       // log2(0.985): what an opaque splat stops is less than 2/255
-constexpr float kMostColourCurvature = 2.5e-4f;   // dropped s^2 of a colour: half of it is the error
+constexpr int kWarps = 4, kThreads = 32 * kWarps, kBlocks = 5;  // blocks on a multiprocessor: with more registers spill
+constexpr int kLaneRows = 2, kPatchHeight = 4 * kLaneRows, kPatchWidth = 16;
+constexpr float kCarefulOpacity = -0.0218f;      // log2(0.985): what an opaque splat stops is less than 2/255
+constexpr float kMostColourCurvature = 2.5e-4f;  // dropped s^2 of a colour: half of it is the error
 
-template <int LaneRows_, bool Quadratic_, bool Harmonics_>
+template <bool Quadratic_, bool Harmonics_>
 struct Config {
-  static constexpr int LaneRows = LaneRows_;
   static constexpr bool Quadratic = Quadratic_, Harmonics = Harmonics_;
-  static constexpr int kPatchHeight = 4 * LaneRows;
-  static constexpr int kBlocks = LaneRows == 1 ? 8 : 5;  // on a multiprocessor: more would spill
-  static constexpr LensKernel kernel =
-      Quadratic ? LensKernel::kPixelQuadratic : LaneRows == 1 ? LensKernel::kPixelSmall : LensKernel::kPixel;
+  static constexpr LensKernel kernel = Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel;
 };
 
 // What a warp keeps in shared memory.
@@ -89,17 +86,17 @@ __device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t
 
 template <class C>
 struct Samples {
-  float x[2], y[C::LaneRows];  // about the patch's centre
-  float s[C::LaneRows][2][3], colour[C::LaneRows][2][3], transmittance[C::LaneRows][2][3];
+  float x[2], y[kLaneRows];  // about the patch's centre
+  float s[kLaneRows][2][3], colour[kLaneRows][2][3], transmittance[kLaneRows][2][3];
   float4 last, last_slope;  // colour of the last splat
 
   __device__ Samples(const LensFrame& frame, int left, int top, int lane_x, int lane_y)
       : last(make_float4(0, 0, 0, 0)), last_slope(last) {
     const LensOptics& lens = frame.optics;
 #pragma unroll
-    for (int r = 0; r < C::LaneRows; ++r) {
+    for (int r = 0; r < kLaneRows; ++r) {
       const int row = top + lane_y + 4 * r;
-      y[r] = lane_y + 4 * r + 0.5f - 0.5f * C::kPatchHeight;
+      y[r] = lane_y + 4 * r + 0.5f - 0.5f * kPatchHeight;
 #pragma unroll
       for (int p = 0; p < 2; ++p) {
         const int column = left + lane_x + p;
@@ -118,7 +115,7 @@ struct Samples {
   template <class Visit>
   __device__ void for_each(const Visit& visit) {
 #pragma unroll
-    for (int r = 0; r < C::LaneRows; ++r)
+    for (int r = 0; r < kLaneRows; ++r)
 #pragma unroll
       for (int p = 0; p < 2; ++p)
 #pragma unroll
@@ -146,7 +143,7 @@ struct Samples {
     }
     last = colour_now;
 #pragma unroll
-    for (int r = 0; r < C::LaneRows; ++r) {
+    for (int r = 0; r < kLaneRows; ++r) {
       const float t = fmaf(f2.y, y[r], f2.x), A = fmaf(-t, t, f1.w);
       const float p0 = fmaf(f0.y, y[r], f0.x), p1 = fmaf(f0.w, y[r], f0.z);
       const float p2 = C::Quadratic ? fmaf(f3.z, y[r], f1.x) : f1.x;
@@ -181,7 +178,7 @@ struct Samples {
   template <class Out>
   __device__ void store(const LensOptics& lens, int column, int row, float4 background, Out* out) {
 #pragma unroll
-    for (int r = 0; r < C::LaneRows; ++r) {
+    for (int r = 0; r < kLaneRows; ++r) {
       float values[6];
 #pragma unroll
       for (int p = 0; p < 2; ++p)
@@ -248,16 +245,16 @@ __device__ unsigned specialise(const LensFrame& frame, int count, float2 centre,
 template <class C, class Out>
 __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exact, unsigned unit, float4 background,
                            Out* out, Staged<C>& staged) {
-  constexpr unsigned kAcross = 4, kDown = 32 / C::kPatchHeight;  // patches of a list's tile
+  constexpr unsigned kAcross = 4, kDown = 32 / kPatchHeight;  // patches of a list's tile
   const int lane = threadIdx.x % 32, lane_x = 2 * (lane % 8), lane_y = lane / 8;
   const unsigned tile = unit / (kAcross * kDown), part = unit % (kAcross * kDown);
   const unsigned across = unsigned(frame.pixel.across);
   const uint2 range = lists.range(tile);
   const int left = int(tile % across * kAcross + part % kAcross) * kPatchWidth;
-  const int top = int(tile / across * kDown + part / kAcross) * C::kPatchHeight;
+  const int top = int(tile / across * kDown + part / kAcross) * kPatchHeight;
   if (left >= frame.optics.width_px || top >= frame.optics.height_px) return;
-  const float2 centre = make_float2(left + 0.5f * kPatchWidth, top + 0.5f * C::kPatchHeight);
-  const float half_height = 0.5f * C::kPatchHeight - 0.5f;
+  const float2 centre = make_float2(left + 0.5f * kPatchWidth, top + 0.5f * kPatchHeight);
+  const float half_height = 0.5f * kPatchHeight - 0.5f;
   Samples<C> samples(frame, left, top, lane_x, lane_y);
 
   int waiting = 0;
@@ -302,14 +299,14 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exac
 }
 
 template <class C, class Out>
-__global__ void __launch_bounds__(kThreads, C::kBlocks)
+__global__ void __launch_bounds__(kThreads, kBlocks)
     composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   if (frame.state->kernel != int(C::kernel)) return;
   __shared__ Staged<C> staged[kWarps];
   const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
   const bool exact = frame.state->exact;
-  const unsigned units = unsigned(frame.pixel.tiles()) * (4 * 32 / C::kPatchHeight);
+  const unsigned units = unsigned(frame.pixel.tiles()) * (4 * 32 / kPatchHeight);
   WorkQueue work(frame, C::kernel);
   for (unsigned unit = blockIdx.x * kWarps + threadIdx.x / 32; unit < units;
        unit = __shfl_sync(~0u, work.claimed, 0)) {
@@ -327,9 +324,8 @@ void launch(const LensFrame& frame, const float* background, Out* out, cudaStrea
 
 template <bool Harmonics, class Out>
 void launch_all(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  launch<Config<1, false, Harmonics>>(frame, background, out, stream);
-  launch<Config<2, false, Harmonics>>(frame, background, out, stream);
-  launch<Config<2, true, Harmonics>>(frame, background, out, stream);
+  launch<Config<false, Harmonics>>(frame, background, out, stream);
+  launch<Config<true, Harmonics>>(frame, background, out, stream);
 }
 
 }  // namespace

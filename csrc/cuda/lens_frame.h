@@ -11,9 +11,9 @@
 
 namespace lfgs::cuda {
 
-// How composite goes about it. kPixel...: tiles of pixels, each sample evaluated with the inverse standard deviation as
-// a polynomial in s; small and large footprints. kOrdinal: tiles of lenses, tensor cores (module composite_ordinal.cu).
-enum class LensKernel : int { kPixelSmall, kPixel, kPixelQuadratic, kOrdinal, kCount };
+// How composite goes about it. kPixel...: patches of pixels, the inverse standard deviation linear or quadratic in s
+// (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
+enum class LensKernel : int { kPixel, kPixelQuadratic, kOrdinal, kCount };
 
 // What one frame found out: written on the device, read by the host when it likes.
 struct FrameState {

@@ -14,7 +14,7 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kThreads = 128, kLanes = 2;  // lanes that share the tile rows of a splat
+constexpr int kThreads = 128, kMostLanes = 4;
 
 __device__ bool ordinal_chosen(const LensFrame& frame) {
   return frame.state->kernel == int(LensKernel::kOrdinal);
@@ -28,9 +28,13 @@ __device__ void group_offsets(const Ordinals& ordinals, int group, float& centre
   centre = 0.5f * (a + b), half = 0.5f * (b - a);
 }
 
-// Calls visit(first, last, stride) for the runs of tiles that a splat may touch: every kLanes-th of its tile rows.
+// How many lanes share a splat: groups of ordinals give it more runs of tiles.
+__device__ int lanes_of(const LensFrame& frame) { return ordinal_chosen(frame) ? kMostLanes : 2; }
+
+// Calls visit(first, last, stride) for the runs of tiles, tile row by tile row and group by group, that a splat may
+// touch: for every `lanes`-th of them from number `lane`.
 template <class Visit>
-__device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int lane, const Visit& visit) {
+__device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int lane, int lanes, const Visit& visit) {
   if (!(s.reach_y >= 0)) return;
   const bool by_lens = ordinal_chosen(frame);
   const Tiling& tiling = by_lens ? frame.ordinal : frame.pixel;
@@ -38,7 +42,7 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
   const int first = max(0, int(floorf((s.v0 - s.reach_y + 0.5f) / height)));
   const int last = min(tiling.down - 1, int(floorf((s.v0 + s.reach_y - 0.5f) / height)));
   const int groups = tiling.groups, runs = (last - first + 1) * groups;
-  for (int k = lane; k < runs; k += kLanes) {
+  for (int k = lane; k < runs; k += lanes) {
     const int row = first + k / groups, group = k % groups;
     float centre = 0, half = 1;
     if (by_lens) group_offsets(frame.optics.ordinals, group, centre, half);
@@ -56,47 +60,49 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
 
 // Also empties the ranges.
 __global__ void count_kernel(const __grid_constant__ LensFrame frame, int64_t ranges) {
-  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / kLanes;
+  const int lanes = lanes_of(frame);
+  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / lanes;
   for (int64_t at = thread; at < ranges; at += int64_t(gridDim.x) * kThreads) frame.ranges[at] = 0;
   const bool inside = i < frame.splats.count;
   int64_t count = 0;
   if (inside && frame.sorted_depths[i] != kNotDrawn)
-    for_each_run(frame.splats.splats[frame.order[i]], frame, threadIdx.x % kLanes,
+    for_each_run(frame.splats.splats[frame.order[i]], frame, threadIdx.x % lanes, lanes,
                  [&](int first, int last, int stride) { count += (last - first) / stride + 1; });
-  for (int step = 1; step < kLanes; step *= 2) count += __shfl_xor_sync(~0u, count, step);
-  if (inside && threadIdx.x % kLanes == 0) frame.ends[i] = count;
+  for (int step = 1; step < lanes; step *= 2) count += __shfl_xor_sync(~0u, count, step);
+  if (inside && threadIdx.x % lanes == 0) frame.ends[i] = count;
 }
 
 // Where the frame has more pairs than places none is written: composite then walks all splats. Places that stay empty
 // hold the largest key, beyond every tile.
 template <class Key>
 __global__ void fill_kernel(const __grid_constant__ LensFrame frame) {
-  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / kLanes, n = frame.splats.count;
+  const int lanes = lanes_of(frame), lane = threadIdx.x % lanes;
+  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / lanes, n = frame.splats.count;
   const int64_t pairs = frame.ends[n - 1], used = pairs <= frame.capacity ? pairs : 0;
   const bool inside = i < n && frame.sorted_depths[i] != kNotDrawn;
   if (thread == 0) frame.state->pairs = pairs;
-  if (inside && thread % kLanes == 0 && (i == n - 1 || frame.sorted_depths[i + 1] == kNotDrawn))
+  if (inside && lane == 0 && (i == n - 1 || frame.sorted_depths[i + 1] == kNotDrawn))
     frame.state->drawn = unsigned(i + 1);
   Key* keys = static_cast<Key*>(frame.keys);
   for (int64_t at = used + thread; at < frame.capacity; at += int64_t(gridDim.x) * kThreads)
     keys[at] = Key(~Key(0)), frame.values[at] = 0;
   if (pairs > frame.capacity) return;
   const uint32_t id = inside ? frame.order[i] : 0;
-  const int lane = threadIdx.x % kLanes;
   Splat<float> splat;
   splat.reach_y = -1;
   if (inside) splat = frame.splats.splats[id];
 
   // Places of this lane's pairs: after those of the lanes before it
   int64_t mine = 0;
-  for_each_run(splat, frame, lane, [&](int first, int last, int stride) { mine += (last - first) / stride + 1; });
+  for_each_run(splat, frame, lane, lanes,
+               [&](int first, int last, int stride) { mine += (last - first) / stride + 1; });
   int64_t sum = mine;
-  for (int step = 1; step < kLanes; step *= 2) {
-    const int64_t other = __shfl_up_sync(~0u, sum, step, kLanes);
+  for (int step = 1; step < lanes; step *= 2) {
+    const int64_t other = __shfl_up_sync(~0u, sum, step, lanes);
     if (lane >= step) sum += other;
   }
   int64_t at = (inside && i ? frame.ends[i - 1] : 0) + sum - mine;
-  for_each_run(splat, frame, lane, [&](int first, int last, int stride) {
+  for_each_run(splat, frame, lane, lanes, [&](int first, int last, int stride) {
     for (int tile = first; tile <= last; tile += stride, ++at) keys[at] = Key(tile), frame.values[at] = id;
   });
 }
@@ -123,7 +129,7 @@ size_t sort_bytes(int64_t items) {
 template <class Key>
 void fill(const LensFrame& frame, cudaStream_t stream) {
   const int64_t n = frame.splats.count, capacity = frame.capacity;
-  fill_kernel<Key><<<unsigned(blocks_for(n * kLanes, kThreads)), kThreads, 0, stream>>>(frame);
+  fill_kernel<Key><<<unsigned(blocks_for(n * kMostLanes, kThreads)), kThreads, 0, stream>>>(frame);
   check_launch("bin: fill");
   if (capacity == 0) return;
   size_t bytes = frame.temporary_bytes;
@@ -159,8 +165,8 @@ void frame_order(const LensFrame& frame, Stream stream) {
 void frame_count(const LensFrame& frame, Stream stream) {
   const int64_t n = frame.splats.count;
   const int64_t ranges = 2 * frame.most_tiles();
-  count_kernel<<<unsigned(blocks_for(std::max<int64_t>(n, 1) * kLanes, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-      frame, ranges);
+  const int64_t blocks = blocks_for(std::max<int64_t>(n, 1) * kMostLanes, kThreads);
+  count_kernel<<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(frame, ranges);
   check_launch("bin: count");
   size_t bytes = frame.temporary_bytes;
   if (n > 0)

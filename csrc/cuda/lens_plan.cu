@@ -6,8 +6,8 @@ namespace lfgs::cuda {
 namespace {
 
 // Times in ms on an H200, fitted to eight frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp
-// instructions of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
-// area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density.
+// instructions of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the
+// rig: sum of area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density.
 __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   FrameState& state = *frame.state;
   const LensOptics& lens = frame.optics;
@@ -21,12 +21,11 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   auto mean = [&](int k) { return state.sampled ? float(state.sums[k]) / kErrorUnit / float(state.sampled) : 0.f; };
   const bool linear = mean(kLinearError) <= kMeanShapeError, quadratic = mean(kQuadraticError) <= kMeanShapeError;
 
-  const float wide = hits(15, 7, 1), small = hits(15, 3, 1);
+  const float patch = hits(15, 7, 1);
   float cost[int(LensKernel::kCount)];
-  cost[int(LensKernel::kPixelSmall)] = linear ? pixels / 64 * (100 * small + 200) / rate : INFINITY;
-  cost[int(LensKernel::kPixel)] = linear ? pixels / 128 * (181 * wide + 115) / rate : INFINITY;
+  cost[int(LensKernel::kPixel)] = linear ? pixels / 128 * (181 * patch + 115) / rate : INFINITY;
   // Without a good polynomial every splat costs a division a sample
-  cost[int(LensKernel::kPixelQuadratic)] = pixels / 128 * ((quadratic ? 208 : 416) * wide + 115) / rate;
+  cost[int(LensKernel::kPixelQuadratic)] = pixels / 128 * ((quadratic ? 208 : 416) * patch + 115) / rate;
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;

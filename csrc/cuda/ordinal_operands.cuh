@@ -1,0 +1,116 @@
+// What the kernel of composite_ordinal.cu multiplies: the layout of its shared memory, numbers as halves, tensor cores.
+#pragma once
+
+#include <cuda_fp16.h>
+
+#include "cuda/blend.cuh"
+#include "cuda/composite_lens.cuh"
+#include "cuda/lens_optics.cuh"
+
+namespace lfgs::cuda {
+
+constexpr int kWarpLenses = 4, kWarpRows = 16, kWarpsAcross = kTileLenses / kWarpLenses;
+constexpr int kWarpsDown = kTileRows / kWarpRows, kWarps = kWarpsAcross * kWarpsDown, kThreads = 32 * kWarps;
+constexpr int kFragments = 4, kHalves = 2;  // of 16 samples; of 32 samples, 8 rows each
+constexpr float kMaxLineNumber = kMostOrdinals - 1, kMinLineNumber = 4, kMostViewsEach = 16;
+constexpr unsigned kOnes = 0x3c003c00u;     // two halves
+constexpr unsigned kNothing = 0xe3d0;       // -1000 and 0: an exponent that draws nothing
+constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
+
+// Splats staged at a time.
+template <bool Harmonics>
+constexpr int kBatch = Harmonics ? 192 : 256;
+
+// Offset that v = 1 stands for.
+__device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.ordinals.view_unit; }
+
+// What a warp keeps in shared memory.
+template <bool Harmonics>
+struct WarpMemory {
+  // First features, 32 samples x 48 bytes. Then coefficients of 32 hits, 16 bytes each: d in two parts, exponent.
+  alignas(16) char operands[kExponentOffset + 512];
+  uint4 colour[32], slope[Harmonics ? 32 : 1];
+  uint8_t queue[kGroupOrdinals][kBatch<Harmonics>], survivors[kBatch<Harmonics>];
+  float2 state[kGroupOrdinals * kHalves][32];  // colour and transmittance of each sample of the group
+  // Of the lens of each sample, in its row: the first sub-pixel and its phase, the number of sub-pixels. In memory: the
+  // compiler would rather compute them again for every ordinal than keep so many registers.
+  int start[kHalves][32], length[kHalves][32];
+  uint64_t phase[kHalves][32];
+};
+
+template <bool Harmonics>
+struct Memory {
+  float4 splat[3][kBatch<Harmonics>];
+  // Colours; harmonics: at each ordinal of the group, and as halves the first and second power of v
+  float4 colour[Harmonics ? kGroupOrdinals : 1][kBatch<Harmonics>];  // .w: of the first place
+  uint2 slopes[Harmonics ? kGroupOrdinals : 1][Harmonics ? kBatch<Harmonics> : 1];  // of the others
+  WarpMemory<Harmonics> warps[kWarps];
+  int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
+  unsigned next_tile;
+  // then the bytes of the tile: kTileRows x row_bytes()
+};
+
+int row_bytes(float line_number) { return (int(kTileLenses * line_number) + 5) & ~3; }
+
+__device__ inline unsigned halves(float a, float b) {
+  const __half2 h = __floats2half2_rn(a, b);
+  return *reinterpret_cast<const unsigned*>(&h);
+}
+// A number as the sum of two halves.
+__device__ inline unsigned split(float a) {
+  const float high = __half2float(__float2half_rn(a));
+  return halves(high, a - high);
+}
+
+#if __CUDA_ARCH__ >= 800
+__device__ inline void multiply(float (&c)[4], const unsigned (&a)[4], unsigned b0, unsigned b1) {
+  asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0,%1,%2,%3},{%4,%5,%6,%7},{%8,%9},{%10,%10,%10,%10};"
+      : "=f"(c[0]), "=f"(c[1]), "=f"(c[2]), "=f"(c[3])
+      : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b0), "r"(b1), "f"(0.f));
+}
+__device__ inline void multiply(float (&c)[4], const unsigned (&a)[2], unsigned b) {
+  asm("mma.sync.aligned.m16n8k8.row.col.f32.f16.f16.f32 {%0,%1,%2,%3},{%4,%5},{%6},{%7,%7,%7,%7};"
+      : "=f"(c[0]), "=f"(c[1]), "=f"(c[2]), "=f"(c[3])
+      : "r"(a[0]), "r"(a[1]), "r"(b), "f"(0.f));
+}
+__device__ inline void load_matrix(unsigned (&r)[4], unsigned address) {
+  asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0,%1,%2,%3},[%4];"
+               : "=r"(r[0]), "=r"(r[1]), "=r"(r[2]), "=r"(r[3])
+               : "r"(address)
+               : "memory");
+}
+__device__ inline void load_matrix(unsigned (&r)[2], unsigned address) {
+  asm volatile("ldmatrix.sync.aligned.m8n8.x2.shared.b16 {%0,%1},[%2];"
+               : "=r"(r[0]), "=r"(r[1])
+               : "r"(address)
+               : "memory");
+}
+
+template <bool Limit>
+__device__ inline void blend(float d, float A, float change, float& colour, float& transmittance) {
+  const float power = fmaf(-d, d, A);
+  float alpha = fast_exp2(power);
+  if (Limit) alpha = fminf(alpha, float(kMaxAlpha));
+  colour = fmaf(transmittance, change, colour);
+  if (power >= float(kLog2MinAlpha)) transmittance = fmaf(-alpha, transmittance, transmittance);
+}
+
+// Of the three places of a pixel, as a parabola in v: value + slope.x v + slope.y v^2; without harmonics the value.
+struct Colour {
+  float value[3];
+  __half2 slope[3];
+
+  __device__ Colour() {
+#pragma unroll
+    for (int c = 0; c < 3; ++c) value[c] = 0, slope[c] = __float2half2_rn(0.f);
+  }
+};
+template <class T>
+__device__ inline T at_place(const T (&parts)[3], int place) {
+  return place == 0 ? parts[0] : place == 1 ? parts[1] : parts[2];
+}
+__device__ inline unsigned bits(__half2 h) { return *reinterpret_cast<const unsigned*>(&h); }
+__device__ inline __half2 as_half2(unsigned b) { return *reinterpret_cast<const __half2*>(&b); }
+#endif
+
+}  // namespace lfgs::cuda
