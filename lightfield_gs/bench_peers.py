@@ -25,6 +25,7 @@ BYTES_AT_A_TIME = 4 << 30  # of the dense views that are held together
 _SH_CONSTANT = 0.28209479177387814  # the harmonic of degree 0
 
 
+@lru_cache(maxsize=1)
 def gsplat() -> Any:
     """The module gsplat with its CUDA part. Raises InputError when there is none, or no GPU."""
     if not torch.cuda.is_available():
