@@ -32,6 +32,7 @@ set_target_properties(_core PROPERTIES
 
 target_sources(_core PRIVATE
   csrc/bind/lens_frame.cpp
+  csrc/cuda/architectures.cu
   csrc/cuda/project.cu
   csrc/cuda/project_lens.cu
   csrc/cuda/lens_frame.cu
@@ -45,7 +46,7 @@ target_sources(_core PRIVATE
   csrc/cuda/composite_dense.cu
   csrc/cuda/composite_lens.cu
   csrc/cuda/composite_sorted.cu)
-target_compile_definitions(_core PRIVATE LFGS_WITH_CUDA LFGS_CUDA_ARCHITECTURE_LIST="${architectures}")
+target_compile_definitions(_core PRIVATE LFGS_WITH_CUDA)
 # GLM's calls can otherwise vanish from device code with only a warning (20011..20015); 20012 is noise of GLM itself
 target_compile_options(_core PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr
   --diag-error=20011,20013,20014,20015 --diag-suppress=20012>)

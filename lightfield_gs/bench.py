@@ -16,11 +16,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from lightfield_gs import bench_paper, bench_peers, bench_training, build_info
+from lightfield_gs import bench_paper, bench_peers, bench_training
 from lightfield_gs.bench_measure import measure
 from lightfield_gs.bench_scenes import NAMED_CONES, benchmark_rig, load_scene
 from lightfield_gs.bench_tables import comparison_line, cost_line, machine_line, table
-from lightfield_gs.bench_timing import REPEATS, machine
+from lightfield_gs.bench_timing import machine
+from lightfield_gs.commands.device import choose_device
+from lightfield_gs.commands.values import byte_size
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path, check_output_path
@@ -81,10 +83,11 @@ class Case:
 
 
 def bench_case(case: Case, methods: list[str], device: str, repeats: int | None,
-               threads: int | None = None) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+               threads: int | None = None,
+               memory_budget: int | None = None) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of one case, a method each, and how the others' images compare with the first method's.
 
-    Raises InputError.
+    memory_budget: bytes, of the method "sorted". Raises InputError.
     """
     _progress(f"{case.scene}: making or reading the scene")
     gaussians = load_scene(case.scene, case.sh_degree).to(device)
@@ -95,11 +98,12 @@ def bench_case(case: Case, methods: list[str], device: str, repeats: int | None,
             "cone": "panel" if case.cone is None else case.cone, "cone_deg": rig.cone_deg}
     rows, comparisons, first = [], [], None
     for method in methods:
-        measured = measure(gaussians, panel, rig, method, repeats, threads)
+        budget = memory_budget if method == "sorted" else None
+        measured = measure(gaussians, panel, rig, method, repeats, threads, budget)
         _progress(f"{case.scene}: {method}, {len(measured.times_ms)} runs, fastest {min(measured.times_ms):.3f} ms")
         counters = {key: measured.stats.get(key) for key in COUNTERS}
         rows.append({**what, "method": method, "device": device, **measured.summary(), **counters,
-                     "peak_bytes": measured.peak_bytes, **oracle.errors(measured.image)})
+                     "memory_budget": budget, "peak_bytes": measured.peak_bytes, **oracle.errors(measured.image)})
         if first is None:
             first = measured.image
         else:
@@ -147,7 +151,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sh-degree", help="0..3 of synthetic scenes, several with commas (default: 0)")
     parser.add_argument("--methods", help=f"with commas, of {', '.join(BENCH_METHODS)} (the last one on CUDA, when "
                                           f"gsplat is installed; default: direct)")
-    parser.add_argument("--device", default="cpu", help="cpu or cuda (default: %(default)s)")
+    parser.add_argument("--memory-budget", type=byte_size, metavar="SIZE",
+                        help="of the method sorted, for example 256MB, as `encode` takes it")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     parser.add_argument("--repeats", type=int, help="runs of each, fewer of those beyond a minute (default: 5, and 20 "
                                                     "of what takes less than 50 ms on CUDA)")
     parser.add_argument("--threads", help="threads (default: all cores); several with commas for training-step")
@@ -156,19 +162,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Runs the benchmark, prints a table to stdout and writes the JSON. Raises InputError."""
-    if args.device not in ("cpu", "cuda"):
-        raise InputError(f"--device: expected cpu or cuda, got {args.device!r}")
-    if args.device == "cuda" and not ("cuda" in build_info()["devices"] and torch.cuda.is_available()):
-        raise InputError("--device cuda: needs a GPU, and a build that found nvcc (LFGS_CUDA=ON insists on it)")
+    choose_device(args.device)
     if args.repeats is not None and args.repeats < 1:
         raise InputError(f"--repeats: expected 1 or more, got {args.repeats}")
     threads = _numbers("--threads", args.threads, int)
     if args.json is not None:
         check_output_path(args.json)
     if args.what == "training-step":
-        repeats = args.repeats or REPEATS
-        rows = bench_training.rows(threads, repeats) if args.device == "cpu" else [bench_training.cuda_row(repeats)]
-        result, text = {"rows": rows}, bench_training.table(rows)
+        result, text = _training_step(args, threads)
     else:
         result, text = _light_field(args, threads, args.what == "paper")
     result["machine"] = machine(args.device)
@@ -180,6 +181,21 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
+    """Rows of the training step, gsplat's too where it can be had on CUDA, and their text."""
+    if args.memory_budget is not None:
+        raise InputError("--memory-budget is for light-field images by the method sorted, not for training-step")
+    if args.device == "cpu":
+        rows = bench_training.cpu_rows(threads, args.repeats)
+    else:
+        rows = [bench_training.cuda_row(args.repeats)]
+        try:
+            rows.append(bench_training.gsplat_row(args.repeats))
+        except InputError as error:
+            _progress(f"no row of gsplat: {error}")
+    return {"rows": rows}, bench_training.table(rows)
+
+
 def _light_field(args: argparse.Namespace, threads: list[int | None], paper: bool) -> tuple[dict[str, Any], str]:
     """Rows of every case and method, and their text. paper: its scenes and methods, unless others are named."""
     scenes, methods = (bench_paper.SCENES, bench_paper.METHODS) if paper else (DEFAULT_SCENES, DEFAULT_METHODS)
@@ -187,12 +203,15 @@ def _light_field(args: argparse.Namespace, threads: list[int | None], paper: boo
     methods = _methods(list(methods) if args.methods is None else args.methods.split(","), args.device)
     if len(threads) > 1:
         raise InputError(f"--threads: expected one number for a light-field image, got {args.threads}")
+    if args.memory_budget is not None and "sorted" not in methods:
+        raise InputError(f"--memory-budget is for the method sorted, not {', '.join(methods)}; add it to --methods")
     panel = Panel.load(args.panel)
     cases = [Case(scene, panel, cone, degree) for scene in scenes for cone in _cones(args.cone)
              for degree in _sh_degrees(args.sh_degree)]
     rows, comparisons = [], []
     for case in cases:
-        new_rows, new_comparisons = bench_case(case, methods, args.device, args.repeats, threads[0])
+        new_rows, new_comparisons = bench_case(case, methods, args.device, args.repeats, threads[0],
+                                               args.memory_budget)
         rows += new_rows
         comparisons += new_comparisons
     costs = harmonics_cost(rows)

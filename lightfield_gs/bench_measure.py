@@ -5,14 +5,15 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
-import lightfield_gs
 from lightfield_gs.bench_peers import PEERS
 from lightfield_gs.bench_timing import timed
+from lightfield_gs.encoder import Encoder
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rendering import encode
@@ -38,41 +39,39 @@ class Measurement:
 
 
 def measure(gaussians: Gaussians, panel: Panel, rig: Rig, method: str, repeats: int | None = None,
-            threads: int | None = None) -> Measurement:
+            threads: int | None = None, memory_budget: int | None = None) -> Measurement:
     """Times a method of `encode`, or a peer, from Gaussians on their device to the 8-bit image on it.
 
-    repeats: runs that count; None: as many as `timed` chooses. Raises InputError.
+    "direct" on CUDA is an Encoder's replayed frame. repeats: runs that count; None: as many as `timed` chooses.
+    threads, memory_budget: as `encode` takes them, the latter for "sorted" alone. Raises InputError.
     """
     if method in PEERS:
         peer = PEERS[method](gaussians, panel, rig)
         image, times = timed(peer, True, repeats)
         return Measurement(image, times, *_counted_on_cuda(peer.counted, image))
+    draw = partial(encode, gaussians, panel, rig, method, threads=threads, memory_budget=memory_budget)
     if not gaussians.means.is_cuda:
-        return _measure_on_cpu(gaussians, panel, rig, method, repeats, threads)
+        return _measure_on_cpu(draw, repeats)
 
     def counted() -> dict[str, Any]:  # counters make the stages wait for each other: never while timing
         stats: dict[str, Any] = {}
-        encode(gaussians, panel, rig, method, stats=stats)
+        draw(stats=stats)
         return stats
 
-    if method == "direct" and hasattr(lightfield_gs, "Encoder"):
-        encoder = lightfield_gs.Encoder(panel, rig)
-        image, times = timed(lambda: encoder(gaussians), True, repeats)
-    else:
-        image, times = timed(lambda: encode(gaussians, panel, rig, method), True, repeats)
+    frame = partial(Encoder(panel, rig), gaussians) if method == "direct" else draw
+    image, times = timed(frame, True, repeats)
     return Measurement(image, times, *_counted_on_cuda(counted, image))
 
 
-def _measure_on_cpu(gaussians: Gaussians, panel: Panel, rig: Rig, method: str, repeats: int | None,
-                    threads: int | None) -> Measurement:
+def _measure_on_cpu(draw: Callable[..., Tensor], repeats: int | None) -> Measurement:
     """Here counting costs nothing: the counters are those of the run of median time."""
     collected: list[dict[str, Any]] = []
 
-    def render() -> Tensor:
+    def counted() -> Tensor:
         collected.append({})
-        return encode(gaussians, panel, rig, method, stats=collected[-1], threads=threads)
+        return draw(stats=collected[-1])
 
-    image, times = timed(render, False, repeats)
+    image, times = timed(counted, False, repeats)
     by_time = sorted(range(len(times)), key=times.__getitem__)
     return Measurement(image, times, collected[by_time[(len(times) - 1) // 2]])
 

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.bench_timing import median_ms
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
@@ -26,6 +25,7 @@ BYTES_AT_A_TIME = 4 << 30  # of the dense views that are held together
 _SH_CONSTANT = 0.28209479177387814  # the harmonic of degree 0
 
 
+@lru_cache(maxsize=1)
 def gsplat() -> Any:
     """The module gsplat with its CUDA part. Raises InputError when there is none, or no GPU."""
     if not torch.cuda.is_available():
@@ -93,30 +93,12 @@ class GsplatClassic:
 PEERS = {"gsplat-classic": GsplatClassic}
 
 
-def gsplat_training_step(gaussians: Gaussians, cameras: Cameras, repeats: int | None = None) -> dict[str, Any]:
-    """What gsplat takes for forward, and forward and backward, of B scenes before the same C cameras.
+def gsplat_images(gaussians: Gaussians, cameras: Cameras) -> tuple[Tensor, Tensor]:
+    """Images [B, C, H, W, 3] before white, and their coverage, of B scenes [B, N, ...] on the GPU before C cameras.
 
-    gaussians [B, N, ...] on the GPU; cameras [C, ...]. The loss is the sum of the images and of their coverage; every
-    field of the Gaussians gets its gradient. Returns ms_forward and ms_total (medians of warm runs, CUDA events),
-    and gsplat's version. Raises InputError.
+    Differentiable in every field of the Gaussians. Raises InputError.
     """
-    module = gsplat()
-    leaves = Gaussians(*(field.detach().clone().requires_grad_() for field in gaussians.fields().values()))
-    cameras = cameras.to(leaves.means.detach())
-
-    def forward() -> tuple[Tensor, Tensor]:
-        return _rasterize(module.rasterization, leaves, cameras)
-
-    def step() -> None:
-        for field in leaves.fields().values():
-            field.grad = None
-        image, coverage = forward()
-        (image.sum() + coverage.sum()).backward()
-
-    cuda = leaves.means.is_cuda
-    with torch.no_grad():
-        ms_forward = median_ms(forward, cuda, repeats)
-    return {"ms_forward": ms_forward, "ms_total": median_ms(step, cuda, repeats), "gsplat": module.__version__}
+    return _rasterize(gsplat().rasterization, gaussians, cameras)
 
 
 def _rasterize(rasterization: Any, gaussians: Gaussians, cameras: Cameras) -> tuple[Tensor, Tensor]:

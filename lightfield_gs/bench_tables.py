@@ -9,21 +9,20 @@ from lightfield_gs.bench_scenes import NAMED_CONES
 
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows as text, a line each."""
-    head = ("scene", "Gaussians", "SH", "cone", "method", "ms", "min", "max", "pairs", "eval/sub-px", "work MB",
-            "peak MB", "PSNR dB", "max /255", "over 1/255")
+    head = ("scene", "Gaussians", "SH", "cone", "method", "kernel", "ms", "min", "max", "pairs", "eval/sub-px",
+            "work MB", "peak MB", "PSNR dB", "max /255", "over 1/255")
     lines = [(row["scene"], str(row["gaussians"]), str(row["sh_degree"]), _cone(row), row["method"],
-              in_ms(row["ms_median"]), in_ms(row["ms_min"]), in_ms(row["ms_max"]), or_dash(row["pairs"], "d"),
-              or_dash(row["evaluations_per_subpixel"], ".1f"), megabytes(row["work_bytes"]),
-              megabytes(row["peak_bytes"]), f"{row['psnr_db']:.1f}", str(row["max_error_255"]),
-              f"{row['share_over_1']:.2g}") for row in rows]
+              row["kernel"] or "-", in_ms(row["ms_median"]), in_ms(row["ms_min"]), in_ms(row["ms_max"]),
+              or_dash(row["pairs"], "d"), or_dash(row["evaluations_per_subpixel"], ".1f"),
+              megabytes(row["work_bytes"]), megabytes(row["peak_bytes"]), f"{row['psnr_db']:.1f}",
+              str(row["max_error_255"]), f"{row['share_over_1']:.2g}") for row in rows]
     text = aligned([head, *lines])
     return "\n".join([*text, *map(_stages_line, rows)])
 
 
 def _stages_line(row: dict[str, Any]) -> str:
-    kernel = f" ({row['kernel']} kernel)" if row["kernel"] else ""
     stages = ", ".join(f"{stage} {in_ms(ms)}" for stage, ms in row["stages_ms"].items())
-    return f"stages of {row['scene']} {_cone(row)} SH {row['sh_degree']} {row['method']}{kernel}, ms: {stages}"
+    return f"stages of {row['scene']} {_cone(row)} SH {row['sh_degree']} {row['method']}, ms: {stages}"
 
 
 def aligned(lines: list[tuple[str, ...]]) -> list[str]:

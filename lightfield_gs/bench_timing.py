@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import platform
-import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,46 +16,53 @@ from lightfield_gs import build_info
 SECONDS_PER_CALL = 60.0  # no further run once all of them have taken so long
 SHORT_MS = 50.0  # on CUDA what takes less is repeated more often: one hiccup moves its median further
 REPEATS, SHORT_REPEATS = 5, 20
-WARM_UP = 2  # calls on CUDA that do not count: kernels load, the allocator fills, a graph is captured
+# What does not count on CUDA, whichever lasts longer: kernels load, the allocator fills, clocks rise
+WARM_UP, WARM_UP_MS = 2, 100.0
 
 
 def timed(call: Callable[[], Any], cuda: bool, repeats: int | None = None) -> tuple[Any, list[float]]:
-    """The last result of a call, and the times of the runs in ms, in their order.
+    """The last result of a call, and the times of the runs in ms, in their order; runs as in timed_in_turn."""
+    result, times = timed_in_turn([call], cuda, repeats)
+    return result, [ms for ms, in times]
 
-    On CUDA: warm runs, each between two events on the current stream. repeats None: 20 runs of what takes less than
-    50 ms on CUDA, 5 of all else. At least one run, and none begins after a minute.
+
+def timed_in_turn(calls: Sequence[Callable[[], Any]], cuda: bool,
+                  repeats: int | None = None) -> tuple[Any, list[tuple[float, ...]]]:
+    """Runs of several calls one after the other: the last one's last result, and for each run the ms of each call.
+
+    On CUDA: warm runs, every call between two events on the current stream. repeats None: 20 runs of what takes less
+    than 50 ms on CUDA, 5 of all else. At least one run, and none begins after a minute.
     """
     clock = _cuda_ms if cuda else _wall_ms
-    took = 0.0
-    for _ in range(WARM_UP if cuda else 0):
-        result, took = clock(call)
+    warm, spent = [], 0.0
+    while cuda and (len(warm) < WARM_UP or spent < WARM_UP_MS):
+        warm.append(sum(clock(calls)[1]))
+        spent += warm[-1]
     if repeats is None:
-        repeats = SHORT_REPEATS if cuda and took < SHORT_MS else REPEATS
-    times: list[float] = []
-    while len(times) < repeats and (not times or sum(times) < 1e3 * SECONDS_PER_CALL):
-        result, took = clock(call)
+        repeats = SHORT_REPEATS if cuda and warm[-1] < SHORT_MS else REPEATS
+    times: list[tuple[float, ...]] = []
+    while len(times) < repeats and (not times or sum(map(sum, times)) < 1e3 * SECONDS_PER_CALL):
+        result, took = clock(calls)
         times.append(took)
     return result, times
 
 
-def median_ms(call: Callable[[], Any], cuda: bool, repeats: int | None = None) -> float:
-    """The median of the runs of `timed`, in ms."""
-    return statistics.median(timed(call, cuda, repeats)[1])
+def _wall_ms(calls: Sequence[Callable[[], Any]]) -> tuple[Any, tuple[float, ...]]:
+    marks = [time.perf_counter()]
+    for call in calls:
+        result = call()
+        marks.append(time.perf_counter())
+    return result, tuple(1e3 * (end - start) for start, end in zip(marks, marks[1:]))
 
 
-def _wall_ms(call: Callable[[], Any]) -> tuple[Any, float]:
-    begin = time.perf_counter()
-    result = call()
-    return result, 1e3 * (time.perf_counter() - begin)
-
-
-def _cuda_ms(call: Callable[[], Any]) -> tuple[Any, float]:
-    start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-    start.record()
-    result = call()
-    end.record()
-    end.synchronize()
-    return result, start.elapsed_time(end)
+def _cuda_ms(calls: Sequence[Callable[[], Any]]) -> tuple[Any, tuple[float, ...]]:
+    marks = [torch.cuda.Event(enable_timing=True) for _ in range(len(calls) + 1)]
+    marks[0].record()
+    for call, mark in zip(calls, marks[1:]):
+        result = call()
+        mark.record()
+    marks[-1].synchronize()
+    return result, tuple(start.elapsed_time(end) for start, end in zip(marks, marks[1:]))
 
 
 def machine(device: str) -> dict[str, Any]:

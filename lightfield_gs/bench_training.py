@@ -7,14 +7,17 @@ CUDA: 32 scenes of one such layer before 4 cameras each, image and alpha; Gaussi
 from __future__ import annotations
 
 import statistics
-import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs import bench_peers
 from lightfield_gs.bench_scenes import ZERO_DEPTH, sheet
+from lightfield_gs.bench_tables import in_ms
+from lightfield_gs.bench_timing import timed_in_turn
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
@@ -24,7 +27,7 @@ from lightfield_gs.rig import Rig
 OBJECTS, SCENES, VIEWS, SIZE_PX = 8, 32, 4, 128
 CONE_DEG = 40.0
 LAYER_DISTANCE = 0.3  # scene units
-_WARM_UP, _CUDA_RUNS = 5, 10  # steps on CUDA: before timing; timed per repeat
+OURS = "lightfield-gs"
 
 
 def objects() -> Gaussians:
@@ -50,64 +53,78 @@ def cameras() -> Cameras:
     return Rig(np.eye(4), (SIZE_PX, 2 * SIZE_PX), (SIZE_PX / 2, SIZE_PX / 2), ZERO_DEPTH).cameras(panel)
 
 
-def rows(threads: list[int | None], repeats: int) -> list[dict[str, Any]]:
-    """On the CPU, a row for each number of threads (None: those torch uses); times are medians, after a run to warm up.
-    """
-    views, gaussians = cameras(), objects()
+class Step:
+    """A training step in two parts: images of Gaussians that ask for gradients, and the gradients of a loss."""
+
+    def __init__(self, gaussians: Gaussians, draw: Callable[[Gaussians], Any], loss: Callable[[Any], Tensor]) -> None:
+        self.gaussians, self._draw, self._loss = gaussians, draw, loss
+
+    def forward(self) -> None:
+        """draw(gaussians)."""
+        for field in self.gaussians.fields().values():
+            field.grad = None
+        self._outputs = self._draw(self.gaussians)
+
+    def backward(self) -> None:
+        """Through loss(outputs) to the fields of the Gaussians."""
+        self._loss(self._outputs).backward()
+
+    def row(self, cuda: bool, repeats: int | None) -> dict[str, Any]:
+        """What was drawn, and medians of ms_forward, ms_backward and ms_total."""
+        _, times = timed_in_turn((self.forward, self.backward), cuda, repeats)
+        forward, backward, total = map(statistics.median, (*zip(*times), map(sum, times)))
+        scenes = self.gaussians.means.shape[0]
+        return {"objects": scenes, "views": VIEWS, "images": scenes * VIEWS, "size_px": SIZE_PX,
+                "gaussians": self.gaussians.count, "ms_forward": forward, "ms_backward": backward, "ms_total": total}
+
+
+def cpu_rows(threads: list[int | None], repeats: int | None) -> list[dict[str, Any]]:
+    """A row for each number of threads (None: those torch uses), after a step to warm up."""
+    views = cameras()
+    step = Step(objects(), lambda gaussians: render(gaussians, views), lambda image: image.square().mean())
     before, found = torch.get_num_threads(), []
     try:
         for count in threads:
             torch.set_num_threads(before if count is None else count)
-            times = []
-            for _ in range(repeats + 1):
-                begin = time.perf_counter()
-                image = render(gaussians, views)
-                middle = time.perf_counter()
-                image.square().mean().backward()
-                times.append((middle - begin, time.perf_counter() - middle))
-            found.append(_row("cpu", gaussians, times[1:], 1e3) | {"threads": torch.get_num_threads()})
+            step.forward()
+            step.backward()
+            found.append({"device": "cpu", "program": OURS, **step.row(False, repeats),
+                          "threads": torch.get_num_threads()})
     finally:
         torch.set_num_threads(before)
     return found
 
 
-def cuda_row(repeats: int) -> dict[str, Any]:
-    """On CUDA: medians by the device's clock, warm. Forward is render; backward also has the loss, a sum."""
-    views, gaussians = cameras().to(device="cuda", dtype=torch.float32), scenes()
-    marks = []
-    for _ in range(_WARM_UP + _CUDA_RUNS * repeats):
-        for field in gaussians.fields().values():
-            field.grad = None
-        marks.append([torch.cuda.Event(enable_timing=True) for _ in range(3)])
-        marks[-1][0].record()
-        outputs = render(gaussians, views, alpha=True)
-        marks[-1][1].record()
-        _sum(*outputs).backward()
-        marks[-1][2].record()
-    torch.cuda.synchronize()
-    times = [(a.elapsed_time(b), b.elapsed_time(c)) for a, b, c in marks[_WARM_UP:]]
-    return _row("cuda", gaussians, times, 1.0) | {"card": torch.cuda.get_device_name()}
+def cuda_row(repeats: int | None) -> dict[str, Any]:
+    """Ours on CUDA: image and alpha, and the gradients of their sum."""
+    return _cuda_row(OURS, lambda gaussians, views: render(gaussians, views, alpha=True), repeats)
 
 
-def _sum(image: Tensor, alpha: Tensor) -> Tensor:
-    return image.sum() + alpha.sum()
+def gsplat_row(repeats: int | None) -> dict[str, Any]:
+    """The same by gsplat. Raises InputError where there is none."""
+    return _cuda_row(f"gsplat {bench_peers.gsplat().__version__}", bench_peers.gsplat_images, repeats)
 
 
-def _row(device: str, gaussians: Gaussians, times: list[tuple[float, float]], to_ms: float) -> dict[str, Any]:
-    forward, backward, total = (to_ms * statistics.median(part) for part in (*zip(*times), map(sum, times)))
-    scenes = gaussians.means.shape[0]
-    return {"device": device, "objects": scenes, "views": VIEWS, "images": scenes * VIEWS, "size_px": SIZE_PX,
-            "gaussians": gaussians.count, "ms_forward": forward, "ms_backward": backward, "ms_total": total}
+def _cuda_row(program: str, draw: Callable[[Gaussians, Cameras], tuple[Tensor, Tensor]],
+              repeats: int | None) -> dict[str, Any]:
+    views = cameras().to(device="cuda", dtype=torch.float32)
+    step = Step(scenes(), lambda gaussians: draw(gaussians, views), lambda outputs: sum(map(torch.sum, outputs)))
+    return {"device": "cuda", "program": program, **step.row(True, repeats), "card": torch.cuda.get_device_name()}
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    """The rows as text, a line each."""
-    return "\n".join(
-        f"{row['objects']} objects x {row['views']} views, {row['size_px']} px, {row['gaussians']} Gaussians, "
-        + (f"{row['threads']} threads" if row["device"] == "cpu" else row["card"])
-        + f": forward {_ms(row['ms_forward'])}, backward {_ms(row['ms_backward'])}, both {_ms(row['ms_total'])} ms"
-        for row in found)
+    """The rows as text, a line each, and how ours compares with another program's."""
+    lines = [_line(row) for row in found]
+    for other in found:
+        if other["program"] != OURS:
+            both, forward = (other[key] / found[0][key] for key in ("ms_total", "ms_forward"))
+            lines.append(f"ours is {both:.1f} times as fast as {other['program']} forward + backward, {forward:.1f} "
+                         "times forward")
+    return "\n".join(lines)
 
 
-def _ms(value: float) -> str:
-    return f"{value:.0f}" if value >= 100 else f"{value:.2f}"
+def _line(row: dict[str, Any]) -> str:
+    where = f"{row['threads']} threads" if row["device"] == "cpu" else row["card"]
+    forward, backward, both = (in_ms(row[f"ms_{part}"]) for part in ("forward", "backward", "total"))
+    return (f"{row['program']}: {row['objects']} objects x {row['views']} views, {row['size_px']} px, "
+            f"{row['gaussians']} Gaussians, {where}: forward {forward}, backward {backward}, both {both} ms")

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import math
 import os
-import re
 import signal
 import sys
 import time
@@ -17,11 +15,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from lightfield_gs.commands.values import background, byte_size, numbers, threads
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
-_UNITS = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 _VECTOR_OPTIONS = ("--eye", "--background")  # their values may begin with a minus sign
 
 
@@ -102,19 +100,19 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     add("--method", choices=("direct", "sorted", "classic"), default="direct",
         help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
         "picture a view, then interlaced (slow; for comparison)")
-    add("--memory-budget", type=_bytes, metavar="SIZE",
+    add("--memory-budget", type=byte_size, metavar="SIZE",
         help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
         "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)")
     add("--device", choices=("auto", "cpu", "cuda"), default="auto",
         help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)")
     add("--views", choices=("integer", "continuous"), default="integer",
         help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)")
-    add("--background", type=_background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
+    add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
     add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp, left-eye.png, right-eye.png")
     add("--bit-depth", type=int, choices=(8, 16, 32), metavar="BITS",
         help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32")
     add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")
-    add("--threads", type=_threads, metavar="N", help="number of threads (default: all cores)")
+    add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
 
 
 def _add_simulate(commands: argparse._SubParsersAction) -> None:
@@ -125,46 +123,11 @@ def _add_simulate(commands: argparse._SubParsersAction) -> None:
     add = simulate.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
     add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
-    add("--eye", type=_numbers(3), required=True, metavar="X,Y,Z",
+    add("--eye", type=numbers(3), required=True, metavar="X,Y,Z",
         help="place of the eye in mm from the panel's centre: right, up, towards the viewer")
     add("--spread", type=float, default=1.0, metavar="SUBPIXELS",
         help="width of what a lens lights, in sub-pixels; more is crosstalk (default 1)")
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr")
-
-
-def _numbers(count: int):
-    """Parser of `count` comma-separated finite numbers."""
-    def parse(text: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(word) for word in text.split(","))
-        except ValueError:
-            values = ()
-        if len(values) != count or not all(map(math.isfinite, values)):
-            raise argparse.ArgumentTypeError(f"expected {count} numbers separated by commas, got '{text}'")
-        return values
-    return parse
-
-
-def _background(text: str) -> tuple[float, ...]:
-    values = _numbers(3)(text)
-    if not all(0 <= value <= 1 for value in values):
-        raise argparse.ArgumentTypeError(f"expected red, green and blue in 0..1, got '{text}'")
-    return values
-
-
-def _threads(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text[:9]) <= 1024:
-        raise argparse.ArgumentTypeError(f"expected 1..1024, got '{text}'")
-    return int(text)
-
-
-def _bytes(text: str) -> int:
-    """"256MB" -> 256000000."""
-    match = re.fullmatch(r"(\d{1,15}(?:\.\d{1,15})?)(B|[KMG]i?B)", text)
-    value = 0 if match is None else int(float(match[1]) * _UNITS[match[2]])
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a size such as 256MB or 1.5GiB, got '{text}'")
-    return value
 
 
 def _joined(arguments: list[str]) -> list[str]:

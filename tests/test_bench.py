@@ -3,25 +3,27 @@
 import argparse
 import itertools
 import json
+import time
 
 import numpy as np
 import pytest
 import torch
 
-from lightfield_gs import bench, bench_paper, bench_scenes, bench_timing
+from lightfield_gs import bench, bench_paper, bench_scenes, bench_timing, bench_training
+from lightfield_gs.cli import build_parser
 from lightfield_gs.errors import InputError
+from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
+from lightfield_gs.rendering import render
 
 KEYS = {"scene", "gaussians", "sh_degree", "panel", "cone", "cone_deg", "method", "device", "ms_median", "ms_min",
         "ms_max", "runs", "stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes",
-        "memory_bytes", "memory_bytes_unchunked", "peak_bytes", "psnr_db", "max_error_255", "share_over_1"}
+        "memory_bytes", "memory_bytes_unchunked", "memory_budget", "peak_bytes", "psnr_db", "max_error_255", "share_over_1"}
 STAGES = {"plan", "project", "order", "bin", "composite"}
 
 
 def arguments(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    bench.add_arguments(parser)
-    return parser.parse_args(words)
+    return build_parser(["bench"]).parse_args(["bench", *words])
 
 
 @pytest.mark.parametrize("kind, size, seed", [("sheet", 1, 0), ("sheet", 37, 5), ("cloud", 1, 0), ("cloud", 1234, 8)])
@@ -95,10 +97,18 @@ def test_runs_are_counted_and_kept_in_their_order(monkeypatch):
 
 
 def test_short_calls_on_a_gpu_are_repeated_more_often(monkeypatch):
-    took = iter([900.0, 1.0] + [1.0] * 20 + [900.0, 400.0] + [400.0] * 5)  # the first two of each warm up
-    monkeypatch.setattr(bench_timing, "_cuda_ms", lambda call: (call(), next(took)))
+    took = iter([90.0] + [2.0] * 5 + [1.0] * 20 + [900.0, 400.0] + [400.0] * 5)  # 100 ms, then two calls, warm up
+    monkeypatch.setattr(bench_timing, "_cuda_ms", lambda calls: (calls[0](), (next(took),)))
     assert bench_timing.timed(lambda: "image", True) == ("image", [1.0] * 20)
     assert bench_timing.timed(lambda: "image", True) == ("image", [400.0] * 5)
+    assert next(took, None) is None
+
+
+def test_calls_in_turn_are_timed_one_by_one():
+    order = []
+    result, times = bench_timing.timed_in_turn([lambda: order.append("a"), lambda: time.sleep(0.02)], False, 2)
+    assert order == ["a", "a"] and result is None and len(times) == 2
+    assert all(first < 10 <= 20 <= second for first, second in times)
 
 
 def test_machine_is_described():
@@ -165,8 +175,7 @@ def test_paper_prints_a_line_for_each_scene_and_keeps_the_numbers(tmp_path, caps
     assert bench.run(arguments("paper", "--scene", "sheet:8,cloud:100", "--panel", str(tmp_path / "small.yaml"),
                                "--repeats", "1", "--json", str(path))) == 0
     rows = json.loads(path.read_text())["rows"]
-    methods = [method for method in ("classic", "sorted", "direct") if method in bench.METHODS]
-    expected = itertools.product(("sheet:8", "cloud:100"), methods)
+    expected = itertools.product(("sheet:8", "cloud:100"), ("classic", "sorted", "direct"))
     assert [(row["scene"], row["method"]) for row in rows] == list(expected)
     shown = capsys.readouterr().out
     assert "Table 1" in shown and "Table 3" in shown and "not at hand" in shown
@@ -188,6 +197,17 @@ def test_paper_tables_hold_ratios_and_memory():
     assert len(bench_paper.SCENES) == len(set(bench_paper.SCENES)) == 10
 
 
+def test_a_memory_budget_is_kept_by_sorted(tmp_path):
+    small = Panel(width_px=192, height_px=96, views=12, line_number=6.3, slant_tan=0.2, name="small")
+    small.to_yaml(tmp_path / "small.yaml")
+    path = tmp_path / "rows.json"
+    assert bench.run(arguments("--scene", "sheet:24", "--panel", str(tmp_path / "small.yaml"), "--methods",
+                               "sorted,direct", "--repeats", "1", "--memory-budget", "0.5MB", "--json", str(path))) == 0
+    ours, direct = json.loads(path.read_text())["rows"]
+    assert ours["memory_budget"] == 500_000 and direct["memory_budget"] is None
+    assert sum(ours["memory_bytes"].values()) <= 500_000 < sum(ours["memory_bytes_unchunked"].values())
+
+
 def test_training_step_rows(tmp_path, monkeypatch):
     monkeypatch.setattr("lightfield_gs.bench_training.OBJECTS", 1)
     monkeypatch.setattr("lightfield_gs.bench_training.SIZE_PX", 16)
@@ -195,13 +215,34 @@ def test_training_step_rows(tmp_path, monkeypatch):
     assert bench.run(arguments("training-step", "--threads", "1,2", "--repeats", "1", "--json", str(path))) == 0
     rows = json.loads(path.read_text())["rows"]
     assert [row["threads"] for row in rows] == [1, 2]
-    assert all(row["gaussians"] == 512 and row["ms_forward"] > 0 and row["ms_backward"] > 0 for row in rows)
+    assert all(row["gaussians"] == 512 and 0 < row["ms_forward"] < row["ms_total"] for row in rows)
+
+
+def test_a_training_step_gives_every_field_its_gradient():
+    scene = bench_scenes.sheet(8)
+    scene = Gaussians(*(field[None].requires_grad_() for field in scene.fields().values()))
+    step = bench_training.Step(scene, lambda gaussians: render(gaussians, bench_training.cameras()), torch.sum)
+    row = step.row(False, 2)
+    assert row["ms_total"] >= row["ms_forward"] > 0 and row["ms_backward"] > 0 and row["images"] == 4
+    expected = torch.autograd.grad(render(scene, bench_training.cameras()).sum(), list(scene.fields().values()))
+    assert all(torch.equal(a.grad, b) for a, b in zip(scene.fields().values(), expected))
+
+
+def test_training_step_names_how_many_times_as_fast_ours_is():
+    row = {"device": "cuda", "card": "card", "objects": 32, "views": 4, "size_px": 128, "gaussians": 16384}
+    shown = bench_training.table([row | {"program": bench_training.OURS, "ms_forward": 1.0, "ms_backward": 1.5,
+                                         "ms_total": 2.5},
+                                  row | {"program": "gsplat 9", "ms_forward": 4.0, "ms_backward": 6.0,
+                                         "ms_total": 10.0}]).splitlines()
+    assert shown[1].startswith("gsplat 9: 32 objects") and "both 10.00 ms" in shown[1] and len(shown) == 3
+    assert shown[2] == "ours is 4.0 times as fast as gsplat 9 forward + backward, 4.0 times forward"
 
 
 @pytest.mark.parametrize("words", ["--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",
                                    "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=",
                                    "--cone 0", "--repeats 0", "--device gpu", "--threads x", "--panel no-such-panel",
-                                   "--scene cube:4", "--json /no/such/folder/rows.json", "--threads 1,2"])
+                                   "--scene cube:4", "--memory-budget 1MB", "--memory-budget lots",
+                                   "training-step --memory-budget 1MB", "--json /no/such/folder/rows.json", "--threads 1,2"])
 def test_bad_arguments_are_refused_before_any_work(words):
     with pytest.raises(InputError) as error:
         bench.run(arguments(*words.split()))

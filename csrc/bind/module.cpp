@@ -9,6 +9,7 @@
 #include "hwy/targets.h"
 #include "pipeline/stages.h"
 #ifdef LFGS_WITH_CUDA
+#include "cuda/architectures.h"
 #include "cuda/stages.h"
 #endif
 
@@ -127,7 +128,7 @@ void bind_cuda(py::module_ m) {
   auto as_const = [](const G& g) {
     return Gaussians<const float>{g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh};
   };
-  m.attr("architectures") = LFGS_CUDA_ARCHITECTURE_LIST;
+  m.attr("architectures") = cuda::architectures();
   py::class_<cuda::Image>(m, "Image")
       .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, bool lens) {
              return cuda::Image{count, width_px, height_px, lens ? cuda::kLensTile : cuda::kDenseTile};

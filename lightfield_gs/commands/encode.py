@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> None:
 
     if args.threads is not None:
         _use_threads(args.threads)
-    device = _device(args.device)
+    device = choose_device(args.device)
     rig = None if args.rig is None else Rig.from_yaml(args.rig)
     views = _views(args, panel)
     watch.lap("start")
@@ -78,19 +79,6 @@ def _check_options(args: argparse.Namespace) -> None:
         for option, value in (("--rig", args.rig), ("--save-rig", args.save_rig), ("--preview", args.preview)):
             if value is not None:
                 raise InputError(f"{option} is about a rig, and --cameras takes its place; leave out one of them")
-
-
-def _device(name: str) -> str:
-    """cpu or cuda. Raises InputError where cuda is asked for and cannot be had."""
-    import torch
-
-    from lightfield_gs import build_info
-
-    usable = "cuda" in build_info()["devices"] and torch.cuda.is_available()
-    if name == "cuda" and not usable:
-        raise InputError("--device cuda: needs a GPU, a torch that uses it, and a build that found nvcc (LFGS_CUDA=ON "
-                         "insists on it); use --device cpu")
-    return "cuda" if usable and name != "cpu" else "cpu"
 
 
 def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
