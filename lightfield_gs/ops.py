@@ -17,7 +17,8 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.workspace import Scene, State, Stats, Workspace, check
 
 COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a rig
-FRAME_COLOUR_ORDERS = (4, 8, 12, 16)  # the same for frames on CUDA, which remember the one that was good enough
+# The same for frames on CUDA, which remember the order that was good enough
+FRAME_COLOUR_ORDERS, FRAME_COLOUR_TOLERANCE = (4, 8, 12, 16), 2e-5
 COLOUR_TOLERANCE = 5e-5  # largest error of a colour polynomial, of 1
 
 
@@ -239,7 +240,7 @@ def frame_kind(job: LensArguments) -> Any:
     from lightfield_gs.frame_cuda import kind_of
 
     orders = (0,) if job.scene.degree == 0 else FRAME_COLOUR_ORDERS
-    return kind_of(job.scene, job.numbers, job.rig, job.lens, orders, COLOUR_TOLERANCE)
+    return kind_of(job.scene, job.numbers, job.rig, job.lens, orders, FRAME_COLOUR_TOLERANCE)
 
 
 def _draw_frame(job: LensArguments, as_bytes: bool, stats: Stats) -> Tensor:

@@ -19,7 +19,7 @@ namespace {
 
 constexpr int kWarps = 4, kThreads = 32 * kWarps, kBlocks = 5;  // blocks on a multiprocessor: with more registers spill
 constexpr int kLaneRows = 2, kPatchHeight = 4 * kLaneRows, kPatchWidth = 16;
-constexpr float kCarefulOpacity = -0.0218f;      // log2(0.985): what an opaque splat stops is less than 2/255
+constexpr float kCarefulOpacity = -0.0291f;      // log2(0.98): what an opaque splat stops is less than 2/255
 constexpr float kMostColourCurvature = 2.5e-4f;  // dropped s^2 of a colour: half of it is the error
 
 template <bool Quadratic_, bool Harmonics_>
@@ -43,12 +43,13 @@ template <class C>
 __device__ void polynomial(const Splat<float>& s, float4 colour, float4 fit[4]) {
   auto root = [&](float v) { return fast_rsqrt(fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
   float r0, r1, r2 = 0;
-  if (C::Quadratic) {  // through the nodes 0, -+ sqrt(3)/2
-    const float middle = root(0.f), right = root(0.8660254f), left = root(-0.8660254f);
-    r0 = middle, r1 = (right - left) * 0.57735027f, r2 = (right + left - 2 * middle) * 0.66666667f;
-  } else {  // -+ sqrt(1/2)
-    const float right = root(0.70710678f), left = root(-0.70710678f);
-    r0 = 0.5f * (right + left), r1 = 0.70710678f * (right - left);
+  // Through the zeros of Chebyshev's polynomials of the second kind, for the least mean error
+  if (C::Quadratic) {  // 0, -+ sqrt(1/2)
+    const float middle = root(0.f), right = root(0.70710678f), left = root(-0.70710678f);
+    r0 = middle, r1 = (right - left) * 0.70710678f, r2 = right + left - 2 * middle;
+  } else {  // -+ 1/2
+    const float right = root(0.5f), left = root(-0.5f);
+    r0 = 0.5f * (right + left), r1 = right - left;
   }
   const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du), t = sqrtf(s.tau);
   fit[0] = make_float4(r0 * E, -r0 * s.c0, fmaf(r1, E, -r0 * sweep), -fmaf(r1, s.c0, r0 * s.c1));
