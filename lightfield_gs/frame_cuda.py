@@ -19,7 +19,7 @@ from lightfield_gs.workspace import Scene, Stats
 
 _SLACK = 1 / 16  # pairs reserved beyond those of the last frame
 _LEAST_PAIRS = 1 << 12
-_MOST_PAIRS = 2**32 - 1  # numbered with 32 bits
+_MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 16  # numbered with 32 bits; with what sorting takes
 _MOST_KNOWN = 64
 
 
@@ -84,7 +84,9 @@ class Frame:
 class FrameKind:
     """Frames of one rig, lens, device and number of Gaussians: what they needed so far."""
 
-    def __init__(self, rig: Any, lens: Any, colour_orders: tuple[int, ...], tolerance: float, kernel: str | None):
+    def __init__(self, device: torch.device, rig: Any, lens: Any, colour_orders: tuple[int, ...], tolerance: float,
+                 kernel: str | None):
+        self.device = device
         self.rig, self.lens, self.orders, self.tolerance, self.kernel = rig, lens, colour_orders, tolerance, kernel
         self.capacity: int | None = None
         self.colour_order = colour_orders[0]
@@ -136,7 +138,8 @@ class FrameKind:
     def _needs(self, state: dict[str, Any]) -> bool:
         before = self.capacity, self.colour_order
         if self.capacity is None or state["pairs"] > self.capacity:
-            self.capacity = min(int(state["pairs"] * (1 + _SLACK)) + _LEAST_PAIRS, _MOST_PAIRS)
+            affordable = torch.cuda.mem_get_info(self.device)[0] // (2 * _PAIR_BYTES)
+            self.capacity = min(int(state["pairs"] * (1 + _SLACK)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
         if state["colour_error"] > self.tolerance:
             self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
         return before != (self.capacity, self.colour_order)
@@ -154,7 +157,7 @@ def kind_of(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tu
     """The kind of frames of a scene; numbers: what rig and lens were made of. Remembers the last 64."""
     key = (scene.tensors[0].device, scene.count, scene.degree, numbers, forced_kernel)
     if key not in _kinds:
-        _kinds[key] = FrameKind(rig, lens, colour_orders, tolerance, forced_kernel)
+        _kinds[key] = FrameKind(scene.tensors[0].device, rig, lens, colour_orders, tolerance, forced_kernel)
         while len(_kinds) > _MOST_KNOWN:
             _kinds.popitem(last=False)
     _kinds.move_to_end(key)

@@ -127,6 +127,25 @@ def test_an_encoder_makes_room_when_a_scene_grows(scene):
     assert encoder._captured.kind.capacity >= encoder._captured.frame.state()["pairs"]
 
 
+def test_more_pairs_than_31_bits_number(monkeypatch):
+    """Every splat covers the panel; what lies behind the nearest few hundred is not seen."""
+    if torch.cuda.mem_get_info()[0] < 80 * 2**30:
+        pytest.skip("needs 80 GiB of free device memory")
+    monkeypatch.setattr(frame_cuda, "forced_kernel", "pixel")
+    panel, count, near = Panel(7680, 3840, 96, line_number=16.013, slant_tan=0.18, cone_deg=1.0), 160_000, 600
+    means = torch.zeros(count, 3)
+    means[:, 2] = torch.linspace(1.9, 2.1, count)
+    random = torch.Generator().manual_seed(3)
+    scene = on_gpu(Gaussians(means, torch.tensor([1.0, 0, 0, 0]).expand(count, 4).contiguous(),
+                             torch.full((count, 3), 1.0), torch.full((count,), 0.5),
+                             torch.rand(count, 1, 3, generator=random)))
+    stats = {}
+    found = encode(scene, panel, rig(panel), stats=stats)
+    assert stats["pairs"] > 2**31
+    nearest = Gaussians(*(field[:near].contiguous() for field in scene.fields().values()))
+    assert most_apart(found, encode(nearest, panel, rig(panel))) <= 1
+
+
 def test_an_encode_can_be_captured_once_its_kind_is_known(scene):
     panel, scene = Panel(**{**LENS, "views": 94}), on_gpu(scene)
     encode(scene, Panel(**LENS), rig(panel))  # loads what is loaded late
