@@ -68,7 +68,7 @@ class _Capture:
             if self.kind.adapt():
                 self._capture()
             self.graph.replay()
-            self.kind.mark(self.frame)
+            self.kind.mark()
         return self.image
 
     def _capture(self) -> None:

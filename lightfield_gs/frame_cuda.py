@@ -70,15 +70,18 @@ class Frame:
         with stats.stage("composite"):
             self.composite(background, out)
 
-    def state(self, host: Tensor | None = None) -> dict[str, Any]:
-        """What the frame found out: pairs, drawn, colour_error, kernel, exact. Waits for the device without `host`."""
-        host = self.copy_state().cpu() if host is None else host
-        state = _core.cuda.frame_state(host.data_ptr())
-        return {**state, "kernel": _core.cuda.FRAME_KERNELS[state["kernel"]]}
+    def state(self) -> dict[str, Any]:
+        """What the frame found out: pairs, drawn, colour_error, kernel, exact. Waits for the device."""
+        return _state_of(self.state_bytes().cpu())
 
-    def copy_state(self) -> Tensor:
+    def state_bytes(self) -> Tensor:
         offset = self.native.state_address() - self.work.data_ptr()
         return self.work[offset:offset + _core.cuda.FRAME_STATE_BYTES]
+
+
+def _state_of(host: Tensor) -> dict[str, Any]:
+    state = _core.cuda.frame_state(host.data_ptr())
+    return {**state, "kernel": _core.cuda.FRAME_KERNELS[state["kernel"]]}
 
 
 class FrameKind:
@@ -91,7 +94,7 @@ class FrameKind:
         self.capacity: int | None = None
         self.colour_order = colour_orders[0]
         self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
-        self.noted: tuple[Frame, torch.cuda.Event] | None = None
+        self.noted: torch.cuda.Event | None = None  # after it `host` holds the state of a frame
 
     def frame(self, scene: Scene) -> Frame:
         """A frame that is large enough, as far as known. The first waits for the device, later ones do not."""
@@ -103,22 +106,21 @@ class FrameKind:
 
     def note(self, frame: Frame) -> None:
         """Has the frame's state copied to the host, for adapt."""
-        self.host.copy_(frame.copy_state(), non_blocking=True)
+        self.host.copy_(frame.state_bytes(), non_blocking=True)
         if not torch.cuda.is_current_stream_capturing():
-            self.mark(frame)
+            self.mark()
 
-    def mark(self, frame: Frame) -> None:
-        """The copy of the frame's state is under way: what follows on the stream comes after it."""
-        event = torch.cuda.Event()
-        event.record()
-        self.noted = frame, event
+    def mark(self) -> None:
+        """The copy of a frame's state is under way on the current stream."""
+        self.noted = torch.cuda.Event()
+        self.noted.record()
 
     def adapt(self) -> bool:
         """Reserves more, and says so, when the last noted frame has arrived and had not enough."""
-        if self.noted is None or not self.noted[1].query():
+        if self.noted is None or not self.noted.query():
             return False
-        state, self.noted = self.noted[0].state(self.host), None
-        return self._needs(state)
+        self.noted = None
+        return self._needs(_state_of(self.host))
 
     def _learn(self, scene: Scene) -> None:
         if torch.cuda.is_current_stream_capturing():
@@ -139,7 +141,8 @@ class FrameKind:
         before = self.capacity, self.colour_order
         if self.capacity is None or state["pairs"] > self.capacity:
             affordable = torch.cuda.mem_get_info(self.device)[0] // (2 * _PAIR_BYTES)
-            self.capacity = min(int(state["pairs"] * (1 + _SLACK)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
+            enough = min(int(state["pairs"] * (1 + _SLACK)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
+            self.capacity = max(self.capacity or 0, enough)
         if state["colour_error"] > self.tolerance:
             self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
         return before != (self.capacity, self.colour_order)
