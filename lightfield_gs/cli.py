@@ -69,9 +69,9 @@ def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
                       help="a .ply, an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file")
     info.set_defaults(module="lightfield_gs.commands.info")
     bench = commands.add_parser("bench", help="measure speed and accuracy", allow_abbrev=False)
-    bench.set_defaults(module="lightfield_gs.bench")
+    bench.set_defaults(module="lightfield_gs.bench.command")
     if list(command) == ["bench"]:
-        importlib.import_module("lightfield_gs.bench").add_arguments(bench)
+        importlib.import_module("lightfield_gs.bench.command").add_arguments(bench)
     return parser
 
 

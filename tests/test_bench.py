@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from lightfield_gs import bench, bench_paper, bench_scenes, bench_timing, bench_training
+from lightfield_gs.bench import command, paper, scenes, timing, training
 from lightfield_gs.cli import build_parser
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
@@ -34,25 +34,25 @@ def test_scenes_are_those_of_other_programs_bit_for_bit(shared_dir, kind, size, 
     spec = importlib.util.spec_from_file_location("other_bench_scenes", shared_dir / "bench_scenes.py")
     others = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(others)
-    theirs, ours = getattr(others, kind)(size, seed), getattr(bench_scenes, kind)(size, seed)
+    theirs, ours = getattr(others, kind)(size, seed), getattr(scenes, kind)(size, seed)
     for their_name, our_name in (("means", "means"), ("quats", "quaternions"), ("scales", "scales"),
                                  ("opacities", "opacities")):
         np.testing.assert_array_equal(theirs[their_name], ours.fields()[our_name].numpy())
     colours = 0.5 + 0.28209479177387814 * ours.sh[:, 0].double().numpy()
     np.testing.assert_allclose(theirs["colors"], colours, atol=2e-7)
-    assert others.ZERO_DEPTH == bench_scenes.ZERO_DEPTH
+    assert others.ZERO_DEPTH == scenes.ZERO_DEPTH
 
 
 @pytest.mark.parametrize("name", ["sheet", "sheet:", "sheet:0", "sheet:-4", "sheet:1e3", "cloud:nan", "cube:4", "scene",
                                   "sheet:99999999999", "no-such.ply"])
 def test_unknown_scenes_are_named(name):
     with pytest.raises(InputError):
-        bench_scenes.load_scene(name)
+        scenes.load_scene(name)
 
 
 def disparity_px(panel: Panel, cone: str | float, depth: float) -> float:
     """Between the two outermost views, of a point on the axis, by the cameras themselves."""
-    rig = bench_scenes.benchmark_rig("sheet:1", bench_scenes.sheet(1), panel, cone)
+    rig = scenes.benchmark_rig("sheet:1", scenes.sheet(1), panel, cone)
     cameras = rig.cameras_at(panel, [0.0, float(panel.views)])
     point = cameras.world_to_camera @ torch.tensor([0.0, 0.0, depth, 1.0], dtype=torch.float64)
     x = cameras.focal_px[:, 0] * point[:, 0] / point[:, 2] + cameras.principal_point_px[:, 0]
@@ -63,62 +63,62 @@ def disparity_px(panel: Panel, cone: str | float, depth: float) -> float:
 def test_narrow_is_forty_pixels_and_wide_is_53_degrees(name):
     panel = Panel.load(name)
     assert (panel.line_number, panel.slant_tan) == (16.013, pytest.approx(np.tan(0.18), abs=1e-15))
-    assert disparity_px(panel, "narrow", 0.8 * bench_scenes.ZERO_DEPTH) == pytest.approx(40, abs=1e-9)
-    assert disparity_px(panel, "narrow", bench_scenes.ZERO_DEPTH) == pytest.approx(0, abs=1e-9)
-    assert bench_scenes.cone_degrees("wide", panel, panel.width_px) == 53
-    assert bench_scenes.cone_degrees(None, panel, 1.0) == panel.cone_deg
+    assert disparity_px(panel, "narrow", 0.8 * scenes.ZERO_DEPTH) == pytest.approx(40, abs=1e-9)
+    assert disparity_px(panel, "narrow", scenes.ZERO_DEPTH) == pytest.approx(0, abs=1e-9)
+    assert scenes.cone_degrees("wide", panel, panel.width_px) == 53
+    assert scenes.cone_degrees(None, panel, 1.0) == panel.cone_deg
 
 
 def test_narrow_on_8k_is_the_baseline_of_other_programs():
     panel = Panel.load("bench-8k-96v")
-    rig = bench_scenes.benchmark_rig("sheet:1", bench_scenes.sheet(1), panel, "narrow")
+    rig = scenes.benchmark_rig("sheet:1", scenes.sheet(1), panel, "narrow")
     assert rig.half_width(panel) == pytest.approx(40 / 1920, rel=1e-12)
-    wide = bench_scenes.benchmark_rig("sheet:1", bench_scenes.sheet(1), panel, "wide")
+    wide = scenes.benchmark_rig("sheet:1", scenes.sheet(1), panel, "wide")
     assert wide.half_width(panel) == pytest.approx(0.997, abs=5e-4)
 
 
 def test_harmonics_are_added_the_same_every_time():
-    plain, *rich = (bench_scenes.load_scene("cloud:5000", degree) for degree in (0, 1, 3, 3))
+    plain, *rich = (scenes.load_scene("cloud:5000", degree) for degree in (0, 1, 3, 3))
     assert [scene.sh_degree for scene in (plain, *rich)] == [0, 1, 3, 3]
     assert torch.equal(rich[1].sh, rich[2].sh) and torch.equal(rich[1].sh[:, :4], rich[0].sh)
     assert torch.equal(rich[1].sh[:, :1], plain.sh) and torch.equal(rich[1].means, plain.means)
     for first, last, deviation in ((1, 4, 0.15), (4, 9, 0.1), (9, 16, 0.05)):
         assert float(rich[1].sh[:, first:last].std()) == pytest.approx(deviation, rel=0.03)
     with pytest.raises(InputError, match="own SH degree"):
-        bench_scenes.load_scene("some.ply", 0)
+        scenes.load_scene("some.ply", 0)
 
 
 def test_runs_are_counted_and_kept_in_their_order(monkeypatch):
     calls = itertools.count()
-    result, times = bench_timing.timed(lambda: next(calls), False, 3)
+    result, times = timing.timed(lambda: next(calls), False, 3)
     assert result == 2 and len(times) == 3 and min(times) > 0
-    monkeypatch.setattr(bench_timing, "SECONDS_PER_CALL", 0.0)
-    assert len(bench_timing.timed(lambda: None, False, 3)[1]) == 1
+    monkeypatch.setattr(timing, "SECONDS_PER_CALL", 0.0)
+    assert len(timing.timed(lambda: None, False, 3)[1]) == 1
 
 
 def test_short_calls_on_a_gpu_are_repeated_more_often(monkeypatch):
     took = iter([90.0] + [2.0] * 5 + [1.0] * 20 + [900.0, 400.0] + [400.0] * 5)  # 100 ms, then two calls, warm up
-    monkeypatch.setattr(bench_timing, "_cuda_ms", lambda calls: (calls[0](), (next(took),)))
-    assert bench_timing.timed(lambda: "image", True) == ("image", [1.0] * 20)
-    assert bench_timing.timed(lambda: "image", True) == ("image", [400.0] * 5)
+    monkeypatch.setattr(timing, "_cuda_ms", lambda calls: (calls[0](), (next(took),)))
+    assert timing.timed(lambda: "image", True) == ("image", [1.0] * 20)
+    assert timing.timed(lambda: "image", True) == ("image", [400.0] * 5)
     assert next(took, None) is None
 
 
 def test_calls_in_turn_are_timed_one_by_one():
     order = []
-    result, times = bench_timing.timed_in_turn([lambda: order.append("a"), lambda: time.sleep(0.02)], False, 2)
+    result, times = timing.timed_in_turn([lambda: order.append("a"), lambda: time.sleep(0.02)], False, 2)
     assert order == ["a", "a"] and result is None and len(times) == 2
     assert all(first < 10 <= 20 <= second for first, second in times)
 
 
 def test_machine_is_described():
-    found = bench_timing.machine("cpu")
+    found = timing.machine("cpu")
     assert found["torch"] == torch.__version__ and found["cores"] >= 1 and found["processor"] and "gpu" not in found
 
 
 def test_errors_are_counted_in_steps_of_8_bits():
     zeros = np.zeros(4, np.int64)
-    oracle = bench.OracleSamples(zeros, np.arange(4), zeros, np.array([10, 20, 30, 40]))
+    oracle = command.OracleSamples(zeros, np.arange(4), zeros, np.array([10, 20, 30, 40]))
     image = torch.tensor([[[10, 0, 0], [21, 0, 0], [27, 0, 0], [40, 0, 0]]], dtype=torch.uint8)
     errors = oracle.errors(image)
     assert errors["max_error_255"] == 3 and errors["share_over_1"] == 0.25
@@ -127,13 +127,13 @@ def test_errors_are_counted_in_steps_of_8_bits():
 
 def test_images_are_compared_as_numbers_not_as_bytes():
     a, b = (torch.tensor(values, dtype=torch.uint8) for values in ([0, 255, 7, 9, 3], [255, 0, 7, 8, 5]))
-    assert bench.differences(a, b) == {"subpixels": 5, "max_difference_255": 255, "differing": 4, "over_1": 3}
+    assert command.differences(a, b) == {"subpixels": 5, "max_difference_255": 255, "differing": 4, "over_1": 3}
 
 
 def test_rows_have_the_keys_and_the_images_are_right(tmp_path, capsys):
     small = Panel(width_px=192, height_px=96, views=12, line_number=6.3, slant_tan=0.2, name="small")
     small.to_yaml(tmp_path / "small.yaml")
-    code = bench.run(arguments("--scene", "sheet:24,cloud:500", "--panel", str(tmp_path / "small.yaml"), "--cone",
+    code = command.run(arguments("--scene", "sheet:24,cloud:500", "--panel", str(tmp_path / "small.yaml"), "--cone",
                                "narrow,40", "--methods", "direct,classic", "--repeats", "2", "--sh-degree", "0,2",
                                "--json", str(tmp_path / "rows.json")))
     assert code == 0
@@ -163,7 +163,7 @@ def test_cost_of_harmonics_is_within_one_scene_cone_and_method():
     def row(cone, degree, ms, method="direct"):
         return {"scene": "sheet:4", "cone": cone, "method": method, "sh_degree": degree, "ms_median": ms}
 
-    costs = bench.harmonics_cost([row(5, 3, 12.0), row(5, 0, 10.0), row(40, 0, 4.0), row(40, 1, 5.0),
+    costs = command.harmonics_cost([row(5, 3, 12.0), row(5, 0, 10.0), row(40, 0, 4.0), row(40, 1, 5.0),
                                   row(5, 3, 7.0, "classic")])
     assert [(cost["cone"], cost["sh_degrees"], cost["times_as_long"]) for cost in costs] == [
         (5, [0, 3], 1.2), (40, [0, 1], 1.25)]
@@ -172,7 +172,7 @@ def test_cost_of_harmonics_is_within_one_scene_cone_and_method():
 def test_paper_prints_a_line_for_each_scene_and_keeps_the_numbers(tmp_path, capsys):
     Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
     path = tmp_path / "paper.json"
-    assert bench.run(arguments("paper", "--scene", "sheet:8,cloud:100", "--panel", str(tmp_path / "small.yaml"),
+    assert command.run(arguments("paper", "--scene", "sheet:8,cloud:100", "--panel", str(tmp_path / "small.yaml"),
                                "--repeats", "1", "--json", str(path))) == 0
     rows = json.loads(path.read_text())["rows"]
     expected = itertools.product(("sheet:8", "cloud:100"), ("classic", "sorted", "direct"))
@@ -187,21 +187,21 @@ def test_paper_tables_hold_ratios_and_memory():
         return {"scene": "sheet:8", "gaussians": 64, "cone": "panel", "cone_deg": 40.0, "sh_degree": 0, "ms_median": ms,
                 "method": method, "work_bytes": 3_000_000, "memory_bytes": memory, "memory_bytes_unchunked": unchunked}
 
-    shown = bench_paper.tables([row("classic", 100.0), row("direct", 5.0), row(
+    shown = paper.tables([row("classic", 100.0), row("direct", 5.0), row(
         "sorted", 40.0, {"geometry": 1_000_000, "image": 0, "binning": 2_500_000},
         {"geometry": 9_000_000, "image": 0, "binning": 20_000_000})]).splitlines()
     times = shown[2].split()
     assert times[:8] == ["sheet:8", "64", "40", "100", "5.000", "40.00", "20.0", "2.5"]
     memory = shown[-5]
     assert "9.0 -> 1.0" in memory and "20.0 -> 2.5" in memory and memory.split()[1] == "sorted"
-    assert len(bench_paper.SCENES) == len(set(bench_paper.SCENES)) == 10
+    assert len(paper.SCENES) == len(set(paper.SCENES)) == 10
 
 
 def test_a_memory_budget_is_kept_by_sorted(tmp_path):
     small = Panel(width_px=192, height_px=96, views=12, line_number=6.3, slant_tan=0.2, name="small")
     small.to_yaml(tmp_path / "small.yaml")
     path = tmp_path / "rows.json"
-    assert bench.run(arguments("--scene", "sheet:24", "--panel", str(tmp_path / "small.yaml"), "--methods",
+    assert command.run(arguments("--scene", "sheet:24", "--panel", str(tmp_path / "small.yaml"), "--methods",
                                "sorted,direct", "--repeats", "1", "--memory-budget", "0.5MB", "--json", str(path))) == 0
     ours, direct = json.loads(path.read_text())["rows"]
     assert ours["memory_budget"] == 500_000 and direct["memory_budget"] is None
@@ -209,28 +209,28 @@ def test_a_memory_budget_is_kept_by_sorted(tmp_path):
 
 
 def test_training_step_rows(tmp_path, monkeypatch):
-    monkeypatch.setattr("lightfield_gs.bench_training.OBJECTS", 1)
-    monkeypatch.setattr("lightfield_gs.bench_training.SIZE_PX", 16)
+    monkeypatch.setattr("lightfield_gs.bench.training.OBJECTS", 1)
+    monkeypatch.setattr("lightfield_gs.bench.training.SIZE_PX", 16)
     path = tmp_path / "step.json"
-    assert bench.run(arguments("training-step", "--threads", "1,2", "--repeats", "1", "--json", str(path))) == 0
+    assert command.run(arguments("training-step", "--threads", "1,2", "--repeats", "1", "--json", str(path))) == 0
     rows = json.loads(path.read_text())["rows"]
     assert [row["threads"] for row in rows] == [1, 2]
     assert all(row["gaussians"] == 512 and 0 < row["ms_forward"] < row["ms_total"] for row in rows)
 
 
 def test_a_training_step_gives_every_field_its_gradient():
-    scene = bench_scenes.sheet(8)
+    scene = scenes.sheet(8)
     scene = Gaussians(*(field[None].requires_grad_() for field in scene.fields().values()))
-    step = bench_training.Step(scene, lambda gaussians: render(gaussians, bench_training.cameras()), torch.sum)
+    step = training.Step(scene, lambda gaussians: render(gaussians, training.cameras()), torch.sum)
     row = step.row(False, 2)
     assert row["ms_total"] >= row["ms_forward"] > 0 and row["ms_backward"] > 0 and row["images"] == 4
-    expected = torch.autograd.grad(render(scene, bench_training.cameras()).sum(), list(scene.fields().values()))
+    expected = torch.autograd.grad(render(scene, training.cameras()).sum(), list(scene.fields().values()))
     assert all(torch.equal(a.grad, b) for a, b in zip(scene.fields().values(), expected))
 
 
 def test_training_step_names_how_many_times_as_fast_ours_is():
     row = {"device": "cuda", "card": "card", "objects": 32, "views": 4, "size_px": 128, "gaussians": 16384}
-    shown = bench_training.table([row | {"program": bench_training.OURS, "ms_forward": 1.0, "ms_backward": 1.5,
+    shown = training.table([row | {"program": training.OURS, "ms_forward": 1.0, "ms_backward": 1.5,
                                          "ms_total": 2.5},
                                   row | {"program": "gsplat 9", "ms_forward": 4.0, "ms_backward": 6.0,
                                          "ms_total": 10.0}]).splitlines()
@@ -245,5 +245,5 @@ def test_training_step_names_how_many_times_as_fast_ours_is():
                                    "training-step --memory-budget 1MB", "--json /no/such/folder/rows.json", "--threads 1,2"])
 def test_bad_arguments_are_refused_before_any_work(words):
     with pytest.raises(InputError) as error:
-        bench.run(arguments(*words.split()))
+        command.run(arguments(*words.split()))
     assert "\n" not in str(error.value)

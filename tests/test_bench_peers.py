@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from lightfield_gs import bench_peers, encode
-from lightfield_gs.bench_scenes import benchmark_rig, load_scene
+from lightfield_gs import encode
+from lightfield_gs.bench import peers
+from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
@@ -32,17 +33,17 @@ def stand_in(means, quats, scales, opacities, colors, viewmats, Ks, width, heigh
 @pytest.fixture
 def gsplat(monkeypatch):
     module = types.SimpleNamespace(rasterization=stand_in, __version__="0")
-    monkeypatch.setattr(bench_peers, "gsplat", lambda: module)
-    bench_peers._interlace_plan.cache_clear()
+    monkeypatch.setattr(peers, "gsplat", lambda: module)
+    peers._interlace_plan.cache_clear()
 
 
 @pytest.mark.parametrize("views_a_call", [1, 3, 7, 100])
 @pytest.mark.parametrize("sh_degree", [0, 2])
 def test_gsplat_classic_takes_every_subpixel_from_its_view(gsplat, monkeypatch, views_a_call, sh_degree):
-    monkeypatch.setattr(bench_peers, "BYTES_AT_A_TIME", views_a_call * 20 * 96 * 48)
+    monkeypatch.setattr(peers, "BYTES_AT_A_TIME", views_a_call * 20 * 96 * 48)
     gaussians = load_scene("sheet:16", sh_degree)
     rig = benchmark_rig("sheet:16", gaussians, PANEL, 20.0)
-    image = bench_peers.GsplatClassic(gaussians, PANEL, rig)()
+    image = peers.GsplatClassic(gaussians, PANEL, rig)()
     expected = encode(gaussians, PANEL, rig, "classic")
     assert image.dtype == torch.uint8 and image.shape == expected.shape
     # The limits of the Jacobian are a camera's own here and the rig's there
@@ -54,7 +55,7 @@ def test_gsplat_images_of_a_batch_and_their_gradients(gsplat):
     scenes = [load_scene("sheet:8", 1), load_scene("cloud:64", 1)]
     batch = Gaussians(*(torch.stack(field).requires_grad_() for field in zip(*(s.fields().values() for s in scenes))))
     cameras = benchmark_rig("sheet:8", scenes[0], PANEL, 20.0).cameras(PANEL).to(torch.float32)
-    image, coverage = bench_peers.gsplat_images(batch, cameras)
+    image, coverage = peers.gsplat_images(batch, cameras)
     expected, alpha = render(batch, cameras, background=(1, 1, 1), alpha=True)
     assert image.shape == (2, 7, 48, 96, 3) and coverage.shape == (2, 7, 48, 96, 1)
     assert torch.equal(image, expected) and torch.equal(coverage.squeeze(-1), alpha)
@@ -68,7 +69,7 @@ def test_gsplat_draws_nearly_our_image():
     pytest.importorskip("gsplat")
     gaussians = load_scene("sheet:32", 3).to("cuda")
     rig = benchmark_rig("sheet:32", gaussians, PANEL, 20.0)
-    peer = bench_peers.GsplatClassic(gaussians, PANEL, rig)
+    peer = peers.GsplatClassic(gaussians, PANEL, rig)
     difference = (peer().int() - encode(gaussians, PANEL, rig).int()).float() / 255
     assert float(difference.square().mean()) < 1e-4  # 40 dB: its cut-offs differ from ours
     assert set(peer.counted()["stages_ms"]) == {"dense views", "interlace"}
@@ -77,4 +78,4 @@ def test_gsplat_draws_nearly_our_image():
 @pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without a GPU")
 def test_gsplat_without_a_gpu_is_named():
     with pytest.raises(InputError, match="GPU"):
-        bench_peers.gsplat()
+        peers.gsplat()

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from lightfield_gs import Encoder, Gaussians, InputError, Panel, Rig, _core, encode, frame_cuda, render
-from lightfield_gs.bench_scenes import cloud, sheet
+from lightfield_gs.bench.scenes import cloud, sheet
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)

@@ -6,7 +6,8 @@ import pytest
 import torch
 from rasterizer_cases import dense_views, hard_scene, random_scene, stacked
 
-from lightfield_gs import Gaussians, _core, bench_training
+from lightfield_gs import Gaussians, _core
+from lightfield_gs.bench import training as bench_training
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)

@@ -11,7 +11,7 @@ from rasterizer_cases import hard_scene, panel, random_scene, rig
 from sorted_cases import oracle, random_map, toe_in
 
 from lightfield_gs import Gaussians, InputError, SortedPlan, _core, encode
-from lightfield_gs.bench_scenes import cloud, sheet
+from lightfield_gs.bench.scenes import cloud, sheet
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)

@@ -6,7 +6,7 @@ import torch
 from rasterizer_cases import PANELS, all_subpixels, hard_scene, panel, random_scene, rig
 
 from lightfield_gs import Encoder, encode, interlace, reference, render
-from lightfield_gs.bench_scenes import cloud, sheet
+from lightfield_gs.bench.scenes import cloud, sheet
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 

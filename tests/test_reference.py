@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from lightfield_gs import reference
-from lightfield_gs.bench_scenes import cloud, sheet
+from lightfield_gs.bench.scenes import cloud, sheet
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.reference_blend import Projection, Scene, harmonics, rotations

@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs.bench_peers import PEERS
-from lightfield_gs.bench_timing import timed
+from lightfield_gs.bench.peers import PEERS
+from lightfield_gs.bench.timing import timed
 from lightfield_gs.encoder import Encoder
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel

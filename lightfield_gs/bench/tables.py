@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lightfield_gs.bench_scenes import NAMED_CONES
+from lightfield_gs.bench.scenes import NAMED_CONES
 
 
 def table(rows: list[dict[str, Any]]) -> str:

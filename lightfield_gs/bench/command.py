@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from lightfield_gs import bench_paper, bench_peers, bench_training
-from lightfield_gs.bench_measure import measure
-from lightfield_gs.bench_scenes import NAMED_CONES, benchmark_rig, load_scene
-from lightfield_gs.bench_tables import comparison_line, cost_line, machine_line, table
-from lightfield_gs.bench_timing import machine
+from lightfield_gs.bench import paper, peers, training
+from lightfield_gs.bench.measure import measure
+from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, load_scene
+from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line, table
+from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.values import byte_size
 from lightfield_gs.errors import InputError
@@ -33,7 +33,7 @@ from lightfield_gs.rig import Rig
 ORACLE_SAMPLES = 20_000
 ORACLE_SEED = 1
 PSNR_CAP_DB = 120.0  # of images without any error
-BENCH_METHODS = (*METHODS, *bench_peers.PEERS)
+BENCH_METHODS = (*METHODS, *peers.PEERS)
 COUNTERS = ("stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes", "memory_bytes",
             "memory_bytes_unchunked")  # of encode's stats; None where a method does not tell
 DEFAULT_SCENES, DEFAULT_METHODS = ("sheet:128",), ("direct",)
@@ -186,19 +186,19 @@ def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple
     if args.memory_budget is not None:
         raise InputError("--memory-budget is for light-field images by the method sorted, not for training-step")
     if args.device == "cpu":
-        rows = bench_training.cpu_rows(threads, args.repeats)
+        rows = training.cpu_rows(threads, args.repeats)
     else:
-        rows = [bench_training.cuda_row(args.repeats)]
+        rows = [training.cuda_row(args.repeats)]
         try:
-            rows.append(bench_training.gsplat_row(args.repeats))
+            rows.append(training.gsplat_row(args.repeats))
         except InputError as error:
             _progress(f"no row of gsplat: {error}")
-    return {"rows": rows}, bench_training.table(rows)
+    return {"rows": rows}, training.table(rows)
 
 
-def _light_field(args: argparse.Namespace, threads: list[int | None], paper: bool) -> tuple[dict[str, Any], str]:
+def _light_field(args: argparse.Namespace, threads: list[int | None], published: bool) -> tuple[dict[str, Any], str]:
     """Rows of every case and method, and their text. paper: its scenes and methods, unless others are named."""
-    scenes, methods = (bench_paper.SCENES, bench_paper.METHODS) if paper else (DEFAULT_SCENES, DEFAULT_METHODS)
+    scenes, methods = (paper.SCENES, paper.METHODS) if published else (DEFAULT_SCENES, DEFAULT_METHODS)
     scenes = scenes if args.scene is None else args.scene.split(",")
     methods = _methods(list(methods) if args.methods is None else args.methods.split(","), args.device)
     if len(threads) > 1:
@@ -215,18 +215,18 @@ def _light_field(args: argparse.Namespace, threads: list[int | None], paper: boo
         rows += new_rows
         comparisons += new_comparisons
     costs = harmonics_cost(rows)
-    result = {"rows": rows, "comparisons": comparisons, "harmonics": costs, "peers": bench_peers.versions(methods)}
-    text = [bench_paper.tables(rows)] if paper else [table(rows), *map(comparison_line, comparisons)]
+    result = {"rows": rows, "comparisons": comparisons, "harmonics": costs, "peers": peers.versions(methods)}
+    text = [paper.tables(rows)] if published else [table(rows), *map(comparison_line, comparisons)]
     return result, "\n".join([*text, *map(cost_line, costs)])
 
 
 def _methods(methods: list[str], device: str) -> list[str]:
     if unknown := sorted(set(methods) - set(BENCH_METHODS)):
         raise InputError(f"--methods: expected of {', '.join(BENCH_METHODS)}, got {', '.join(unknown)}")
-    if peers := sorted(set(methods) & set(bench_peers.PEERS)):
+    if foreign := sorted(set(methods) & set(peers.PEERS)):
         if device != "cuda":
-            raise InputError(f"--methods {', '.join(peers)}: runs on a GPU alone, add --device cuda")
-        bench_peers.gsplat()  # the complaint comes before any work
+            raise InputError(f"--methods {', '.join(foreign)}: runs on a GPU alone, add --device cuda")
+        peers.gsplat()  # the complaint comes before any work
     return methods
 
 

@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import bench_peers
-from lightfield_gs.bench_scenes import ZERO_DEPTH, sheet
-from lightfield_gs.bench_tables import in_ms
-from lightfield_gs.bench_timing import timed_in_turn
+from lightfield_gs.bench import peers
+from lightfield_gs.bench.scenes import ZERO_DEPTH, sheet
+from lightfield_gs.bench.tables import in_ms
+from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
@@ -102,7 +102,7 @@ def cuda_row(repeats: int | None) -> dict[str, Any]:
 
 def gsplat_row(repeats: int | None) -> dict[str, Any]:
     """The same by gsplat. Raises InputError where there is none."""
-    return _cuda_row(f"gsplat {bench_peers.gsplat().__version__}", bench_peers.gsplat_images, repeats)
+    return _cuda_row(f"gsplat {peers.gsplat().__version__}", peers.gsplat_images, repeats)
 
 
 def _cuda_row(program: str, draw: Callable[[Gaussians, Cameras], tuple[Tensor, Tensor]],

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lightfield_gs.bench_tables import aligned, in_ms, megabytes
+from lightfield_gs.bench.tables import aligned, in_ms, megabytes
 
 SCENES = ("sheet:64", "sheet:96", "sheet:128", "sheet:192", "sheet:256", "sheet:384", "sheet:512", "cloud:16384",
           "cloud:65536", "cloud:262144")

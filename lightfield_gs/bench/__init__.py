@@ -1,0 +1,1 @@
+"""Benchmarks: scenes, methods and peers, timing, tables; `lightfield-gs bench` runs them."""
