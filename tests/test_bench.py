@@ -18,7 +18,8 @@ from lightfield_gs.rendering import render
 
 KEYS = {"scene", "gaussians", "sh_degree", "panel", "cone", "cone_deg", "method", "device", "ms_median", "ms_min",
         "ms_max", "runs", "stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes",
-        "memory_bytes", "memory_bytes_unchunked", "memory_budget", "peak_bytes", "psnr_db", "max_error_255", "share_over_1"}
+        "memory_bytes", "memory_bytes_unchunked", "memory_budget", "peak_bytes", "psnr_db", "max_error_255",
+        "share_over_1"}
 STAGES = {"plan", "project", "order", "bin", "composite"}
 
 
@@ -242,7 +243,8 @@ def test_training_step_names_how_many_times_as_fast_ours_is():
                                    "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=",
                                    "--cone 0", "--repeats 0", "--device gpu", "--threads x", "--panel no-such-panel",
                                    "--scene cube:4", "--memory-budget 1MB", "--memory-budget lots",
-                                   "training-step --memory-budget 1MB", "--json /no/such/folder/rows.json", "--threads 1,2"])
+                                   "training-step --memory-budget 1MB", "--json /no/such/folder/rows.json",
+                                   "--threads 1,2"])
 def test_bad_arguments_are_refused_before_any_work(words):
     with pytest.raises(InputError) as error:
         command.run(arguments(*words.split()))
