@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <memory>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "base/parallel.h"
@@ -108,37 +109,39 @@ void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int3
   draw(std::type_identity<ExactFootprint<T>>(), splat);
 }
 
-// Adds the background and writes the tile to the image.
+// Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel.
 template <class T>
 void FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
-  using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
+  const hn::RebindToUnsigned<Tag<T>> du;
+  const hn::Rebind<uint8_t, Tag<T>> d8;
   constexpr int kLanes = LensTile<T>::kLanes;
+  uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // read no more once they are written
   for (int64_t i = 0; i < samples; i += kLanes) {
-    const V b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
-    V c = hn::MulAdd(hn::Load(d, &tile.transmittance[i]), b, hn::Load(d, &tile.colour[i]));
+    const auto b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
+    const auto c = hn::MulAdd(hn::Load(d, &tile.transmittance[i]), b, hn::Load(d, &tile.colour[i]));
     if (job.out8) {
-      const V unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
-      const V byte = hn::MulAdd(unit, hn::Set(d, T(255)), hn::Set(d, T(0.5)));
-      c = hn::BitCast(d, hn::ConvertTo(di, byte));
+      const auto unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
+      const auto rounded = hn::ConvertTo(di, hn::MulAdd(unit, hn::Set(d, T(255)), hn::Set(d, T(0.5))));
+      hn::Store(hn::TruncateTo(d8, hn::BitCast(du, rounded)), d8, bytes + i);
+    } else {
+      hn::Store(c, d, &tile.colour[i]);
     }
-    hn::Store(c, d, &tile.colour[i]);
   }
-  const bool bgr = job.lens->bgr;
-  using TI = typename LensTile<T>::TI;
-  tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
-    const int64_t at = row * 3 * job.lens->width_px + m;
-    int k = int(m % 3);
-    for (int64_t t = 0; t < count; ++t, sample += kLanes) {
-      const int64_t to = at + t + (bgr ? 2 - 2 * k : 0);
-      k = k == 2 ? 0 : k + 1;
-      if (job.out8)
-        job.out8[to] = uint8_t(reinterpret_cast<const TI*>(tile.colour.get())[sample]);
-      else
-        job.out[to] = tile.colour[sample];
-    }
-  });
+  auto write = [&](const auto* from, auto* image) {
+    tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
+      auto* to = image + row * 3 * job.lens->width_px + m;
+      for (int64_t t = 0; t < count; ++t) to[t] = from[sample + t * kLanes];
+    });
+  };
+  job.out8 ? write(bytes, job.out8) : write(tile.colour.get(), job.out);
+}
+
+// From the places of a panel that has the blue left-most to the channels of an image.
+template <class U>
+void SwapRedBlue(U* rows, int64_t pixels) {
+  for (int64_t j = 0; j < pixels; ++j) std::swap(rows[3 * j], rows[3 * j + 2]);
 }
 
 // See BackwardTile of the dense sensor for the formula; here a sample has one channel.
@@ -275,6 +278,10 @@ Counters CompositeLensImpl(const LensJob<T>& job) {
         BackgroundGradient(tile, layout.samples(), job.band_background + 3 * band);
       else
         FinishTile(job, tile, layout.samples(), background);
+    }
+    if (!backward && lens.bgr) {
+      const int64_t first = row0 * 3 * lens.width_px, pixels = rows * lens.width_px;
+      job.out8 ? SwapRedBlue(job.out8 + first, pixels) : SwapRedBlue(job.out + first, pixels);
     }
   });
 
