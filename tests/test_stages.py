@@ -265,7 +265,7 @@ def simd_target(request):
 
 @pytest.mark.parametrize("simd_target", TARGETS, indirect=True)
 def test_every_vector_set_draws_the_same_light_field(simd_target):
-    for name in ("default lens", "narrower than a pixel", "wide lenses", "one column"):
+    for name in ("default lens", "narrow cone", "narrower than a pixel", "wide lenses", "one column"):
         shown, scene = panel(name), random_scene(50, 1, seed=6)
         fan = rig(shown, 0.1)
         rows, columns, channels = (index.ravel() for index in np.indices((shown.height_px, shown.width_px, 3)))

@@ -1,6 +1,8 @@
 // Stage composite for the panel, and its reverse. A work item is one band of rows.
 #include <algorithm>
 #include <memory>
+#include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "base/parallel.h"
@@ -13,6 +15,7 @@
 #define HWY_TARGET_INCLUDE "cpu/composite_lens.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
 #include "hwy/highway.h"
+#include "cpu/lens_splat-inl.h"
 #include "cpu/lens_tile-inl.h"
 #include "math/blend-inl.h"
 
@@ -40,109 +43,105 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Colour of a splat at the samples' offsets. kOrder: 0, 1, 2, or -1 for `order`.
-template <int kOrder, class D>
-HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::Vec<hn::RebindToSigned<D>> channel,
-                               hn::Vec<D> s) {
-  if constexpr (kOrder == 0) return Lookup(d, colour, channel);
-  const int n = kOrder < 0 ? order : kOrder;
-  auto c = Lookup(d, colour + n * kColourStride, channel);
-  for (int p = n - 1; p >= 0; --p) c = hn::MulAdd(c, s, Lookup(d, colour + p * kColourStride, channel));
-  return hn::Max(c, hn::Zero(d));
-}
-
-// A splat's constants as the samples of a tile read them.
-template <class T>
-struct LensSplat {
-  using D = Tag<T>;
-  using V = hn::Vec<D>;
-  V S0, S1, S2;
-  const T* colour;
-  int order;
-
-  HWY_INLINE LensSplat(const Splats<T>& splats, int32_t id) {
-    const D d;
-    const Splat<T>& s = splats.splats[id];
-    S0 = hn::Set(d, s.S0), S1 = hn::Set(d, s.S1), S2 = hn::Set(d, s.S2);
-    colour = splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
-    order = splats.orders[id];
-  }
-  // log2 of opacity * weight; also dx = px - m(s) and 1 / S(s).
-  HWY_INLINE V power(V x, V s, const typename LensTile<T>::Rows& rows, V& dx, V& inverse_S) const {
-    const D d;
-    dx = hn::NegMulAdd(s, hn::Load(d, rows.M1), hn::Sub(x, hn::Load(d, rows.M0)));
-    inverse_S = Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
-    return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::Load(d, rows.A));
-  }
-};
-
-template <int kOrder, class T>
-void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, int64_t count) {
-  using Tile = LensTile<T>;
-  using V = typename Tile::V;
-  const Tag<T> d;
-  const hn::RebindToSigned<Tag<T>> di;
-  const LensSplat<T> splat(job.splats, id);
-  const T *xs = tile.x.get(), *ss = tile.s.get();
-  T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
-  const auto* channels = tile.channel.get();
-  const auto* list = tile.list();
-
-  for (int64_t k = 0; k < count; ++k) {
-    const int64_t i = int64_t(list[k]) * Tile::kLanes;
-    const typename Tile::Rows& rows = tile.rows(list[k]);
-    const V s = hn::Load(d, ss + i);
-    V dx, inverse_S;
-    const V alpha = Alpha(d, splat.power(hn::Load(d, xs + i), s, rows, dx, inverse_S));
-    const V before = hn::Load(d, transmittances + i);
-    V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
-    const auto channel = hn::Load(di, channels + i);
-    V c = ColourAt<kOrder>(d, splat.colour, splat.order, channel, s);
-
-    // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
-    const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
-    if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
-      weight = hn::IfThenElse(stop, before, weight);
-      c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
-      after = hn::IfThenZeroElse(stop, after);
-      if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[k]);
-    }
-    hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
-    hn::Store(after, d, transmittances + i);
-  }
-}
-
-// Adds the background and writes the tile to the image.
-template <class T>
-void FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
+// Blends a splat over the `count` vectors that it may touch. Never inlined: what is constant stays in registers.
+template <class Footprint, int kOrder, class Shape, class T>
+HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
+                               const Shape& shape, int64_t count) {
+  constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share the look-out for what stops
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
-  constexpr int kLanes = LensTile<T>::kLanes;
-  for (int64_t i = 0; i < samples; i += kLanes) {
-    const V b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
-    V c = hn::MulAdd(hn::Load(d, &tile.transmittance[i]), b, hn::Load(d, &tile.colour[i]));
-    if (job.out8) {
-      const V unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
-      const V byte = hn::MulAdd(unit, hn::Set(d, T(255)), hn::Set(d, T(0.5)));
-      c = hn::BitCast(d, hn::ConvertTo(di, byte));
+  const Footprint footprint(shape);
+  const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
+  T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
+  const int order = job.splats.orders[id];
+  const V least_after = hn::Set(d, T(kMinTransmittance));
+
+  auto blend = [&](auto vectors, const uint16_t* list) {
+    V weights[vectors], afters[vectors], least = least_after;
+    for (int n = 0; n < vectors; ++n) {
+      const int64_t i = int64_t(list[n]) * kLanes;
+      const V before = hn::Load(d, transmittances + i);
+      weights[n] = footprint.weight(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n]), before);
+      afters[n] = hn::Sub(before, weights[n]);
+      least = hn::Min(least, afters[n]);
     }
-    hn::Store(c, d, &tile.colour[i]);
+    const bool stops = !hn::AllFalse(d, hn::Lt(least, least_after));
+    for (int n = 0; n < vectors; ++n) {
+      const int64_t i = int64_t(list[n]) * kLanes;
+      const auto channel = hn::Load(di, &tile.channel[i]);
+      V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
+
+      // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
+      if (HWY_UNLIKELY(stops)) {
+        const auto stop = hn::Lt(after, least_after);
+        weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
+        c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
+        after = hn::IfThenZeroElse(stop, after);
+        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
+      }
+      hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+      hn::Store(after, d, transmittances + i);
+    }
+  };
+  const uint16_t *list = tile.list(), *end = list + count;
+  for (; list + kStep <= end; list += kStep) blend(std::integral_constant<int, kStep>(), list);
+  for (; list < end; ++list) blend(std::integral_constant<int, 1>(), list);
+}
+
+// The same, by the cheapest code that is right for the splat.
+template <class T>
+void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, int64_t count) {
+  const Splat<T>& splat = job.splats.splats[id];
+  auto draw = [&](auto footprint, const auto& shape) {
+    using Footprint = typename decltype(footprint)::type;
+    switch (job.splats.orders[id]) {
+      case 0: return ForwardSplat<Footprint, 0>(job, tile, background, id, shape, count);
+      case 1: return ForwardSplat<Footprint, 1>(job, tile, background, id, shape, count);
+      case 2: return ForwardSplat<Footprint, 2>(job, tile, background, id, shape, count);
+      default: return ForwardSplat<Footprint, -1>(job, tile, background, id, shape, count);
+    }
+  };
+  if constexpr (sizeof(T) == 4) {
+    const InverseRoot<T> root(splat);
+    if (PlainFootprint<T>::fits(splat, root)) return draw(std::type_identity<PlainFootprint<T>>(), root);
   }
-  const bool bgr = job.lens->bgr;
-  using TI = typename LensTile<T>::TI;
-  tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
-    const int64_t at = row * 3 * job.lens->width_px + m;
-    int k = int(m % 3);
-    for (int64_t t = 0; t < count; ++t, sample += kLanes) {
-      const int64_t to = at + t + (bgr ? 2 - 2 * k : 0);
-      k = k == 2 ? 0 : k + 1;
-      if (job.out8)
-        job.out8[to] = uint8_t(reinterpret_cast<const TI*>(tile.colour.get())[sample]);
-      else
-        job.out[to] = tile.colour[sample];
+  draw(std::type_identity<ExactFootprint<T>>(), splat);
+}
+
+// Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel.
+template <class T>
+void FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
+  const Tag<T> d;
+  const hn::RebindToSigned<Tag<T>> di;
+  const hn::RebindToUnsigned<Tag<T>> du;
+  const hn::Rebind<uint8_t, Tag<T>> d8;
+  constexpr int kLanes = LensTile<T>::kLanes;
+  uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // read no more once they are written
+  for (int64_t i = 0; i < samples; i += kLanes) {
+    const auto b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
+    const auto c = hn::MulAdd(hn::Load(d, &tile.transmittance[i]), b, hn::Load(d, &tile.colour[i]));
+    if (job.out8) {
+      const auto unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
+      const auto rounded = hn::ConvertTo(di, hn::MulAdd(unit, hn::Set(d, T(255)), hn::Set(d, T(0.5))));
+      hn::Store(hn::TruncateTo(d8, hn::BitCast(du, rounded)), d8, bytes + i);
+    } else {
+      hn::Store(c, d, &tile.colour[i]);
     }
-  });
+  }
+  auto write = [&](const auto* from, auto* image) {
+    tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
+      auto* to = image + row * 3 * job.lens->width_px + m;
+      for (int64_t t = 0; t < count; ++t) to[t] = from[sample + t * kLanes];
+    });
+  };
+  job.out8 ? write(bytes, job.out8) : write(tile.colour.get(), job.out);
+}
+
+// From the places of a panel that has the blue left-most to the channels of an image.
+template <class U>
+void SwapRedBlue(U* rows, int64_t pixels) {
+  for (int64_t j = 0; j < pixels; ++j) std::swap(rows[3 * j], rows[3 * j + 2]);
 }
 
 // See BackwardTile of the dense sensor for the formula; here a sample has one channel.
@@ -151,8 +150,10 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
-  const LensSplat<T> splat(job.splats, id);
-  const int order = splat.order;
+  const Splat<T>& splat = job.splats.splats[id];
+  const ExactFootprint<T> footprint(splat);
+  const T* colour = colour_of(job.splats, id);
+  const int order = job.splats.orders[id];
   SplatSums<Tag<T>> sums(d);
   V g_colour[3 * (kMaxColourOrder + 1)];
   for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
@@ -163,7 +164,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     const auto& rows = tile.rows(vector);
     const V s = hn::Load(d, &tile.s[i]);
     V dx, inverse_S;
-    const V power = splat.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
+    const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
     V alpha = Alpha(d, power);
     const V before = hn::Load(d, &tile.transmittance[i]);
     const V after = hn::NegMulAdd(alpha, before, before);
@@ -181,8 +182,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     if (hn::AllFalse(d, lit)) continue;
     touched = true;
 
-    const V c = order == 0 ? ColourAt<0>(d, splat.colour, 0, channel, s)
-                           : ColourAt<-1>(d, splat.colour, order, channel, s);
+    const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s)
+                           : ColourAt<-1>(d, colour, order, channel, s);
     const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
     const V prefix = hn::MulAdd(weight, v, hn::Load(d, &tile.prefix[i]));
     hn::Store(prefix, d, &tile.prefix[i]);
@@ -202,7 +203,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     }
   }
   if (!touched) return;
-  sums.Reduce(d, job.splats.splats[id], out);
+  sums.Reduce(d, splat, out);
   for (int k = 0; k < 3 * (order + 1); ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
 }
 
@@ -267,12 +268,7 @@ Counters CompositeLensImpl(const LensJob<T>& job) {
         const int64_t count = tile.find(job.splats.splats[*id]);
         c.evaluations += count * LensTile<T>::kLanes;
         if (!backward) {
-          switch (job.splats.orders[*id]) {
-            case 0: ForwardSplat<0>(job, tile, background, *id, count); break;
-            case 1: ForwardSplat<1>(job, tile, background, *id, count); break;
-            case 2: ForwardSplat<2>(job, tile, background, *id, count); break;
-            default: ForwardSplat<-1>(job, tile, background, *id, count);
-          }
+          Forward(job, tile, background, *id, count);
           continue;
         }
         const int64_t own_band = band - rows_of(job.splats.splats[*id], lens.height_px).first / kBandRows;
@@ -282,6 +278,10 @@ Counters CompositeLensImpl(const LensJob<T>& job) {
         BackgroundGradient(tile, layout.samples(), job.band_background + 3 * band);
       else
         FinishTile(job, tile, layout.samples(), background);
+    }
+    if (!backward && lens.bgr) {
+      const int64_t first = row0 * 3 * lens.width_px, pixels = rows * lens.width_px;
+      job.out8 ? SwapRedBlue(job.out8 + first, pixels) : SwapRedBlue(job.out + first, pixels);
     }
   });
 

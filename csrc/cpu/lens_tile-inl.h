@@ -193,36 +193,76 @@ class LensTile {
 
   // Positions, offsets and channels of a patch's samples.
   void place_patch(int64_t patch) {
+    const D d;
+    const hn::RebindToSigned<D> di;
     const int64_t down = patch / across_, across = patch % across_;
-    const int64_t all = 3 * lens_.width_px;
-    T s_low = T(2), s_high = T(-2);
+
+    // A lane is a cell in a row: which of its ordinals are sub-pixels of the panel, and where it starts
+    alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
+    alignas(64) T columns[kLanes];
+    alignas(64) uint64_t phases[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
       const int64_t r = down * kRows + lane / kCellsPerPatch, c = across * kCellsPerPatch + lane % kCellsPerPatch;
-      const int64_t row = row0_ + r, first = start(r, c), last = first + layout_.ordinals;
-      const int64_t begin = row < lens_.height_px ? std::clamp<int64_t>(first, 0, all) : all;
-      const int64_t end = std::min({start(r, c + 1), all, last});
-      int64_t sample = patch * layout_.ordinals * kLanes + lane;
+      const int64_t row = row0_ + r, first = start(r, c), place = (first % 3 + 3) % 3;
+      const int64_t all = row < lens_.height_px ? 3 * lens_.width_px : 0;
+      outside[lane] = TI(-first - 1), ends[lane] = TI(std::min(start(r, c + 1), all) - first);
+      places[lane] = TI(place), columns[lane] = T(double((first - place) / 3) + 0.5 - x0_);
+      phases[lane] = lens_.phase_at(row, first);
+    }
+
+    V column = hn::Load(d, columns), s_low = hn::Set(d, T(2)), s_high = hn::Set(d, T(-2));
+    auto place = hn::Load(di, places);
+    const auto before = hn::Load(di, outside), end = hn::Load(di, ends), two = hn::Set(di, TI(2));
+    for (int t = 0; t < layout_.ordinals; ++t) {
+      const int64_t i = (patch * layout_.ordinals + t) * kLanes;
+      const auto ordinal = hn::Set(di, TI(t));
+      const auto shown = hn::RebindMask(d, hn::And(hn::Gt(ordinal, before), hn::Lt(ordinal, end)));
+      const V offset = next_offsets(phases);
+      s_low = hn::Min(s_low, hn::IfThenElse(shown, offset, s_low));
+      s_high = hn::Max(s_high, hn::IfThenElse(shown, offset, s_high));
 
       // Lanes without a sub-pixel of the panel stand where no splat reaches
-      for (int64_t m = first; m < last; ++m, sample += kLanes)
-        if (m < begin || m >= end) x[sample] = T(1e9), s[sample] = T(0), channel[sample] = 0;
-      if (begin >= end) continue;
-      sample += (begin - last) * kLanes;
-      uint64_t phase = lens_.phase_at(row, begin);
-      T centre = T(double(begin / 3) + 0.5 - x0_);
-      int k = int(begin % 3);
-      for (int64_t m = begin; m < end; ++m, sample += kLanes, phase += lens_.phase_x) {
-        const T offset = T(layout_.s_start + layout_.s_step * camera_coordinate(lens_, phase));
-        x[sample] = centre, s[sample] = offset, channel[sample] = TI(lens_.bgr ? 2 - k : k);
-        if (!layout_.by_lens) s_low = std::min(s_low, offset), s_high = std::max(s_high, offset);
-        if (++k == 3) k = 0, centre += T(1);
-      }
+      hn::Store(hn::IfThenElse(shown, column, hn::Set(d, T(1e9))), d, &x[i]);
+      hn::Store(offset, d, &s[i]);
+      hn::Store(lens_.bgr ? hn::Sub(two, place) : place, di, &channel[i]);
+      const auto last = hn::Eq(place, two);
+      place = hn::IfThenZeroElse(last, hn::Add(place, hn::Set(di, TI(1))));
+      column = hn::Add(column, hn::IfThenElseZero(hn::RebindMask(d, last), hn::Set(d, T(1))));
     }
     const double cell = double(cell0_ + across * kCellsPerPatch) + 0.5 * (kCellsPerPatch - 1);
     patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + down * kRows) + 0.5 * (kRows - 1)) - x0_);
-    patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (s_low + s_high);
-    patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (s_high - s_low)) + T(1e-6);
+    const T low = hn::GetLane(hn::MinOfLanes(d, s_low)), high = hn::GetLane(hn::MaxOfLanes(d, s_high));
+    patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (low + high);
+    patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
   }
+
+  // Offsets of the samples at these phases, which go on to the next sub-pixel. Exact but for the last rounding.
+  HWY_INLINE V next_offsets(uint64_t* HWY_RESTRICT phases) const {
+    const D d;
+    if constexpr (kLanes == 1) {
+      const uint64_t phase = *phases;
+      *phases += lens_.phase_x;
+      return hn::Set(d, T(layout_.s_start + layout_.s_step * camera_coordinate(lens_, phase)));
+    } else {
+      // camera_coordinate in halves of a vector, as integers: the view, or x as a fraction of 2^31
+      const hn::RebindToSigned<D> di;
+      const hn::RepartitionToWide<hn::RebindToUnsigned<D>> d64;
+      const hn::RebindToUnsigned<D> d32;
+      const auto views = hn::BitCast(d32, hn::Set(d64, uint64_t(lens_.views)));
+      auto next = [&](uint64_t* at) {
+        const auto phase = hn::Load(d64, at), high = hn::ShiftRight<32>(phase);
+        hn::Store(hn::Add(phase, hn::Set(d64, lens_.phase_x)), d64, at);
+        if (lens_.continuous) return hn::BitCast(d32, hn::ShiftRight<1>(high));
+        const auto carry = hn::ShiftRight<32>(hn::MulEven(hn::BitCast(d32, phase), views));
+        return hn::BitCast(d32, hn::ShiftRight<32>(hn::Add(hn::MulEven(hn::BitCast(d32, high), views), carry)));
+      };
+      const auto low = next(phases), integers = hn::ConcatEven(d32, next(phases + kLanes / 2), low);
+      const double unit = lens_.continuous ? double(lens_.views) / 2147483648.0 : 1, half = lens_.continuous ? 0 : 0.5;
+      return hn::MulAdd(hn::ConvertTo(d, hn::BitCast(di, integers)), hn::Set(d, T(layout_.s_step * unit)),
+                        hn::Set(d, T(layout_.s_start + layout_.s_step * half)));
+    }
+  }
+
 
   const Lens& lens_;
   const LensLayout& layout_;

@@ -1,0 +1,97 @@
+// A splat as the samples of a lens tile read it: its footprint, as it is written or simplified, and its colour.
+
+#if defined(LFGS_CPU_LENS_SPLAT_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_LENS_SPLAT_INL_H_
+#undef LFGS_CPU_LENS_SPLAT_INL_H_
+#else
+#define LFGS_CPU_LENS_SPLAT_INL_H_
+#endif
+
+#include <cmath>
+
+#include "cpu/lens_tile-inl.h"
+#include "hwy/highway.h"
+#include "math/blend-inl.h"
+#include "math/inverse_root.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lfgs {
+namespace HWY_NAMESPACE {
+
+// A splat's colour polynomial, [order + 1, kColourStride].
+template <class T>
+const T* colour_of(const Splats<T>& splats, int32_t id) {
+  return splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
+}
+
+// Colour of a splat at the samples' offsets. kOrder: 0, 1, 2, or -1 for `order`.
+template <int kOrder, class D>
+HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::Vec<hn::RebindToSigned<D>> channel,
+                               hn::Vec<D> s) {
+  if constexpr (kOrder == 0) return Lookup(d, colour, channel);
+  const int n = kOrder < 0 ? order : kOrder;
+  auto c = Lookup(d, colour + n * kColourStride, channel);
+  for (int p = n - 1; p >= 0; --p) c = hn::MulAdd(c, s, Lookup(d, colour + p * kColourStride, channel));
+  return hn::Max(c, hn::Zero(d));
+}
+
+// px - m(s)
+template <class T>
+HWY_INLINE hn::Vec<Tag<T>> DistanceX(hn::Vec<Tag<T>> x, hn::Vec<Tag<T>> s, const typename LensTile<T>::Rows& rows) {
+  const Tag<T> d;
+  return hn::NegMulAdd(s, hn::Load(d, rows.M1), hn::Sub(x, hn::Load(d, rows.M0)));
+}
+
+// The footprint as it is written.
+template <class T>
+struct ExactFootprint {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  V S0, S1, S2;
+
+  explicit HWY_INLINE ExactFootprint(const Splat<T>& s) {
+    const D d;
+    S0 = hn::Set(d, s.S0), S1 = hn::Set(d, s.S1), S2 = hn::Set(d, s.S2);
+  }
+  // log2 of opacity * weight; also dx = px - m(s) and 1 / S(s).
+  HWY_INLINE V power(V x, V s, const typename LensTile<T>::Rows& rows, V& dx, V& inverse_S) const {
+    const D d;
+    dx = DistanceX<T>(x, s, rows);
+    inverse_S = Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
+    return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::Load(d, rows.A));
+  }
+  // alpha * transmittance
+  HWY_INLINE V weight(V x, V s, const typename LensTile<T>::Rows& rows, V transmittance) const {
+    V dx, inverse_S;
+    return hn::Mul(Alpha(D(), power(x, s, rows, dx, inverse_S)), transmittance);
+  }
+};
+
+// The footprint of a splat whose S^(-1/2) is near enough to a parabola over the rig, and whose alpha needs no limit.
+template <class T>
+struct PlainFootprint {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  V r0, r1, r2;
+
+  explicit HWY_INLINE PlainFootprint(const InverseRoot<T>& root) {
+    const D d;
+    r0 = hn::Set(d, root.r0), r1 = hn::Set(d, root.r1), r2 = hn::Set(d, root.r2);
+  }
+  static bool fits(const Splat<T>& s, const InverseRoot<T>& root) {
+    return root.error < T(kMostRootError) && s.log2_opacity <= T(kLog2MaxAlpha);
+  }
+  HWY_INLINE V weight(V x, V s, const typename LensTile<T>::Rows& rows, V transmittance) const {
+    const D d;
+    const V e = hn::Mul(DistanceX<T>(x, s, rows), hn::MulAdd(hn::MulAdd(s, r2, r1), s, r0));
+    const V power = hn::NegMulAdd(e, e, hn::Load(d, rows.A));
+    const auto lit = hn::Ge(power, hn::Set(d, T(kLog2MinAlpha)));
+    return hn::IfThenElseZero(lit, hn::Mul(Exp2<4>(d, power), transmittance));
+  }
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lfgs
+HWY_AFTER_NAMESPACE();
+
+#endif  // LFGS_CPU_LENS_SPLAT_INL_H_
