@@ -1,0 +1,52 @@
+"""What is drawn by both the CPU's stages and the CUDA stages compiled for the CPU."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs import Gaussians, Panel, Rig
+from lightfield_gs.bench.scenes import cloud, sheet, with_harmonics
+
+LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
+PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
+          "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6), "one view": dict(views=1),
+          "narrow cone": dict(cone_deg=4.0)}
+BACKGROUND = (0.1, 0.6, 0.3)
+
+
+def frames_of(kernel: str) -> list[tuple[str, int, str]]:
+    """Panel, SH degree and views of every frame; fewer of the kernel with tensor cores, which take seconds here."""
+    names = list(PANELS)[:2] if kernel == "ordinal" else PANELS
+    return [(name, degree, views) for name in names for degree, views in ((0, "integer"), (3, "continuous"))]
+
+
+def scene_of(degree: int) -> Gaussians:
+    return with_harmonics(cloud(900, 11), degree) if degree else sheet(24, 11)
+
+
+def rig_of(panel: Panel) -> Rig:
+    return Rig(np.eye(4), (panel.width_px,) * 2, (0.52 * panel.width_px, 0.47 * panel.height_px), 2.0)
+
+
+def panel_of(name: str) -> Panel:
+    return Panel(**{**LENS, **PANELS[name]})
+
+
+def dense_step(dtype: torch.dtype) -> dict[str, Tensor]:
+    """Images of two scenes before three cameras, and the gradients of a loss on them."""
+    panel = Panel(**{**LENS, "width_px": 45, "height_px": 21, "views": 3})
+    scenes = [with_harmonics(sheet(16, seed), 1) for seed in range(2)]
+    leaves = {f: torch.stack([s.fields()[f] for s in scenes]).to(dtype).requires_grad_() for f in scenes[0].fields()}
+    cameras = rig_of(panel).cameras(panel).to(dtype=dtype)
+    views: list[Any] = [t.expand(2, *t.shape).contiguous()
+                        for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
+    outputs = torch.ops.lightfield_gs.render_dense(*leaves.values(), torch.full((2, 3, 3), 0.3, dtype=dtype), *views,
+                                                   panel.width_px, panel.height_px)
+    random = torch.Generator().manual_seed(5)
+    loss = sum((out * torch.randn(out.shape, generator=random).to(out)).sum() for out in outputs)
+    gradients = torch.autograd.grad(loss, list(leaves.values()))
+    return dict(zip(("image", "alpha", "depth", *leaves), (*(out.detach() for out in outputs), *gradients)))

@@ -1,0 +1,21 @@
+// Half precision by the processor's conversions (F16C).
+#pragma once
+
+#include <cuda_runtime.h>
+#include <immintrin.h>
+
+struct __half {
+  uint16_t bits;
+};
+struct alignas(4) __half2 {
+  __half x, y;
+};
+inline __half __float2half_rn(float f) { return {uint16_t(_cvtss_sh(f, 0))}; }
+inline float __half2float(__half h) { return _cvtsh_ss(h.bits); }
+inline __half2 __floats2half2_rn(float a, float b) { return {__float2half_rn(a), __float2half_rn(b)}; }
+inline __half2 __float2half2_rn(float a) { return __floats2half2_rn(a, a); }
+inline float __low2float(__half2 h) { return __half2float(h.x); }
+inline float __high2float(__half2 h) { return __half2float(h.y); }
+inline __half2 __hsub2(__half2 a, __half2 b) {
+  return __floats2half2_rn(__low2float(a) - __low2float(b), __high2float(a) - __high2float(b));
+}
