@@ -11,7 +11,7 @@ from lightfield_gs.models import ModelConfig, SplatterNet
 from srn_scene import HEIGHT, WIDTH, look_at, write_object
 from test_model import TINY
 from training import evaluate
-from training.data.srn import read_object
+from training.data.objects import read_object
 from training.evaluation import azimuths_from_source, compare_object, score_folder
 from training.rendering import render_views
 

@@ -10,8 +10,9 @@ from lightfield_gs import InputError
 from srn_scene import look_at, write_object
 from training.data.cache import load_set
 from training.data.images import read_view
+from training.data.objects import find_objects, read_object
 from training.data.sampler import angles_from_source
-from training.data.srn import find_objects, read_intrinsics, read_object, read_pose
+from training.data.srn import read_pose
 from training.data.validate import main, problems
 from training.evaluation import azimuths_from_source
 
@@ -19,9 +20,8 @@ from training.evaluation import azimuths_from_source
 def test_reads_the_original_renderer(shared_dir):
     (folder,) = find_objects(shared_dir / "data/srn")
     views = read_object(folder)
-    camera = views.intrinsics
-    assert (camera.focal_px, camera.centre_x_px, camera.centre_y_px) == (131.25, 64, 64)
-    assert (camera.width_px, camera.height_px) == (128, 128)
+    assert views.intrinsics.tolist() == [[131.25, 131.25, 64, 64]] * len(views.image_paths)
+    assert (views.width_px, views.height_px) == (128, 128)
     assert len(views.image_paths) == len(list((folder / "rgb").iterdir())) == len(views.camera_to_world)
     positions, forward = views.camera_to_world[:, :3, 3], views.camera_to_world[:, :3, 2]
     np.testing.assert_allclose(positions[0], (-0.12943094968795776, 1.0043233633041382, 0.6438802480697632))

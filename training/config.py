@@ -38,8 +38,8 @@ class OptimizerConfig:
 class TrainingConfig:
     """One run.
 
-    model: name in configs/models, or a YAML file. data: folders of objects in SRN layout. cache_dir: where decoded
-    views are kept. output_dir: checkpoints, losses.jsonl, TensorBoard logs, final weights.
+    model: name in configs/models, or a YAML file. data: folders of objects, SRN layout or transforms.json. cache_dir:
+    where decoded views are kept. output_dir: checkpoints, losses.jsonl, TensorBoard logs, final weights.
     cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source
     view, and within elevation_deg in elevation. 360 with elevation_deg 90 takes every view.
     targets: target views per object, beside the source view itself. stages: run one after the other under one schedule.

@@ -27,7 +27,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m training.evaluate", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="folder that holds objects in SRN layout")
+    parser.add_argument("--data", type=Path, required=True, help="folder of objects: SRN layout or transforms.json")
+    parser.add_argument("--split", choices=("train", "val", "test"), default="val",
+                        help="views of objects that come in splits, transforms_<split>.json (default: val)")
     parser.add_argument("--checkpoint", type=Path, help="safetensors file; default: the one in the package")
     parser.add_argument("--save-renders", type=Path, help="folder for pictures: truth above prediction, by angle")
     parser.add_argument("--json", type=Path, required=True, help="file for the results")
@@ -39,7 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         check_output_path(options.json)
         net = SplatterNet.from_pretrained(options.checkpoint)
-        report = score_folder(net, options.data, limit=options.limit, save_renders=options.save_renders)
+        report = score_folder(net, options.data, limit=options.limit, save_renders=options.save_renders,
+                              split=options.split)
         report |= {"data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained")}
         with atomic_path(options.json) as temporary:
             temporary.write_text(json.dumps(report, indent=1) + "\n")

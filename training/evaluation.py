@@ -23,7 +23,8 @@ from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
 from training.data.batches import relative_cameras
 from training.data.images import read_view
-from training.data.srn import ObjectViews, find_objects, read_object
+from training.data.objects import find_objects, read_object
+from training.data.views import ObjectViews
 from training.metrics import psnr_db, ssim
 from training.rendering import render_views
 
@@ -72,20 +73,21 @@ def _on_white(frames: Tensor, height: int, width: int) -> Tensor:
 
 
 @torch.no_grad()
-def compare_object(net: SplatterNet, folder: Path, size_px: int = SIZE_PX, source: int = 0) -> Comparison:
-    """Predict an object from one view and render the others. size_px: length of the longer side of the frames."""
-    views = read_object(folder)
-    frames, camera = _frames(views), views.intrinsics
-    scale = size_px / max(camera.width_px, camera.height_px)
-    width, height = round(camera.width_px * scale), round(camera.height_px * scale)
+def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source: int = 0) -> Comparison:
+    """Predict an object from one view and render the others. path: as find_objects names it. size_px: length of the
+    longer side of the frames."""
+    views = read_object(path)
+    frames = _frames(views)
+    scale = size_px / max(views.width_px, views.height_px)
+    width, height = round(views.width_px * scale), round(views.height_px * scale)
     square = object_square(frames[source, 3])
-    focal, centre = (camera.focal_px,) * 2, (camera.centre_x_px, camera.centre_y_px)
+    fx, fy, cx, cy = views.intrinsics[source].tolist()
     net_size = net.config.image_size_px
-    source_intrinsics = torch.tensor([square.intrinsics(focal, centre, net_size)])
+    source_intrinsics = torch.tensor([square.intrinsics((fx, fy), (cx, cy), net_size)])
     gaussians = net(crop_resize(frames[source], square, net_size)[None], source_intrinsics)
     others = [index for index in range(len(frames)) if index != source]
     cameras = torch.from_numpy(relative_cameras(views.camera_to_world, source, others)).float()
-    intrinsics = (torch.tensor([*focal, *centre]) * scale).expand(len(others), 4)
+    intrinsics = torch.from_numpy(views.intrinsics[others] * scale).float()
     images, _ = render_views(gaussians, cameras[None], intrinsics[None], width, height, torch.ones(1, len(others), 3))
     truth = _on_white(frames, height, width)
     azimuths = azimuths_from_source(views.camera_to_world, source)[others]
@@ -106,25 +108,25 @@ def _means(rows: list[dict[str, float]]) -> dict[str, float]:
     return {name: float(np.mean([row[name] for row in rows])) for name in _METRICS}
 
 
-def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None,
-                 save_renders: Path | None = None) -> dict[str, Any]:
-    """Score a network on every object (the first `limit`) at or below a folder.
+def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save_renders: Path | None = None,
+                 split: str = "val") -> dict[str, Any]:
+    """Score a network on every object (the first `limit`) at or below a folder, on this split where it comes in splits.
 
     Returns psnr_db, ssim, copy_psnr_db, copy_ssim over all novel views, objects, views, and bins: the same four and the
     number of views for each angle_deg (azimuth to either side, rounded to 5 degrees). save_renders: folder for one
     picture per object. Raises InputError for data that cannot be used.
     """
     bins: dict[int, list[dict[str, float]]] = defaultdict(list)
-    folders = find_objects(data)[:limit]
-    for folder in tqdm(folders, desc=f"scoring {data}", unit="object", leave=False):
-        comparison = compare_object(net, folder)
+    objects = find_objects(data, split)[:limit]
+    for path in tqdm(objects, desc=f"scoring {data}", unit="object", leave=False):
+        comparison = compare_object(net, path)
         for angle, row in _scores(comparison):
             bins[angle].append(row)
         if save_renders is not None:
             save_comparison(comparison, save_renders / f"{comparison.name}.png")
     everything = [row for rows in bins.values() for row in rows]
     return _means(everything) | {
-        "objects": len(folders), "views": len(everything),
+        "objects": len(objects), "views": len(everything),
         "bins": [{"angle_deg": angle, "views": len(bins[angle])} | _means(bins[angle]) for angle in sorted(bins)]}
 
 

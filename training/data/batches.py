@@ -78,12 +78,12 @@ class BatchMaker:
         """The six tensors of one example."""
         cached, index = self.objects[choice.object_index]
         views = [choice.source, *choice.targets]
-        focal, centre_x, centre_y = cached.objects[index].intrinsics[:3]
+        intrinsics = cached.objects[index].intrinsics[[choice.source, *views]]
         cameras = relative_cameras(cached.objects[index].camera_to_world, choice.source, views)
         frames = [torch.from_numpy(cached.view(index, view)).permute(2, 0, 1) for view in views]
         if rng.random() < self.augmentation.mirror:
             frames, cameras = [frame.flip(-1) for frame in frames], mirrored(cameras)
-            centre_x = frames[0].shape[2] - centre_x
+            intrinsics[:, 2] = frames[0].shape[2] - intrinsics[:, 2]
         squares = [self._source_square(frames[0], rng)] + [self._target_square(frame, rng) for frame in frames]
         images = torch.stack([crop_resize(frame, square, size_px)
                               for frame, square in zip([frames[0], *frames], squares)]).div_(255).clamp_(0, 1)
@@ -91,8 +91,8 @@ class BatchMaker:
             permutation = rng.permutation(3).tolist()
             gain, gamma = torch.from_numpy(rng.uniform(0.7, 1.1, 3)).float(), float(np.exp(rng.uniform(-0.3, 0.3)))
             images = torch.stack([_vary_colours(image, permutation, gain, gamma) for image in images])
-        centre = (centre_x, centre_y)
-        intrinsics = torch.tensor([square.intrinsics((focal, focal), centre, size_px) for square in squares])
+        intrinsics = torch.tensor([square.intrinsics((fx, fy), (cx, cy), size_px)
+                                   for square, (fx, fy, cx, cy) in zip(squares, intrinsics.tolist())])
         white = rng.random((len(views), 1)) < 0.5
         backgrounds = torch.from_numpy(np.where(white, 1.0, rng.random((len(views), 3)))).float()
         return images[0], intrinsics[0], images[1:], intrinsics[1:], torch.from_numpy(cameras).float(), backgrounds

@@ -16,19 +16,21 @@ from tqdm import tqdm
 
 from lightfield_gs.io.atomic import atomic_path
 from training.data.images import read_view
-from training.data.srn import find_objects, read_object
+from training.data.objects import find_objects, folder_of, read_object
 
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
 class CachedObject:
-    """One object: name, V views as (offset, left, top, width, height) rows of [V,5], camera_to_world [V,4,4] float64,
-    intrinsics (focal, centre x, centre y, width, height) in pixels."""
+    """One object: name, V views as (offset, left, top, width, height) rows of [V,5], camera_to_world [V,4,4] and
+    intrinsics [V,4] (fx, fy, cx, cy) float64, size of the images; lengths in pixels."""
     name: str
     rectangles: np.ndarray
     camera_to_world: np.ndarray
-    intrinsics: tuple[float, float, float, int, int]
+    intrinsics: np.ndarray
+    width_px: int
+    height_px: int
 
 
 class CachedSet:
@@ -41,26 +43,27 @@ class CachedSet:
         """View number `view` of object number `index`, uint8 [H,W,4], premultiplied."""
         views = self.objects[index]
         offset, left, top, width, height = views.rectangles[view].tolist()
-        frame = np.zeros((views.intrinsics[4], views.intrinsics[3], 4), np.uint8)
+        frame = np.zeros((views.height_px, views.width_px, 4), np.uint8)
         block = self._pixels[offset:offset + 4 * width * height]
         frame[top:top + height, left:left + width] = block.reshape(height, width, 4)
         return frame
 
 
-def _fingerprint(folders: list[Path]) -> str:
+def _fingerprint(objects: list[Path]) -> str:
     """Changes when any file of the set is added, removed, resized or rewritten."""
     digest = hashlib.sha256(str(_VERSION).encode())
-    for folder in folders:
-        for path in sorted(folder.rglob("*")):
+    for name in objects:
+        digest.update(f"{name};".encode())
+        for path in sorted(folder_of(name).rglob("*")):
             if path.is_file():
                 state = path.stat()
                 digest.update(f"{path}:{state.st_size}:{state.st_mtime_ns};".encode())
     return digest.hexdigest()[:16]
 
 
-def _decode_object(folder: Path) -> tuple[dict, list[np.ndarray]]:
+def _decode_object(name: Path) -> tuple[dict, list[np.ndarray]]:
     """Decode one object: its entry for the index (offsets from its own start) and the bytes of each view."""
-    views = read_object(folder)
+    views = read_object(name)
     blocks, rectangles, offset = [], [], 0
     for index in range(len(views.image_paths)):
         frame = read_view(views, index)
@@ -69,20 +72,18 @@ def _decode_object(folder: Path) -> tuple[dict, list[np.ndarray]]:
         blocks.append(frame[top:top + height, left:left + width].reshape(-1))
         rectangles.append([offset, int(left), int(top), int(width), int(height)])
         offset += blocks[-1].size
-    camera = views.intrinsics
-    return {"name": str(folder), "rectangles": rectangles, "camera_to_world": views.camera_to_world.tolist(),
-            "intrinsics": [camera.focal_px, camera.centre_x_px, camera.centre_y_px, camera.width_px, camera.height_px],
-            }, blocks
+    return {"name": str(name), "rectangles": rectangles, "camera_to_world": views.camera_to_world.tolist(),
+            "intrinsics": views.intrinsics.tolist(), "width_px": views.width_px, "height_px": views.height_px}, blocks
 
 
-def _build(folders: list[Path], base: Path, workers: int) -> None:
-    """Decode all folders into <base>.bytes and <base>.json; each appears complete or not at all."""
+def _build(names: list[Path], base: Path, workers: int) -> None:
+    """Decode all objects into <base>.bytes and <base>.json; each appears complete or not at all."""
     entries, offset = [], 0
     base.parent.mkdir(parents=True, exist_ok=True)
     with (atomic_path(base.with_suffix(".bytes")) as pixels, atomic_path(base.with_suffix(".json")) as index,
           open(pixels, "wb") as file, ProcessPoolExecutor(workers) as pool):
-        decoded = pool.map(_decode_object, folders, chunksize=8)
-        for entry, blocks in tqdm(decoded, total=len(folders), desc=f"decoding {base.name}", unit="object"):
+        decoded = pool.map(_decode_object, names, chunksize=8)
+        for entry, blocks in tqdm(decoded, total=len(names), desc=f"decoding {base.name}", unit="object"):
             entry["rectangles"] = [[offset + row[0], *row[1:]] for row in entry["rectangles"]]
             entries.append(entry)
             for block in blocks:
@@ -91,15 +92,16 @@ def _build(folders: list[Path], base: Path, workers: int) -> None:
 
 
 def load_set(root: Path, cache_dir: Path, workers: int = 2) -> CachedSet:
-    """Open a folder of objects, decoding it into cache_dir when that has not been done.
+    """Open a folder of objects (their split "train" where they have any), decoding it into cache_dir when that has not
+    been done.
 
     Raises InputError for the first object that cannot be used (`python -m training.data.validate` lists them all).
     """
-    folders = find_objects(Path(root).resolve())
-    base = Path(cache_dir) / f"{Path(root).name}-{_fingerprint(folders)}"
+    names = find_objects(Path(root).resolve(), "train")
+    base = Path(cache_dir) / f"{Path(root).name}-{_fingerprint(names)}"
     if not (base.with_suffix(".json").exists() and base.with_suffix(".bytes").exists()):
-        _build(folders, base, workers)
+        _build(names, base, workers)
     entries = json.loads(base.with_suffix(".json").read_text())
     objects = [CachedObject(entry["name"], np.array(entry["rectangles"], np.int64), np.array(entry["camera_to_world"]),
-                            tuple(entry["intrinsics"])) for entry in entries]
+                            np.array(entry["intrinsics"]), entry["width_px"], entry["height_px"]) for entry in entries]
     return CachedSet(Path(root).name, objects, np.memmap(base.with_suffix(".bytes"), np.uint8, "r"))

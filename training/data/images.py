@@ -8,7 +8,7 @@ import numpy as np
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.images import read_image
 from lightfield_gs.io.photo import plain_background_mask
-from training.data.srn import ObjectViews
+from training.data.views import ObjectViews
 
 
 def read_premultiplied(path: Path, width_px: int, height_px: int) -> np.ndarray:
@@ -44,4 +44,4 @@ def _alpha(pixels: np.ndarray) -> np.ndarray:
 
 def read_view(views: ObjectViews, index: int) -> np.ndarray:
     """One view of an object as premultiplied uint8 [H,W,4]."""
-    return read_premultiplied(views.image_paths[index], views.intrinsics.width_px, views.intrinsics.height_px)
+    return read_premultiplied(views.image_paths[index], views.width_px, views.height_px)

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from lightfield_gs.errors import InputError
 from training.data.images import read_view
-from training.data.srn import find_objects, read_object
+from training.data.objects import find_objects, read_object
 
 
 def problems(root: Path) -> Iterator[str]:
-    """Yield one line for each object folder at or below root that cannot be used, naming its first fault per image."""
-    for folder in find_objects(root):
+    """Yield one line for each object at or below root that cannot be used, naming its first fault per image."""
+    for path in find_objects(root):
         try:
-            views = read_object(folder)
+            views = read_object(path)
         except InputError as error:
             yield str(error)
             continue
@@ -29,7 +29,7 @@ def problems(root: Path) -> Iterator[str]:
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns 0 when all is well, 2 otherwise."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path, help="folder that holds objects in SRN layout")
+    parser.add_argument("data", type=Path, help="folder of objects: SRN layout or transforms.json")
     options = parser.parse_args(arguments)
     try:
         found = list(problems(options.data))

@@ -1,0 +1,140 @@
+"""Reader of the NeRF layout: a transforms.json beside the images of one object.
+
+Source of the layout: Mildenhall et al., "NeRF", ECCV 2020; Müller et al., "Instant Neural Graphics Primitives", 2022.
+frames: for each view an object with file_path (relative to the JSON, extension optional) and transform_matrix (4x4,
+camera-to-world, OpenGL axes: x right, y up, z backward). The camera, at the top or in a frame, which has precedence:
+    w, h                                whole pixels; default: the size of the first image
+    fl_x, fl_y                          pixels; or camera_angle_x, camera_angle_y, radians: w / 2 / tan(angle / 2);
+                                        the one that is missing equals the other (square pixels)
+    cx, cy                              pixels from the outer corner of the first pixel; default: the middle
+    k1 k2 k3 k4 p1 p2, camera_model     lens distortion must be none: images are to be undistorted before
+Everything else (aabb_scale, scale, offset, ...) is about other programs and is not read.
+
+The unit of length of such files is arbitrary: poses are scaled so that the cameras stand OBJECT_DISTANCE, on average,
+from the point they look at, where the network expects the object.
+"""
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightfield_gs.errors import InputError
+from lightfield_gs.io.images import read_info
+from lightfield_gs.io.json_file import read_object as read_json
+from training.data.views import (IMAGE_SUFFIXES, ObjectViews, check_intrinsics, check_looking_at_object, check_pose,
+                                 depths_of_object)
+
+OBJECT_DISTANCE = 1.3
+_LIMIT_BYTES = 64 << 20
+TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+_DISTORTIONS = ("k1", "k2", "k3", "k4", "p1", "p2")
+_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPECTIVE")
+_AXES = "OpenGL axes, x right, y up, z backward: from OpenCV axes, negate the second and third column of each rotation"
+
+
+def read_transforms(path: Path) -> ObjectViews:
+    """Read the cameras of a transforms file, and find its images (not decoded here).
+
+    Raises InputError that names file and field of the first thing wrong.
+    """
+    path = Path(path)
+    data = read_json(path, _LIMIT_BYTES)
+    frames = data.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f"{path}: frames: expected a list of views, got {_shown(frames)}")
+    fields = [f"{path}: frames[{index}]" for index in range(len(frames))]
+    for field, frame in zip(fields, frames):
+        if not isinstance(frame, dict):
+            raise InputError(f"{field}: expected an object with file_path and transform_matrix, got {_shown(frame)}")
+    images = [_image_path(field, path.parent, frame.get("file_path")) for field, frame in zip(fields, frames)]
+    poses = np.stack([_pose(f"{field}.transform_matrix", frame) for field, frame in zip(fields, frames)])
+    check_looking_at_object(f"{path}: transform_matrix", poses, _AXES)
+    sizes, intrinsics = zip(*(_camera(field, data, frame, images[0]) for field, frame in zip(fields, frames)))
+    for field, size in zip(fields, sizes):
+        if size != sizes[0]:
+            raise InputError(f"{field}: bad intrinsics: expected the size of frames[0], {sizes[0][0]} x {sizes[0][1]}, "
+                             f"got w x h of {size[0]} x {size[1]}; resize the images to one size")
+    poses = _at_object_distance(path, poses)
+    return ObjectViews(path.parent.name, tuple(images), poses, np.stack(intrinsics), *sizes[0])
+
+
+def _shown(value: Any) -> str:
+    """A value from a file, for a message."""
+    return "none" if value is None else repr(value)[:60]
+
+
+def _image_path(field: str, folder: Path, name: Any) -> Path:
+    """The image file of a frame, with or without its extension in the file."""
+    if not isinstance(name, str) or not name.strip() or "\0" in name:
+        raise InputError(f"{field}.file_path: expected the name of an image, got {_shown(name)}")
+    base = (folder / name).resolve()
+    if not base.is_relative_to(folder.resolve()):
+        raise InputError(f"{field}.file_path: {_shown(name)} leads out of {folder}; put the images into that folder")
+    candidates = [base, *(base.with_name(base.name + suffix) for suffix in IMAGE_SUFFIXES)]
+    for candidate in candidates:
+        if candidate.suffix.lower() in IMAGE_SUFFIXES and candidate.is_file():
+            return candidate
+    raise InputError(f"{field}.file_path: missing image {base}: expected such a file, or with one of "
+                     f"{', '.join(IMAGE_SUFFIXES)} added")
+
+
+def _pose(field: str, frame: dict[str, Any]) -> np.ndarray:
+    """The camera-to-world matrix of a frame, float64 [4,4], OpenCV axes."""
+    try:
+        pose = np.array(frame.get("transform_matrix"))
+    except ValueError:
+        raise InputError(f"{field}: bad pose: expected 4 rows of 4 numbers, got rows of different lengths") from None
+    if pose.shape != (4, 4) or pose.dtype.kind not in "iuf":
+        raise InputError(f"{field}: bad pose: expected 4 rows of 4 numbers, got {pose.dtype} {list(pose.shape)}")
+    check_pose(field, pose.astype(np.float64))
+    return pose @ TO_OPENCV
+
+
+def _camera(field: str, shared: dict[str, Any], frame: dict[str, Any],
+            first_image: Path) -> tuple[tuple[int, int], np.ndarray]:
+    """Image size (w, h) and (fx, fy, cx, cy) of a frame; what it does not say itself is shared by all."""
+    def number(key: str) -> float | None:
+        value = frame.get(key, shared.get(key))
+        if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e12):
+            return value
+        raise InputError(f"{field}: {key}: expected a number, got {_shown(value)}")
+
+    def focal(length_key: str, angle_key: str, size: float) -> float | None:
+        length, angle = number(length_key), number(angle_key)
+        if length is not None or angle is None:
+            return length
+        if not 0 < angle < np.pi:
+            raise InputError(f"{field}: bad intrinsics: {angle_key}: expected 0 to pi radians, got {angle:g}")
+        return size / 2 / np.tan(angle / 2)
+
+    model = frame.get("camera_model", shared.get("camera_model", "PINHOLE"))
+    if model not in _PINHOLES or shared.get("is_fisheye") is True or any(number(key) for key in _DISTORTIONS):
+        raise InputError(f"{field}: bad intrinsics: expected a pinhole camera (k1 ... p2 zero), got lens distortion "
+                         f"(camera_model {_shown(model)}): undistort the images first")
+    width, height = number("w"), number("h")
+    if width is None or height is None:
+        info = read_info(first_image)
+        width, height = info.width_px if width is None else width, info.height_px if height is None else height
+    fx, fy = focal("fl_x", "camera_angle_x", width), focal("fl_y", "camera_angle_y", height)
+    if fx is None and fy is None:
+        raise InputError(f"{field}: bad intrinsics: missing focal length: give fl_x (pixels) or camera_angle_x "
+                         "(radians)")
+    cx, cy = number("cx"), number("cy")
+    intrinsics = np.array([fy if fx is None else fx, fx if fy is None else fy,
+                           width / 2 if cx is None else cx, height / 2 if cy is None else cy], np.float64)
+    check_intrinsics(field, intrinsics, width, height)
+    return (int(width), int(height)), intrinsics
+
+
+def _at_object_distance(path: Path, poses: np.ndarray) -> np.ndarray:
+    """The poses [V,4,4], scaled about the origin so that the mean depth of the point looked at is OBJECT_DISTANCE."""
+    directions = poses[:, :3, 2]
+    spread, distance = np.linalg.norm(directions - directions.mean(0), axis=-1).max(), depths_of_object(poses).mean()
+    if spread < 1e-3 or distance <= 0:
+        raise InputError(f"{path}: transform_matrix: the {len(poses)} cameras look in one direction, so that their "
+                         "distance from the object is unknown: expected views from several sides")
+    scaled = poses.copy()
+    scaled[:, :3, 3] *= OBJECT_DISTANCE / distance
+    return scaled
