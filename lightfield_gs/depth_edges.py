@@ -14,6 +14,7 @@ from torch import Tensor
 # edge between two surfaces. At 40 degrees of cone it opens by some 4 pixels.
 _STEEPEST = 11.4
 _SNAP_PASSES = 3  # each takes one pixel off both ends of a smoothed edge
+_FRINGE = 4  # pixels next to an edge that may have colours of its other side
 _REACH = 0.25  # of the width: how far a surface goes on behind what stands before it
 
 
@@ -91,9 +92,10 @@ def _continue_rightwards(depth: Tensor, whole: Tensor) -> tuple[Tensor, ...]:
     """The fields of Continuation, of far surfaces to the left of their edges."""
     width = depth.shape[1]
     rows, columns = (~whole & (depth[:, :-1] > depth[:, 1:])).nonzero().unbind(1)
-    # Pixels at an edge have colours of both sides: two steps away from it they are pure.
-    pure = (columns >= 2) & whole[rows, (columns - 1).clamp_min(0)] & whole[rows, (columns - 2).clamp_min(0)]
-    colour_columns = torch.where(pure, columns - 2, columns)
+    colour_columns = columns
+    for _ in range(_FRINGE):
+        inwards = (colour_columns - 1).clamp_min(0)
+        colour_columns = torch.where(whole[rows, inwards], inwards, colour_columns)
     farthest = depth.nan_to_num(nan=torch.inf)  # over as many columns to the right as the stripe is wide
     stripes, size = [], 1
     while 2 * size - 1 <= _REACH * width:

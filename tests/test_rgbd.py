@@ -115,7 +115,7 @@ def test_the_far_side_goes_on_behind_the_near_one():
     depth = torch.full((3, 100), 2.0)
     depth[:, 40:60] = 1
     more = continue_behind(depth, 80.0)
-    assert set(more.columns.tolist()) == {39, 60} and set(more.colour_columns.tolist()) == {37, 62}
+    assert set(more.columns.tolist()) == {39, 60} and set(more.colour_columns.tolist()) == {35, 64}
     covered = torch.zeros(100)
     for centre, width in zip(more.centres[more.rows == 0], more.widths[more.rows == 0]):
         covered[int(centre - width / 2):int(centre + width / 2)] += 1
