@@ -10,16 +10,18 @@ if TYPE_CHECKING:
     from lightfield_gs.encoder import Encoder
     from lightfield_gs.errors import InputError
     from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.io.photo import load_photo
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panel import Panel
     from lightfield_gs.rendering import encode, interlace, render
+    from lightfield_gs.rgbd import from_depth
     from lightfield_gs.rig import Rig
     from lightfield_gs.sorted_plan import SortedPlan
 
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
 _HOMES = {"Cameras": "cameras", "Encoder": "encoder", "Gaussians": "gaussians", "InputError": "errors",
           "Panel": "panel", "Rig": "rig", "SortedPlan": "sorted_plan", "SplatterNet": "models", "encode": "rendering",
-          "interlace": "rendering", "render": "rendering"}
+          "from_depth": "rgbd", "interlace": "rendering", "load_photo": "io.photo", "render": "rendering"}
 __all__ = [*_HOMES, "build_info"]
 __version__ = "0.1.0"
 

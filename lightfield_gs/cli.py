@@ -20,7 +20,7 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
-_VECTOR_OPTIONS = ("--eye", "--background")  # their values may begin with a minus sign
+_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics")  # their values may begin with a minus sign
 
 
 class _Parser(argparse.ArgumentParser):
@@ -81,8 +81,8 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         description="Encodes a photo of one object, or a scene of 3D Gaussians, for a slanted-lenticular panel.")
     encode.set_defaults(module="lightfield_gs.commands.encode")
     add = encode.add_argument
-    add("input", type=Path, metavar="INPUT", help="a photo (RGBA, or RGB with --mask, or with a plain background) or a "
-        "standard 3DGS .ply")
+    add("input", type=Path, metavar="INPUT", help="a photo of an object (RGBA, or RGB with a plain background, --mask "
+        "or --remove-background), a photo of a scene with --depth, or a standard 3DGS .ply")
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
         help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
@@ -95,6 +95,9 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         "-1 for the background")
     add("--save-rig", type=Path, metavar="YAML", help="write the rig that was used")
     add("--mask", type=Path, metavar="IMAGE", help="cut-out of a photo, of its size: bright or opaque on the object")
+    add("--remove-background", action="store_true",
+        help="cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)")
+    _add_depth(encode)
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add("--save-gaussians", type=Path, metavar="PLY", help="write the scene as a 3DGS .ply")
     add("--method", choices=("direct", "sorted", "classic"), default="direct",
@@ -113,6 +116,21 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32")
     add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")
     add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
+
+
+def _add_depth(encode: argparse.ArgumentParser) -> None:
+    add = encode.add_argument
+    add("--depth", type=Path, metavar="FILE", help="depth map of the photo, of its size: the whole scene is shown, "
+        "without the network; a grey .png (8 or 16 bits), .exr or .tif, or a .npy of numbers [H,W]")
+    add("--depth-kind", choices=("distance", "disparity"), help="what its numbers are: distance, along the camera's "
+        "axis (default), or disparity, 1 / distance, as most networks give it (bright is near)")
+    add("--depth-range", type=numbers(2), metavar="NEAR,FAR", help="distances, in any unit, at the ends of the file's "
+        "full scale (0..255, 0..65535, floats 0..1); their ratio sets how deep the scene looks")
+    add("--depth-scale", type=float, metavar="S", help="in place of a range: distance = S * number, or S / number of a "
+        "disparity; 0.001 for millimetres to metres (default for floats: 1); 0 is no measurement")
+    add("--fov", type=float, metavar="DEG", help="angle that the photo's longer side takes, degrees (default 60)")
+    add("--intrinsics", type=numbers(4), metavar="FX,FY,CX,CY", help="in place of --fov: focal lengths and principal "
+        "point of the photo, in its pixels, from the outer corner of the first")
 
 
 def _add_simulate(commands: argparse._SubParsersAction) -> None:

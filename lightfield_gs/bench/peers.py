@@ -15,14 +15,13 @@ from torch import Tensor
 
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.errors import InputError
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
 
 GSPLAT_OPTIONS = {"packed": False, "rasterize_mode": "classic", "eps2d": 0.3, "near_plane": 0.01, "radius_clip": 0.0}
 BYTES_PER_PIXEL = 20  # of gsplat's image, its coverage and its last index
 BYTES_AT_A_TIME = 4 << 30  # of the dense views that are held together
-_SH_CONSTANT = 0.28209479177387814  # the harmonic of degree 0
 
 
 @lru_cache(maxsize=1)
@@ -108,7 +107,7 @@ def _rasterize(rasterization: Any, gaussians: Gaussians, cameras: Cameras) -> tu
     intrinsics[:, 0, 0], intrinsics[:, 1, 1] = cameras.focal_px.unbind(-1)
     intrinsics[:, :2, 2], intrinsics[:, 2, 2] = cameras.principal_point_px, 1
     degree = gaussians.sh_degree
-    colours = gaussians.sh if degree else (0.5 + _SH_CONSTANT * gaussians.sh[..., 0, :]).clamp_min(0)
+    colours = gaussians.sh if degree else (0.5 + SH_CONSTANT * gaussians.sh[..., 0, :]).clamp_min(0)
     image, coverage, _ = rasterization(
         gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, colours,
         cameras.world_to_camera.expand(*lead, count, 4, 4), intrinsics.expand(*lead, count, 3, 3), cameras.width_px,

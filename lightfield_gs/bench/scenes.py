@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.errors import InputError
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
 
@@ -25,7 +25,6 @@ WIDE_DEG = 53.0  # cone "wide"
 NAMED_CONES = ("narrow", "wide")
 _HARMONIC_DEVIATIONS = (0.15, 0.1, 0.05)  # of the coefficients of degree 1, 2, 3
 _HARMONIC_SEED = 99
-_SH_CONSTANT = 0.28209479177387814  # the harmonic of degree 0
 
 
 def sheet(side: int, seed: int = 0) -> Gaussians:
@@ -126,6 +125,6 @@ def _gaussians(means: np.ndarray, quaternions: np.ndarray, scales: np.ndarray, o
 
     unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
     stored = colours.astype(np.float32)
-    harmonics = (stored.astype(np.float64)[:, None, :] - 0.5) / _SH_CONSTANT
+    harmonics = (stored.astype(np.float64)[:, None, :] - 0.5) / SH_CONSTANT
     fields = (np.ascontiguousarray(field, np.float32) for field in (means, unit, scales, opacities, harmonics))
     return Gaussians(*(torch.from_numpy(field) for field in fields))

@@ -1,4 +1,4 @@
-"""`lightfield-gs encode`: a photo or a file of Gaussians becomes the image of a panel."""
+"""`lightfield-gs encode`: a photo, with or without a depth map, or a file of Gaussians becomes the image of a panel."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lightfield_gs.commands.device import choose_device
+from lightfield_gs.commands.scene import check_scene_options, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path
@@ -20,8 +21,6 @@ from lightfield_gs.panel import Panel
 if TYPE_CHECKING:
     from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.rig import Rig
-
-_SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 
 
 def run(args: argparse.Namespace) -> None:
@@ -45,7 +44,7 @@ def run(args: argparse.Namespace) -> None:
     views = _views(args, panel)
     watch.lap("start")
     with torch.inference_mode():
-        gaussians, camera = _scene(args, device, watch)
+        gaussians, camera = load_scene(args, device, watch)
         if rig is None and "cameras" not in views:
             rig = Rig.frame(gaussians, panel, camera)
         stats: dict = {}
@@ -70,6 +69,7 @@ def run(args: argparse.Namespace) -> None:
 
 def _check_options(args: argparse.Namespace) -> None:
     """Raises InputError where options do not go together."""
+    check_scene_options(args)
     if args.method != "sorted":
         for option, value in (("--cameras", args.cameras), ("--view-map", args.view_map),
                               ("--memory-budget", args.memory_budget)):
@@ -94,28 +94,6 @@ def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
     if args.memory_budget is not None:
         views["memory_budget"] = args.memory_budget
     return views
-
-
-def _scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":
-    """The Gaussians of the input, and the pose of its camera if it has one."""
-    from lightfield_gs.gaussians import Gaussians
-
-    if args.input.suffix.lower() in _SCENE_SUFFIXES:
-        for option, value in (("--mask", args.mask), ("--checkpoint", args.checkpoint)):
-            if value is not None:
-                raise InputError(f"{option} is for photos, and {args.input} is a file of Gaussians; leave it out")
-        gaussians = Gaussians.load(args.input).to(device)
-        watch.lap("load")
-        return gaussians, None
-    from lightfield_gs.io.photo import load_photo
-    from lightfield_gs.models import SplatterNet
-
-    photo = load_photo(args.input, args.mask)
-    network = SplatterNet.from_pretrained(args.checkpoint).to(device)
-    watch.lap("load")
-    gaussians = network.predict(photo)
-    watch.lap("network")
-    return gaussians, np.eye(4)
 
 
 def _bits(path: Path, bit_depth: int | None) -> int:
@@ -149,7 +127,7 @@ def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
     """What the image was made from and by; the values but "software" and "input" are JSON."""
     scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
     encoding = {"method": args.method, "views": args.views, "background": list(args.background)}
-    for name, path in (("cameras", args.cameras), ("view_map", args.view_map)):
+    for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth)):
         if path is not None:
             encoding[name] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     versions = package_versions()

@@ -1,4 +1,4 @@
-"""A photo of one object as RGBA: the object cut out, whatever way the cut-out is given."""
+"""A photo as RGBA: one object cut out, whatever way the cut-out is given, or the whole picture."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.background import background_removed
 from lightfield_gs.io.images import read_image
 
 _BORDER_SHARE = 0.02  # of the shorter side, at least one pixel: what has to be plain
@@ -18,23 +19,30 @@ _PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits i
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
 
 
-def load_photo(path: str | Path, mask: str | Path | None = None) -> np.ndarray:
-    """The photo as float32 RGBA [H, W, 4] in 0..1, alpha straight: 1 on the object, 0 beside it.
+def load_photo(path: str | Path, mask: str | Path | None = None, *, remove_background: bool = False,
+               whole: bool = False) -> np.ndarray:
+    """The photo as float32 RGBA [H, W, 4] in 0..1, upright, alpha straight: 1 on the object, 0 beside it.
 
-    The cut-out is `mask` (an image of the photo's size: its alpha, else its brightness), else the photo's own alpha,
-    else what stands out from a plain background. Raises InputError when there is none of these, or nothing in it.
+    The cut-out is `mask` (an image of the photo's size: its alpha, else its brightness), or with `remove_background`
+    what the package rembg finds, else the photo's own alpha, else what stands out from a plain background; or
+    everything, with `whole`. Raises InputError when there is none of these, or nothing in it.
     """
+    if mask is not None and remove_background:
+        raise InputError("--mask and --remove-background are two ways to the same cut-out; leave out one of them")
     pixels = read_image(path)
     if not np.isfinite(pixels).all():
         raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
     rgb, alpha = _colour_and_alpha(np.clip(pixels, 0, 1))
     if mask is not None:
         alpha = _read_mask(mask, rgb.shape[:2])
+    elif remove_background:
+        alpha = background_removed(rgb)
     elif alpha is None or alpha.min() >= 1:
-        alpha = plain_background_mask(rgb)
+        alpha = np.ones(rgb.shape[:2], np.float32) if whole else plain_background_mask(rgb)
         if alpha is None:
-            raise InputError(f"{path} has no alpha and no plain background; give RGBA, or a cut-out with --mask FILE, "
-                             "or a photo before a wall of one colour")
+            raise InputError(f"{path} has no alpha and no plain background; to show one object, give RGBA, a cut-out "
+                             "with --mask FILE, or --remove-background (pip install 'lightfield-gs[rembg]'); to show "
+                             "the whole scene, its distances with --depth FILE")
     if (alpha > 0.5).mean() < _MIN_OBJECT_SHARE:
         raise InputError(f"{mask or path}: nothing is cut out, the alpha is (nearly) empty; give another mask or photo")
     return np.concatenate([rgb, alpha[..., None]], 2).astype(np.float32)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tokenize
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.npy import open_array
 from lightfield_gs.io.yaml_file import check_keys
 from lightfield_gs.panel import MAX_VIEWS, Panel
 
@@ -47,12 +47,7 @@ def read_view_map(path: str | Path, panel: Panel, views: int) -> np.ndarray:
     Raises InputError that names the file."""
     from lightfield_gs.sorted_plan import checked_view_map
 
-    try:
-        table = np.lib.format.open_memmap(path, mode="r")  # never unpickles, and never allocates what a header claims
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:
-        raise InputError(f"{path} is not a .npy file of numbers: {' '.join(str(error).split())[:200]}") from error
+    table = open_array(path)
     try:
         return checked_view_map(table, panel, views)
     except InputError as error:

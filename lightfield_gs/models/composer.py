@@ -6,12 +6,10 @@ import math
 import torch
 from torch import Tensor, nn
 
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.initializer import Pixels
 
-# Value of the constant spherical harmonic, 1 / (2 sqrt(pi)): colour = 0.5 + SH_CONSTANT * coefficient.
-SH_CONSTANT = 0.28209479177387814
 # Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it. A line of
 # sight outside the mask meets nothing at all, so its Gaussians start below the visible 1/255 and cost nothing.
 _LOGITS_FIRST, _LOGITS_BEHIND = (1.0, -6.0), (-1.0, -6.0)

@@ -1,0 +1,89 @@
+"""The scene of a command: a file of Gaussians, a photo through the network, or a photo with its depth map."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lightfield_gs.commands.stopwatch import Stopwatch
+from lightfield_gs.errors import InputError
+
+if TYPE_CHECKING:
+    from lightfield_gs.gaussians import Gaussians
+
+_SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
+_PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth")
+_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "fov", "intrinsics")
+
+
+def check_scene_options(args: argparse.Namespace) -> None:
+    """Raises InputError where options of the scene do not go together, or not with the input."""
+    if _is_scene_file(args):
+        _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
+    if args.depth is None:
+        _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
+    else:
+        _refuse(args, ("checkpoint",), "is for the network, which --depth does without")
+    for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics")):
+        if getattr(args, one) is not None:
+            _refuse(args, (other,), f"takes the place of {_option(one)}")
+
+
+def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":
+    """The Gaussians of the input, and the pose of its camera if it has one."""
+    if _is_scene_file(args):
+        from lightfield_gs.gaussians import Gaussians
+
+        gaussians = Gaussians.load(args.input).to(device)
+        watch.lap("load")
+        return gaussians, None
+    return (_photo_object if args.depth is None else _photo_scene)(args, device, watch), np.eye(4)
+
+
+def _photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":
+    from lightfield_gs.io.photo import load_photo
+    from lightfield_gs.models import SplatterNet
+
+    photo = load_photo(args.input, args.mask, remove_background=args.remove_background)
+    network = SplatterNet.from_pretrained(args.checkpoint).to(device)
+    watch.lap("load")
+    gaussians = network.predict(photo)
+    watch.lap("network")
+    return gaussians
+
+
+def _photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":
+    import torch
+
+    from lightfield_gs.io.depth import read_depth
+    from lightfield_gs.io.photo import load_photo
+    from lightfield_gs.rgbd import focal_length_px, from_depth
+
+    photo = load_photo(args.input, args.mask, remove_background=args.remove_background, whole=True)
+    depth = read_depth(args.depth, args.depth_kind or "distance", scale=args.depth_scale, limits=args.depth_range)
+    focal, centre = None, None
+    if args.intrinsics is not None:
+        focal, centre = args.intrinsics[:2], args.intrinsics[2:]
+    elif args.fov is not None:
+        focal = (focal_length_px(args.fov, *photo.shape[:2]),) * 2
+    watch.lap("load")
+    gaussians = from_depth(torch.from_numpy(photo).to(device), depth, focal, centre)
+    watch.lap("depth")
+    return gaussians
+
+
+def _is_scene_file(args: argparse.Namespace) -> bool:
+    return args.input.suffix.lower() in _SCENE_SUFFIXES
+
+
+def _refuse(args: argparse.Namespace, names: tuple[str, ...], reason: str) -> None:
+    """Raises InputError for the first of these options that was given."""
+    for name in names:
+        if getattr(args, name) not in (None, False):
+            raise InputError(f"{_option(name)} {reason}; leave out one of them")
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")

@@ -1,0 +1,20 @@
+"""Arrays of numbers from NumPy's .npy files that may be damaged."""
+
+from __future__ import annotations
+
+import tokenize
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.errors import InputError
+
+
+def open_array(path: str | Path) -> np.ndarray:
+    """The array of a .npy file, mapped, read-only. Raises InputError that names the file."""
+    try:
+        return np.lib.format.open_memmap(path, mode="r")  # never unpickles, and never allocates what a header claims
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    except (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:
+        raise InputError(f"{path} is not a .npy file of numbers: {' '.join(str(error).split())[:200]}") from error

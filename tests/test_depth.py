@@ -1,0 +1,198 @@
+"""Depth maps from files, and the command line that shows a photo with one; backgrounds removed by rembg."""
+
+import json
+import re
+import sys
+import types
+
+import numpy as np
+import pytest
+import torch
+from rgbd_scene import view
+from test_cli import PANEL, complaint, folder, run  # noqa: F401 (folder is a fixture)
+
+import lightfield_gs as lf
+from lightfield_gs.io.depth import read_depth
+from lightfield_gs.io.images import read_image, read_info, write_image
+from lightfield_gs.preview import to_integers
+
+Z = np.array([[0.5, 1.0, 2.0], [4.0, 1.5, 0.8]])
+
+
+# Numbers and what they mean
+
+def test_millimetres(tmp_path):
+    stored = np.round(Z * 1000).astype(np.uint16)
+    stored[0, 0] = 0
+    write_image(tmp_path / "a.png", stored[..., None])
+    np.save(tmp_path / "a.npy", stored)
+    for name in ("a.png", "a.npy"):
+        depth = read_depth(tmp_path / name, scale=0.001)
+        assert depth.dtype == np.float32 and np.isnan(depth[0, 0])
+        assert np.allclose(depth.ravel()[1:], Z.ravel()[1:], rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+def test_near_and_far(tmp_path, dtype):
+    """The ends of the file's full scale; between them z is linear, or its inverse is."""
+    top = np.iinfo(dtype).max if dtype != "float32" else 1
+    share = np.array([[0, 1], [51 / 255, 204 / 255]])
+    path = tmp_path / ("a.exr" if dtype == "float32" else "a.png")
+    write_image(path, np.repeat((share * top).astype(dtype)[..., None], 3, 2))
+    assert np.allclose(read_depth(path, limits=(2, 6)), 2 + 4 * share, rtol=1e-4)
+    assert np.allclose(read_depth(path, "disparity", limits=(2, 6)), 1 / (1 / 6 + share / 3), rtol=1e-4)
+    assert read_depth(path, "disparity", limits=(2, 6))[0].tolist() == [6, 2]
+
+
+def test_floats_are_distances_or_their_inverse(tmp_path):
+    write_image(tmp_path / "z.exr", Z.astype(np.float32)[..., None])
+    np.save(tmp_path / "d.npy", 50 / Z)
+    np.save(tmp_path / "h.npy", Z.astype(np.float16))
+    assert np.array_equal(read_depth(tmp_path / "z.exr"), Z.astype(np.float32))
+    assert np.allclose(read_depth(tmp_path / "d.npy", "disparity", scale=50), Z, rtol=1e-6)
+    assert np.allclose(read_depth(tmp_path / "h.npy"), Z, rtol=1e-3)
+    np.save(tmp_path / "i.npy", np.array([[1, np.inf, -np.inf, np.nan, 0, -1, 2]]))
+    for kind, last in (("distance", 2), ("disparity", 0.5)):
+        assert np.array_equal(read_depth(tmp_path / "i.npy", kind), [[1, *[np.nan] * 5, last]], equal_nan=True)
+
+
+@pytest.mark.parametrize("array, options, words", [
+    (np.ones((2, 3), np.uint16), {}, "whole numbers.*--depth-range"),
+    (np.ones((2, 3, 1)), {}, r"expected numbers \[H, W\]"),
+    (np.ones((2, 3), bool), {}, "bool"), (np.ones((2, 3), complex), {}, "complex"), (np.ones((0, 3)), {}, "0, 3"),
+    (np.zeros((2, 3)), {}, "there is none"), (np.full((2, 3), np.nan), {"limits": (1, 2)}, "there is none"),
+    (np.ones((2, 3)), {"limits": (2, 1)}, "near < far"), (np.ones((2, 3)), {"limits": (0, 1)}, "> 0"),
+    (np.ones((2, 3)), {"limits": (1, np.inf)}, "> 0"), (np.ones((2, 3)), {"scale": 0}, "> 0"),
+    (np.ones((2, 3)), {"scale": float("nan")}, "> 0"), (np.full((2, 3), 1.5), {"limits": (1, 2)}, "0..1, got 1.5..1.5"),
+    (np.ones((2, 3), np.int32), {"limits": (1, 2)}, "uint8, uint16"),
+    (np.ones((2, 3)), {"limits": (1, 2), "scale": 1}, "not both"), (np.ones((2, 3)), {"kind": "height"}, "disparity")])
+def test_numbers_that_make_no_depth(tmp_path, array, options, words):
+    np.save(tmp_path / "a.npy", array)
+    with pytest.raises(lf.InputError, match=words) as caught:
+        read_depth(tmp_path / "a.npy", **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_no_depth_map(tmp_path):
+    write_image(tmp_path / "colour.png", np.arange(12, dtype=np.uint8).reshape(2, 2, 3))
+    (tmp_path / "text.png").write_text("hello")
+    (tmp_path / "text.npy").write_text("hello")
+    for name, words in (("colour.png", "in colour"), ("text.png", "not an image"), ("text.npy", "not a .npy"),
+                        ("no.npy", "cannot read"), ("no.png", "cannot read")):
+        with pytest.raises(lf.InputError, match=f"{name}.*{words}|{words}.*{name}"):
+            read_depth(tmp_path / name, limits=(1, 2))
+
+
+# The command
+
+def write_scene() -> np.ndarray:
+    """photo.png and depth.exr of the known scene; the photo."""
+    colours, depth, _ = view(60, 40, 50.0)
+    write_image("photo.png", to_integers(colours, 8))
+    write_image("depth.exr", depth.astype(np.float32)[..., None])
+    return read_image("photo.png")
+
+
+def test_encode_of_a_photo_with_depth_is_the_library_call(folder, capsys):
+    photo = write_scene()
+    depth = read_image("depth.exr")[..., 0]
+    out = run(capsys, "encode photo.png --depth depth.exr --intrinsics 50,50,30,20 -o o.exr --panel p.yaml "
+                      "--device cpu --save-rig r.yaml --save-gaussians g.ply")
+    gaussians = lf.from_depth(photo, depth, (50, 50), (30, 20))
+    rig = lf.Rig.frame(gaussians, PANEL, np.eye(4))
+    expected = lf.encode(gaussians, PANEL, rig, output="float32").numpy()
+    assert np.array_equal(read_image("o.exr"), expected) and "depth" in out and "network" not in out
+    assert lf.Rig.from_yaml("r.yaml").to_dict() == rig.to_dict()
+    assert torch.allclose(lf.Gaussians.load("g.ply").means, gaussians.means)
+    assert json.loads(read_info("o.exr").metadata["encoding"])["depth"]["file"] == "depth.exr"
+
+
+def test_every_way_to_say_the_depth(folder, capsys):
+    write_scene()
+    depth = read_image("depth.exr")[..., 0].astype(np.float64)
+    write_image("mm.png", np.round(depth * 1000).astype(np.uint16)[..., None])
+    write_image("near.png", np.round((1 / depth - 1 / 6) / (1 - 1 / 6) * 65535).astype(np.uint16)[..., None])
+    for number, options in enumerate(("depth.exr", "mm.png --depth-scale 0.001",
+                                      "near.png --depth-kind disparity --depth-range 1,6")):
+        run(capsys, f"encode photo.png -o {number}.png --panel p.yaml --fov 70 --save-gaussians {number}.ply --depth "
+                    + options)
+    scenes = [lf.Gaussians.load(f"{number}.ply") for number in range(3)]
+    for other in scenes[1:]:
+        assert torch.allclose(scenes[0].means[:2400], other.means[:2400], atol=2e-3)
+    half = scenes[0].means[:60, 0] / scenes[0].means[:60, 2]
+    assert float(half[-1]) == pytest.approx(np.tan(np.radians(35)) * 59 / 60, rel=1e-4)
+
+
+def test_a_mask_cuts_the_scene(folder, capsys):
+    write_scene()
+    mask = np.zeros((40, 60, 1), np.uint8)
+    mask[10:30, 20:40] = 255
+    write_image("mask.png", mask)
+    run(capsys, "encode photo.png --depth depth.exr --mask mask.png -o o.png --panel p.yaml --save-gaussians g.ply")
+    means = lf.Gaussians.load("g.ply").means[:400]
+    assert means[:, 0].div(means[:, 2]).abs().max() < 10 / 52  # the middle 20 of 60 columns, 60 degrees wide
+
+
+@pytest.mark.parametrize("line, words", [
+    ("encode photo.png --depth mm.png", "whole numbers"),
+    ("encode photo.png --depth small.npy", "size 60 x 40, got 7 x 5"),
+    ("encode s.ply --depth depth.exr", "--depth is for photos"),
+    ("encode s.ply --remove-background", "--remove-background is for photos"),
+    ("encode photo.png --depth-range 1,2", "no --depth"), ("encode photo.png --fov 50", "no --depth"),
+    ("encode photo.png --depth depth.exr --checkpoint c.safetensors", "does without"),
+    ("encode photo.png --depth depth.exr --fov 0", "between 0 and 180"),
+    ("encode photo.png --depth depth.exr --fov 50 --intrinsics 1,1,1,1", "place of --fov"),
+    ("encode photo.png --depth depth.exr --intrinsics -1,1,1,1", "focal_px"),
+    ("encode photo.png --depth mm.png --depth-scale 1 --depth-range 1,2", "place of --depth-range"),
+    ("encode photo.png --depth mm.png --depth-range 2,1", "near < far"),
+    ("encode photo.png --depth mm.png --depth-range 2", "2 numbers"),
+    ("encode photo.png --depth photo.png", "in colour"),
+    ("encode photo.png --depth depth.exr --depth-kind height", "invalid choice"),
+    ("encode photo.png --mask mm.png --remove-background", "leave out one")])
+def test_complaints(folder, capsys, line, words):
+    write_scene()
+    write_image("mm.png", np.full((40, 60, 1), 1000, np.uint16))
+    np.save("small.npy", np.ones((5, 7)))
+    assert re.search(words, complaint(capsys, f"{line} -o o.png --panel p.yaml"))
+    assert not (folder / "o.png").exists()
+
+
+# Backgrounds
+
+def busy_photo() -> np.ndarray:
+    """A bright square before noise; alpha of the square."""
+    photo = np.random.default_rng(0).integers(0, 120, (60, 80, 3), np.uint8)
+    photo[20:40, 30:50] = 250
+    write_image("busy.png", photo)
+    return (photo.min(2) == 250).astype(np.float32)
+
+
+def stand_in(remove) -> types.ModuleType:
+    """A module like rembg, as far as it is used here."""
+    module = types.ModuleType("rembg")
+    module.new_session = lambda name: {"model": name}
+    module.remove = remove
+    return module
+
+
+def test_background_is_removed_when_asked_for(folder, capsys, monkeypatch):
+    alpha = busy_photo()
+
+    def remove(data, session, only_mask):
+        assert data.dtype == np.uint8 and data.shape == (60, 80, 3) and session == {"model": "u2net"} and only_mask
+        return np.where(data.min(2) == 250, 255, 0).astype(np.uint8)
+
+    monkeypatch.setitem(sys.modules, "rembg", stand_in(remove))
+    assert np.array_equal(lf.load_photo("busy.png", remove_background=True)[..., 3], alpha)
+    assert "--remove-background" in complaint(capsys, "encode busy.png -o o.png --panel p.yaml")
+
+
+def test_rembg_that_is_missing_or_fails(folder, capsys, monkeypatch):
+    busy_photo()
+    line = "encode busy.png --remove-background -o o.png --panel p.yaml"
+    monkeypatch.setitem(sys.modules, "rembg", None)
+    assert "pip install 'lightfield-gs[rembg]'" in complaint(capsys, line)
+    monkeypatch.setitem(sys.modules, "rembg", stand_in(lambda *_, **__: 1 / 0))
+    assert "division by zero" in complaint(capsys, line)
+    monkeypatch.setitem(sys.modules, "rembg", stand_in(lambda data, **_: np.zeros(data.shape[:2], np.uint8)))
+    assert "nothing is cut out" in complaint(capsys, line)
