@@ -63,6 +63,10 @@ def test_bins_and_copy_baseline(tmp_path):
     report = score_folder(SplatterNet(ModelConfig.from_dict(TINY)).eval(), tmp_path)
     assert report["objects"] == 1 and report["views"] == 4
     assert [(row["angle_deg"], row["views"]) for row in report["bins"]] == [(5, 2), (10, 2)]
+    kept = {}
+    nets = [SplatterNet(ModelConfig.from_dict(TINY)).eval() for _ in range(2)]
+    assert [score_folder(net, tmp_path, decoded=kept) for net in nets] == [score_folder(net, tmp_path) for net in nets]
+    assert list(kept) == [tmp_path / "a"]
     for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim"):
         assert np.mean([row[name] for row in report["bins"]]) == pytest.approx(report[name])
     comparison = compare_object(SplatterNet(ModelConfig.from_dict(TINY)).eval(), tmp_path / "a")

@@ -4,6 +4,7 @@ import tarfile
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from lightfield_gs import InputError
@@ -11,6 +12,7 @@ from srn_scene import look_at, write_object
 from training.data.cache import load_set
 from training.data.images import read_view
 from training.data.objects import find_objects, read_object
+from training.data.resident import ResidentViews
 from training.data.sampler import angles_from_source
 from training.data.srn import read_pose
 from training.data.validate import main, problems
@@ -128,11 +130,18 @@ def test_cache_holds_the_very_pixels(tmp_path):
     for name in ("a", "b"):
         write_object(tmp_path / "set" / name, seed=ord(name))
     cached = load_set(tmp_path / "set", tmp_path / "cache", workers=1)
-    for index, folder in enumerate(find_objects(tmp_path / "set")):
-        views = read_object(folder)
-        np.testing.assert_array_equal(cached.objects[index].camera_to_world, views.camera_to_world)
+    resident = ResidentViews([cached, cached])  # the second time at other offsets
+    for index, folder in enumerate(2 * find_objects(tmp_path / "set")):
+        views, first = read_object(folder), resident.first_view[index]
         for view in range(len(views.image_paths)):
-            np.testing.assert_array_equal(cached.view(index, view), read_view(views, view))
+            np.testing.assert_array_equal(resident.camera_to_world[first + view], views.camera_to_world[view])
+            rectangle, frame = resident.rectangles[first + view], read_view(views, view)
+            window = resident.windows(torch.from_numpy(rectangle[None]), 48, 64)[0].numpy()
+            _, left, top, width, height = rectangle
+            assert not window[height:].any() and not window[:, width:].any()
+            redrawn = np.zeros_like(frame)
+            redrawn[top:top + height, left:left + width] = window[:height, :width]
+            np.testing.assert_array_equal(redrawn, frame)
     write_object(tmp_path / "set/c")  # a changed set is decoded anew
     assert len(load_set(tmp_path / "set", tmp_path / "cache", workers=1).objects) == 3
 

@@ -1,140 +1,24 @@
-"""Sampling, batches, losses, schedule, and a training loop that resumes with the same numbers."""
+"""Losses, schedule, and a training loop that resumes with the same numbers."""
 import json
 import math
-import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-import yaml
 from safetensors.torch import load_file
 
-from lightfield_gs import InputError
 from lightfield_gs.models import ModelConfig
 from lightfield_gs.paths import config_path
-from srn_scene import FOCAL, look_at, write_object
 from training import train
 from training.checkpoints import cut_log
 from training.config import OptimizerConfig, Stage, TrainingConfig
-from training.data.batches import Augmentation, BatchMaker, mirrored, relative_cameras
-from training.data.cache import load_set
-from training.data.sampler import ViewSampler
 from training.losses import LossWeights, composite, roughness, total_loss
 from training.metrics import psnr_db, ssim
 from training.schedule import WeightAverage, learning_rate
-
-AZIMUTHS = (0, -25, -10, 10, 25, 100)
-
-
-def fan() -> np.ndarray:
-    return np.stack([look_at(azimuth, 0) for azimuth in AZIMUTHS])
-
-
-def test_sampler_stays_in_the_cone_and_uses_all_of_it():
-    sampler = ViewSampler([fan()], azimuth_deg=30, elevation_deg=12, targets=2, seed=3)
-    seen = set()
-    for step in range(200):
-        (choice,) = sampler.draw(step, step, 1)
-        seen |= {(choice.source, target) for target in choice.targets}
-        assert choice.source not in choice.targets
-    wanted = {(a, b) for a in range(5) for b in range(5) if a != b and abs(AZIMUTHS[a] - AZIMUTHS[b]) <= 30}
-    assert seen == wanted  # view 5, at 100 degrees, has no neighbour
-
-
-def test_full_sphere_takes_every_view():
-    sampler = ViewSampler([fan()], azimuth_deg=180, elevation_deg=90, targets=3, seed=0)
-    seen = {choice.source for step in range(100) for choice in sampler.draw(step, step, 1)}
-    assert seen == set(range(6))
-
-
-def test_sampler_depends_on_seed_and_step_alone():
-    first, second = (ViewSampler([fan()] * 7, 30, 12, 3, seed=5) for _ in range(2))
-    first.draw(0, 0, 4)
-    assert first.draw(9, 36, 4) == second.draw(9, 36, 4)
-    assert first.draw(9, 36, 4) != ViewSampler([fan()] * 7, 30, 12, 3, seed=6).draw(9, 36, 4)
-
-
-def test_each_epoch_visits_every_object_once():
-    sampler = ViewSampler([fan()] * 10, 30, 12, 1, seed=1)
-    visited = [choice.object_index for step in range(6) for choice in sampler.draw(step, 5 * step, 5)]
-    epochs = [visited[start:start + 10] for start in (0, 10, 20)]
-    assert all(sorted(epoch) == list(range(10)) for epoch in epochs)
-    assert epochs[0] != epochs[1]
-
-
-def test_sampler_refuses_an_object_without_neighbours():
-    with pytest.raises(InputError, match="object number 1: no two of its 2 views"):
-        ViewSampler([fan(), np.stack([look_at(0, 0), look_at(90, 0)])], 30, 12, 1, seed=0)
-
-
-def _project(camera: np.ndarray, point: np.ndarray) -> np.ndarray:
-    x, y, z = (camera @ [*point, 1])[:3]
-    return np.array([x / z, y / z])
-
-
-def test_mirrored_cameras_see_mirrored_images():
-    camera = relative_cameras(np.stack([look_at(5, 3), look_at(25, -4)]), 0, [1])[0]
-    point = np.array([0.1, -0.2, 1.2])
-    expected = _project(camera, point) * (-1, 1)
-    np.testing.assert_allclose(_project(mirrored(camera), point * (-1, 1, 1)), expected, atol=1e-12)
-    assert np.linalg.det(mirrored(camera)[:3, :3]) == pytest.approx(1)
-
-
-@pytest.fixture(scope="module")
-def small_set(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("data")
-    for index in range(3):
-        write_object(folder / "set" / f"object-{index}", seed=index)
-    return folder
-
-
-def _maker(folder: Path, **augmentation) -> BatchMaker:
-    cached = load_set(folder / "set", folder / "cache", workers=1)
-    sampler = ViewSampler([views.camera_to_world for views in cached.objects], 30, 12, 2, seed=0)
-    return BatchMaker([cached], sampler, Augmentation(**augmentation))
-
-
-@pytest.mark.parametrize("mirror", [0.0, 1.0])
-def test_batches_keep_pictures_and_cameras_together(small_set, mirror):
-    """The ball at the world's origin must be opaque where each cropped camera projects it."""
-    batch = _maker(small_set, mirror=mirror, colour=0.0, target_zoom=(0.9, 1.3)).make(4, 12, 3, 32)
-    assert batch.source.shape == (3, 4, 32, 32) and batch.targets.shape == (3, 3, 4, 32, 32)
-    torch.testing.assert_close(batch.world_to_camera[:, 0], torch.eye(4).expand(3, 4, 4), atol=1e-6, rtol=0)
-    origin = torch.tensor([0, 0, 1.3, 1.0])
-    for example in range(3):
-        for view in range(3):
-            x, y, z = (batch.world_to_camera[example, view] @ origin)[:3]
-            assert z == pytest.approx(1.3, abs=1e-4)
-            fx, fy, cx, cy = batch.intrinsics[example, view]
-            column, row = int(fx * x / z + cx), int(fy * y / z + cy)
-            assert batch.targets[example, view, 3, row, column] > 0.999
-
-
-def test_source_camera_of_a_batch_matches_its_crop(small_set):
-    batch = _maker(small_set, mirror=0.0, colour=0.0, source_jitter=0.0, target_zoom=(1.0, 1.0)).make(0, 0, 3, 32)
-    torch.testing.assert_close(batch.source, batch.targets[:, 0])
-    torch.testing.assert_close(batch.source_intrinsics, batch.intrinsics[:, 0])
-    assert (batch.source_intrinsics[:, 0] > FOCAL * 32 / 64).all()  # cropped closer than the frame
-
-
-def test_colour_augmentation_treats_all_views_alike(small_set):
-    plain = _maker(small_set, mirror=0.0, colour=0.0).make(1, 3, 1, 16)
-    varied = _maker(small_set, mirror=0.0, colour=1.0).make(1, 3, 1, 16)
-    assert torch.equal(plain.source[:, 3], varied.source[:, 3])
-    assert not torch.equal(plain.source[:, :3], varied.source[:, :3])
-    assert (varied.targets[:, :, :3] <= varied.targets[:, :, 3:] + 1e-6).all()
-
-
-def test_batch_is_a_function_of_the_step(small_set):
-    first, second = _maker(small_set), _maker(small_set)
-    first.make(0, 0, 3, 16)
-    for a, b in zip(vars(first.make(7, 21, 3, 16)).values(), vars(second.make(7, 21, 3, 16)).values()):
-        assert torch.equal(a, b)
+from training_runs import losses, run_config, start
 
 
 def test_psnr_of_a_constant_error():
@@ -230,38 +114,11 @@ def test_log_is_cut_at_the_resumed_step(tmp_path):
     assert [json.loads(line)["step"] for line in log.read_text().splitlines()] == [0, 1, 2]
 
 
-def _run_config(folder: Path, name: str, **changes) -> Path:
-    """Configuration file of a run that takes a few seconds."""
-    model = folder / "model.yaml"
-    model.write_text(yaml.safe_dump({"image_size_px": 16, "features": 8, "patch_px": 1, "unet": {
-        "base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [8], "heads": 2, "dropout": 0.1}}))
-    path = folder / f"{name}.yaml"
-    path.write_text(yaml.safe_dump({
-        "output_dir": str(folder / name), "data": [str(folder / "set")], "cache_dir": str(folder / "cache"),
-        "model": str(model),
-        "stages": [{"steps": 8, "image_size_px": 16, "objects": 2}, {"steps": 4, "image_size_px": 32, "objects": 1}],
-        "targets": 1, "checkpoint_every": 3, "optimizer": {"warmup_steps": 2}} | changes))
-    return path
-
-
-def _start(config: Path) -> subprocess.Popen:
-    root = Path(__file__).resolve().parents[1]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])}
-    command = [sys.executable, "-m", "training.train", "--config", str(config)]
-    return subprocess.Popen(command, cwd=root, env=environment, text=True, stdout=subprocess.PIPE,
-                            stderr=subprocess.STDOUT)
-
-
-def _losses(folder: Path) -> list[str]:
-    path = folder / "losses.jsonl"
-    return path.read_text().splitlines() if path.exists() else []
-
-
 def _interrupt(config: Path, output: Path, number: int) -> str:
     """Start a run, signal it once a checkpoint exists and a later step is logged; returns what it printed."""
-    process = _start(config)
+    process = start(config)
     deadline = time.monotonic() + 120
-    while not ((output / "last.pt").exists() and len(_losses(output)) >= 5):
+    while not ((output / "last.pt").exists() and len(losses(output)) >= 5):
         assert process.poll() is None and time.monotonic() < deadline, process.communicate()[0]
         time.sleep(0.002)
     process.send_signal(number)
@@ -269,44 +126,45 @@ def _interrupt(config: Path, output: Path, number: int) -> str:
 
 
 def _finish(config: Path) -> None:
-    process = _start(config)
+    process = start(config)
     assert process.wait(timeout=120) == 0, process.communicate()[0]
 
 
 def test_killed_run_resumes_to_the_same_losses(small_set):
     """kill -9 in the middle, resume, and compare with a run that was left alone: every digit of every step."""
-    whole, killed = (_run_config(small_set, name) for name in ("whole", "killed"))
+    whole, killed = (run_config(small_set, name) for name in ("whole", "killed"))
     _finish(whole)
     _interrupt(killed, small_set / "killed", signal.SIGKILL)
-    assert len(_losses(small_set / "killed")) < 12
+    assert len(losses(small_set / "killed")) < 12
     _finish(killed)
-    assert _losses(small_set / "killed") == _losses(small_set / "whole")
-    assert len(_losses(small_set / "whole")) == 12
-    assert all(math.isfinite(json.loads(line)["loss"]) for line in _losses(small_set / "whole"))
+    assert losses(small_set / "killed") == losses(small_set / "whole")
+    assert len(losses(small_set / "whole")) == 12
+    assert all(math.isfinite(json.loads(line)["loss"]) for line in losses(small_set / "whole"))
     weights = [load_file(small_set / name / "model.safetensors") for name in ("killed", "whole")]
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[1])
     assert list((small_set / "whole/tensorboard").iterdir())
 
 
 def test_terminated_run_saves_its_last_step(small_set):
-    config = _run_config(small_set, "terminated", stages=[{"steps": 400, "image_size_px": 16, "objects": 2}])
+    config = run_config(small_set, "terminated", stages=[{"steps": 400, "image_size_px": 16, "objects": 2}])
     printed = _interrupt(config, small_set / "terminated", signal.SIGTERM)
     assert "run the same command to resume" in printed
     state = torch.load(small_set / "terminated/last.pt", weights_only=True)
-    assert state["step"] == len(_losses(small_set / "terminated"))
-    process = _start(_run_config(small_set, "terminated", seed=1))
+    assert state["step"] == len(losses(small_set / "terminated"))
+    process = start(run_config(small_set, "terminated", seed=1))
     message = process.communicate(timeout=120)[0]
     assert process.returncode == 2 and "another configuration (seed, stages differ)" in message
     (small_set / "terminated/last.pt").write_bytes(b"damaged")
-    process = _start(config)
+    process = start(config)
     message = process.communicate(timeout=120)[0]
     assert process.returncode == 2 and "damaged checkpoint" in message and "Traceback" not in message
 
 
 @pytest.mark.parametrize("arguments, word", [(["--config", "none.yaml"], "none.yaml"), (["--seed", "x"], "seed"),
-                                             (["--steps", "5"], "steps"), (["--stages", "[{steps: 5}]"], "stages")])
+                                             (["--steps", "5"], "steps"), (["--stages", "[{steps: 5}]"], "stages"),
+                                             (["--device", "gpu"], "device")])
 def test_bad_arguments_are_reported_in_one_line(small_set, capsys, arguments, word):
-    assert train.main(["--config", str(_run_config(small_set, "unused")), *arguments]) == 2
+    assert train.main(["--config", str(run_config(small_set, "unused")), *arguments]) == 2
     error = capsys.readouterr().err
     assert word in error and error.count("\n") == 1
 

@@ -3,15 +3,16 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
+from typing import Literal
 
-from training.data.batches import Augmentation
+from training.data.plan import Augmentation
 from training.losses import LossWeights
 
 
 @dataclass(frozen=True)
 class Stage:
     """A stretch of the run. steps: optimizer steps. image_size_px: side of source and target images. objects: examples
-    per step."""
+    per step, of all processes together."""
     steps: int
     image_size_px: int
     objects: int
@@ -45,8 +46,11 @@ class TrainingConfig:
     targets: target views per object, beside the source view itself. stages: run one after the other under one schedule.
     bfloat16: run the U-Net in bfloat16. checkpoint_every: steps between resumable checkpoints.
     validation: folder scored every validate_every steps (first validation_objects objects only); "": none.
-    threads: of torch; 0 leaves the default. Resuming gives the same losses only with the same number. On a machine that
-    is busy with other work, 1 can be several times faster than more: threads wait for the slowest of them.
+    device: cpu, cuda, or auto (cuda where there is one). compile: let torch.compile make kernels for the network, which
+    takes a minute or two at the start of every stage and process.
+    threads: of torch; 0 leaves the default. Resuming gives the same losses to the last digit on a CPU, with the same
+    number of threads and of processes. On a machine that is busy with other work, 1 can be several times faster than
+    more: threads wait for the slowest of them.
     """
     output_dir: str
     data: list[str]
@@ -59,6 +63,8 @@ class TrainingConfig:
     elevation_deg: float = 12.0
     targets: int = 3
     bfloat16: bool = True
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    compile: bool = False
     threads: int = 0
     checkpoint_every: int = 100
     validation: str = ""
@@ -86,6 +92,6 @@ class TrainingConfig:
         """The fields that decide what is computed; a run may be resumed when they are the same."""
         fields = dataclasses.asdict(self)
         for name in ("output_dir", "cache_dir", "data", "validation", "validate_every", "validation_objects",
-                     "checkpoint_every"):
+                     "checkpoint_every", "device", "compile"):
             del fields[name]
         return fields

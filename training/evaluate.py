@@ -33,16 +33,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--checkpoint", type=Path, help="safetensors file; default: the one in the package")
     parser.add_argument("--save-renders", type=Path, help="folder for pictures: truth above prediction, by angle")
     parser.add_argument("--json", type=Path, required=True, help="file for the results")
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"),
+                        help="default: a GPU if there is one")
     parser.add_argument("--limit", type=int, help="score only so many objects")
     options = parser.parse_args(arguments)
+    from lightfield_gs.commands.device import choose_device
     from lightfield_gs.io.atomic import atomic_path, check_output_path
     from lightfield_gs.models import SplatterNet
     from training.evaluation import score_folder
     try:
         check_output_path(options.json)
-        net = SplatterNet.from_pretrained(options.checkpoint)
+        device = choose_device(options.device)
+        net = SplatterNet.from_pretrained(options.checkpoint).to(device)
         report = score_folder(net, options.data, limit=options.limit, save_renders=options.save_renders,
-                              split=options.split)
+                              split=options.split, device=device)
         report |= {"data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained")}
         with atomic_path(options.json) as temporary:
             temporary.write_text(json.dumps(report, indent=1) + "\n")

@@ -21,9 +21,9 @@ from tqdm import tqdm
 from lightfield_gs.errors import InputError
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
-from training.data.batches import relative_cameras
 from training.data.images import read_view
 from training.data.objects import find_objects, read_object
+from training.data.plan import relative_cameras
 from training.data.views import ObjectViews
 from training.metrics import psnr_db, ssim
 from training.rendering import render_views
@@ -61,9 +61,9 @@ def azimuths_from_source(camera_to_world: np.ndarray, source: int = 0) -> np.nda
 
 
 def _frames(views: ObjectViews) -> Tensor:
-    """All views of an object as premultiplied RGBA [V,4,H,W] in 0..1."""
+    """All views of an object as premultiplied RGBA, uint8 [V,4,H,W]."""
     frames = np.stack([read_view(views, index) for index in range(len(views.image_paths))])
-    return torch.from_numpy(frames).permute(0, 3, 1, 2) / 255
+    return torch.from_numpy(frames).permute(0, 3, 1, 2)
 
 
 def _on_white(frames: Tensor, height: int, width: int) -> Tensor:
@@ -73,22 +73,30 @@ def _on_white(frames: Tensor, height: int, width: int) -> Tensor:
 
 
 @torch.no_grad()
-def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source: int = 0) -> Comparison:
-    """Predict an object from one view and render the others. path: as find_objects names it. size_px: length of the
-    longer side of the frames."""
-    views = read_object(path)
-    frames = _frames(views)
+def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source: int = 0,
+                   device: torch.device | str = "cpu", decoded: dict[Path, Tensor] | None = None) -> Comparison:
+    """Predict an object from one view and render the others.
+
+    path: as find_objects names it. size_px: length of the longer side of the frames. device: where the network is; the
+    tensors returned are there. decoded: see score_folder.
+    """
+    views, decoded = read_object(path), {} if decoded is None else decoded
+    if path not in decoded:
+        decoded[path] = _frames(views).to(device)
+    frames = decoded[path] / 255
     scale = size_px / max(views.width_px, views.height_px)
     width, height = round(views.width_px * scale), round(views.height_px * scale)
     square = object_square(frames[source, 3])
     fx, fy, cx, cy = views.intrinsics[source].tolist()
     net_size = net.config.image_size_px
-    source_intrinsics = torch.tensor([square.intrinsics((fx, fy), (cx, cy), net_size)])
+    source_intrinsics = torch.tensor([square.intrinsics((fx, fy), (cx, cy), net_size)], device=device)
     gaussians = net(crop_resize(frames[source], square, net_size)[None], source_intrinsics)
     others = [index for index in range(len(frames)) if index != source]
-    cameras = torch.from_numpy(relative_cameras(views.camera_to_world, source, others)).float()
-    intrinsics = torch.from_numpy(views.intrinsics[others] * scale).float()
-    images, _ = render_views(gaussians, cameras[None], intrinsics[None], width, height, torch.ones(1, len(others), 3))
+    cameras = relative_cameras(views.camera_to_world[others], views.camera_to_world[source])
+    cameras = torch.from_numpy(cameras).float().to(device)
+    intrinsics = torch.from_numpy(views.intrinsics[others] * scale).float().to(device)
+    white = torch.ones(1, len(others), 3, device=device)
+    images, _ = render_views(gaussians, cameras[None], intrinsics[None], width, height, white)
     truth = _on_white(frames, height, width)
     azimuths = azimuths_from_source(views.camera_to_world, source)[others]
     return Comparison(views.name, azimuths, truth[others], images[0].clamp(0, 1), truth[source])
@@ -100,8 +108,9 @@ def _scores(comparison: Comparison) -> Iterator[tuple[int, dict[str, float]]]:
     rendered, truth = comparison.rendered, comparison.truth
     columns = {"psnr_db": psnr_db(rendered, truth), "ssim": ssim(rendered, truth),
                "copy_psnr_db": psnr_db(copies, truth), "copy_ssim": ssim(copies, truth)}
+    columns = {name: values.tolist() for name, values in columns.items()}
     for index, azimuth in enumerate(comparison.azimuths_deg):
-        yield round(abs(azimuth) / BIN_DEG) * BIN_DEG, {name: float(values[index]) for name, values in columns.items()}
+        yield round(abs(azimuth) / BIN_DEG) * BIN_DEG, {name: values[index] for name, values in columns.items()}
 
 
 def _means(rows: list[dict[str, float]]) -> dict[str, float]:
@@ -109,17 +118,19 @@ def _means(rows: list[dict[str, float]]) -> dict[str, float]:
 
 
 def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save_renders: Path | None = None,
-                 split: str = "val") -> dict[str, Any]:
+                 split: str = "val", device: torch.device | str = "cpu",
+                 decoded: dict[Path, Tensor] | None = None) -> dict[str, Any]:
     """Score a network on every object (the first `limit`) at or below a folder, on this split where it comes in splits.
 
     Returns psnr_db, ssim, copy_psnr_db, copy_ssim over all novel views, objects, views, and bins: the same four and the
     number of views for each angle_deg (azimuth to either side, rounded to 5 degrees). save_renders: folder for one
-    picture per object. Raises InputError for data that cannot be used.
+    picture per object. device: where the network is. decoded: keeps the images from call to call, for those who
+    score the same objects again. Raises InputError for data that cannot be used.
     """
     bins: dict[int, list[dict[str, float]]] = defaultdict(list)
     objects = find_objects(data, split)[:limit]
     for path in tqdm(objects, desc=f"scoring {data}", unit="object", leave=False):
-        comparison = compare_object(net, path)
+        comparison = compare_object(net, path, device=device, decoded=decoded)
         for angle, row in _scores(comparison):
             bins[angle].append(row)
         if save_renders is not None:
@@ -137,4 +148,4 @@ def save_comparison(comparison: Comparison, path: Path, columns: int = 9) -> Non
     picked = order[np.linspace(0, len(order) - 1, min(columns, len(order))).round().astype(int)]
     rows = [torch.cat([comparison.source, *images[picked]], 2) for images in (comparison.truth, comparison.rendered)]
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_image(path, (torch.cat(rows, dim=1).permute(1, 2, 0) * 255).round().to(torch.uint8).numpy())
+    write_image(path, (torch.cat(rows, dim=1).permute(1, 2, 0) * 255).round().to(torch.uint8).cpu().numpy())

@@ -1,8 +1,8 @@
 """The training loop: resumable at any step, with the same numbers as without the interruption."""
 from __future__ import annotations
 
-import copy
 import json
+import math
 import signal
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -10,72 +10,30 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import torch
-from tqdm import tqdm
+from torch import Tensor
 
-from lightfield_gs.models import ModelConfig, SplatterNet
+from lightfield_gs.errors import InputError
 from training.checkpoints import cut_log, load_checkpoint, save_checkpoint
 from training.config import TrainingConfig
-from training.data.batches import Batch, BatchMaker
+from training.data.batches import make_batch
 from training.data.cache import load_set
+from training.data.plan import BatchPlan, BatchPlanner
+from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
+from training.distributed import Team, join_team
 from training.evaluation import score_folder
-from training.losses import total_loss
-from training.rendering import render_views
-from training.schedule import WeightAverage, learning_rate, make_optimizer
+from training.log import RunLog
+from training.trainer import StepValues, Trainer
 
 
-def make_batches(config: TrainingConfig) -> BatchMaker:
-    """The batch source of a run; decodes the data first where that has not been done."""
-    sets = [load_set(Path(folder), Path(config.cache_dir)) for folder in config.data]
+def make_planner(config: TrainingConfig, team: Team) -> BatchPlanner:
+    """The source of a run's batches, its views on the team's device; decodes the data first where that is not done."""
+    with team.leader_first():
+        sets = [load_set(Path(folder), Path(config.cache_dir)) for folder in config.data]
     poses = [views.camera_to_world for cached in sets for views in cached.objects]
     azimuth = config.cone_deg / 2 * config.cone_margin
     sampler = ViewSampler(poses, azimuth, config.elevation_deg, config.targets, config.seed)
-    return BatchMaker(sets, sampler, config.augmentation)
-
-
-class Trainer:
-    """Network, averaged weights and optimizer of one run, and the step that advances them."""
-
-    def __init__(self, config: TrainingConfig) -> None:
-        self.config, self.step = config, 0
-        torch.manual_seed(config.seed)
-        self.net = SplatterNet(ModelConfig.from_yaml(config.model)).to(memory_format=torch.channels_last).train()
-        self.average = WeightAverage(copy.deepcopy(self.net), config.optimizer.ema_decay)
-        self.optimizer = make_optimizer(self.net, config.optimizer)
-
-    def advance(self, batch: Batch) -> dict[str, float]:
-        """One optimizer step on a batch; returns the loss and its terms."""
-        config, size = self.config, batch.source.shape[-1]
-        # Dropout must not depend on how often the run was resumed.
-        torch.manual_seed((config.seed << 32) + self.step)
-        rate = learning_rate(self.step, config.total_steps, config.optimizer)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        with torch.autocast("cpu", torch.bfloat16, enabled=config.bfloat16):
-            gaussians = self.net(batch.source, batch.source_intrinsics)
-        images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
-        loss, terms = total_loss(images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source,
-                                 config.loss)
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), config.optimizer.clip, error_if_nonfinite=True)
-        self.optimizer.step()
-        self.average.update(self.net, self.step)
-        self.step += 1
-        return {"loss": loss.item(), "gradient_norm": norm.item(), "learning_rate": rate,
-                **{name: term.item() for name, term in terms.items()}}
-
-    def state(self) -> dict:
-        """Everything that resuming needs."""
-        return {"step": self.step, "identity": json.dumps(self.config.identity()), "net": self.net.state_dict(),
-                "average": self.average.average.state_dict(), "optimizer": self.optimizer.state_dict()}
-
-    def restore(self, state: dict) -> None:
-        """The inverse of state()."""
-        self.net.load_state_dict(state["net"])
-        self.average.average.load_state_dict(state["average"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.step = state["step"]
+    return BatchPlanner(ResidentViews(sets, team.device), sampler, config.augmentation)
 
 
 @contextmanager
@@ -91,59 +49,89 @@ def _termination_noticed() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _batches(maker: BatchMaker, config: TrainingConfig, start: int) -> Iterator[Batch]:
-    """Batches from step `start` on, each made while the step before it runs."""
-    def make(step: int) -> Batch:
+def _plans(planner: BatchPlanner, config: TrainingConfig, start: int, team: Team) -> Iterator[BatchPlan]:
+    """This process's plans from step `start` on, each made while the step before it runs."""
+    def plan(step: int) -> BatchPlan:
         stage, drawn = config.stage_at(step)
-        return maker.make(step, drawn, stage.objects, stage.image_size_px)
+        return planner.plan(step, drawn, stage.objects, stage.image_size_px, team.share(stage.objects))
 
     with ThreadPoolExecutor(1) as pool:
-        following = pool.submit(make, start) if start < config.total_steps else None
+        following = pool.submit(plan, start) if start < config.total_steps else None
         for step in range(start, config.total_steps):
-            batch = following.result()
+            now = following.result()
             if step + 1 < config.total_steps:
-                following = pool.submit(make, step + 1)
-            yield batch
+                following = pool.submit(plan, step + 1)
+            yield now
 
 
-def _validate(trainer: Trainer, config: TrainingConfig) -> dict[str, float]:
-    """Scores of the averaged weights on the first objects of the validation folder."""
-    report = score_folder(trainer.average.average, Path(config.validation), limit=config.validation_objects)
+def _record(values: StepValues, log: RunLog) -> bool:
+    """Reads and logs a step; whether any process had been told to end. Raises InputError when it went wrong."""
+    found = values.read()
+    stop = found.pop("stop") > 0
+    if not math.isfinite(found["gradient_norm"]):
+        raise InputError(f"step {values.step}: the gradient is not finite: lower optimizer.learning_rate, and run the "
+                         "command again with another output_dir, or to go on from the last checkpoint")
+    log.record(found)
+    return stop
+
+
+def _validate(trainer: Trainer, config: TrainingConfig, decoded: dict[Path, Tensor]) -> dict[str, float]:
+    """Scores of the averaged weights on the first objects of the validation folder; decoded: see score_folder."""
+    report = score_folder(trainer.average.average, Path(config.validation), limit=config.validation_objects,
+                          device=trainer.team.device, decoded=decoded)
     return {name: report[name] for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim")}
 
 
+def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int]) -> bool:
+    """Takes the steps that are left, saves and scores; whether the last one was reached."""
+    config, team = trainer.config, trainer.team
+    behind: StepValues | None = None
+    decoded: dict[Path, Tensor] = {}
+    for plan in _plans(planner, config, trainer.step, team):
+        ahead = trainer.advance(make_batch(plan, planner.views), stop=bool(signals))
+        # A step is read while the next one runs, so that the device always has work. All processes read the same.
+        stop = behind is not None and _record(behind, log)
+        last = trainer.step == config.total_steps
+        scores_due = bool(config.validation) and trainer.step % config.validate_every == 0
+        behind = ahead
+        if not (stop or last or scores_due or trainer.step % config.checkpoint_every == 0):
+            continue
+        stop, behind = _record(ahead, log) or stop, None
+        log.mark_speed()
+        if team.leads:
+            save_checkpoint(Path(config.output_dir) / "last.pt", trainer.state())
+        if stop and not last:
+            log.say(f"stopped by a signal after step {trainer.step}; run the same command to resume")
+            return False
+        if scores_due and team.leads:
+            log.scores(_validate(trainer, config, decoded))
+        log.resume_clock()
+    return True
+
+
 def train(config: TrainingConfig) -> Path | None:
-    """Run or resume a training run; returns the final weights' path, or None when a signal stopped it early."""
-    from torch.utils.tensorboard import SummaryWriter
+    """Run or resume a training run; returns the final weights' path, or None when a signal stopped it early.
+
+    Under torchrun every process calls this; the first of them writes, the others return None. Raises InputError for a
+    configuration, data or a checkpoint that cannot be used.
+    """
     output = Path(config.output_dir)
     output.mkdir(parents=True, exist_ok=True)
     if config.threads:
         torch.set_num_threads(config.threads)
-    trainer, maker = Trainer(config), make_batches(config)
-    if (output / "last.pt").exists():
-        trainer.restore(load_checkpoint(output / "last.pt", config.identity()))
-    cut_log(output / "losses.jsonl", trainer.step)
-    progress = tqdm(total=config.total_steps, initial=trainer.step, unit="step", dynamic_ncols=True)
-    with (_termination_noticed() as signals, progress, open(output / "losses.jsonl", "a", buffering=1) as log,
-          SummaryWriter(output / "tensorboard", purge_step=trainer.step) as board):
-        for batch in _batches(maker, config, trainer.step):
-            step, values = trainer.step, trainer.advance(batch)
-            log.write(json.dumps({"step": step} | values) + "\n")
-            for name, value in values.items():
-                board.add_scalar(f"train/{name}", value, step)
-            progress.set_postfix(loss=f"{values['loss']:.4f}", lr=f"{values['learning_rate']:.1e}")
-            progress.update()
-            if signals or trainer.step % config.checkpoint_every == 0 or trainer.step == config.total_steps:
-                save_checkpoint(output / "last.pt", trainer.state())
-            if signals:
-                progress.write(f"stopped by signal {signals[0]} after step {trainer.step}; "
-                               "run the same command to resume")
-                return None
-            if config.validation and trainer.step % config.validate_every == 0:
-                scores = _validate(trainer, config)
-                progress.write(f"step {trainer.step}: " + json.dumps(scores))
-                for name, value in scores.items():
-                    board.add_scalar(f"validation/{name}", value, trainer.step)
-    weights = output / "model.safetensors"
-    trainer.average.average.save(weights, {"steps": str(trainer.step), "training": json.dumps(config.identity())})
+    with join_team(config.device) as team:
+        for stage in config.stages:
+            team.share(stage.objects)
+        trainer, planner = Trainer(config, team), make_planner(config, team)
+        if (output / "last.pt").exists():
+            trainer.restore(load_checkpoint(output / "last.pt", config.identity()))
+        if team.leads:
+            cut_log(output / "losses.jsonl", trainer.step)
+        with _termination_noticed() as signals, RunLog(output, trainer.step, config.total_steps, team.leads) as log:
+            finished = _run(trainer, planner, log, signals)
+            log.say_speed()
+        if not (finished and team.leads):
+            return None
+        weights = output / "model.safetensors"
+        trainer.average.average.save(weights, {"steps": str(trainer.step), "training": json.dumps(config.identity())})
     return weights

@@ -28,6 +28,7 @@ def roughness(means: Tensor, source: Tensor) -> Tensor:
 
     Where the depth is uncertain, squared error rewards scattering neighbours over it, which shows as dots in magnified
     views. Differences count less across edges of the picture, where depth may jump.
+    Every example counts alike, whatever the size of its object.
     means: [B,N,3] in the source camera's axes, N = layers * H * W. source: [B,4,H,W] premultiplied RGBA.
     """
     batch, _, height, width = source.shape
@@ -37,8 +38,8 @@ def roughness(means: Tensor, source: Tensor) -> Tensor:
         ahead, behind = (source.narrow(dim, start, source.shape[dim] - 1) for start in (1, 0))
         inside = ahead[:, 3:] * behind[:, 3:]
         weight = inside * torch.exp(-10 * (ahead - behind)[:, :3].abs().mean(1, keepdim=True))
-        pairs = (inside.sum() * disparity.shape[1]).clamp_min(1)
-        total = total + (weight * disparity.diff(dim=dim).abs()).sum() / pairs
+        pairs = (inside.sum((1, 2, 3)) * disparity.shape[1]).clamp_min(1)
+        total = total + ((weight * disparity.diff(dim=dim).abs()).sum((1, 2, 3)) / pairs).mean()
     return total
 
 

@@ -17,7 +17,10 @@ _OBJECT_ALPHA = 0.2
 
 @dataclass(frozen=True)
 class Square:
-    """A square of whole pixels: left and top edge (may be negative) and side length. It may reach beyond the image."""
+    """A square of whole pixels: left and top edge (may be negative) and side length. It may reach beyond the image.
+
+    Many squares may be one Square whose fields are arrays.
+    """
     left: int
     top: int
     side: int

@@ -1,30 +1,13 @@
-"""Training batches: views cropped to the object, cameras relative to the source, augmentation."""
+"""Training batches: the images of a plan, cut out of the resident views and resized on their device."""
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.models.crop import MARGIN, Square, crop_resize, object_square
-from training.data.cache import CachedSet
-from training.data.sampler import Choice, ViewSampler
-
-
-@dataclass(frozen=True)
-class Augmentation:
-    """How examples are varied.
-
-    mirror: probability of a left-right flip. colour: probability of a change of colours.
-    source_jitter: largest change of the source crop's side and centre, as a share of its side.
-    target_zoom: range of the target crops' sides, in units of the square round the object: below 1 the view is
-        magnified, which shows gaps between Gaussians, above 1 it shows more background.
-    """
-    mirror: float = 0.5
-    colour: float = 0.5
-    source_jitter: float = 0.06
-    target_zoom: tuple[float, float] = (0.6, 1.3)
+from training.data.plan import BatchPlan
+from training.data.resident import ResidentViews
 
 
 @dataclass
@@ -43,77 +26,54 @@ class Batch:
     backgrounds: Tensor
 
 
-def relative_cameras(camera_to_world: np.ndarray, source: int, views: list[int]) -> np.ndarray:
-    """World-to-camera matrices [V,4,4] when the world is the source camera's axes."""
-    return np.linalg.inv(camera_to_world[views]) @ camera_to_world[source]
+def make_batch(plan: BatchPlan, views: ResidentViews) -> Batch:
+    """The batch that a plan describes, on the device of the views."""
+    plan = plan.to(views.device)
+    windows = views.windows(plan.rectangles.flatten(0, 1), *plan.window_px).float()
+    across, down = (_resizing(plan, axis).flatten(0, 1) for axis in (0, 1))
+    images = _resized(windows, across, down).unflatten(0, plan.rectangles.shape[:2]).div_(255).clamp_(0, 1)
+    images = _recoloured(images, plan)
+    return Batch(images[:, 0], plan.intrinsics[:, 0], images[:, 1:], plan.intrinsics[:, 1:], plan.world_to_camera,
+                 plan.backgrounds)
 
 
-def mirrored(world_to_camera: np.ndarray) -> np.ndarray:
-    """The cameras [...,4,4] after a left-right flip of every image and of the world."""
-    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
-    return flip @ world_to_camera @ flip
+def _resizing(plan: BatchPlan, axis: int) -> Tensor:
+    """Weights [B,I,S,P] of the P pixels of a window along x (axis 0) or y (axis 1) in the S pixels of a resized crop.
+
+    A triangle as wide as the pixels of the crop, or of the window where those are wider, normalized over the pixels of
+    the crop, those beyond the window or the frame included: what crop_resize does to photos.
+    """
+    device, size = plan.crops.device, plan.size_px
+    start, side = plan.crops[..., axis, None], plan.crops[..., 2, None]
+    centres = start + side / size * (torch.arange(size, device=device) + 0.5)
+    reach = (side / size).clamp_min(1)
+
+    def triangle(pixels: Tensor) -> Tensor:
+        inside = (pixels >= start[..., None]) & (pixels < (start + side)[..., None])
+        return inside * (1 - (pixels + 0.5 - centres[..., None]).abs() / reach[..., None]).clamp_min(0)
+
+    taps = torch.arange(plan.taps, device=device)
+    total = triangle((centres - reach).floor()[..., None] + taps).sum(-1, keepdim=True)
+    steps = torch.arange(plan.window_px[1 - axis], device=device)
+    steps = steps * plan.directions[:, None, None] if axis == 0 else steps
+    return triangle((plan.origins[..., axis, None] + steps)[..., None, :]) / total
 
 
-def _vary_colours(view: Tensor, permutation: list[int], gain: Tensor, gamma: float) -> Tensor:
-    """Permute the colour channels and bend them by gain * colour^gamma; view: [4,S,S] premultiplied."""
-    alpha = view[3:]
-    colour = (view[:3] / alpha.clamp_min(1e-3)).clamp(0, 1)[permutation]
-    return torch.cat([(gain[:, None, None] * colour.pow(gamma)).clamp(0, 1) * alpha, alpha])
+def _resized(windows: Tensor, across: Tensor, down: Tensor) -> Tensor:
+    """Windows [N,H,W,4] under the weights of columns [N,S,W] and of rows [N,S,H]: [N,4,S,S], float32."""
+    count, height, width, channels = windows.shape
+    size = across.shape[1]
+    rows = down @ windows.view(count, height, width * channels)
+    turned = rows.view(count, size, width, channels).transpose(1, 2).reshape(count, width, size * channels)
+    return (across @ turned).view(count, size, size, channels).permute(0, 3, 2, 1).contiguous()
 
 
-class BatchMaker:
-    """Turns (step, number of objects, image size) into a Batch; depends on these and the sampler's seed alone."""
-
-    def __init__(self, sets: list[CachedSet], sampler: ViewSampler, augmentation: Augmentation) -> None:
-        self.sampler, self.augmentation = sampler, augmentation
-        self.objects = [(source, index) for source in sets for index in range(len(source.objects))]
-
-    def make(self, step: int, start: int, count: int, size_px: int) -> Batch:
-        """The batch of a step. start: examples before it, count: examples in it, size_px: side of all its images."""
-        rng = self.sampler.rng(step, 1)
-        examples = [self._example(choice, size_px, rng) for choice in self.sampler.draw(step, start, count)]
-        return Batch(*(torch.stack(parts) for parts in zip(*examples)))
-
-    def _example(self, choice: Choice, size_px: int, rng: np.random.Generator) -> tuple[Tensor, ...]:
-        """The six tensors of one example."""
-        cached, index = self.objects[choice.object_index]
-        views = [choice.source, *choice.targets]
-        intrinsics = cached.objects[index].intrinsics[[choice.source, *views]]
-        cameras = relative_cameras(cached.objects[index].camera_to_world, choice.source, views)
-        frames = [torch.from_numpy(cached.view(index, view)).permute(2, 0, 1) for view in views]
-        if rng.random() < self.augmentation.mirror:
-            frames, cameras = [frame.flip(-1) for frame in frames], mirrored(cameras)
-            intrinsics[:, 2] = frames[0].shape[2] - intrinsics[:, 2]
-        squares = [self._source_square(frames[0], rng)] + [self._target_square(frame, rng) for frame in frames]
-        images = torch.stack([crop_resize(frame, square, size_px)
-                              for frame, square in zip([frames[0], *frames], squares)]).div_(255).clamp_(0, 1)
-        if rng.random() < self.augmentation.colour:
-            permutation = rng.permutation(3).tolist()
-            gain, gamma = torch.from_numpy(rng.uniform(0.7, 1.1, 3)).float(), float(np.exp(rng.uniform(-0.3, 0.3)))
-            images = torch.stack([_vary_colours(image, permutation, gain, gamma) for image in images])
-        intrinsics = torch.tensor([square.intrinsics((fx, fy), (cx, cy), size_px)
-                                   for square, (fx, fy, cx, cy) in zip(squares, intrinsics.tolist())])
-        white = rng.random((len(views), 1)) < 0.5
-        backgrounds = torch.from_numpy(np.where(white, 1.0, rng.random((len(views), 3)))).float()
-        return images[0], intrinsics[0], images[1:], intrinsics[1:], torch.from_numpy(cameras).float(), backgrounds
-
-    def _source_square(self, frame: Tensor, rng: np.random.Generator) -> Square:
-        """The square that a photo would be cropped to, moved and resized a little."""
-        square = object_square(frame[3] / 255, MARGIN)
-        side, left, top = rng.uniform(-1, 1, 3) * self.augmentation.source_jitter * square.side
-        return _moved(square, square.side + side, left, top)
-
-    def _target_square(self, frame: Tensor, rng: np.random.Generator) -> Square:
-        """A larger square about the object, or a smaller one somewhere inside its square."""
-        square = object_square(frame[3] / 255, MARGIN)
-        side = rng.uniform(*self.augmentation.target_zoom) * square.side
-        room = abs(side - square.side) / 2
-        left, top = rng.uniform(-room, room, 2)
-        return _moved(square, side, left, top)
-
-
-def _moved(square: Square, side: float, right: float, down: float) -> Square:
-    """A square of another side whose centre lies right and down of the given one's."""
-    whole = max(2, round(side))
-    inset = (square.side - whole) / 2
-    return Square(round(square.left + inset + right), round(square.top + inset + down), whole)
+def _recoloured(images: Tensor, plan: BatchPlan) -> Tensor:
+    """Permutes the channels of some examples' colours and bends them by gain * colour^gamma; images: [B,I,4,S,S]."""
+    colour, alpha = images[:, :, :3], images[:, :, 3:]
+    gain, gamma = plan.gains[:, None, :, None, None], plan.gammas[:, None, None, None, None]
+    order = plan.permutations[:, None, :, None, None].expand_as(colour)
+    straight = (colour / alpha.clamp_min(1e-3)).clamp(0, 1).gather(2, order)
+    bent = (gain * straight.pow(gamma)).clamp(0, 1) * alpha
+    chosen = plan.recoloured[:, None, None, None, None]
+    return torch.cat([torch.where(chosen, bent, colour), alpha], dim=2)

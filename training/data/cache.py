@@ -1,7 +1,8 @@
 """Decoded views of a folder of objects, kept on disk as raw bytes and mapped into memory.
 
 Decoding a view takes milliseconds, a training step needs dozens: so every set is decoded once. Only the rectangle that
-holds the object is stored (outside it a premultiplied image is zero), which halves the space at no loss.
+holds the object is stored (outside it a premultiplied image is zero), which halves the space at no loss; beside it
+stands the square that a photo of that view would be cropped to.
 """
 from __future__ import annotations
 
@@ -12,46 +13,49 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from tqdm import tqdm
 
+from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.models.crop import MARGIN, object_square
 from training.data.images import read_view
 from training.data.objects import find_objects, folder_of, read_object
 
-_VERSION = 2
+_VERSION = 3
 
 
 @dataclass(frozen=True)
 class CachedObject:
-    """One object: name, V views as (offset, left, top, width, height) rows of [V,5], camera_to_world [V,4,4] and
-    intrinsics [V,4] (fx, fy, cx, cy) float64, size of the images; lengths in pixels."""
+    """One object of V views, all of one size; lengths in pixels.
+
+    rectangles: [V,5], (offset, left, top, width, height) of the stored part of each view; the offset counts pixels from
+    the start of the set. squares: [V,3], (left, top, side) of object_square. camera_to_world: [V,4,4] float64.
+    intrinsics: [V,4] float64, (fx, fy, cx, cy).
+    """
     name: str
     rectangles: np.ndarray
+    squares: np.ndarray
     camera_to_world: np.ndarray
     intrinsics: np.ndarray
     width_px: int
     height_px: int
 
 
+@dataclass(frozen=True)
 class CachedSet:
-    """All objects of one folder. Views come as premultiplied uint8 [H,W,4] without decoding."""
+    """All objects of one folder.
 
-    def __init__(self, name: str, objects: list[CachedObject], pixels: np.ndarray) -> None:
-        self.name, self.objects, self._pixels = name, objects, pixels
-
-    def view(self, index: int, view: int) -> np.ndarray:
-        """View number `view` of object number `index`, uint8 [H,W,4], premultiplied."""
-        views = self.objects[index]
-        offset, left, top, width, height = views.rectangles[view].tolist()
-        frame = np.zeros((views.height_px, views.width_px, 4), np.uint8)
-        block = self._pixels[offset:offset + 4 * width * height]
-        frame[top:top + height, left:left + width] = block.reshape(height, width, 4)
-        return frame
+    pixels: [P] int32, the stored parts of all views by rows; the four bytes of a pixel are its premultiplied R, G, B
+    and alpha.
+    """
+    objects: list[CachedObject]
+    pixels: np.ndarray
 
 
 def _fingerprint(objects: list[Path]) -> str:
     """Changes when any file of the set is added, removed, resized or rewritten."""
-    digest = hashlib.sha256(str(_VERSION).encode())
+    digest = hashlib.sha256(f"{_VERSION};{MARGIN}".encode())
     for name in objects:
         digest.update(f"{name};".encode())
         for path in sorted(folder_of(name).rglob("*")):
@@ -64,16 +68,27 @@ def _fingerprint(objects: list[Path]) -> str:
 def _decode_object(name: Path) -> tuple[dict, list[np.ndarray]]:
     """Decode one object: its entry for the index (offsets from its own start) and the bytes of each view."""
     views = read_object(name)
-    blocks, rectangles, offset = [], [], 0
+    blocks, rectangles, squares, offset = [], [], [], 0
     for index in range(len(views.image_paths)):
         frame = read_view(views, index)
+        squares.append(_square(views.image_paths[index], frame[..., 3]))
         rows, columns = np.flatnonzero(frame[..., 3].any(1)), np.flatnonzero(frame[..., 3].any(0))
         top, left, height, width = rows[0], columns[0], np.ptp(rows) + 1, np.ptp(columns) + 1
         blocks.append(frame[top:top + height, left:left + width].reshape(-1))
         rectangles.append([offset, int(left), int(top), int(width), int(height)])
-        offset += blocks[-1].size
-    return {"name": str(name), "rectangles": rectangles, "camera_to_world": views.camera_to_world.tolist(),
-            "intrinsics": views.intrinsics.tolist(), "width_px": views.width_px, "height_px": views.height_px}, blocks
+        offset += blocks[-1].size // 4
+    return {"name": str(name), "rectangles": rectangles, "squares": squares,
+            "camera_to_world": views.camera_to_world.tolist(), "intrinsics": views.intrinsics.tolist(),
+            "width_px": views.width_px, "height_px": views.height_px}, blocks
+
+
+def _square(path: Path, alpha: np.ndarray) -> list[int]:
+    """Left, top and side of the square round the object of a view, alpha uint8 [H,W]."""
+    try:
+        square = object_square(torch.from_numpy(alpha) / 255)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return [square.left, square.top, square.side]
 
 
 def _build(names: list[Path], base: Path, workers: int) -> None:
@@ -81,13 +96,15 @@ def _build(names: list[Path], base: Path, workers: int) -> None:
     entries, offset = [], 0
     base.parent.mkdir(parents=True, exist_ok=True)
     with (atomic_path(base.with_suffix(".bytes")) as pixels, atomic_path(base.with_suffix(".json")) as index,
-          open(pixels, "wb") as file, ProcessPoolExecutor(workers) as pool):
+          open(pixels, "wb") as file,
+          # A forked process may not use the threads that torch has started in this one.
+          ProcessPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool):
         decoded = pool.map(_decode_object, names, chunksize=8)
         for entry, blocks in tqdm(decoded, total=len(names), desc=f"decoding {base.name}", unit="object"):
             entry["rectangles"] = [[offset + row[0], *row[1:]] for row in entry["rectangles"]]
             entries.append(entry)
             for block in blocks:
-                offset += file.write(block.tobytes())
+                offset += file.write(block.tobytes()) // 4
         index.write_text(json.dumps(entries))
 
 
@@ -102,6 +119,7 @@ def load_set(root: Path, cache_dir: Path, workers: int = 2) -> CachedSet:
     if not (base.with_suffix(".json").exists() and base.with_suffix(".bytes").exists()):
         _build(names, base, workers)
     entries = json.loads(base.with_suffix(".json").read_text())
-    objects = [CachedObject(entry["name"], np.array(entry["rectangles"], np.int64), np.array(entry["camera_to_world"]),
-                            np.array(entry["intrinsics"]), entry["width_px"], entry["height_px"]) for entry in entries]
-    return CachedSet(Path(root).name, objects, np.memmap(base.with_suffix(".bytes"), np.uint8, "r"))
+    objects = [CachedObject(entry["name"], np.array(entry["rectangles"], np.int64), np.array(entry["squares"]),
+                            np.array(entry["camera_to_world"]), np.array(entry["intrinsics"]), entry["width_px"],
+                            entry["height_px"]) for entry in entries]
+    return CachedSet(objects, np.memmap(base.with_suffix(".bytes"), np.int32, "c"))

@@ -5,6 +5,7 @@ Everything here is a function of (seed, step): a resumed run draws what the unin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -48,6 +49,7 @@ class ViewSampler:
     def __init__(self, poses: list[np.ndarray], azimuth_deg: float, elevation_deg: float, targets: int,
                  seed: int) -> None:
         self.targets, self.seed = targets, seed
+        self._epoch = lru_cache(maxsize=2)(self._shuffled)
         self.candidates = []
         for index, views in enumerate(poses):
             near = {source: found for source in range(len(views))
@@ -69,7 +71,10 @@ class ViewSampler:
     def _object(self, position: int) -> int:
         """The object at a place of the endless sequence of shuffled epochs."""
         epoch, place = divmod(position, len(self.candidates))
-        return int(np.random.default_rng((self.seed, epoch, 1 << 20)).permutation(len(self.candidates))[place])
+        return int(self._epoch(epoch)[place])
+
+    def _shuffled(self, epoch: int) -> np.ndarray:
+        return np.random.default_rng((self.seed, epoch, 1 << 20)).permutation(len(self.candidates))
 
     def _choose(self, index: int, rng: np.random.Generator) -> Choice:
         """A source view and its targets; targets repeat only when the cone holds too few."""

@@ -1,0 +1,59 @@
+"""Several processes train as one does."""
+import json
+
+import pytest
+import torch
+
+from lightfield_gs import InputError
+from training.distributed import Team, join_team
+from training_runs import losses, run_config, start
+
+
+TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=TWO_GPUS)])
+def test_two_processes_take_the_steps_of_one(small_set, device):
+    """torchrun with two processes against one, same samples: losses and weights but for rounding."""
+    # Float32 without dropout, whose masks belong to a process; roughness, which is a ratio of sums within an example.
+    changes = {"device": device, "bfloat16": False, "loss": {"roughness": 0.02}, "checkpoint_every": 100,
+               "validation": str(small_set / "set"), "validate_every": 2, "validation_objects": 1,
+               "stages": [{"steps": 4, "image_size_px": 16, "objects": 4}]}
+    running = []
+    for processes in (1, 2):
+        config = run_config(small_set, f"{device}-{processes}", dropout=0.0, **changes)
+        running.append((start(config, processes), small_set / f"{device}-{processes}"))
+    for process, _ in running:
+        printed = process.communicate(timeout=240)[0]
+        assert process.returncode == 0 and printed.count("weights:") == 1, printed
+        assert printed.count('step 2: {"psnr_db"') == 1 and "steps/s" in printed  # the first process alone speaks
+    alone, together = ([json.loads(line) for line in losses(output)] for _, output in running)
+    assert len(alone) == len(together) == 4
+    for one, two in zip(alone, together):
+        assert two == pytest.approx(one, rel=1e-4 if device == "cpu" else 1e-3, abs=1e-7)
+    one, two = (torch.load(output / "last.pt", weights_only=True) for _, output in running)
+    assert one["identity"] == two["identity"]  # either may be resumed by the other
+    if device == "cuda":
+        return  # convolutions that add in no fixed order: Adam turns noise about zero gradients into whole steps
+    for part in ("net", "average"):
+        for name, weights in one[part].items():
+            torch.testing.assert_close(two[part][name], weights, atol=1e-5, rtol=1e-4)
+
+
+def test_a_step_is_shared_out_completely():
+    shares = [range(12)[Team(torch.device("cpu"), rank, 4).share(12)] for rank in range(4)]
+    assert [len(share) for share in shares] == [3, 3, 3, 3]
+    assert [example for share in shares for example in share] == list(range(12))
+
+
+def test_unequal_shares_are_refused():
+    with pytest.raises(InputError, match="3 processes cannot share the 8 objects .* multiple of 3"):
+        Team(torch.device("cpu"), 0, 3).share(8)
+
+
+def test_one_process_needs_no_torchrun(monkeypatch):
+    for name in ("RANK", "WORLD_SIZE", "LOCAL_RANK"):
+        monkeypatch.delenv(name, raising=False)
+    with join_team("cpu") as team:
+        assert (team.rank, team.size, team.device.type) == (0, 1, "cpu") and team.leads
+        assert not torch.distributed.is_initialized()

@@ -1,0 +1,47 @@
+"""All views of a run in the memory of one device, so that a step copies no image."""
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from training.data.cache import CachedSet
+
+
+class ResidentViews:
+    """The O objects of all sets and their M views: pixels on a device, what describes them on the host.
+
+    first_view: [O], number of each object's view 0. widths_px: [O], of each object's images. rectangles [M,5] (offsets
+    into the pixels of all sets), squares [M,3], camera_to_world [M,4,4], intrinsics [M,4]: of each view, as in
+    CachedObject.
+    """
+
+    def __init__(self, sets: list[CachedSet], device: torch.device | str = "cpu") -> None:
+        objects = [views for cached in sets for views in cached.objects]
+        counts = [len(views.rectangles) for views in objects]
+        self.first_view = np.cumsum([0, *counts[:-1]])
+        self.widths_px = np.array([views.width_px for views in objects])
+        self.squares, self.camera_to_world, self.intrinsics = (
+            np.concatenate([getattr(views, name) for views in objects])
+            for name in ("squares", "camera_to_world", "intrinsics"))
+        starts = np.cumsum([0, *(len(cached.pixels) for cached in sets[:-1])])
+        self.rectangles = np.concatenate([views.rectangles + [start, 0, 0, 0, 0]
+                                          for start, cached in zip(starts, sets) for views in cached.objects])
+        self._pixels = torch.cat([torch.from_numpy(cached.pixels) for cached in sets]).to(device)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the pixels are."""
+        return self._pixels.device
+
+    def windows(self, rectangles: Tensor, height_px: int, width_px: int) -> Tensor:
+        """The stored parts of N views at the top left of equal windows, zero beyond them: uint8 [N,H,W,4].
+
+        rectangles: int64 [N,5], rows of self.rectangles on the device; none larger than the windows.
+        """
+        offset, _, _, width, height = rectangles[:, :, None, None].unbind(1)
+        rows = torch.arange(height_px, device=self.device)[:, None]
+        columns = torch.arange(width_px, device=self.device)
+        stored = (rows < height) & (columns < width)
+        values = self._pixels[torch.where(stored, offset + rows * width + columns, 0)]
+        return torch.where(stored, values, 0)[..., None].view(torch.uint8)

@@ -1,0 +1,89 @@
+"""Network, averaged weights and optimizer of a run, and the step that advances them."""
+from __future__ import annotations
+
+import copy
+import json
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.models import ModelConfig, SplatterNet
+from training.config import TrainingConfig
+from training.data.batches import Batch
+from training.distributed import Team
+from training.losses import total_loss
+from training.rendering import render_views
+from training.schedule import WeightAverage, learning_rate, make_optimizer
+
+
+class StepValues:
+    """What a step reports, on its way from the device: reading it waits for that step and for nothing after it."""
+
+    def __init__(self, step: int, rate: float, values: dict[str, Tensor], team: Team) -> None:
+        self.step, self._rate, self._names = step, rate, list(values)
+        self._values = team.mean(torch.stack(list(values.values()))).to("cpu", non_blocking=True)
+        self._arrived = None
+        if team.device.type == "cuda":
+            self._arrived = torch.cuda.Event()
+            self._arrived.record()
+
+    def read(self) -> dict[str, float]:
+        """step, loss, gradient_norm, learning_rate, the terms of the loss, stop; means over all processes."""
+        if self._arrived is not None:
+            self._arrived.synchronize()
+        found = dict(zip(self._names, self._values.tolist()))
+        return {"step": self.step, "loss": found.pop("loss"), "gradient_norm": found.pop("gradient_norm"),
+                "learning_rate": self._rate, **found}
+
+
+class Trainer:
+    """Network, averaged weights and optimizer of one run, and the step that advances them."""
+
+    def __init__(self, config: TrainingConfig, team: Team) -> None:
+        self.config, self.team, self.step = config, team, 0
+        torch.manual_seed(config.seed)
+        net = SplatterNet(ModelConfig.from_yaml(config.model)).to(team.device, memory_format=torch.channels_last)
+        self.net = net.train()
+        self.average = WeightAverage(copy.deepcopy(self.net), config.optimizer.ema_decay)
+        self.optimizer = make_optimizer(self.net, config.optimizer)
+        if config.compile:
+            self.net.compile(dynamic=False)  # sizes change between stages only
+        self._replica = team.replicated(self.net)
+
+    def advance(self, batch: Batch, stop: bool = False) -> StepValues:
+        """One optimizer step on this process's share of a batch. stop: whether this process has been told to end.
+
+        On CUDA the step is queued, not finished, when this returns, but for what the rasterizer waits for.
+        """
+        config, size, device = self.config, batch.source.shape[-1], self.team.device
+        # Dropout must not depend on how often the run was resumed.
+        torch.manual_seed((config.seed << 32) + self.step * self.team.size + self.team.rank)
+        rate = learning_rate(self.step, config.total_steps, config.optimizer)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        with torch.autocast(device.type, torch.bfloat16, enabled=config.bfloat16):
+            gaussians = self._replica(batch.source, batch.source_intrinsics)
+        images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
+        loss, terms = total_loss(images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source,
+                                 config.loss)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), config.optimizer.clip)
+        self.optimizer.step()
+        self.average.update(self.net, self.step)
+        self.step += 1
+        told = torch.full((), float(stop), device=device)
+        values = {"loss": loss.detach(), "gradient_norm": norm, **terms, "stop": told}
+        return StepValues(self.step - 1, rate, values, self.team)
+
+    def state(self) -> dict:
+        """Everything that resuming needs."""
+        return {"step": self.step, "identity": json.dumps(self.config.identity()), "net": self.net.state_dict(),
+                "average": self.average.average.state_dict(), "optimizer": self.optimizer.state_dict()}
+
+    def restore(self, state: dict) -> None:
+        """The inverse of state()."""
+        self.net.load_state_dict(state["net"])
+        self.average.average.load_state_dict(state["average"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step = state["step"]
