@@ -12,6 +12,7 @@ from PIL import Image
 
 from lightfield_gs import Gaussians, InputError, cli
 from lightfield_gs.models import ModelConfig, SplatterNet
+from faulty_set import assert_fault_is_named
 from srn_scene import HEIGHT, WIDTH, look_at, write_object
 from test_evaluate import ANGLES, KnownScene
 from test_model import TINY
@@ -171,12 +172,7 @@ def test_validator_names_file_and_field(tmp_path, fault, capsys):
     write_transforms(tmp_path / "set/good")
     write_transforms(tmp_path / "set/bad")
     edit(tmp_path / "set/bad/transforms.json", change)
-    found = list(problems(tmp_path / "set"))
-    assert found and all(re.search(pattern, line) and "set/bad" in line and "\n" not in line for line in found)
-    assert main([str(tmp_path / "set")]) == 2
-    assert capsys.readouterr().err.splitlines() == found
-    with pytest.raises(InputError):
-        load_set(tmp_path / "set", tmp_path / "cache", workers=1)
+    assert_fault_is_named(tmp_path, pattern, capsys)
 
 
 @pytest.mark.parametrize("text, pattern", [("{", "is not JSON"), ("[]", "expected an object"), ("[" * 9999, "not JSON"),
