@@ -20,6 +20,8 @@ class Cameras:
     jacobian_limits:    optional [..., C, 5] (low_x, high_x, low_y, high_y, offset): the limits of X/Z and Y/Z in the
                         projection's Jacobian, taken at the centre of a rig that this camera stands `offset` to the
                         right of. None: the camera's own frustum and 15 % of the image beyond each edge (Kerbl et al.).
+    Raises InputError for shapes and values that make no camera; values on a device are not looked at, which would wait
+    for it: there, what is not finite draws nothing that means anything.
     """
 
     world_to_camera: torch.Tensor
@@ -38,9 +40,9 @@ class Cameras:
             found = tuple(getattr(self, name).shape)
             if found != shape or len(lead) not in (1, 2):
                 raise InputError(f"cameras: {name} must be {['...', 'C', *shape[len(lead):]]}, got {list(found)}")
-            if not bool(torch.isfinite(getattr(self, name).detach()).all()):
+            if getattr(self, name).device.type == "cpu" and not bool(torch.isfinite(getattr(self, name)).all()):
                 raise InputError(f"cameras: {name} must be finite numbers, got NaN or infinity")
-        if not bool((self.focal_px > 0).all()):
+        if self.focal_px.device.type == "cpu" and not bool((self.focal_px > 0).all()):
             raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
             size = getattr(self, name)
