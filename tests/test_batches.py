@@ -135,13 +135,14 @@ def _frame(folder: Path, planner: BatchPlanner, row: int) -> torch.Tensor:
     return torch.from_numpy(read_view(views, row % 4)).permute(2, 0, 1)
 
 
-@pytest.mark.parametrize("size_px, zoom", [(8, (0.6, 1.3)), (32, (0.6, 1.3)), (16, (1.5, 3.0)), (70, (0.3, 0.5))])
-def test_crops_are_those_of_photos(small_set, size_px, zoom):
+@pytest.mark.parametrize("source_px, target_px, zoom", [
+    (8, 8, (0.6, 1.3)), (32, 32, (0.6, 1.3)), (16, 16, (1.5, 3.0)), (70, 70, (0.3, 0.5)), (32, 12, (0.6, 1.3))])
+def test_crops_are_those_of_photos(small_set, source_px, target_px, zoom):
     """The batch of a plan against crop_resize on whole frames, one by one, flipped where the plan says so; every view
     has a camera of its own."""
     planner = _planner(small_set, colour=0.0, source_jitter=0.2, target_zoom=zoom)
     planner.views.intrinsics += np.arange(12)[:, None] * (1, 2, 0.5, 0.25)
-    plan = planner.plan(2, 6, 3, size_px)
+    plan = planner.plan(2, 6, 3, source_px, target_px)
     batch, reached = make_batch(plan, planner.views), set()
     rows = [[planner.views.rectangles.tolist().index(row) for row in rows] for rows in plan.rectangles.tolist()]
     for example, image in np.ndindex(3, 4):
@@ -149,6 +150,7 @@ def test_crops_are_those_of_photos(small_set, size_px, zoom):
         fx, fy, cx, cy = planner.views.intrinsics[rows[example][image]]
         if plan.directions[example] < 0:
             frame, cx = frame.flip(-1), frame.shape[2] - cx
+        size_px = target_px if image else source_px
         square = Square(*(int(value) for value in plan.crops[example, image]))
         expected = (crop_resize(frame, square, size_px) / 255).clamp(0, 1)
         found = batch.targets[example, image - 1] if image else batch.source[example]

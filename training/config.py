@@ -11,11 +11,12 @@ from training.losses import LossWeights
 
 @dataclass(frozen=True)
 class Stage:
-    """A stretch of the run. steps: optimizer steps. image_size_px: side of source and target images. objects: examples
-    per step, of all processes together."""
+    """A stretch of the run. steps: optimizer steps. image_size_px: side of the source pictures. objects: examples per
+    step, of all processes together. target_px: side of the target images; 0: as the source pictures."""
     steps: int
     image_size_px: int
     objects: int
+    target_px: int = 0
 
 
 @dataclass(frozen=True)

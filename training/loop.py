@@ -53,7 +53,7 @@ def _plans(planner: BatchPlanner, config: TrainingConfig, start: int, team: Team
     """This process's plans from step `start` on, each made while the step before it runs."""
     def plan(step: int) -> BatchPlan:
         stage, drawn = config.stage_at(step)
-        return planner.plan(step, drawn, stage.objects, stage.image_size_px, team.share(stage.objects))
+        return planner.plan(step, drawn, stage.objects, stage.image_size_px, stage.target_px, team.share(stage.objects))
 
     with ThreadPoolExecutor(1) as pool:
         following = pool.submit(plan, start) if start < config.total_steps else None

@@ -55,7 +55,7 @@ class Trainer:
 
         On CUDA the step is queued, not finished, when this returns, but for what the rasterizer waits for.
         """
-        config, size, device = self.config, batch.source.shape[-1], self.team.device
+        config, size, device = self.config, batch.targets.shape[-1], self.team.device
         # Dropout must not depend on how often the run was resumed.
         torch.manual_seed((config.seed << 32) + self.step * self.team.size + self.team.rank)
         rate = learning_rate(self.step, config.total_steps, config.optimizer)

@@ -15,7 +15,7 @@ class Batch:
     """B examples of V views each; view 0 is the source view itself.
 
     source: [B,4,S,S] premultiplied RGBA, 0..1. source_intrinsics: [B,4] (fx, fy, cx, cy) in pixels.
-    targets: [B,V,4,S,S]. intrinsics: [B,V,4]. world_to_camera: [B,V,4,4], the world being the source camera's axes.
+    targets: [B,V,4,T,T]. intrinsics: [B,V,4]. world_to_camera: [B,V,4,4], the world being the source camera's axes.
     backgrounds: [B,V,3], plain colours 0..1.
     """
     source: Tensor
@@ -29,22 +29,29 @@ class Batch:
 def make_batch(plan: BatchPlan, views: ResidentViews) -> Batch:
     """The batch that a plan describes, on the device of the views."""
     plan = plan.to(views.device)
-    windows = views.windows(plan.rectangles.flatten(0, 1), *plan.window_px).float()
-    across, down = (_resizing(plan, axis).flatten(0, 1) for axis in (0, 1))
-    images = _resized(windows, across, down).unflatten(0, plan.rectangles.shape[:2]).div_(255).clamp_(0, 1)
-    images = _recoloured(images, plan)
-    return Batch(images[:, 0], plan.intrinsics[:, 0], images[:, 1:], plan.intrinsics[:, 1:], plan.world_to_camera,
+    source = _images(plan, views, slice(0, 1), plan.source_px)[:, 0]
+    targets = _images(plan, views, slice(1, None), plan.target_px)
+    return Batch(source, plan.intrinsics[:, 0], targets, plan.intrinsics[:, 1:], plan.world_to_camera,
                  plan.backgrounds)
 
 
-def _resizing(plan: BatchPlan, axis: int) -> Tensor:
+def _images(plan: BatchPlan, views: ResidentViews, chosen: slice, size: int) -> Tensor:
+    """The chosen images of every example, [B,I,4,size,size]."""
+    rectangles = plan.rectangles[:, chosen]
+    windows = views.windows(rectangles.flatten(0, 1), *plan.window_px).float()
+    across, down = (_resizing(plan, chosen, size, axis).flatten(0, 1) for axis in (0, 1))
+    images = _resized(windows, across, down).unflatten(0, rectangles.shape[:2]).div_(255).clamp_(0, 1)
+    return _recoloured(images, plan)
+
+
+def _resizing(plan: BatchPlan, chosen: slice, size: int, axis: int) -> Tensor:
     """Weights [B,I,S,P] of the P pixels of a window along x (axis 0) or y (axis 1) in the S pixels of a resized crop.
 
     A triangle as wide as the pixels of the crop, or of the window where those are wider, normalized over the pixels of
     the crop, those beyond the window or the frame included: what crop_resize does to photos.
     """
-    device, size = plan.crops.device, plan.size_px
-    start, side = plan.crops[..., axis, None], plan.crops[..., 2, None]
+    device, crops = plan.crops.device, plan.crops[:, chosen]
+    start, side = crops[..., axis, None], crops[..., 2, None]
     centres = start + side / size * (torch.arange(size, device=device) + 0.5)
     reach = (side / size).clamp_min(1)
 
@@ -56,7 +63,7 @@ def _resizing(plan: BatchPlan, axis: int) -> Tensor:
     total = triangle((centres - reach).floor()[..., None] + taps).sum(-1, keepdim=True)
     steps = torch.arange(plan.window_px[1 - axis], device=device)
     steps = steps * plan.directions[:, None, None] if axis == 0 else steps
-    return triangle((plan.origins[..., axis, None] + steps)[..., None, :]) / total
+    return triangle((plan.origins[:, chosen, axis, None] + steps)[..., None, :]) / total
 
 
 def _resized(windows: Tensor, across: Tensor, down: Tensor) -> Tensor:

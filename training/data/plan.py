@@ -41,8 +41,9 @@ class BatchPlan:
     (mirrored frames), else 1. crops: [B,I,3], left, top and side of the squares cut out of the frames.
     recoloured: bool [B]; permutations: int64 [B,3]; gains: [B,3]; gammas: [B]: see training/data/batches.py.
     intrinsics: [B,I,4], (fx, fy, cx, cy) in pixels of the images. world_to_camera: [B,V,4,4], the world being the
-    source camera's axes. backgrounds: [B,V,3]. size_px: side of the images. taps: pixels of a frame that one pixel of
-    an image is made of along an axis, at most. Tensors are float32 unless said.
+    source camera's axes. backgrounds: [B,V,3]. source_px, target_px: side of the input pictures and of the targets.
+    taps: pixels of a frame that one pixel of an image is made of along an axis, at most. Tensors are float32 unless
+    said.
     """
     rectangles: Tensor
     origins: Tensor
@@ -56,7 +57,8 @@ class BatchPlan:
     world_to_camera: Tensor
     backgrounds: Tensor
     window_px: tuple[int, int]
-    size_px: int
+    source_px: int
+    target_px: int
     taps: int
 
     def to(self, device: torch.device) -> "BatchPlan":
@@ -85,11 +87,14 @@ class BatchPlanner:
     def __init__(self, views: ResidentViews, sampler: ViewSampler, augmentation: Augmentation) -> None:
         self.views, self.sampler, self.augmentation = views, sampler, augmentation
 
-    def plan(self, step: int, start: int, count: int, size_px: int, share: slice = slice(None)) -> BatchPlan:
-        """The plan of a step. start: examples before it, count: examples in it, size_px: side of all its images.
+    def plan(self, step: int, start: int, count: int, source_px: int, target_px: int = 0,
+             share: slice = slice(None)) -> BatchPlan:
+        """The plan of a step. start: examples before it, count: examples in it.
 
+        source_px, target_px: side of the input pictures and of the targets (0: the same).
         share: the examples that are wanted; whatever it is, example i of the step is the same.
         """
+        target_px = target_px or source_px
         choices = self.sampler.draw(step, start, count)[share]
         drawn = self._draw(step, count, share)
         objects = np.array([choice.object_index for choice in choices])
@@ -100,7 +105,8 @@ class BatchPlanner:
         left, top, side = np.moveaxis(self.views.squares[rows].astype(np.float64), -1, 0)
         crops = self._crops(Square(np.where(mirror, width - left - side, left), top, side), drawn)
         fx, fy, cx, cy = np.moveaxis(self.views.intrinsics[images], -1, 0)
-        intrinsics = crops.intrinsics((fx, fy), (np.where(mirror, width - cx, cx), cy), size_px)
+        sizes = np.array([source_px] + [target_px] * (images.shape[1] - 1))
+        intrinsics = crops.intrinsics((fx, fy), (np.where(mirror, width - cx, cx), cy), sizes)
         poses = self.views.camera_to_world[rows]
         cameras = relative_cameras(poses, poses[:, :1])
         rectangles = self.views.rectangles[images]
@@ -114,8 +120,9 @@ class BatchPlanner:
             intrinsics=_floats(np.stack(intrinsics, -1)),
             world_to_camera=_floats(np.where(mirror[..., None, None], mirrored(cameras), cameras)),
             backgrounds=_floats(np.where(white, 1.0, background)),
-            window_px=(int(rectangles[..., 4].max()), int(rectangles[..., 3].max())), size_px=size_px,
-            taps=2 * math.ceil(max(1.0, crops.side.max() / size_px)) + 2)
+            window_px=(int(rectangles[..., 4].max()), int(rectangles[..., 3].max())),
+            source_px=source_px, target_px=target_px,
+            taps=2 * math.ceil(max(1.0, (crops.side / sizes).max())) + 2)
 
     def _draw(self, step: int, count: int, share: slice) -> dict[str, np.ndarray]:
         """Uniform numbers in [0, 1) for each purpose, [B, ...]: a row per example of the step, then those wanted."""
