@@ -88,13 +88,13 @@ def test_learning_rate_warms_up_and_falls_by_a_cosine():
 def test_weight_average_follows_its_recurrence():
     net, average = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
     average.load_state_dict(net.state_dict())
-    expected, mean = net.weight.detach().clone(), WeightAverage(average, decay=0.5)
+    expected, mean = net.weight.detach().clone(), WeightAverage(average, net, decay=0.5)
     for step in range(20):
         with torch.no_grad():
             net.weight += 1
         decay = min(0.5, (1 + step) / (10 + step))
         expected = decay * expected + (1 - decay) * net.weight.detach()
-        mean.update(net, step)
+        mean.update(step)
     torch.testing.assert_close(mean.average.weight, expected)
 
 

@@ -31,14 +31,15 @@ def make_optimizer(net: nn.Module, config: OptimizerConfig) -> torch.optim.AdamW
 class WeightAverage:
     """Exponential moving average of a network's weights, following closely at first.
 
-    average: the network that holds the average. decay: of the average in the long run.
+    average: the network that holds the average. net: the one that is trained. decay: of the average in the long run.
     """
 
-    def __init__(self, average: nn.Module, decay: float) -> None:
+    def __init__(self, average: nn.Module, net: nn.Module, decay: float) -> None:
         self.average, self.decay = average.requires_grad_(False).eval(), decay
+        self._averages, self._weights = list(average.parameters()), list(net.parameters())
 
     @torch.no_grad()
-    def update(self, net: nn.Module, step: int) -> None:
-        """Move the average towards net after step number `step`."""
+    def update(self, step: int) -> None:
+        """Move the average towards the network after step number `step`."""
         decay = min(self.decay, (1 + step) / (10 + step))
-        torch._foreach_lerp_(list(self.average.parameters()), list(net.parameters()), 1 - decay)
+        torch._foreach_lerp_(self._averages, self._weights, 1 - decay)

@@ -44,10 +44,12 @@ class Trainer:
         torch.manual_seed(config.seed)
         net = SplatterNet(ModelConfig.from_yaml(config.model)).to(team.device, memory_format=torch.channels_last)
         self.net = net.train()
-        self.average = WeightAverage(copy.deepcopy(self.net), config.optimizer.ema_decay)
-        self.optimizer = make_optimizer(self.net, config.optimizer)
-        if config.compile:
-            self.net.compile(dynamic=False)  # sizes change between stages only
+        self.average = WeightAverage(copy.deepcopy(self.net), self.net, config.optimizer.ema_decay)
+        self.optimizer, self._weights = make_optimizer(self.net, config.optimizer), list(self.net.parameters())
+        self._loss = total_loss
+        if config.compile:  # sizes change between stages only
+            self.net.compile(dynamic=False, mode="reduce-overhead" if team.device.type == "cuda" else None)
+            self._loss = torch.compile(total_loss, dynamic=False)
         self._replica = team.replicated(self.net)
 
     def advance(self, batch: Batch, stop: bool = False) -> StepValues:
@@ -64,13 +66,13 @@ class Trainer:
         with torch.autocast(device.type, torch.bfloat16, enabled=config.bfloat16):
             gaussians = self._replica(batch.source, batch.source_intrinsics)
         images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
-        loss, terms = total_loss(images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source,
+        loss, terms = self._loss(images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source,
                                  config.loss)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), config.optimizer.clip)
+        norm = torch.nn.utils.clip_grad_norm_(self._weights, config.optimizer.clip)
         self.optimizer.step()
-        self.average.update(self.net, self.step)
+        self.average.update(self.step)
         self.step += 1
         told = torch.full((), float(stop), device=device)
         values = {"loss": loss.detach(), "gradient_norm": norm, **terms, "stop": told}
