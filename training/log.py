@@ -8,12 +8,14 @@ from typing import Any
 
 from tqdm import tqdm
 
+_BOARD_EVERY = 10  # steps; scalars cost TensorBoard more time than a small network's step has to spare
+
 
 class RunLog:
     """The log of a run, kept by one of its processes; on the others (writes=False) every method does nothing.
 
     losses.jsonl has a line per step: step, loss, gradient_norm, learning_rate and the terms of the loss. TensorBoard
-    has the same, steps_per_second and the scores of validations.
+    has the same every tenth step, steps_per_second and the scores of validations.
     """
 
     def __init__(self, output: Path, step: int, total_steps: int, writes: bool) -> None:
@@ -41,7 +43,7 @@ class RunLog:
             return
         self._lines.write(json.dumps(values) + "\n")
         self._step = int(values["step"]) + 1
-        for name, value in values.items():
+        for name, value in values.items() if self._step % _BOARD_EVERY == 0 else ():
             if name != "step":
                 self._board.add_scalar(f"train/{name}", value, self._step - 1)
         self._progress.set_postfix(loss=f"{values['loss']:.4f}", lr=f"{values['learning_rate']:.1e}", refresh=False)
