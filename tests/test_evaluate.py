@@ -12,8 +12,9 @@ from srn_scene import HEIGHT, WIDTH, look_at, write_object
 from test_model import TINY
 from training import evaluate
 from training.data.objects import read_object
-from training.evaluation import azimuths_from_source, compare_object, score_folder
-from training.rendering import render_views
+from training.data.plan import relative_cameras
+from training.evaluation import azimuths_from_source, compare_object, labelled, score_folder
+from training.rendering import render_card, render_views
 
 ANGLES = ((0, 0), (-10, 0), (5, 6), (10, -6), (4, 0))
 
@@ -54,7 +55,7 @@ def test_the_true_scene_scores_as_well_as_8_bits_allow(tmp_path):
         Image.fromarray(picture).save(tmp_path / f"a/rgb/{index:06d}.png")
     (tmp_path / "a/intrinsics.txt").write_text("140 64 48 0\n0 0 0\n1\n96 128\n")
     report = score_folder(KnownScene(scene), tmp_path)
-    assert report["psnr_db"] > 50 and report["ssim"] > 0.999
+    assert report["psnr_db"] > 50 and report["ssim"] > 0.999 and report["source"]["psnr_db"] > 50
     assert report["copy_psnr_db"] < 30
 
 
@@ -67,15 +68,35 @@ def test_bins_and_copy_baseline(tmp_path):
     nets = [SplatterNet(ModelConfig.from_dict(TINY)).eval() for _ in range(2)]
     assert [score_folder(net, tmp_path, decoded=kept) for net in nets] == [score_folder(net, tmp_path) for net in nets]
     assert list(kept) == [tmp_path / "a"]
-    for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim"):
+    for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim", "card_psnr_db", "card_ssim"):
         assert np.mean([row[name] for row in report["bins"]]) == pytest.approx(report[name])
+    assert report["source"]["views"] == 1 and report["source"]["copy_psnr_db"] == 100
+    assert [label for label, _ in labelled(report)] == ["source", "5 deg", "10 deg", "all"]
     comparison = compare_object(SplatterNet(ModelConfig.from_dict(TINY)).eval(), tmp_path / "a")
-    assert comparison.truth.shape == (4, 3, 96, 128)  # the longer side becomes 128
+    assert comparison.truth.shape == comparison.card.shape == (5, 3, 96, 128)  # the longer side becomes 128
     frames = [np.asarray(Image.open(tmp_path / f"a/rgb/{i:06d}.png")).astype(float) for i in range(5)]
     on_white = [f[..., :3] * (f[..., 3:] / 255) + 255 - f[..., 3:] for f in frames]
     doubled = [np.repeat(np.repeat(f, 2, 0), 2, 1) / 255 for f in on_white]  # 64 x 48 stored, 128 x 96 compared
     expected = np.mean([-10 * np.log10(((doubled[0] - f) ** 2).mean()) for f in doubled[1:]])
     assert report["copy_psnr_db"] == pytest.approx(expected, abs=0.01)
+
+
+def test_flat_card_is_seen_where_its_points_project():
+    """A picture whose values are its own coordinates says which of its points a pixel shows."""
+    intrinsics, depth = torch.tensor([90.0, 95.0, 33.0, 25.0]), 1.3
+    rows, columns = torch.meshgrid(torch.arange(48) + 0.5, torch.arange(64) + 0.5, indexing="ij")
+    poses = np.stack([look_at(10, 5), look_at(25, -4), look_at(-15, 12), look_at(190, 5)])
+    cameras = torch.from_numpy(relative_cameras(poses, poses[0])).float()
+    card = render_card(torch.stack([columns, rows]), intrinsics, depth, cameras, intrinsics.expand(4, 4))
+    torch.testing.assert_close(card[0], torch.stack([columns, rows]), atol=1e-3, rtol=0)
+    for camera, seen in zip(cameras[1:3].double(), card[1:3]):
+        for row, column in ((10, 20), (24, 32), (35, 50)):
+            across = (seen[:, row, column] - intrinsics[2:]) / intrinsics[:2] * depth
+            x, y, z = (camera @ torch.cat([across, torch.tensor([depth, 1])]).double())[:3]
+            assert float(90 * x / z + 33) == pytest.approx(column + 0.5, abs=0.02)
+            assert float(95 * y / z + 25) == pytest.approx(row + 0.5, abs=0.02)
+    behind = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))[None]
+    assert not render_card(torch.ones(1, 48, 64), intrinsics, depth, behind, intrinsics[None]).any()
 
 
 def test_azimuths_of_known_cameras():
@@ -95,11 +116,12 @@ def test_command_writes_scores_and_pictures(tmp_path, capsys):
                  "--save-renders", str(tmp_path / "renders"), "--json", str(tmp_path / "scores.json")]
     assert evaluate.main(arguments) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
-    metrics = {"psnr_db", "ssim", "copy_psnr_db", "copy_ssim"}
+    metrics = {"psnr_db", "ssim", "copy_psnr_db", "copy_ssim", "card_psnr_db", "card_ssim"}
     assert metrics <= scores.keys() and all(metrics | {"angle_deg"} <= row.keys() for row in scores["bins"])
     picture = np.asarray(Image.open(tmp_path / "renders/a.png"))
     assert picture.shape == (2 * 96, 5 * 128, 3) and (WIDTH, HEIGHT) == (64, 48)
-    assert "all" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "all" in printed and "source" in printed and "card PSNR" in printed
 
 
 @pytest.mark.parametrize("arguments, word", [

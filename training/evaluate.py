@@ -1,7 +1,8 @@
 """Score a checkpoint: `python -m training.evaluate --data DIR [--checkpoint F] [--save-renders DIR] --json F`.
 
-Writes psnr_db, ssim, copy_psnr_db, copy_ssim and bins (the same per angle) as JSON, and prints them as a table. The
-protocol is described in training/evaluation.py.
+Writes PSNR and SSIM of the network and of two floors, copying the input and showing it as a flat card, as JSON, and
+prints them as a table: over all novel views, per angle, and of the source view. The protocol is described in
+training/evaluation.py.
 """
 from __future__ import annotations
 
@@ -16,10 +17,12 @@ from lightfield_gs.errors import InputError
 
 def _table(report: dict[str, Any]) -> str:
     """The report as lines of text."""
-    lines = ["angle   views   PSNR dB   SSIM   copy PSNR dB   copy SSIM"]
-    for label, row in [*((f"{row['angle_deg']} deg", row) for row in report["bins"]), ("all", report)]:
-        lines.append(f"{label:<7} {row['views']:>5}   {row['psnr_db']:7.2f}   {row['ssim']:.3f}   "
-                     f"{row['copy_psnr_db']:12.2f}   {row['copy_ssim']:9.3f}")
+    from training.evaluation import labelled
+    lines = ["angle   views   PSNR dB   SSIM   copy PSNR dB   copy SSIM   card PSNR dB   card SSIM"]
+    for label, row in labelled(report):
+        floors = "".join(f"   {row[f'{floor}_psnr_db']:12.2f}   {row[f'{floor}_ssim']:9.3f}"
+                         for floor in ("copy", "card"))
+        lines.append(f"{label:<7} {row['views']:>5}   {row['psnr_db']:7.2f}   {row['ssim']:.3f}{floors}")
     return "\n".join(lines)
 
 

@@ -1,7 +1,8 @@
-"""The rasterizer as training sees it: batches of objects and cameras."""
+"""The rasterizer as training sees it: batches of objects and cameras; and the card that a network has to beat."""
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from lightfield_gs import Cameras, Gaussians, render
@@ -17,3 +18,26 @@ def render_views(gaussians: Gaussians, world_to_camera: Tensor, intrinsics: Tens
     with torch.autocast(world_to_camera.device.type, enabled=False):
         images, alpha = render(gaussians, cameras, background=backgrounds, alpha=True)
     return images.permute(0, 1, 4, 2, 3), alpha
+
+
+def render_card(picture: Tensor, source_intrinsics: Tensor, depth: float, world_to_camera: Tensor,
+                intrinsics: Tensor) -> Tensor:
+    """A picture as a flat card, upright before its own camera at a depth: [V,C,H,W], its frame as other cameras see it.
+
+    picture: [C,H,W]. source_intrinsics: [4], (fx, fy, cx, cy) in pixels. world_to_camera: [V,4,4], the world being the
+    axes of the picture's camera. intrinsics: [V,4]. Bilinear; zero beyond the card and where it is behind a camera.
+    """
+    height, width = picture.shape[1:]
+    columns, rows = (torch.arange(size, device=picture.device) + 0.5 for size in (width, height))
+    fx, fy, cx, cy = intrinsics[:, :, None, None].unbind(1)
+    x, y = torch.broadcast_tensors((columns - cx) / fx, (rows[:, None] - cy) / fy)
+    rotation, translation = world_to_camera[:, :3, :3], world_to_camera[:, :3, 3]
+    # A camera's centre is -R^T t, and what its pixel sees lies at the centre + distance * R^T (x, y, 1).
+    centres = -torch.einsum("vij,vi->vj", rotation, translation)[:, None, None]
+    rays = torch.einsum("vij,vhwi->vhwj", rotation, torch.stack([x, y, torch.ones_like(x)], -1))
+    distances = (depth - centres[..., 2]) / rays[..., 2]
+    points = (centres + distances[..., None] * rays)[..., :2] / depth
+    pixels = points * source_intrinsics[:2] + source_intrinsics[2:]
+    places = 2 * pixels / torch.tensor([width, height], device=picture.device) - 1
+    seen = F.grid_sample(picture.expand(len(intrinsics), -1, -1, -1), places, align_corners=False)
+    return seen * (distances > 0)[:, None]
