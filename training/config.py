@@ -80,6 +80,10 @@ class TrainingConfig:
         """Steps of all stages together."""
         return sum(stage.steps for stage in self.stages)
 
+    def scores_due(self, step: int) -> bool:
+        """Whether the weights are scored after so many steps."""
+        return bool(self.validation) and step > 0 and step % self.validate_every == 0
+
     def stage_at(self, step: int) -> tuple[Stage, int]:
         """The stage of a step, and how many examples all steps before it have drawn."""
         drawn = 0

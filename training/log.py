@@ -1,4 +1,4 @@
-"""What a run tells: losses.jsonl, TensorBoard, a progress bar."""
+"""What a run tells: losses.jsonl, scores.jsonl, TensorBoard, a progress bar."""
 from __future__ import annotations
 
 import json
@@ -14,18 +14,22 @@ _BOARD_EVERY = 10  # steps; scalars cost TensorBoard more time than a small netw
 class RunLog:
     """The log of a run, kept by one of its processes; on the others (writes=False) every method does nothing.
 
-    losses.jsonl has a line per step: step, loss, gradient_norm, learning_rate and the terms of the loss. TensorBoard
-    has the same every tenth step, steps_per_second and the scores of validations.
+    losses.jsonl has a line per step: step, loss, gradient_norm, learning_rate and the terms of the loss. scores.jsonl
+    has a line per validation: step (how many steps had been taken) and the scores. TensorBoard has the same (of
+    every tenth step) and steps_per_second. scored: step of the last validation, 0 before the first.
     """
 
     def __init__(self, output: Path, step: int, total_steps: int, writes: bool) -> None:
-        self._writes, self._first, self._step = writes, step, step
+        self._writes, self._first, self._step, self.scored = writes, step, step, 0
         self._begun = self._marked = time.monotonic()
         self._marked_step = step
         if not writes:
             return
         from torch.utils.tensorboard import SummaryWriter
         self._lines = open(output / "losses.jsonl", "a", buffering=1)
+        self._score_lines = open(output / "scores.jsonl", "a+", buffering=1)
+        self._score_lines.seek(0)
+        self.scored = max((json.loads(line)["step"] for line in self._score_lines), default=0)
         self._board = SummaryWriter(output / "tensorboard", purge_step=step)
         self._progress = tqdm(total=total_steps, initial=step, unit="step", dynamic_ncols=True)
 
@@ -34,7 +38,7 @@ class RunLog:
 
     def __exit__(self, *_: Any) -> None:
         if self._writes:
-            for part in (self._lines, self._board, self._progress):
+            for part in (self._lines, self._score_lines, self._board, self._progress):
                 part.close()
 
     def record(self, values: dict[str, float]) -> None:
@@ -61,12 +65,14 @@ class RunLog:
         """Leaves the time since mark_speed out: it went into saving and scoring."""
         self._marked, self._marked_step = time.monotonic(), self._step
 
-    def scores(self, values: dict[str, float]) -> None:
-        """Scores of the averaged weights after the last recorded step."""
+    def scores(self, step: int, values: dict[str, float]) -> None:
+        """Scores of the averaged weights after so many steps."""
         if self._writes:
-            self.say(f"step {self._step}: " + json.dumps(values))
+            self.scored = step
+            self._score_lines.write(json.dumps({"step": step, **values}) + "\n")
+            self.say(f"step {step}: " + json.dumps(values))
             for name, value in values.items():
-                self._board.add_scalar(f"validation/{name}", value, self._step)
+                self._board.add_scalar(f"validation/{name}", value, step)
 
     def say(self, line: str) -> None:
         """A line on the terminal."""

@@ -75,11 +75,17 @@ def _record(values: StepValues, log: RunLog) -> bool:
     return stop
 
 
-def _validate(trainer: Trainer, config: TrainingConfig, decoded: dict[Path, Tensor]) -> dict[str, float]:
-    """Scores of the averaged weights on the first objects of the validation folder; decoded: see score_folder."""
+def _validate(trainer: Trainer, log: RunLog, decoded: dict[Path, Tensor]) -> None:
+    """Scores the averaged weights on the first objects of the validation folder, if that is due and not done.
+
+    decoded: see score_folder.
+    """
+    config = trainer.config
+    if not (trainer.team.leads and config.scores_due(trainer.step)) or trainer.step <= log.scored:
+        return
     report = score_folder(trainer.average.average, Path(config.validation), limit=config.validation_objects,
                           device=trainer.team.device, decoded=decoded)
-    return {name: report[name] for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim")}
+    log.scores(trainer.step, {name: report[name] for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim")})
 
 
 def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int]) -> bool:
@@ -87,14 +93,15 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     config, team = trainer.config, trainer.team
     behind: StepValues | None = None
     decoded: dict[Path, Tensor] = {}
+    _validate(trainer, log, decoded)  # owed by a run that ended between a checkpoint and its scores
+    log.resume_clock()
     for plan in _plans(planner, config, trainer.step, team):
         ahead = trainer.advance(make_batch(plan, planner.views), stop=bool(signals))
         # A step is read while the next one runs, so that the device always has work. All processes read the same.
         stop = behind is not None and _record(behind, log)
         last = trainer.step == config.total_steps
-        scores_due = bool(config.validation) and trainer.step % config.validate_every == 0
         behind = ahead
-        if not (stop or last or scores_due or trainer.step % config.checkpoint_every == 0):
+        if not (stop or last or config.scores_due(trainer.step) or trainer.step % config.checkpoint_every == 0):
             continue
         stop, behind = _record(ahead, log) or stop, None
         log.mark_speed()
@@ -103,8 +110,7 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
         if stop and not last:
             log.say(f"stopped by a signal after step {trainer.step}; run the same command to resume")
             return False
-        if scores_due and team.leads:
-            log.scores(_validate(trainer, config, decoded))
+        _validate(trainer, log, decoded)
         log.resume_clock()
     return True
 
@@ -127,6 +133,7 @@ def train(config: TrainingConfig) -> Path | None:
             trainer.restore(load_checkpoint(output / "last.pt", config.identity()))
         if team.leads:
             cut_log(output / "losses.jsonl", trainer.step)
+            cut_log(output / "scores.jsonl", trainer.step + 1)
         with _termination_noticed() as signals, RunLog(output, trainer.step, config.total_steps, team.leads) as log:
             finished = _run(trainer, planner, log, signals)
             log.say_speed()
