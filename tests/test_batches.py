@@ -56,7 +56,7 @@ def test_each_epoch_visits_every_object_once():
 
 
 def test_sampler_refuses_an_object_without_neighbours():
-    with pytest.raises(InputError, match="object number 1: no two of its 2 views"):
+    with pytest.raises(InputError, match="object number 1: none of its 2 views"):
         ViewSampler([fan(), np.stack([look_at(0, 0), look_at(90, 0)])], 30, 12, 1, seed=0)
 
 

@@ -142,5 +142,5 @@ def test_cache_holds_the_very_pixels(tmp_path):
 
 def test_angles_of_known_cameras():
     cameras = np.stack([look_at(0, 0), look_at(20, 0), look_at(0, 10)])
-    angles = angles_from_source(cameras, 0)
+    angles = angles_from_source(cameras, cameras[0])
     np.testing.assert_allclose(np.abs(angles), [[0, 0], [20, 0], [0, 10]], atol=1e-9)

@@ -41,9 +41,12 @@ class TrainingConfig:
     """One run.
 
     model: name in configs/models, or a YAML file. data: folders of objects, SRN layout or transforms.json. cache_dir:
-    where decoded views are kept. output_dir: checkpoints, losses.jsonl, TensorBoard logs, final weights.
+    where decoded views are kept. output_dir: checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs, final weights.
     cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source
     view, and within elevation_deg in elevation. 360 with elevation_deg 90 takes every view.
+    target_data: for each folder of data one with further views of the same objects, in the same worlds; targets are
+    drawn from these alone, sources from data. []: both from data. neighbour_deg: only views of data of which another
+    one looks within this angle are sources.
     targets: target views per object, beside the source view itself. stages: run one after the other under one schedule.
     bfloat16: run the U-Net in bfloat16. checkpoint_every: steps between resumable checkpoints.
     validation: folder scored every validate_every steps (first validation_objects objects only); "": none.
@@ -62,6 +65,8 @@ class TrainingConfig:
     cone_deg: float = 40.0
     cone_margin: float = 1.5
     elevation_deg: float = 12.0
+    target_data: list[str] = field(default_factory=list)
+    neighbour_deg: float = 180.0
     targets: int = 3
     bfloat16: bool = True
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -74,6 +79,11 @@ class TrainingConfig:
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     loss: LossWeights = field(default_factory=LossWeights)
     augmentation: Augmentation = field(default_factory=Augmentation)
+
+    @property
+    def azimuth_deg(self) -> float:
+        """Targets lie within this azimuth of the source view, to either side."""
+        return self.cone_deg / 2 * self.cone_margin
 
     @property
     def total_steps(self) -> int:
@@ -96,7 +106,7 @@ class TrainingConfig:
     def identity(self) -> dict:
         """The fields that decide what is computed; a run may be resumed when they are the same."""
         fields = dataclasses.asdict(self)
-        for name in ("output_dir", "cache_dir", "data", "validation", "validate_every", "validation_objects",
-                     "checkpoint_every", "device", "compile"):
+        for name in ("output_dir", "cache_dir", "data", "target_data", "validation", "validate_every",
+                     "validation_objects", "checkpoint_every", "device", "compile"):
             del fields[name]
         return fields

@@ -17,6 +17,7 @@ from training.checkpoints import cut_log, load_checkpoint, save_checkpoint
 from training.config import TrainingConfig
 from training.data.batches import make_batch
 from training.data.cache import load_set
+from training.data.partners import find_partners
 from training.data.plan import BatchPlan, BatchPlanner
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
@@ -29,11 +30,13 @@ from training.trainer import StepValues, Trainer
 def make_planner(config: TrainingConfig, team: Team) -> BatchPlanner:
     """The source of a run's batches, its views on the team's device; decodes the data first where that is not done."""
     with team.leader_first():
-        sets = [load_set(Path(folder), Path(config.cache_dir)) for folder in config.data]
-    poses = [views.camera_to_world for cached in sets for views in cached.objects]
-    azimuth = config.cone_deg / 2 * config.cone_margin
-    sampler = ViewSampler(poses, azimuth, config.elevation_deg, config.targets, config.seed)
-    return BatchPlanner(ResidentViews(sets, team.device), sampler, config.augmentation)
+        sets, target_sets = ([load_set(Path(folder), Path(config.cache_dir)) for folder in folders]
+                             for folders in (config.data, config.target_data))
+    partners = find_partners(sets, target_sets)
+    poses = [views.camera_to_world for cached in sets + target_sets for views in cached.objects]
+    sampler = ViewSampler(poses[:len(partners)], config.azimuth_deg, config.elevation_deg, config.targets, config.seed,
+                          config.neighbour_deg, [poses[partner] for partner in partners])
+    return BatchPlanner(ResidentViews(sets + target_sets, team.device), sampler, config.augmentation, partners)
 
 
 @contextmanager

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +25,7 @@ from training.data.images import read_view
 from training.data.objects import find_objects, folder_of, read_object
 
 _VERSION = 3
+_CHUNK = 8  # objects that a process takes at a time
 
 
 @dataclass(frozen=True)
@@ -44,11 +47,12 @@ class CachedObject:
 
 @dataclass(frozen=True)
 class CachedSet:
-    """All objects of one folder.
+    """All objects of one folder, root.
 
     pixels: [P] int32, the stored parts of all views by rows; the four bytes of a pixel are its premultiplied R, G, B
     and alpha.
     """
+    root: Path
     objects: list[CachedObject]
     pixels: np.ndarray
 
@@ -91,15 +95,16 @@ def _square(path: Path, alpha: np.ndarray) -> list[int]:
     return [square.left, square.top, square.side]
 
 
-def _build(names: list[Path], base: Path, workers: int) -> None:
+def _build(names: list[Path], base: Path, workers: int | None) -> None:
     """Decode all objects into <base>.bytes and <base>.json; each appears complete or not at all."""
     entries, offset = [], 0
+    workers = min(workers or os.cpu_count() or 1, math.ceil(len(names) / _CHUNK))
     base.parent.mkdir(parents=True, exist_ok=True)
     with (atomic_path(base.with_suffix(".bytes")) as pixels, atomic_path(base.with_suffix(".json")) as index,
           open(pixels, "wb") as file,
           # A forked process may not use the threads that torch has started in this one.
           ProcessPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool):
-        decoded = pool.map(_decode_object, names, chunksize=8)
+        decoded = pool.map(_decode_object, names, chunksize=_CHUNK)
         for entry, blocks in tqdm(decoded, total=len(names), desc=f"decoding {base.name}", unit="object"):
             entry["rectangles"] = [[offset + row[0], *row[1:]] for row in entry["rectangles"]]
             entries.append(entry)
@@ -108,18 +113,20 @@ def _build(names: list[Path], base: Path, workers: int) -> None:
         index.write_text(json.dumps(entries))
 
 
-def load_set(root: Path, cache_dir: Path, workers: int = 2) -> CachedSet:
+def load_set(root: Path, cache_dir: Path, workers: int | None = None) -> CachedSet:
     """Open a folder of objects (their split "train" where they have any), decoding it into cache_dir when that has not
     been done.
 
-    Raises InputError for the first object that cannot be used (`python -m training.data.validate` lists them all).
+    workers: processes that decode; None: one per core. Raises InputError for the first object that cannot be used
+    (`python -m training.data.validate` lists them all).
     """
-    names = find_objects(Path(root).resolve(), "train")
-    base = Path(cache_dir) / f"{Path(root).name}-{_fingerprint(names)}"
+    root = Path(root).resolve()
+    names = find_objects(root, "train")
+    base = Path(cache_dir) / f"{root.name}-{_fingerprint(names)}"
     if not (base.with_suffix(".json").exists() and base.with_suffix(".bytes").exists()):
         _build(names, base, workers)
     entries = json.loads(base.with_suffix(".json").read_text())
     objects = [CachedObject(entry["name"], np.array(entry["rectangles"], np.int64), np.array(entry["squares"]),
                             np.array(entry["camera_to_world"]), np.array(entry["intrinsics"]), entry["width_px"],
                             entry["height_px"]) for entry in entries]
-    return CachedSet(objects, np.memmap(base.with_suffix(".bytes"), np.int32, "c"))
+    return CachedSet(root, objects, np.memmap(base.with_suffix(".bytes"), np.int32, "c"))

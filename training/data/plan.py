@@ -82,10 +82,16 @@ def mirrored(world_to_camera: np.ndarray) -> np.ndarray:
 
 
 class BatchPlanner:
-    """Turns (step, number of objects, image size) into a BatchPlan; depends on these and the sampler's seed alone."""
+    """Turns (step, number of objects, image size) into a BatchPlan; depends on these and the sampler's seed alone.
 
-    def __init__(self, views: ResidentViews, sampler: ViewSampler, augmentation: Augmentation) -> None:
+    views: whose first objects are the sampler's. partners: for each of those the number of the object whose views its
+    targets are; None: its own.
+    """
+
+    def __init__(self, views: ResidentViews, sampler: ViewSampler, augmentation: Augmentation,
+                 partners: np.ndarray | None = None) -> None:
         self.views, self.sampler, self.augmentation = views, sampler, augmentation
+        self._first_target = views.first_view if partners is None else views.first_view[partners]
 
     def plan(self, step: int, start: int, count: int, source_px: int, target_px: int = 0,
              share: slice = slice(None)) -> BatchPlan:
@@ -98,12 +104,12 @@ class BatchPlanner:
         choices = self.sampler.draw(step, start, count)[share]
         drawn = self._draw(step, count, share)
         objects = np.array([choice.object_index for choice in choices])
-        seen = np.array([(choice.source, *choice.targets) for choice in choices])
-        rows = self.views.first_view[objects][:, None] + seen
-        images = np.concatenate([rows[:, :1], rows], 1)
-        mirror, width = drawn["mirror"] < self.augmentation.mirror, self.views.widths_px[objects][:, None]
+        sources = self.views.first_view[objects] + [choice.source for choice in choices]
+        targets = self._first_target[objects][:, None] + np.array([choice.targets for choice in choices])
+        rows, images = (np.concatenate([sources[:, None]] * times + [targets], 1) for times in (1, 2))
+        mirror, width = drawn["mirror"] < self.augmentation.mirror, self.views.widths_px[images]
         left, top, side = np.moveaxis(self.views.squares[rows].astype(np.float64), -1, 0)
-        crops = self._crops(Square(np.where(mirror, width - left - side, left), top, side), drawn)
+        crops = self._crops(Square(np.where(mirror, width[:, 1:] - left - side, left), top, side), drawn)
         fx, fy, cx, cy = np.moveaxis(self.views.intrinsics[images], -1, 0)
         sizes = np.array([source_px] + [target_px] * (images.shape[1] - 1))
         intrinsics = crops.intrinsics((fx, fy), (np.where(mirror, width - cx, cx), cy), sizes)

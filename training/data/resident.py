@@ -11,16 +11,15 @@ from training.data.cache import CachedSet
 class ResidentViews:
     """The O objects of all sets and their M views: pixels on a device, what describes them on the host.
 
-    first_view: [O], number of each object's view 0. widths_px: [O], of each object's images. rectangles [M,5] (offsets
-    into the pixels of all sets), squares [M,3], camera_to_world [M,4,4], intrinsics [M,4]: of each view, as in
-    CachedObject.
+    first_view: [O], number of each object's view 0. widths_px [M], rectangles [M,5] (offsets into the pixels of all
+    sets), squares [M,3], camera_to_world [M,4,4], intrinsics [M,4]: of each view, as in CachedObject.
     """
 
     def __init__(self, sets: list[CachedSet], device: torch.device | str = "cpu") -> None:
         objects = [views for cached in sets for views in cached.objects]
         counts = [len(views.rectangles) for views in objects]
         self.first_view = np.cumsum([0, *counts[:-1]])
-        self.widths_px = np.array([views.width_px for views in objects])
+        self.widths_px = np.repeat([views.width_px for views in objects], counts)
         self.squares, self.camera_to_world, self.intrinsics = (
             np.concatenate([getattr(views, name) for views in objects])
             for name in ("squares", "camera_to_world", "intrinsics"))

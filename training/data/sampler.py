@@ -14,49 +14,68 @@ from lightfield_gs.errors import InputError
 
 @dataclass(frozen=True)
 class Choice:
-    """One training example: object number, source view and target views (numbers within the object)."""
+    """One training example: object number, source view and target views.
+
+    Views are numbered within the object; targets within the views that its targets are drawn from, where those are
+    others.
+    """
     object_index: int
     source: int
     targets: tuple[int, ...]
 
 
-def angles_from_source(camera_to_world: np.ndarray, source: int) -> np.ndarray:
+def angles_from_source(camera_to_world: np.ndarray, source: np.ndarray) -> np.ndarray:
     """Azimuth and elevation [V,2] in degrees of each viewing direction, in the axes of the source camera.
 
-    camera_to_world: [V,4,4], OpenCV axes. Azimuth is positive to the right, elevation positive downwards.
+    camera_to_world: [V,4,4], OpenCV axes; source: [4,4], likewise. Azimuth is positive to the right, elevation positive
+    downwards.
     """
-    directions = camera_to_world[:, :3, 2] @ camera_to_world[source, :3, :3]
+    directions = camera_to_world[:, :3, 2] @ source[:3, :3]
     azimuth = np.arctan2(directions[:, 0], directions[:, 2])
     elevation = np.arcsin(np.clip(directions[:, 1], -1, 1))
     return np.degrees(np.stack([azimuth, elevation], axis=-1))
 
 
-def views_in_cone(camera_to_world: np.ndarray, source: int, azimuth_deg: float, elevation_deg: float) -> np.ndarray:
-    """Numbers of the views other than source within +-azimuth_deg and +-elevation_deg of it."""
+def views_in_cone(camera_to_world: np.ndarray, source: np.ndarray, azimuth_deg: float,
+                  elevation_deg: float) -> np.ndarray:
+    """Numbers of the views, other than from the source's own place, within +-azimuth_deg and +-elevation_deg of it."""
     angles = np.abs(angles_from_source(camera_to_world, source))
-    inside = (angles[:, 0] <= azimuth_deg) & (angles[:, 1] <= elevation_deg)
-    inside[source] = False
-    return np.flatnonzero(inside)
+    elsewhere = np.abs(camera_to_world - source).max((1, 2)) > 1e-6
+    return np.flatnonzero((angles[:, 0] <= azimuth_deg) & (angles[:, 1] <= elevation_deg) & elsewhere)
+
+
+def has_neighbour(camera_to_world: np.ndarray, angle_deg: float) -> np.ndarray:
+    """Whether another view looks within angle_deg of each view's direction, bool [V]."""
+    directions = camera_to_world[:, :3, 2]
+    cosines = directions @ directions.T
+    np.fill_diagonal(cosines, -np.inf)
+    return cosines.max(1) >= np.cos(np.radians(angle_deg)) - 1e-9
 
 
 class ViewSampler:
     """Draws objects without replacement epoch by epoch, any view as source, targets inside the cone about it.
 
     poses: camera_to_world [V,4,4] of each object. azimuth_deg, elevation_deg: half widths of the cone; 180 and 90 take
-    every view (the full-sphere arm). Raises InputError when an object has no two views within the cone of each other.
+    every view (the full sphere). neighbour_deg: only views of which another one looks within this angle are sources.
+    target_poses: of the views that targets are drawn from, in the same world, where these are not the object's own.
+
+    Objects and sources come from one stream of random numbers, targets from another: what differs in targets alone
+    draws the same sources, if every view that has a neighbour also has a target. Raises InputError when an object has
+    no source with a target.
     """
 
-    def __init__(self, poses: list[np.ndarray], azimuth_deg: float, elevation_deg: float, targets: int,
-                 seed: int) -> None:
+    def __init__(self, poses: list[np.ndarray], azimuth_deg: float, elevation_deg: float, targets: int, seed: int,
+                 neighbour_deg: float = 180.0, target_poses: list[np.ndarray] | None = None) -> None:
         self.targets, self.seed = targets, seed
         self._epoch = lru_cache(maxsize=2)(self._shuffled)
         self.candidates = []
-        for index, views in enumerate(poses):
-            near = {source: found for source in range(len(views))
-                    if len(found := views_in_cone(views, source, azimuth_deg, elevation_deg))}
+        for index, (views, pool) in enumerate(zip(poses, target_poses or poses)):
+            near = {int(source): found for source in np.flatnonzero(has_neighbour(views, neighbour_deg))
+                    if len(found := views_in_cone(pool, views[source], azimuth_deg, elevation_deg))}
             if not near:
                 cone = f"+-{azimuth_deg:g} degrees of azimuth and +-{elevation_deg:g} of elevation"
-                raise InputError(f"object number {index}: no two of its {len(views)} views lie within {cone}: widen it")
+                raise InputError(f"object number {index}: none of its {len(views)} views has a target within {cone} "
+                                 f"and a neighbour within {neighbour_deg:g} degrees: widen the cone")
             self.candidates.append(near)
 
     def rng(self, step: int, stream: int = 0) -> np.random.Generator:
@@ -65,8 +84,8 @@ class ViewSampler:
 
     def draw(self, step: int, start: int, count: int) -> list[Choice]:
         """The `count` examples of a step. start: examples drawn by all steps before it."""
-        rng = self.rng(step)
-        return [self._choose(self._object(start + offset), rng) for offset in range(count)]
+        sources, targets = self.rng(step), self.rng(step, 2)
+        return [self._choose(self._object(start + offset), sources, targets) for offset in range(count)]
 
     def _object(self, position: int) -> int:
         """The object at a place of the endless sequence of shuffled epochs."""
@@ -76,9 +95,9 @@ class ViewSampler:
     def _shuffled(self, epoch: int) -> np.ndarray:
         return np.random.default_rng((self.seed, epoch, 1 << 20)).permutation(len(self.candidates))
 
-    def _choose(self, index: int, rng: np.random.Generator) -> Choice:
+    def _choose(self, index: int, sources: np.random.Generator, targets: np.random.Generator) -> Choice:
         """A source view and its targets; targets repeat only when the cone holds too few."""
         near = self.candidates[index]
-        source = int(rng.choice(list(near)))
-        targets = rng.choice(near[source], self.targets, replace=len(near[source]) < self.targets)
-        return Choice(index, source, tuple(int(target) for target in targets))
+        source = int(sources.choice(list(near)))
+        chosen = targets.choice(near[source], self.targets, replace=len(near[source]) < self.targets)
+        return Choice(index, source, tuple(int(target) for target in chosen))
