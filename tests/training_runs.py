@@ -17,7 +17,7 @@ def run_config(folder: Path, name: str, *, dropout: float = 0.1, **changes) -> P
         "output_dir": str(folder / name), "data": [str(folder / "set")], "cache_dir": str(folder / "cache"),
         "model": str(model), "device": "cpu",
         "stages": [{"steps": 8, "image_size_px": 16, "objects": 2}, {"steps": 4, "image_size_px": 32, "objects": 1}],
-        "targets": 1, "checkpoint_every": 3, "optimizer": {"warmup_steps": 2}} | changes))
+        "targets": 1, "checkpoint_every": 3, "optimizer": {"warmup_steps": 2}} | changes, sort_keys=False))
     return path
 
 

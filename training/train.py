@@ -7,24 +7,37 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
+from typing import TYPE_CHECKING
 
 from lightfield_gs.errors import InputError
 from training.config import TrainingConfig
 from training.loop import train
+
+if TYPE_CHECKING:
+    from jsonargparse import ArgumentParser, Namespace
 
 
 def read_config(arguments: list[str] | None = None) -> TrainingConfig:
     """The configuration that command-line arguments describe. Raises InputError when they describe none."""
     from jsonargparse import ArgumentParser
     parser = ArgumentParser(prog="python -m training.train", description=__doc__, exit_on_error=False)
-    parser.add_argument("--config", action="config", help="YAML file with the fields of TrainingConfig")
+    return parse(parser, arguments)[0]
+
+
+def parse(parser: ArgumentParser, arguments: list[str] | None) -> tuple[TrainingConfig, Namespace]:
+    """The configuration that command-line arguments describe, and the values of the parser's own options.
+
+    parser: gets --config and an option for every field of TrainingConfig. Raises InputError for bad arguments.
+    """
+    parser.add_argument("--config", action="config", help="YAML file with options")
     parser.add_class_arguments(TrainingConfig)
     instantiate = getattr(parser, "instantiate", None) or parser.instantiate_classes  # renamed in jsonargparse 4.49
     try:
         options = instantiate(parser.parse_args(arguments))
     except argparse.ArgumentError as error:
         raise InputError(" ".join(str(error).split())) from None
-    return TrainingConfig(**{field.name: options[field.name] for field in dataclasses.fields(TrainingConfig)})
+    fields = {field.name: options[field.name] for field in dataclasses.fields(TrainingConfig)}
+    return TrainingConfig(**fields), options
 
 
 def main(arguments: list[str] | None = None) -> int:

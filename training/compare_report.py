@@ -1,0 +1,159 @@
+"""What a comparison found: scores of every arm, per angle, as JSON, as tables and as plots."""
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from lightfield_gs.commands.device import choose_device
+from lightfield_gs.errors import InputError
+from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.json_file import read_object
+from lightfield_gs.models import SplatterNet
+from training.config import TrainingConfig
+from training.evaluation import labelled, score_folder
+
+FLOORS = {"copy": "copy the input", "card": "flat card"}
+_LIMIT_BYTES = 64 << 20
+# What score_folder returned, for each arm and each folder that is scored.
+Scores = dict[str, dict[str, dict[str, Any]]]
+
+
+def _final_weights(run: TrainingConfig) -> Path:
+    return Path(run.output_dir) / "model.safetensors"
+
+
+def is_finished(run: TrainingConfig) -> bool:
+    """Whether a run has its final weights. Raises InputError where they were trained with another configuration."""
+    from safetensors import SafetensorError, safe_open
+    path = _final_weights(run)
+    if not path.exists():
+        return False
+    try:
+        with safe_open(path, framework="pt") as file:
+            trained = json.loads((file.metadata() or {}).get("training", "null"))
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(f"{path}: expected weights of a run, but {' '.join(str(error).split())}") from None
+    if trained != json.loads(json.dumps(run.identity())):
+        raise InputError(f"{path}: was trained with another configuration: give the one of the run, or another "
+                         "output_dir")
+    return True
+
+
+def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, Tensor]) -> dict[str, Any]:
+    """Scores of a finished run in each folder; kept beside its weights.
+
+    decoded: see score_folder. Raises InputError for data that cannot be used.
+    """
+    weights = _final_weights(run)
+    of = {"weights": hashlib.sha256(weights.read_bytes()).hexdigest(),
+          "data": {name: str(folder) for name, folder in scored.items()}}
+    kept = weights.with_name("final_scores.json")
+    if kept.exists() and (known := read_object(kept, _LIMIT_BYTES)).get("of") == of:
+        return known["scores"]
+    device = choose_device(run.device)
+    net = SplatterNet.from_pretrained(weights).to(device)
+    scores = {name: score_folder(net, folder, device=device, decoded=decoded) for name, folder in scored.items()}
+    with atomic_path(kept) as temporary:
+        temporary.write_text(json.dumps({"of": of, "scores": scores}, indent=1) + "\n")
+    return scores
+
+
+def read_curve(run: TrainingConfig) -> list[dict[str, float]]:
+    """The validations of a run so far, each with its step."""
+    path = Path(run.output_dir) / "scores.jsonl"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def leads(scores: Scores) -> Scores:
+    """How far the first finished arm is ahead of each other one: psnr_db and ssim for each label of each folder."""
+    first, *others = scores
+
+    def lead(ours: dict[str, Any], theirs: dict[str, Any]) -> dict[str, dict[str, float]]:
+        rows = dict(labelled(theirs))
+        return {label: {name: row[name] - rows[label][name] for name in ("psnr_db", "ssim")}
+                for label, row in labelled(ours)}
+
+    return {other: {folder: lead(scores[first][folder], theirs) for folder, theirs in scores[other].items()}
+            for other in others}
+
+
+def _markdown_table(head: list[str], rows: list[list[str]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows))
+
+
+def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
+    """The tables: PSNR / SSIM of every arm and floor by angle, and the leads of the first arm."""
+    run = next(iter(runs.values()))
+    samples = f"{sum(stage.steps * stage.objects for stage in run.stages):,} samples of {run.targets + 1} views"
+    lines = ["# Targets inside the cone and all round", "",
+             f"Network `{run.model}`, {run.total_steps:,} steps, {samples}. PSNR in dB / SSIM; \"all\" are the novel "
+             "views; 100 dB: equal.", ""]
+    lines += [f"- {name}: targets within {arm.azimuth_deg:g} degrees of azimuth and {arm.elevation_deg:g} of elevation "
+              f"of the source{'' if name in scores else '; not finished'}" for name, arm in runs.items()]
+    first, *others = scores
+    differences = leads(scores)
+    for folder, report in scores[first].items():
+        columns = [dict(labelled(arm[folder])) for arm in scores.values()]
+        rows = [[label, str(row["views"]), *(f"{column[label]['psnr_db']:.2f} / {column[label]['ssim']:.3f}"
+                                             for column in columns),
+                 *(f"{row[f'{floor}_psnr_db']:.2f} / {row[f'{floor}_ssim']:.3f}" for floor in FLOORS)]
+                for label, row in labelled(report)]
+        lines += ["", f"## {folder}", "", _markdown_table(["angle", "views", *scores, *FLOORS.values()], rows)]
+        if others:
+            rows = [[label, *(f"{lead[folder][label]['psnr_db']:+.2f} / {lead[folder][label]['ssim']:+.3f}"
+                              for lead in differences.values())] for label, _ in labelled(report)]
+            lines += ["", _markdown_table(["angle", *(f"{first} - {other}" for other in others)], rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _save_plots(output: Path, scores: Scores, curves: dict[str, list[dict[str, float]]]) -> None:
+    """angles.png: PSNR by angle in each folder; curves.png: PSNR over training."""
+    from matplotlib.figure import Figure  # not pyplot, which looks for a display
+    folders = next(iter(scores.values()))
+    figure = Figure(figsize=(6 * len(folders), 4.5), layout="constrained")
+    for axes, (folder, report) in zip(figure.subplots(1, len(folders), squeeze=False)[0], folders.items()):
+        for arm, of_folders in scores.items():
+            labels, rows = zip(*labelled(of_folders[folder])[:-1])
+            axes.plot(labels, [row["psnr_db"] for row in rows], "o-", label=arm)
+        for floor, meaning in FLOORS.items():  # perfect for the source, which they are made of
+            labels, rows = zip(*labelled(report)[1:-1])
+            axes.plot(labels, [row[f"{floor}_psnr_db"] for row in rows], ".--", label=meaning)
+        axes.set(title=folder, xlabel="azimuth from the source", ylabel="PSNR, dB")
+        axes.legend()
+    _save(figure, output / "angles.png")
+    figure = Figure(figsize=(6, 4.5), layout="constrained")
+    axes = figure.subplots()
+    for arm, rows in curves.items():
+        axes.plot([row["step"] for row in rows], [row["psnr_db"] for row in rows], ".-", label=arm)
+    axes.set(title="validation during training", xlabel="steps", ylabel="PSNR, dB")
+    axes.legend()
+    _save(figure, output / "curves.png")
+
+
+def _save(figure: Any, path: Path) -> None:
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=120)
+
+
+def write_report(output: Path, runs: dict[str, TrainingConfig], scored: dict[str, Path]) -> str:
+    """Score the arms that are finished, write report.json, report.md, angles.png, curves.png; returns the tables.
+
+    Raises InputError when no arm is finished, and as is_finished and score_arm.
+    """
+    decoded: dict[Path, Tensor] = {}
+    scores = {name: score_arm(run, scored, decoded) for name, run in runs.items() if is_finished(run)}
+    if not scores:
+        raise InputError(f"{output}: found no finished arm: run the command without --report-only first")
+    curves = {name: read_curve(run) for name, run in runs.items()}
+    tables = to_markdown(runs, scores)
+    report = {"runs": {name: run.identity() for name, run in runs.items()}, "scores": scores, "leads": leads(scores),
+              "curves": curves}
+    for name, text in (("report.json", json.dumps(report, indent=1) + "\n"), ("report.md", tables)):
+        with atomic_path(output / name) as temporary:
+            temporary.write_text(text)
+    _save_plots(output, scores, curves)
+    return tables
