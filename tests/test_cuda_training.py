@@ -39,6 +39,18 @@ def test_batches_are_those_of_the_cpu(small_set):
         torch.testing.assert_close(found.cpu(), expected, atol=1e-5, rtol=1e-6)
 
 
+def test_procedural_objects_are_those_of_the_cpu(small_set):
+    batches = []
+    for device in ("cpu", "cuda"):
+        with join_team(device) as team:
+            planner = make_planner(_config(small_set, "unused", procedural=1.0), team)
+            batches.append(make_batch(planner.plan(3, 9, 4, 64), planner.views))
+    for expected, found in zip(*(vars(batch).values() for batch in batches)):
+        assert found.is_cuda
+        difference = (found.cpu() - expected).abs()  # a surfel at the border of seen and unseen may fall to either side
+        assert difference.mean() < 1e-4 and difference.quantile(0.99) < 1e-3
+
+
 def test_a_run_takes_the_steps_of_the_cpu(small_set):
     on_cpu, on_gpu = (_trained(small_set, f"float32-{device}", device=device, bfloat16=False)
                       for device in ("cpu", "cuda"))

@@ -133,7 +133,7 @@ def _finish(config: Path) -> None:
 def test_killed_run_resumes_to_the_same_losses(small_set):
     """kill -9 in the middle, resume, and compare with a run that was left alone: every digit of every step."""
     validated = {"validation": str(small_set / "set"), "validate_every": 4, "validation_objects": 1,
-                 "threads": 1}
+                 "threads": 1, "procedural": 0.5}
     whole, killed = (run_config(small_set, name, **validated) for name in ("whole", "killed"))
     _finish(whole)
     _interrupt(killed, small_set / "killed", signal.SIGKILL)

@@ -48,6 +48,7 @@ class TrainingConfig:
     drawn from these alone, sources from data. []: both from data. neighbour_deg: only views of data of which another
     one looks within this angle are sources.
     targets: target views per object, beside the source view itself. stages: run one after the other under one schedule.
+    procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of data.
     bfloat16: run the U-Net in bfloat16. checkpoint_every: steps between resumable checkpoints.
     validation: folder scored every validate_every steps (first validation_objects objects only); "": none.
     device: cpu, cuda, or auto (cuda where there is one). compile: let torch.compile make kernels for the network, which
@@ -68,6 +69,7 @@ class TrainingConfig:
     target_data: list[str] = field(default_factory=list)
     neighbour_deg: float = 180.0
     targets: int = 3
+    procedural: float = 0.0
     bfloat16: bool = True
     device: Literal["auto", "cpu", "cuda"] = "auto"
     compile: bool = False

@@ -36,7 +36,8 @@ def make_planner(config: TrainingConfig, team: Team) -> BatchPlanner:
     poses = [views.camera_to_world for cached in sets + target_sets for views in cached.objects]
     sampler = ViewSampler(poses[:len(partners)], config.azimuth_deg, config.elevation_deg, config.targets, config.seed,
                           config.neighbour_deg, [poses[partner] for partner in partners])
-    return BatchPlanner(ResidentViews(sets + target_sets, team.device), sampler, config.augmentation, partners)
+    return BatchPlanner(ResidentViews(sets + target_sets, team.device), sampler, config.augmentation, partners,
+                        config.procedural)
 
 
 @contextmanager

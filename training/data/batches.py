@@ -7,7 +7,9 @@ import torch
 from torch import Tensor
 
 from training.data.plan import BatchPlan
+from training.data.procedural import draw_pictures
 from training.data.resident import ResidentViews
+from training.data.transfer import on_device
 
 
 @dataclass
@@ -27,12 +29,19 @@ class Batch:
 
 
 def make_batch(plan: BatchPlan, views: ResidentViews) -> Batch:
-    """The batch that a plan describes, on the device of the views."""
-    plan = plan.to(views.device)
+    """The batch that a plan describes, on the device of the views: stored views first, then procedural objects.
+
+    The host waits for nothing, but for procedural objects (see training/data/procedural.py).
+    """
+    plan = on_device(plan, views.device)
     source = _images(plan, views, slice(0, 1), plan.source_px)[:, 0]
     targets = _images(plan, views, slice(1, None), plan.target_px)
-    return Batch(source, plan.intrinsics[:, 0], targets, plan.intrinsics[:, 1:], plan.world_to_camera,
-                 plan.backgrounds)
+    batch = Batch(source, plan.intrinsics[:, 0], targets, plan.intrinsics[:, 1:], plan.world_to_camera,
+                  plan.backgrounds)
+    if plan.procedural is None:
+        return batch
+    made = Batch(*draw_pictures(plan.procedural), plan.procedural.world_to_camera, plan.procedural.backgrounds)
+    return Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), vars(made).values())))
 
 
 def _images(plan: BatchPlan, views: ResidentViews, chosen: slice, size: int) -> Tensor:

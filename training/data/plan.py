@@ -4,7 +4,6 @@ A plan is made on the host and takes kilobytes; the images follow from it on the
 """
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -12,9 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.errors import InputError
 from lightfield_gs.models.crop import Square
+from training.data.procedural_plan import NUMBERS, ProceduralPlan, draw_objects
 from training.data.resident import ResidentViews
-from training.data.sampler import ViewSampler
+from training.data.sampler import Choice, ViewSampler
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,8 @@ class BatchPlan:
     recoloured: bool [B]; permutations: int64 [B,3]; gains: [B,3]; gammas: [B]: see training/data/batches.py.
     intrinsics: [B,I,4], (fx, fy, cx, cy) in pixels of the images. world_to_camera: [B,V,4,4], the world being the
     source camera's axes. backgrounds: [B,V,3]. source_px, target_px: side of the input pictures and of the targets.
-    taps: pixels of a frame that one pixel of an image is made of along an axis, at most. Tensors are float32 unless
-    said.
+    taps: pixels of a frame that one pixel of an image is made of along an axis, at most. procedural: the examples after
+    these, if any. Tensors are float32 unless said.
     """
     rectangles: Tensor
     origins: Tensor
@@ -61,13 +62,7 @@ class BatchPlan:
     target_px: int
     taps: int
 
-    def to(self, device: torch.device) -> "BatchPlan":
-        """The plan on a device; the host does not wait for the copies."""
-        if device.type == "cpu":
-            return self
-        moved = {field.name: value.pin_memory().to(device, non_blocking=True) for field in dataclasses.fields(self)
-                 if isinstance(value := getattr(self, field.name), Tensor)}
-        return dataclasses.replace(self, **moved)
+    procedural: ProceduralPlan | None
 
 
 def relative_cameras(camera_to_world: np.ndarray, source_to_world: np.ndarray) -> np.ndarray:
@@ -81,16 +76,24 @@ def mirrored(world_to_camera: np.ndarray) -> np.ndarray:
     return flip @ world_to_camera @ flip
 
 
+def made_up(count: int, share: float) -> np.ndarray:
+    """Which of a step's examples show procedural objects, bool [count]: `share` of them, evenly spread."""
+    return np.diff(np.floor(np.arange(count + 1) * share + 1e-9)) > 0
+
+
 class BatchPlanner:
     """Turns (step, number of objects, image size) into a BatchPlan; depends on these and the sampler's seed alone.
 
     views: whose first objects are the sampler's. partners: for each of those the number of the object whose views its
-    targets are; None: its own.
+    targets are; None: its own. procedural: share of the examples, 0..1, that show procedural objects in place of what
+    the sampler drew. Raises InputError for others.
     """
 
     def __init__(self, views: ResidentViews, sampler: ViewSampler, augmentation: Augmentation,
-                 partners: np.ndarray | None = None) -> None:
-        self.views, self.sampler, self.augmentation = views, sampler, augmentation
+                 partners: np.ndarray | None = None, procedural: float = 0.0) -> None:
+        if not 0 <= procedural <= 1:
+            raise InputError(f"procedural: expected a share of the examples, 0..1, got {procedural:g}")
+        self.views, self.sampler, self.augmentation, self.procedural = views, sampler, augmentation, procedural
         self._first_target = views.first_view if partners is None else views.first_view[partners]
 
     def plan(self, step: int, start: int, count: int, source_px: int, target_px: int = 0,
@@ -100,58 +103,72 @@ class BatchPlanner:
         source_px, target_px: side of the input pictures and of the targets (0: the same).
         share: the examples that are wanted; whatever it is, example i of the step is the same.
         """
-        target_px = target_px or source_px
-        choices = self.sampler.draw(step, start, count)[share]
-        drawn = self._draw(step, count, share)
-        objects = np.array([choice.object_index for choice in choices])
-        sources = self.views.first_view[objects] + [choice.source for choice in choices]
-        targets = self._first_target[objects][:, None] + np.array([choice.targets for choice in choices])
+        sizes = (source_px, target_px or source_px)
+        made, wanted = made_up(count, self.procedural), np.zeros(count, bool)
+        wanted[share] = True
+        choices, drawn = self.sampler.draw(step, start, count), self._draw(step, count)
+        made, stored = wanted & made, wanted & ~made
+        new, old = ({name: rows[chosen] for name, rows in drawn.items()} for chosen in (made, stored))
+        objects = None
+        if made.any():
+            seeds = self.sampler.rng(step, 3).random((count, NUMBERS))[made]
+            objects = draw_objects(seeds, self.sampler.cone_deg, sizes, self._framing(new), self._backgrounds(new))
+        return self._plan_views([choices[i] for i in np.flatnonzero(stored)], old, sizes, objects)
+
+    def _plan_views(self, choices: list[Choice], drawn: dict[str, np.ndarray], sizes: tuple[int, int],
+                    objects: ProceduralPlan | None) -> BatchPlan:
+        """The plan of the examples with stored views; there may be none."""
+        indices = np.array([choice.object_index for choice in choices], int)
+        seen = np.array([choice.targets for choice in choices], int).reshape(-1, self.sampler.targets)
+        sources = self.views.first_view[indices] + np.array([choice.source for choice in choices], int)
+        targets = self._first_target[indices][:, None] + seen
         rows, images = (np.concatenate([sources[:, None]] * times + [targets], 1) for times in (1, 2))
         mirror, width = drawn["mirror"] < self.augmentation.mirror, self.views.widths_px[images]
-        left, top, side = np.moveaxis(self.views.squares[rows].astype(np.float64), -1, 0)
-        crops = self._crops(Square(np.where(mirror, width[:, 1:] - left - side, left), top, side), drawn)
+        left, top, side = np.moveaxis(self.views.squares[images].astype(np.float64), -1, 0)
+        crops = _framed(Square(np.where(mirror, width - left - side, left), top, side), *self._framing(drawn))
         fx, fy, cx, cy = np.moveaxis(self.views.intrinsics[images], -1, 0)
-        sizes = np.array([source_px] + [target_px] * (images.shape[1] - 1))
-        intrinsics = crops.intrinsics((fx, fy), (np.where(mirror, width - cx, cx), cy), sizes)
+        sides = np.array([sizes[0]] + [sizes[1]] * (images.shape[1] - 1))
+        intrinsics = crops.intrinsics((fx, fy), (np.where(mirror, width - cx, cx), cy), sides)
         poses = self.views.camera_to_world[rows]
         cameras = relative_cameras(poses, poses[:, :1])
         rectangles = self.views.rectangles[images]
         left = np.where(mirror, width - 1 - rectangles[..., 1], rectangles[..., 1])
-        white = drawn["white"][..., None] < 0.5
-        background = drawn["background"].reshape(*white.shape[:2], 3)
         return BatchPlan(
             rectangles=torch.from_numpy(rectangles), origins=_floats(np.stack([left, rectangles[..., 2]], -1)),
             directions=_floats(np.where(mirror, -1, 1)[:, 0]),
             crops=_floats(np.stack([crops.left, crops.top, crops.side], -1)), **self._colours(drawn),
             intrinsics=_floats(np.stack(intrinsics, -1)),
             world_to_camera=_floats(np.where(mirror[..., None, None], mirrored(cameras), cameras)),
-            backgrounds=_floats(np.where(white, 1.0, background)),
-            window_px=(int(rectangles[..., 4].max()), int(rectangles[..., 3].max())),
-            source_px=source_px, target_px=target_px,
-            taps=2 * math.ceil(max(1.0, (crops.side / sizes).max())) + 2)
+            backgrounds=_floats(self._backgrounds(drawn)),
+            window_px=tuple(int(rectangles[..., side].max(initial=1)) for side in (4, 3)),
+            source_px=sizes[0], target_px=sizes[1],
+            taps=2 * math.ceil((crops.side / sides).max(initial=1)) + 2, procedural=objects)
 
-    def _draw(self, step: int, count: int, share: slice) -> dict[str, np.ndarray]:
-        """Uniform numbers in [0, 1) for each purpose, [B, ...]: a row per example of the step, then those wanted."""
+    def _draw(self, step: int, count: int) -> dict[str, np.ndarray]:
+        """Uniform numbers in [0, 1) for each purpose, [count, ...]."""
         views = 1 + self.sampler.targets
         widths = {"mirror": 1, "jitter": 3, "zoom": views, "place": 2 * views, "white": views, "background": 3 * views,
                   "recolour": 1, "permutation": 3, "gain": 3, "gamma": 1}
-        rows = self.sampler.rng(step, 1).random((count, sum(widths.values())))[share]
+        rows = self.sampler.rng(step, 1).random((count, sum(widths.values())))
         return dict(zip(widths, np.split(rows, np.cumsum(list(widths.values()))[:-1], axis=1)))
 
-    def _crops(self, squares: Square, drawn: dict[str, np.ndarray]) -> Square:
-        """The squares [B,1+V] of all images, from those round the object in each view [B,V].
+    def _framing(self, drawn: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Sides [B,I] of the crops of all images, and how far their centres are moved [B,I,2] right and down; in units
+        of the square round the object.
 
         The input is cropped as a photo would be, moved and resized a little; targets to a larger square about the
         object, or to a smaller one somewhere inside its square.
         """
-        side, first = squares.side, slice(0, 1)
-        grow, right, down = (2 * drawn["jitter"].T - 1) * self.augmentation.source_jitter * side[:, 0]
+        jitter = (2 * drawn["jitter"] - 1) * self.augmentation.source_jitter
         low, high = self.augmentation.target_zoom
-        sides = (low + (high - low) * drawn["zoom"]) * side
-        room = (2 * drawn["place"].reshape(*side.shape, 2) - 1) * (np.abs(sides - side) / 2)[..., None]
-        pairs = ((grow[:, None] + side[:, first], sides), (right[:, None], room[..., 0]), (down[:, None], room[..., 1]))
-        around = (np.concatenate([field[:, first], field], 1) for field in (squares.left, squares.top, side))
-        return _moved(Square(*around), *(np.concatenate(pair, 1) for pair in pairs))
+        sides = low + (high - low) * drawn["zoom"]
+        room = (2 * drawn["place"].reshape(*sides.shape, 2) - 1) * (np.abs(sides - 1) / 2)[..., None]
+        return (np.concatenate([1 + jitter[:, :1], sides], 1), np.concatenate([jitter[:, None, 1:], room], 1))
+
+    def _backgrounds(self, drawn: dict[str, np.ndarray]) -> np.ndarray:
+        """[B,V,3], half of them white."""
+        colours = drawn["background"].reshape(*drawn["white"].shape, 3)
+        return np.where(drawn["white"][..., None] < 0.5, 1.0, colours)
 
     def _colours(self, drawn: dict[str, np.ndarray]) -> dict[str, Tensor]:
         """recoloured, permutations, gains and gammas of a BatchPlan."""
@@ -165,8 +182,9 @@ def _floats(values: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(values, np.float32))
 
 
-def _moved(square: Square, side: np.ndarray, right: np.ndarray, down: np.ndarray) -> Square:
-    """Squares of other sides whose centres lie right and down of the given ones', on whole pixels."""
-    whole = np.maximum(2, np.rint(side))
+def _framed(square: Square, sides: np.ndarray, shifts: np.ndarray) -> Square:
+    """Squares [B,I] on whole pixels of other sides [B,I] and centres [B,I,2], in units of the given ones' sides."""
+    whole = np.maximum(2, np.rint(sides * square.side))
+    right, down = np.moveaxis(shifts * square.side[..., None], -1, 0)
     inset = (square.side - whole) / 2
     return Square(np.rint(square.left + inset + right), np.rint(square.top + inset + down), whole)

@@ -66,7 +66,7 @@ class ViewSampler:
 
     def __init__(self, poses: list[np.ndarray], azimuth_deg: float, elevation_deg: float, targets: int, seed: int,
                  neighbour_deg: float = 180.0, target_poses: list[np.ndarray] | None = None) -> None:
-        self.targets, self.seed = targets, seed
+        self.targets, self.seed, self.cone_deg = targets, seed, (azimuth_deg, elevation_deg)
         self._epoch = lru_cache(maxsize=2)(self._shuffled)
         self.candidates = []
         for index, (views, pool) in enumerate(zip(poses, target_poses or poses)):
