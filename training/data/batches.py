@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from training.data.photographs import photographed
 from training.data.plan import BatchPlan
 from training.data.procedural import draw_pictures
 from training.data.resident import ResidentViews
@@ -38,10 +39,12 @@ def make_batch(plan: BatchPlan, views: ResidentViews) -> Batch:
     targets = _images(plan, views, slice(1, None), plan.target_px)
     batch = Batch(source, plan.intrinsics[:, 0], targets, plan.intrinsics[:, 1:], plan.world_to_camera,
                   plan.backgrounds)
-    if plan.procedural is None:
-        return batch
-    made = Batch(*draw_pictures(plan.procedural), plan.procedural.world_to_camera, plan.procedural.backgrounds)
-    return Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), vars(made).values())))
+    if plan.procedural is not None:
+        made = Batch(*draw_pictures(plan.procedural), plan.procedural.world_to_camera, plan.procedural.backgrounds)
+        batch = Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), vars(made).values())))
+    if plan.photo is not None:
+        batch.source = photographed(batch.source, plan.photo)
+    return batch
 
 
 def _images(plan: BatchPlan, views: ResidentViews, chosen: slice, size: int) -> Tensor:

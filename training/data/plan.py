@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +14,8 @@ from torch import Tensor
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.models.crop import Square
-from training.data.procedural_plan import NUMBERS, ProceduralPlan, draw_objects
+from training.data.photographs import PhotoPlan, draw_faults
+from training.data.procedural_plan import NUMBERS, ProceduralPlan, draw_objects, rotation
 from training.data.resident import ResidentViews
 from training.data.sampler import Choice, ViewSampler
 
@@ -26,11 +28,19 @@ class Augmentation:
     source_jitter: largest change of the source crop's side and centre, as a share of its side.
     target_zoom: range of the target crops' sides, in units of the square round the object: below 1 the view is
         magnified, which shows gaps between Gaussians, above 1 it shows more background.
+    pose_error_deg: largest turn of the target cameras of stored views about each of their axes.
+    blur_px, noise, outline_px: largest faults of the input pictures, as photos and their automatic cut-outs have them:
+        standard deviation of a blur, standard deviation of noise (of 1), shift and softness of the outline. Each spares
+        half of the pictures.
     """
     mirror: float = 0.5
     colour: float = 0.5
     source_jitter: float = 0.06
     target_zoom: tuple[float, float] = (0.6, 1.3)
+    pose_error_deg: float = 0.0
+    blur_px: float = 0.0
+    noise: float = 0.0
+    outline_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +54,7 @@ class BatchPlan:
     intrinsics: [B,I,4], (fx, fy, cx, cy) in pixels of the images. world_to_camera: [B,V,4,4], the world being the
     source camera's axes. backgrounds: [B,V,3]. source_px, target_px: side of the input pictures and of the targets.
     taps: pixels of a frame that one pixel of an image is made of along an axis, at most. procedural: the examples after
-    these, if any. Tensors are float32 unless said.
+    these, if any. photo: the faults of the input pictures of both, if any. Tensors are float32 unless said.
     """
     rectangles: Tensor
     origins: Tensor
@@ -63,6 +73,7 @@ class BatchPlan:
     taps: int
 
     procedural: ProceduralPlan | None
+    photo: PhotoPlan | None
 
 
 def relative_cameras(camera_to_world: np.ndarray, source_to_world: np.ndarray) -> np.ndarray:
@@ -113,11 +124,13 @@ class BatchPlanner:
         if made.any():
             seeds = self.sampler.rng(step, 3).random((count, NUMBERS))[made]
             objects = draw_objects(seeds, self.sampler.cone_deg, sizes, self._framing(new), self._backgrounds(new))
-        return self._plan_views([choices[i] for i in np.flatnonzero(stored)], old, sizes, objects)
+        order = np.concatenate([np.flatnonzero(stored), np.flatnonzero(made)])
+        return self._plan_views([choices[i] for i in np.flatnonzero(stored)], old, sizes, procedural=objects,
+                                photo=self._faults(step, count, order))
 
     def _plan_views(self, choices: list[Choice], drawn: dict[str, np.ndarray], sizes: tuple[int, int],
-                    objects: ProceduralPlan | None) -> BatchPlan:
-        """The plan of the examples with stored views; there may be none."""
+                    **others: Any) -> BatchPlan:
+        """The plan of the examples with stored views; there may be none. others: the plan's remaining fields."""
         indices = np.array([choice.object_index for choice in choices], int)
         seen = np.array([choice.targets for choice in choices], int).reshape(-1, self.sampler.targets)
         sources = self.views.first_view[indices] + np.array([choice.source for choice in choices], int)
@@ -130,7 +143,7 @@ class BatchPlanner:
         sides = np.array([sizes[0]] + [sizes[1]] * (images.shape[1] - 1))
         intrinsics = crops.intrinsics((fx, fy), (np.where(mirror, width - cx, cx), cy), sides)
         poses = self.views.camera_to_world[rows]
-        cameras = relative_cameras(poses, poses[:, :1])
+        cameras = self._turned(relative_cameras(poses, poses[:, :1]), drawn["turn"])
         rectangles = self.views.rectangles[images]
         left = np.where(mirror, width - 1 - rectangles[..., 1], rectangles[..., 1])
         return BatchPlan(
@@ -142,15 +155,31 @@ class BatchPlanner:
             backgrounds=_floats(self._backgrounds(drawn)),
             window_px=tuple(int(rectangles[..., side].max(initial=1)) for side in (4, 3)),
             source_px=sizes[0], target_px=sizes[1],
-            taps=2 * math.ceil((crops.side / sides).max(initial=1)) + 2, procedural=objects)
+            taps=2 * math.ceil((crops.side / sides).max(initial=1)) + 2, **others)
 
     def _draw(self, step: int, count: int) -> dict[str, np.ndarray]:
         """Uniform numbers in [0, 1) for each purpose, [count, ...]."""
         views = 1 + self.sampler.targets
         widths = {"mirror": 1, "jitter": 3, "zoom": views, "place": 2 * views, "white": views, "background": 3 * views,
-                  "recolour": 1, "permutation": 3, "gain": 3, "gamma": 1}
+                  "recolour": 1, "permutation": 3, "gain": 3, "gamma": 1, "turn": 3 * self.sampler.targets}
         rows = self.sampler.rng(step, 1).random((count, sum(widths.values())))
         return dict(zip(widths, np.split(rows, np.cumsum(list(widths.values()))[:-1], axis=1)))
+
+    def _turned(self, cameras: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+        """Cameras [B,V,4,4] with errors of all but the first, which shows the source view; drawn: [B,3(V-1)]."""
+        drawn = drawn.reshape(*cameras[:, 1:].shape[:2], 3)
+        angles = np.radians(self.augmentation.pose_error_deg) * (2 * drawn - 1)
+        turns = rotation(0, angles[..., 0]) @ rotation(1, angles[..., 1]) @ rotation(2, angles[..., 2])
+        cameras[:, 1:, :3] = turns @ cameras[:, 1:, :3]
+        return cameras
+
+    def _faults(self, step: int, count: int, order: np.ndarray) -> PhotoPlan | None:
+        """The faults of those examples of a step that `order` has, in that order."""
+        limits = (self.augmentation.blur_px, self.augmentation.noise, self.augmentation.outline_px)
+        if not any(limits):
+            return None
+        faults = draw_faults(self.sampler.rng(step, 4), count, *limits)
+        return PhotoPlan(*(values[order] for values in vars(faults).values()))
 
     def _framing(self, drawn: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Sides [B,I] of the crops of all images, and how far their centres are moved [B,I,2] right and down; in units

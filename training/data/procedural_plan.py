@@ -213,13 +213,13 @@ def _curve(points: Callable[[dict[str, Tensor], Tensor], Tensor], parts: dict[st
     of_part = torch.repeat_interleave(counts)
     number = torch.arange(len(of_part)) - (counts.cumsum(0) - counts)[of_part]
     part = {name: values[of_part] for name, values in parts.items()}
-    before, middle, after = (points(part, (number + place) / counts[of_part]) for place in (0, 0.5, 1))
+    before, middle, after = points(part, (number + torch.tensor([[0], [0.5], [1]])) / counts[of_part])
     return torch.cat([middle, after - before], -1)
 
 
 def _looks(u: _Numbers, parts: dict[str, np.ndarray]) -> np.ndarray:
     """[B,P,F] in the order of LOOK; all parts of a group look alike, and take their colours from one palette."""
-    palette = u(5, 3)
+    palette = u(5, 3) ** 0.7  # about as bright as what people make
     grey = palette.mean(-1, keepdims=True)
     palette = np.clip(grey + (palette - grey) * u.between(0, 1.6, 1, 1), 0.02, 0.98)
     base, second = (np.take_along_axis(palette, np.floor(5 * u(_GROUPS, 1)).astype(int), 1) for _ in range(2))
