@@ -17,9 +17,11 @@ constexpr unsigned kOnes = 0x3c003c00u;     // two halves
 constexpr unsigned kNothing = 0xe3d0;       // -1000 and 0: an exponent that draws nothing
 constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 
-// Splats staged at a time.
+// Splats staged at a time: what leaves room for two blocks on a multiprocessor. Queues hold the places of a *page* of
+// them, a byte each.
 template <bool Harmonics>
-constexpr int kBatch = Harmonics ? 192 : 256;
+constexpr int kBatch = Harmonics ? 208 : 416;
+constexpr int kPage = 256;
 
 // Offset that v = 1 stands for.
 __device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.ordinals.view_unit; }
@@ -27,16 +29,20 @@ __device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step
 // What a warp keeps in shared memory.
 template <bool Harmonics>
 struct WarpMemory {
-  // First features, 32 samples x 48 bytes. Then coefficients of 32 hits, 16 bytes each: d in two parts, exponent.
+  // In turn: survivors of the first cull; features, 32 samples x 48 bytes; coefficients of 32 hits, 16 bytes each: d in
+  // two parts, exponent.
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[Harmonics ? 32 : 1];
-  uint8_t queue[kGroupOrdinals][kBatch<Harmonics>], survivors[kBatch<Harmonics>];
+  uint8_t queue[kGroupOrdinals][kBatch<Harmonics>];
+  int first_page[kGroupOrdinals];              // how many of a queue lie in the first page, the others in the second
   float2 state[kGroupOrdinals * kHalves][32];  // colour and transmittance of each sample of the group
   // Of the lens of each sample, in its row: the first sub-pixel and its phase, the number of sub-pixels. In memory: the
   // compiler would rather compute them again for every ordinal than keep so many registers.
   int start[kHalves][32], length[kHalves][32];
   uint64_t phase[kHalves][32];
 };
+
+static_assert(kBatch<false> * sizeof(uint16_t) <= sizeof(WarpMemory<false>::operands) && kBatch<false> <= 2 * kPage);
 
 template <bool Harmonics>
 struct Memory {

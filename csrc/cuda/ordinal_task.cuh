@@ -59,39 +59,53 @@ struct Task {
     const float reach = fmaxf(fabsf(b - a) * 0.5f + ordinals.half[first], fabsf(b - a) * 0.5f + ordinals.half[last]);
     const unsigned before = (1u << lane) - 1;
     const float x = sheared(0.5f * (first + last)), half = half_x + (last - first) * (1.f / 6);
-    int survivors = 0;
+    uint16_t* queue = reinterpret_cast<uint16_t*>(own.operands);
+    int survivors = 0, first_page = 0;
     for (int begin = 0; begin < count; begin += 32) {
       const int i = min(begin + lane, count - 1);
       const Splat<float> splat = staged(i);
       const Strip rows = strip(splat);
       const bool hit = (begin + lane < count) & rows.at(splat, 0.5f * (a + b), reach).touches(x, half);
       const unsigned hits = __ballot_sync(~0u, hit);
-      if (hit) own.survivors[survivors + __popc(hits & before)] = i;
+      if (hit) queue[survivors + __popc(hits & before)] = uint16_t(i);
       survivors += __popc(hits);
+      if (begin < kPage) first_page = survivors;
     }
     __syncwarp();
     const float x_first_ordinal = sheared(first);
-    int counts[kGroupOrdinals] = {};
-    for (int begin = 0; begin < survivors; begin += 32) {
-      const bool inside = begin + lane < survivors;
-      const int i = own.survivors[inside ? begin + lane : 0];
-      const Splat<float> splat = staged(i);
-      const Strip rows = strip(splat);
+    int counts[kGroupOrdinals] = {}, mine = 0;
+#pragma unroll 1
+    for (int page = 0, begin = 0; page * kPage < count; ++page) {
+      const int end = page ? survivors : first_page;
+#pragma unroll 1
+      for (; begin < end; begin += 32) {
+        const bool inside = begin + lane < end;
+        const int i = queue[inside ? begin + lane : 0];
+        const Splat<float> splat = staged(i);
+        const Strip rows = strip(splat);
 #pragma unroll
-      for (int t = 0; t < kGroupOrdinals; ++t) {
-        const int ordinal = min(first + t, last);
-        const Span span = rows.at(splat, ordinals.centre[ordinal], ordinals.half[ordinal]);
-        const bool hit = inside & (first + t <= last) & span.touches(x_first_ordinal + t * (1.f / 3), half_x);
-        const unsigned hits = __ballot_sync(~0u, hit);
-        if (hit) own.queue[t][counts[t] + __popc(hits & before)] = i;
-        counts[t] += __popc(hits);
+        for (int t = 0; t < kGroupOrdinals; ++t) {
+          const int ordinal = min(first + t, last);
+          const Span span = rows.at(splat, ordinals.centre[ordinal], ordinals.half[ordinal]);
+          const bool hit = inside & (first + t <= last) & span.touches(x_first_ordinal + t * (1.f / 3), half_x);
+          const unsigned hits = __ballot_sync(~0u, hit);
+          if (hit) own.queue[t][counts[t] + __popc(hits & before)] = uint8_t(i);
+          counts[t] += __popc(hits);
+        }
       }
+      begin = end;
+#pragma unroll
+      for (int t = 0; t < kGroupOrdinals; ++t) mine = lane == t ? counts[t] : mine;
+      if (page == 0 && lane < kGroupOrdinals) own.first_page[lane] = mine;
     }
     __syncwarp();
-    int mine = 0;
-#pragma unroll
-    for (int t = 0; t < kGroupOrdinals; ++t) mine = lane == t ? counts[t] : mine;
     return mine;
+  }
+
+  // The staged splat at place k of the queue of ordinal t.
+  __device__ int queued(int t, int k) const {
+    const int i = own.queue[t][k];
+    return kBatch<Harmonics> > kPage && k >= own.first_page[t] ? i + kPage : i;
   }
 
   // Features of the samples at an ordinal as operands of the tensor cores.
@@ -202,7 +216,7 @@ struct Task {
       __syncwarp();
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
       const bool valid = j < min(quarter, n - q * quarter);
-      const int i = own.queue[t][valid ? q * quarter + j : 0];
+      const int i = queued(t, valid ? q * quarter + j : 0);
       const Splat<float> splat = staged(i);
       bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       uint4 low, high, exponent;

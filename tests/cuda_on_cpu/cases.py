@@ -21,7 +21,8 @@ BACKGROUND = (0.1, 0.6, 0.3)
 def frames_of(kernel: str) -> list[tuple[str, int, str]]:
     """Panel, SH degree and views of every frame; fewer of the kernel with tensor cores, which take seconds here."""
     names = list(PANELS)[:2] if kernel == "ordinal" else PANELS
-    return [(name, degree, views) for name in names for degree, views in ((0, "integer"), (3, "continuous"))]
+    frames = [(name, degree, views) for name in names for degree, views in ((0, "integer"), (3, "continuous"))]
+    return [*frames, ("default", 0, "continuous")]  # with harmonics or without, lists of more than fits at a time
 
 
 def scene_of(degree: int) -> Gaussians:
