@@ -9,6 +9,7 @@
 #include <bit>
 
 #include "cuda/check.h"
+#include "cuda/gaussian_io.cuh"
 #include "cuda/strip.cuh"
 
 namespace lfgs::cuda {
@@ -66,7 +67,7 @@ __global__ void count_kernel(const __grid_constant__ LensFrame frame, int64_t ra
   const bool inside = i < frame.splats.count;
   int64_t count = 0;
   if (inside && frame.sorted_depths[i] != kNotDrawn)
-    for_each_run(frame.splats.splats[frame.order[i]], frame, threadIdx.x % lanes, lanes,
+    for_each_run(read_splat(frame.splats.splats + frame.order[i]), frame, threadIdx.x % lanes, lanes,
                  [&](int first, int last, int stride) { count += (last - first) / stride + 1; });
   for (int step = 1; step < lanes; step *= 2) count += __shfl_xor_sync(~0u, count, step);
   if (inside && threadIdx.x % lanes == 0) frame.ends[i] = count;
@@ -90,7 +91,7 @@ __global__ void fill_kernel(const __grid_constant__ LensFrame frame) {
   const uint32_t id = inside ? frame.order[i] : 0;
   Splat<float> splat;
   splat.reach_y = -1;
-  if (inside) splat = frame.splats.splats[id];
+  if (inside) splat = read_splat(frame.splats.splats + id);
 
   // Places of this lane's pairs: after those of the lanes before it
   int64_t mine = 0;
