@@ -164,6 +164,10 @@ __global__ void __launch_bounds__(kThreads, 2)
   const Lists lists(frame);
   const unsigned tiles = unsigned(frame.ordinal.across * frame.ordinal.down);
   WorkQueue work(frame, LensKernel::kOrdinal);
+  if (threadIdx.x < (Harmonics ? kGroupOrdinals : 1)) {
+    memory.colour[threadIdx.x][kBatch<Harmonics>] = make_float4(0, 0, 0, 0);
+    if (Harmonics) memory.slopes[threadIdx.x][kBatch<Harmonics>] = make_uint2(0, 0);
+  }
   for (unsigned tile = blockIdx.x; tile < tiles; tile = memory.next_tile) {
     if (threadIdx.x == 0) work.claim(gridDim.x);
     draw_tile<Harmonics>(frame, lists, tile, row_bytes, behind, out, memory);

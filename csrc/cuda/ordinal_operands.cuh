@@ -48,8 +48,8 @@ template <bool Harmonics>
 struct Memory {
   float4 splat[3][kBatch<Harmonics>];
   // Colours; harmonics: at each ordinal of the group, and as halves the first and second power of v
-  float4 colour[Harmonics ? kGroupOrdinals : 1][kBatch<Harmonics>];  // .w: of the first place
-  uint2 slopes[Harmonics ? kGroupOrdinals : 1][Harmonics ? kBatch<Harmonics> : 1];  // of the others
+  float4 colour[Harmonics ? kGroupOrdinals : 1][kBatch<Harmonics> + 1];  // .w: of the first place
+  uint2 slopes[Harmonics ? kGroupOrdinals : 1][Harmonics ? kBatch<Harmonics> + 1 : 1];  // of the others
   WarpMemory<Harmonics> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
   unsigned next_tile;

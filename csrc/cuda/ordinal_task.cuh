@@ -123,7 +123,8 @@ struct Task {
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
       low[h] = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
       high[h] = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
-      rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), 0);
+      // The last two have coefficients of zero: they are for the colours
+      rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), Harmonics ? halves(v, vv) : 0);
     }
 #pragma unroll
     for (int h = 0; h < kHalves; ++h) {
@@ -160,7 +161,7 @@ struct Task {
     exponent = make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0);
   }
 
-  // The colour of a staged splat at ordinal t of the group.
+  // The colour of a staged splat at ordinal t of the group; number kBatch is black.
   __device__ Colour colour(int i, int t) const {
     Colour out;
     const float4 c = memory.colour[Harmonics ? t : 0][i];
@@ -184,10 +185,9 @@ struct Task {
     return places >> sample & 1 ? parts[0] : places >> (8 + sample) & 1 ? parts[1] : parts[2];
   }
 
-  // v of an accumulated sample; it stands in the last columns of its features.
-  __device__ float view_of(const unsigned (&features)[kFragments][4], int sample) const {
-    const unsigned pair = __shfl_sync(~0u, features[sample / 2][sample % 2], lane | 3);
-    return __low2float(as_half2(pair));
+  // v and v^2 of an accumulated sample, as halves; they stand in the last columns of its features.
+  __device__ unsigned view_of(const unsigned (&features)[kFragments][2], int sample) const {
+    return __shfl_sync(~0u, features[sample / 2][sample % 2], lane | 3);
   }
 
   // Adds the n hits at ordinal t of the group to the samples' state.
@@ -200,17 +200,17 @@ struct Task {
     const unsigned mine = own_place(ordinal);
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
-      const float v = Harmonics ? view_of(d_features, s) : 0;
+      const unsigned view = Harmonics ? view_of(A_features, s) : 0;
       colour_features[s / 2][s % 2] = mine >> s & 1 ? kOnes : 0;
-      colour_features[s / 2][s % 2 + 2] = mine >> s & 1 ? halves(v, v * v) : 0;
+      colour_features[s / 2][s % 2 + 2] = mine >> s & 1 ? view : 0;
     }
 
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) transmittances[s] = 1;
     const int quarter = (n + 3) / 4;
-    Colour kept, current;
-    int begin = 0;
+    constexpr int kNone = kBatch<Harmonics>;
+    int hit = kNone, kept = kNone, begin = 0;  // this lane's hit of 32; and of the 32 before
     for (; begin < quarter; begin += 8) {
       // 32 hits, one a lane: 8 of each quarter, columns 2 q and 2 q + 1 of four batches
       __syncwarp();
@@ -222,8 +222,8 @@ struct Task {
       uint4 low, high, exponent;
       coefficients(splat, centre, unit, x_centre, low, high, exponent);
       if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
-      current = valid ? colour(i, t) : Colour();
-      store_operands(low, high, exponent, current, kept);
+      kept = hit, hit = valid ? i : kNone;
+      store_operands(low, high, exponent, colour(hit, t), colour(before(hit, kept), t));
       __syncwarp();
       limit = __any_sync(~0u, limit);
       const int batches = min(4, (quarter - begin + 1) / 2);
@@ -254,59 +254,57 @@ struct Task {
       };
       if (!limit) {
         batch(0, std::false_type{});
-        if (batches > 1) batch(1, std::false_type{});
-        if (batches > 2) batch(2, std::false_type{});
-        if (batches > 3) batch(3, std::false_type{});
+        if (batches > 1) {
+          batch(1, std::false_type{});
+          if (batches > 2) batch(2, std::false_type{});
+          if (batches > 3) batch(3, std::false_type{});
+        }
       } else {
 #pragma unroll 1
         for (int b = 0; b < batches; ++b) batch(b, std::true_type{});
       }
     }
-    if (quarter % 2 == 0) close(current, quarter - 1 - (begin - 8), ordinal % 3, d_features, colours, transmittances);
+    if (quarter % 2 == 0) {
+      const int j = quarter - 1 - (begin - 8), last = __shfl_sync(~0u, hit, j / 2 * 8 + quad * 2 + j % 2);
+      close(colour(last, t), ordinal % 3, A_features, colours, transmittances);
+    }
     join(t, colours, transmittances);
   }
 
-  // One hit's operands; its colour as the difference to the hit before it in its quarter. kept: the colour of the last
-  // column of the 32 hits before.
-  __device__ void store_operands(const uint4& low, const uint4& high, const uint4& exponent, const Colour& current,
-                                 Colour& kept) {
+  // Which hit comes before a lane's in its quarter: of the column before, the first after the last of the 32 before.
+  __device__ int before(int hit, int kept) const {
     const bool first = lane / 8 == 0 && lane % 2 == 0, last = lane / 8 == 3 && lane % 2 == 1;
-    const int source = lane % 2 ? lane - 1 : first ? lane + 25 : lane - 7;
-    Colour change;
-#pragma unroll
-    for (int c = 0; c < 3; ++c) {
-      change.value[c] = current.value[c] - __shfl_sync(~0u, last ? kept.value[c] : current.value[c], source);
-      if (Harmonics)
-        change.slope[c] = __hsub2(
-            current.slope[c], as_half2(__shfl_sync(~0u, bits(last ? kept.slope[c] : current.slope[c]), source)));
-    }
-    kept = current;
+    return __shfl_sync(~0u, last ? kept : hit, lane % 2 ? lane - 1 : first ? lane + 25 : lane - 7);
+  }
+
+  // One hit's operands; its colour as the difference to the hit before it in its quarter.
+  __device__ void store_operands(const uint4& low, const uint4& high, const uint4& exponent, const Colour& now,
+                                 const Colour& before) {
     reinterpret_cast<uint4*>(own.operands)[lane] = low;
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = high;
     reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = exponent;
-    own.colour[lane] = make_uint4(split(change.value[0]), split(change.value[1]), split(change.value[2]), 0);
-    if (Harmonics)
-      own.slope[Harmonics ? lane : 0] =
-          make_uint4(bits(change.slope[0]), bits(change.slope[1]), bits(change.slope[2]), 0);
+    auto value = [&](int c) { return split(now.value[c] - before.value[c]); };
+    auto slope = [&](int c) { return bits(__hsub2(now.slope[c], before.slope[c])); };
+    own.colour[lane] = make_uint4(value(0), value(1), value(2), 0);
+    if (Harmonics) own.slope[Harmonics ? lane : 0] = make_uint4(slope(0), slope(1), slope(2), 0);
   }
 
-  // Takes the last colour of each quarter off again where no spare column did. j: its place in the last 32 hits.
-  __device__ void close(const Colour& current, int j, int shift, const unsigned (&features)[kFragments][4],
+  // Takes the last colour of each quarter off again where no spare column did; last: of the quarter of this lane.
+  __device__ void close(const Colour& last, int shift, const unsigned (&features)[kFragments][2],
                         float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
-    const int source = j / 2 * 8 + lane % 4 * 2 + j % 2;
     Colour end;  // by the place that a lens starts at
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
       const int place = c + shift >= 3 ? c + shift - 3 : c + shift;
-      end.value[c] = __shfl_sync(~0u, at_place(current.value, place), source);
-      if (Harmonics) end.slope[c] = as_half2(__shfl_sync(~0u, bits(at_place(current.slope, place)), source));
+      end.value[c] = at_place(last.value, place);
+      if (Harmonics) end.slope[c] = at_place(last.slope, place);
     }
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
       float value = pick(end.value, s);
       if (Harmonics) {
         const __half2 slope = pick(end.slope, s);
-        const float v = view_of(features, s);
+        const float v = __low2float(as_half2(view_of(features, s)));
         value += v * fmaf(v, __high2float(slope), __low2float(slope));
       }
       colours[s] = fmaf(-transmittances[s], value, colours[s]);
