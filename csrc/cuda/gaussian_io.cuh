@@ -1,6 +1,9 @@
 // Reading one Gaussian, and reading and writing one splat, on the device.
 #pragma once
 
+#include <cstdint>
+
+#include "math/harmonics.h"
 #include "math/projection.h"
 #include "scene/gaussians.h"
 
@@ -9,6 +12,23 @@ namespace lfgs::cuda {
 __device__ inline Shape<float> shape_of(const Gaussians<const float>& g, int64_t i) {
   const float *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
   return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, g.opacities[i]};
+}
+
+// All harmonics of one Gaussian; those beyond its degree are zero. 16 bytes at a time where they are aligned so: lanes
+// read places far apart, and each load costs a cache line a lane.
+__device__ inline void read_harmonics(const Gaussians<const float>& g, int64_t i, float (&sh)[3 * kMaxShCount]) {
+  const int numbers = 3 * g.sh_count();
+  const float* from = g.sh + numbers * i;
+  if (numbers % 4 == 0 && reinterpret_cast<uintptr_t>(g.sh) % sizeof(float4) == 0) {
+#pragma unroll
+    for (int k = 0; k < 3 * kMaxShCount; k += 4) {
+      const float4 v = k < numbers ? __ldg(reinterpret_cast<const float4*>(from + k)) : make_float4(0, 0, 0, 0);
+      sh[k] = v.x, sh[k + 1] = v.y, sh[k + 2] = v.z, sh[k + 3] = v.w;
+    }
+  } else {
+#pragma unroll
+    for (int k = 0; k < 3 * kMaxShCount; ++k) sh[k] = k < numbers ? from[k] : 0;
+  }
 }
 
 // A splat is three vectors of 16 bytes in memory.

@@ -22,10 +22,8 @@ __device__ void store_colours(const Gaussians<const float>& gaussians, const vec
                               const BasisTable& basis, float tolerance, int64_t i, const Splats<float>& out,
                               unsigned* error) {
   constexpr int kNodes = Order + 1;
-  const int count = gaussians.sh_count();
   float sh[3 * kMaxShCount];  // read once, in registers
-#pragma unroll
-  for (int k = 0; k < 3 * kMaxShCount; ++k) sh[k] = k < 3 * count ? gaussians.sh[3 * count * i + k] : 0;
+  read_harmonics(gaussians, i, sh);
   vec3 chebyshev[kNodes];
 #pragma unroll
   for (int k = 0; k < kNodes; ++k) chebyshev[k] = vec3(0);
