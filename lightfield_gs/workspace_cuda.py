@@ -91,10 +91,9 @@ class CudaWorkspace:
                                    background.data_ptr(), out, self.stream)
 
     def composite_lens(self, lens: Any, background: Tensor, out: Tensor) -> None:
-        """out: [H, W, 3], float32 or uint8."""
-        floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
+        """out: [H, W, 3], float32. Images of bytes are frames (frame_cuda)."""
         _core.cuda.composite_lens(self.native, self.image, self.ranges.data_ptr(), self.pairs, lens,
-                                  background.data_ptr(), floats, bytes_, self.stream)
+                                  background.data_ptr(), out.data_ptr(), self.stream)
 
     def dense_backward(self, cameras: Any, background: Tensor, images: Any, gradients: Any,
                        g_cameras: Tensor) -> tuple[list[Tensor], Tensor]:

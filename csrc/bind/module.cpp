@@ -182,10 +182,10 @@ void bind_cuda(py::module_ m) {
     cuda::composite_dense(splats, image, at<int64_t>(ranges), pairs, at<float>(background), out, at<void>(stream));
   }, NoGil());
   m.def("composite_lens", [](const Splats<float>& splats, const cuda::Image& image, Address ranges,
-                             const cuda::Pairs& pairs, const Lens& lens, Address background, Address out, Address out8,
+                             const cuda::Pairs& pairs, const Lens& lens, Address background, Address out,
                              Address stream) {
     cuda::composite_lens(splats, image, at<int64_t>(ranges), pairs, lens, at<float>(background), at<float>(out),
-                         at<uint8_t>(out8), at<void>(stream));
+                         at<void>(stream));
   }, NoGil());
   auto read_only = [](const DenseImages<float>& i) { return DenseImages<const float>{i.image, i.alpha, i.depth}; };
   m.def("composite_dense_backward",

@@ -69,16 +69,9 @@ __device__ inline float colour_at(const float* colour, int order, const Sample& 
   return fmaxf(c, 0.f);
 }
 
-template <class Out>
-__device__ inline Out stored(float c) {
-  if constexpr (sizeof(Out) == 1) return Out(fminf(fmaxf(c, 0.f), 1.f) * 255.f + 0.5f);
-  return c;
-}
-
-template <class Out>
 __global__ void __launch_bounds__(kThreads)
     composite_lens_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
-                          float s_start, float s_step, const float* background, Out* out) {
+                          float s_start, float s_step, const float* background, float* out) {
   __shared__ Splat<float> staged[kBatch];
   __shared__ uint32_t ids[kBatch];
   const int lane = threadIdx.x % 32;
@@ -132,8 +125,8 @@ __global__ void __launch_bounds__(kThreads)
   for (int r = 0; r < kRows; ++r)
     for (int k = 0; k < 3 && place.inside(image, r); ++k) {
       const Sample& sample = samples[r][k];
-      const float c = sample.colour + remaining(sample.transmittance, sample.rest) * background[sample.channel];
-      out[3 * place.pixel(image, r) + sample.channel] = stored<Out>(c);
+      const float behind = remaining(sample.transmittance, sample.rest) * background[sample.channel];
+      out[3 * place.pixel(image, r) + sample.channel] = sample.colour + behind;
     }
 }
 
@@ -247,15 +240,11 @@ __global__ void __launch_bounds__(kThreads)
 }  // namespace
 
 void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
-                    const Lens& lens, const float* background, float* out, uint8_t* out8, Stream stream) {
+                    const Lens& lens, const float* background, float* out, Stream stream) {
   const int64_t tiles = tile_count(image.tile, image.width_px, image.height_px);
   const float start = float(lens.s_start()), step = float(lens.s_step());
-  if (out8)
-    composite_lens_kernel<uint8_t><<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(
-        splats, image, ranges, pairs, lens, start, step, background, out8);
-  else
-    composite_lens_kernel<float><<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(
-        splats, image, ranges, pairs, lens, start, step, background, out);
+  composite_lens_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, lens,
+                                                                                start, step, background, out);
   check_launch("composite_lens");
 }
 

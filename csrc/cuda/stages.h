@@ -70,7 +70,7 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
 void composite_dense(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                      const float* background, DenseImages<float> out, Stream stream);
 void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
-                    const Lens& lens, const float* background, float* out, uint8_t* out8, Stream stream);
+                    const Lens& lens, const float* background, float* out, Stream stream);
 // order [image.count * tiles]: the (view, tile) lists by falling work. Writes to out, or where that is null to out8.
 void composite_sorted(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                       const SubpixelLists& lists, const int64_t* order, const float* background, float* out,
