@@ -144,7 +144,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              "methods), forward and backward of the rasterizer in a training step, or a photo through "
                              "the network to the image")
     parser.add_argument("--scene", help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128)")
-    parser.add_argument("--photo", help=f"of photo: files, several with commas (default: {photo.EXAMPLE.name} inside)")
+    parser.add_argument("--photo", help="of photo: files, several with commas (default: the one inside, "
+                                        f"{photo.EXAMPLE.name})")
     parser.add_argument("--model", help="of photo: a checkpoint (.safetensors), or the configuration of an untrained "
                                         "network, a name or .yaml (default: the checkpoint inside)")
     parser.add_argument("--panel", default=DEFAULT_PANEL,
