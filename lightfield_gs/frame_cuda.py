@@ -17,7 +17,7 @@ from lightfield_gs import _core
 from lightfield_gs.errors import InputError
 from lightfield_gs.workspace import Scene, Stats
 
-_SLACK = 1 / 16  # pairs reserved beyond those of the last frame
+_SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share
 _LEAST_PAIRS = 1 << 12
 _MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 16  # numbered with 32 bits; with what sorting takes
 _MOST_KNOWN = 64
@@ -85,11 +85,14 @@ def _state_of(host: Tensor) -> dict[str, Any]:
 
 
 class FrameKind:
-    """Frames of one rig, lens, device and number of Gaussians: what they needed so far."""
+    """Frames of one rig, lens, device and number of Gaussians: what they needed so far.
+
+    rig and lens may be replaced between frames (see moving_kind).
+    """
 
     def __init__(self, device: torch.device, rig: Any, lens: Any, colour_orders: tuple[int, ...], tolerance: float,
-                 kernel: str | None):
-        self.device = device
+                 kernel: str | None, slack: float = _SLACK):
+        self.device, self.slack = device, slack
         self.rig, self.lens, self.orders, self.tolerance, self.kernel = rig, lens, colour_orders, tolerance, kernel
         self.capacity: int | None = None
         self.colour_order = colour_orders[0]
@@ -141,7 +144,7 @@ class FrameKind:
         before = self.capacity, self.colour_order
         if self.capacity is None or state["pairs"] > self.capacity:
             affordable = torch.cuda.mem_get_info(self.device)[0] // (2 * _PAIR_BYTES)
-            enough = min(int(state["pairs"] * (1 + _SLACK)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
+            enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
         if state["colour_error"] > self.tolerance:
             self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
@@ -165,3 +168,9 @@ def kind_of(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tu
             _kinds.popitem(last=False)
     _kinds.move_to_end(key)
     return _kinds[key]
+
+
+def moving_kind(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...],
+                tolerance: float) -> FrameKind:
+    """A kind to be kept by who draws scenes of one size, each with a rig of its own: it reserves generously."""
+    return FrameKind(scene.tensors[0].device, rig, lens, colour_orders, tolerance, forced_kernel, _MOVING_SLACK)

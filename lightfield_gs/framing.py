@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
@@ -13,6 +16,7 @@ from lightfield_gs.rig import Rig
 
 _FILL = 0.92  # share of the panel that the content fills
 _VISIBLE_OPACITY = 0.1  # fainter Gaussians do not count as content, where there are others
+_LEAST_WEIGHT = 1e-6  # of a Gaussian where none is visible
 _TAIL = 0.001  # share of the opacity that may lie outside on each side: stray Gaussians of captures ...
 _WIDE_TAIL, _FENCE = 0.01, 0.15  # ... and up to this share what is further out than 15 % of the extent of the rest
 _DEPTH_TAIL = 0.05
@@ -36,42 +40,62 @@ def frame(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray | None
         raise InputError(f"framing takes one set of Gaussians, got a batch of {gaussians.means.shape[0]}; frame one")
     if gaussians.count == 0:
         raise InputError("there are no Gaussians to frame")
-    means, sizes, weights = _content(gaussians)
+    gaussians = gaussians.detach()
     if world_to_camera is None:
-        world_to_camera = _camera_in_front(means, sizes, weights, panel)
+        world_to_camera = _camera_in_front(gaussians, panel)
     rig = Rig(world_to_camera, (1.0, 1.0), (0.0, 0.0), 1.0)  # checks the matrix
-    points = means @ rig.world_to_camera[:3, :3].T + rig.world_to_camera[:3, 3]
-    ahead = points[:, 2] > _NEAR
-    if not ahead.any():
+    pose = torch.from_numpy(rig.world_to_camera).to(gaussians.means)
+    return fit(extent(gaussians, pose).tolist(), panel, rig.world_to_camera)
+
+
+def extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tensor:
+    """What `fit` needs to know, [7]: left, right (x/z), top, bottom (y/z), near and far of the content, weight of it.
+
+    The edges are robust (see `frame`); the weight is the opacity of what lies in front of the camera. None: the
+    Gaussians are in the camera's axes. Nothing here waits for a device.
+    """
+    points, sizes, weights = gaussians.means, _sizes(gaussians), _weights(gaussians)
+    if world_to_camera is not None:
+        points = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+    depths = points[:, 2]
+    weights = weights * (depths > _NEAR)
+    depths = depths.clamp_min(_NEAR)
+    edges = _bounds((points[:, :2] / depths[:, None]).T, sizes / depths, weights)
+    near, far = _percentiles(depths[None], weights, (_DEPTH_TAIL, 1 - _DEPTH_TAIL))
+    return torch.cat([edges.flatten(), near, far, weights.sum()[None]])
+
+
+def fit(extent: Sequence[float], panel: Panel, world_to_camera: np.ndarray) -> Rig:
+    """The rig at this camera that shows the content of this `extent`. Raises InputError when there is none."""
+    left, right, top, bottom, near, far, weight = extent
+    if not weight > 0:
         raise InputError("no Gaussian lies in front of the camera; give another rig")
-    points, sizes, weights = points[ahead], sizes[ahead], weights[ahead]
-    near, far = (_percentile(points[:, 2], weights, share) for share in (_DEPTH_TAIL, 1 - _DEPTH_TAIL))
-    low, high = _bounds(points[:, :2] / points[:, 2:], sizes / points[:, 2], weights)
-    extent = np.maximum(high - low, 1e-9)
-    focal = _FILL * min(panel.height_px / extent[1], panel.width_px / extent[0])
-    centre = np.array([panel.width_px, panel.height_px]) / 2 - focal * (low + high) / 2
-    return Rig(rig.world_to_camera, (focal, focal), tuple(centre), 2 / (1 / near + 1 / far))
+    focal = _FILL * min(panel.height_px / max(bottom - top, 1e-9), panel.width_px / max(right - left, 1e-9))
+    centre = panel.width_px / 2 - focal * (left + right) / 2, panel.height_px / 2 - focal * (top + bottom) / 2
+    return Rig(world_to_camera, (focal, focal), centre, 2 / (1 / near + 1 / far))
 
 
-def _content(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centres [M, 3], sizes [M] (the middle standard deviation) and opacities [M] of the visible Gaussians."""
-    opacities = gaussians.opacities.detach().cpu().double().numpy()
+def _sizes(gaussians: Gaussians) -> Tensor:
+    """The middle standard deviations [N]."""
+    a, b, c = gaussians.scales.unbind(1)
+    return torch.maximum(torch.minimum(a, b), torch.minimum(torch.maximum(a, b), c))
+
+
+def _weights(gaussians: Gaussians) -> Tensor:
+    """Opacities [N] of the visible Gaussians, 0 of others; where none is visible, all count."""
+    opacities = gaussians.opacities
     visible = opacities >= _VISIBLE_OPACITY
-    if not visible.any():
-        visible[:] = True
-    means = gaussians.means.detach().cpu().double().numpy()[visible]
-    sizes = np.sort(gaussians.scales.detach().cpu().double().numpy()[visible], 1)[:, 1]
-    return means, sizes, opacities[visible]
+    return torch.where(visible.any(), opacities * visible, opacities.clamp_min(_LEAST_WEIGHT))
 
 
-def _camera_in_front(means: np.ndarray, sizes: np.ndarray, weights: np.ndarray, panel: Panel) -> np.ndarray:
-    low, high = _bounds(means, sizes, weights)
-    extent = high - low
-    height = max(extent[1], extent[0] * panel.height_px / panel.width_px, 1e-6)
+def _camera_in_front(gaussians: Gaussians, panel: Panel) -> np.ndarray:
+    bounds = _bounds(gaussians.means.T, _sizes(gaussians), _weights(gaussians)).cpu().double().numpy()
+    width, height, depth = bounds[:, 1] - bounds[:, 0]
+    height = max(height, width * panel.height_px / panel.width_px, 1e-6)
     distance = height / _FILL / 2 / math.tan(_field_of_view_rad(panel) / 2)
     matrix = np.eye(4)
     # The front of the content, not its middle, must fit; and stay clear of the near plane.
-    matrix[:3, 3] = -(low + high) / 2 + [0, 0, extent[2] / 2 + max(distance, 2 * _NEAR)]
+    matrix[:3, 3] = -bounds.mean(1) + [0, 0, depth / 2 + max(distance, 2 * _NEAR)]
     return matrix
 
 
@@ -82,22 +106,18 @@ def _field_of_view_rad(panel: Panel) -> float:
     return min(max(angle, math.radians(_FIELD_OF_VIEW_DEG[0])), math.radians(_FIELD_OF_VIEW_DEG[1]))
 
 
-def _bounds(points: np.ndarray, sizes: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Robust bounds (low, high) of balls with these centres [M, D] and radii [M]."""
-    bounds = []
-    for axis in range(points.shape[1]):
-        first, last = points[:, axis] - sizes, points[:, axis] + sizes
-        low, high = _percentile(first, weights, _WIDE_TAIL), _percentile(last, weights, 1 - _WIDE_TAIL)
-        fence = _FENCE * (high - low)
-        bounds.append((max(low - fence, _percentile(first, weights, _TAIL)),
-                       min(high + fence, _percentile(last, weights, 1 - _TAIL))))
-    low, high = np.array(bounds).T
-    return low, high
+def _bounds(centres: Tensor, radii: Tensor, weights: Tensor) -> Tensor:
+    """Robust bounds [D, 2] (low, high) of balls with these centres [D, N] and radii [N]."""
+    low, least = _percentiles(centres - radii, weights, (_WIDE_TAIL, _TAIL))
+    high, most = _percentiles(centres + radii, weights, (1 - _WIDE_TAIL, 1 - _TAIL))
+    fence = _FENCE * (high - low)
+    return torch.stack([torch.maximum(low - fence, least), torch.minimum(high + fence, most)], 1)
 
 
-def _percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """The value below which `share` of the weight lies."""
-    order = np.argsort(values)
-    cumulative = np.cumsum(weights[order])
-    index = np.searchsorted(cumulative, share * cumulative[-1])
-    return float(values[order[min(index, len(order) - 1)]])
+def _percentiles(values: Tensor, weights: Tensor, shares: Sequence[float]) -> Tensor:
+    """For each share the values [S, D] below which that share of the weights [N] lies, for every row [D, N]."""
+    ordered, order = values.sort(1)
+    cumulative = weights.double()[order].cumsum(1)
+    wanted = torch.stack([share * cumulative[:, -1] for share in shares], 1)
+    index = torch.searchsorted(cumulative, wanted).clamp_max(values.shape[1] - 1)
+    return ordered.gather(1, index).T

@@ -227,7 +227,7 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, stats: Stats | None = 
     with stats.stage("plan"):
         job = LensArguments(*arguments)
     if job.scene.tensors[0].is_cuda:
-        return _draw_frame(job, as_bytes, stats)
+        return draw_frame(job, frame_kind(job), as_bytes, stats)
     work = _lens_workspace(job, stats, threads)
     with stats.stage("composite"):
         out = job.image(as_bytes)
@@ -235,18 +235,19 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, stats: Stats | None = 
     return out
 
 
-def frame_kind(job: LensArguments) -> Any:
-    """What frames of such arguments are known to need, on CUDA."""
-    from lightfield_gs.frame_cuda import kind_of
+def frame_kind(job: LensArguments, moving: bool = False) -> Any:
+    """What frames of such arguments are known to need, on CUDA. moving: of one's own, for frames of changing rigs."""
+    from lightfield_gs.frame_cuda import kind_of, moving_kind
 
     orders = (0,) if job.scene.degree == 0 else FRAME_COLOUR_ORDERS
-    return kind_of(job.scene, job.numbers, job.rig, job.lens, orders, FRAME_COLOUR_TOLERANCE)
+    find = moving_kind if moving else kind_of
+    return find(job.scene, job.numbers, job.rig, job.lens, orders, FRAME_COLOUR_TOLERANCE)
 
 
-def _draw_frame(job: LensArguments, as_bytes: bool, stats: Stats) -> Tensor:
+def draw_frame(job: LensArguments, kind: Any, as_bytes: bool, stats: Stats) -> Tensor:
+    """The image of a frame of this kind, on CUDA."""
     with job.scene.guard:
         with stats.stage("plan"):
-            kind = frame_kind(job)
             frame, out = kind.frame(job.scene), job.image(as_bytes)
         frame.draw(job.background, out, stats)
         kind.note(frame)

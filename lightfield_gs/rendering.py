@@ -46,8 +46,10 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
                          f"cameras {list(cameras.world_to_camera.shape)}")
     tensors = [t if batched else t.unsqueeze(0) for t in _tensors(gaussians)]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
-    image, coverage, weighted_depth = torch.ops.lightfield_gs.render_dense(*tensors, colour, *views, cameras.width_px,
-                                                                           cameras.height_px)
+    draw = torch.ops.lightfield_gs.render_dense
+    if not (torch.is_grad_enabled() and any(t.requires_grad for t in (*tensors, colour, *views))):
+        draw = ops.dense_forward  # the first call of an operator with a reverse has torch import for a second
+    image, coverage, weighted_depth = draw(*tensors, colour, *views, cameras.width_px, cameras.height_px)
     out = [image]
     if alpha:
         out.append(coverage)

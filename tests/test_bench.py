@@ -239,7 +239,24 @@ def test_training_step_names_how_many_times_as_fast_ours_is():
     assert shown[2] == "ours is 4.0 times as fast as gsplat 9 forward + backward, 4.0 times forward"
 
 
-@pytest.mark.parametrize("words", ["--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",
+def test_photo_rows(tmp_path, capsys):
+    Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
+    path = tmp_path / "photo.json"
+    assert command.run(arguments("photo", "--panel", str(tmp_path / "small.yaml"), "--threads", "1,2", "--model",
+                                 "default", "--repeats", "1", "--json", str(path))) == 0
+    rows = json.loads(path.read_text())["rows"]
+    assert [row["threads"] for row in rows] == [1, 2] and rows[0]["model"] == "default"
+    for row in rows:
+        assert list(row["stages_ms"]) == ["crop", "network", "framing", "encode"]
+        assert min(row["stages_ms"].values()) > 0 and row["decode_ms"] > 0
+        assert row["ms_min"] <= row["ms_median"] <= row["ms_max"] and row["gaussians"] > 1000
+    shown = capsys.readouterr().out
+    assert "total ms" in shown and len([line for line in shown.splitlines() if "cat.png" in line]) == 2
+
+
+@pytest.mark.parametrize("words", ["--photo a.png", "--model default", "photo --photo none.png", "photo --model none",
+                                   "photo --cone 5", "photo --scene sheet:4",
+                                   "--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",
                                    "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=",
                                    "--cone 0", "--repeats 0", "--device gpu", "--threads x", "--panel no-such-panel",
                                    "--scene cube:4", "--memory-budget 1MB", "--memory-budget lots",

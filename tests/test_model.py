@@ -197,7 +197,7 @@ def test_predict_takes_any_photo(shape):
 
 
 @pytest.mark.parametrize("photo, word", [
-    (np.zeros((8, 8, 3), np.float32), "H,W,4"), (np.zeros((8, 8, 4), np.uint8), "255"),
+    (np.zeros((8, 8, 3), np.float32), "H,W,4"), (np.zeros((8, 8, 4), np.uint16), "65535"),
     (np.full((8, 8, 4), 2, np.float32), "0..1"), (np.zeros((8, 8, 4), np.float32), "mask"),
     (np.full((8, 8, 4), np.nan, np.float32), "finite"), (np.zeros((0, 8, 4), np.float32), "H,W,4")])
 def test_predict_refuses_what_is_no_photo(photo, word):

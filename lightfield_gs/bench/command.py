@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from lightfield_gs.bench import paper, peers, training
+from lightfield_gs.bench import paper, peers, photo, training
 from lightfield_gs.bench.measure import measure
 from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, load_scene
 from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line, table
@@ -139,10 +139,15 @@ def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs bench`."""
-    parser.add_argument("what", nargs="?", default="light-field", choices=("light-field", "paper", "training-step"),
+    parser.add_argument("what", nargs="?", default="light-field", choices=("light-field", "paper", "training-step", "photo"),
                         help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
-                             "methods), or forward and backward of the rasterizer in a training step")
+                             "methods), forward and backward of the rasterizer in a training step, or a photo through "
+                             "the network to the image")
     parser.add_argument("--scene", help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128)")
+    parser.add_argument("--photo", help="of photo: files, several with commas (default: the one inside, "
+                                        f"{photo.EXAMPLE.name})")
+    parser.add_argument("--model", help="of photo: a checkpoint (.safetensors), or the configuration of an untrained "
+                                        "network, a name or .yaml (default: the checkpoint inside)")
     parser.add_argument("--panel", default=DEFAULT_PANEL,
                         help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of "
                              "published figures")
@@ -156,7 +161,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     parser.add_argument("--repeats", type=int, help="runs of each, fewer of those beyond a minute (default: 5, and 20 "
                                                     "of what takes less than 50 ms on CUDA)")
-    parser.add_argument("--threads", help="threads (default: all cores); several with commas for training-step")
+    parser.add_argument("--threads", help="threads (default: all cores); several with commas for "
+                                          "training-step and photo")
     parser.add_argument("--json", type=Path, help="where to write the rows, and what machine they are from")
 
 
@@ -168,8 +174,12 @@ def run(args: argparse.Namespace) -> int:
     threads = _numbers("--threads", args.threads, int)
     if args.json is not None:
         check_output_path(args.json)
+    if args.what != "photo" and (args.photo or args.model):
+        raise InputError("--photo and --model are for `bench photo`; leave them out")
     if args.what == "training-step":
         result, text = _training_step(args, threads)
+    elif args.what == "photo":
+        result, text = _photo(args, threads)
     else:
         result, text = _light_field(args, threads, args.what == "paper")
     result["machine"] = machine(args.device)
@@ -194,6 +204,16 @@ def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple
         except InputError as error:
             _progress(f"no row of gsplat: {error}")
     return {"rows": rows}, training.table(rows)
+
+
+def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
+    """Rows of every photo, and their text."""
+    for option in ("scene", "cone", "sh_degree", "methods", "memory_budget"):
+        if getattr(args, option) is not None:
+            raise InputError(f"--{option.replace('_', '-')} is for light-field images, not for photo")
+    photos = [str(photo.EXAMPLE)] if args.photo is None else args.photo.split(",")
+    rows = photo.rows(photos, args.model, Panel.load(args.panel), args.device, args.repeats, threads)
+    return {"rows": rows}, photo.table(rows)
 
 
 def _light_field(args: argparse.Namespace, threads: list[int | None], published: bool) -> tuple[dict[str, Any], str]:

@@ -19,7 +19,7 @@ _OBJECT_ALPHA = 0.2
 class Square:
     """A square of whole pixels: left and top edge (may be negative) and side length. It may reach beyond the image.
 
-    Many squares may be one Square whose fields are arrays.
+    Many squares may be one Square whose fields are arrays. Tensors [] int64 where only a device knows the numbers.
     """
     left: int
     top: int
@@ -36,13 +36,34 @@ def object_square(alpha: Tensor, margin: float = MARGIN) -> Square:
 
     alpha: [H,W], 0..1. Raises InputError when nothing is opaque.
     """
+    square = object_square_on_device(alpha, margin)
+    check_object(has_object(alpha))
+    return Square(*(int(value) for value in (square.left, square.top, square.side)))
+
+
+def object_square_on_device(alpha: Tensor, margin: float = MARGIN) -> Square:
+    """object_square as tensors, without waiting for a device; meaningless where nothing is opaque (see has_object)."""
     opaque = alpha >= _OBJECT_ALPHA
-    rows, columns = opaque.any(1).nonzero()[:, 0], opaque.any(0).nonzero()[:, 0]
-    if len(rows) == 0:
-        raise InputError("empty mask: expected an object with opaque pixels, every pixel is transparent")
-    top, bottom, left, right = int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
-    side = max(2, round(max(bottom - top, right - left) * (1 + 2 * margin)))
+    (top, bottom), (left, right) = (_span(opaque.any(axis)) for axis in (1, 0))
+    longer = torch.maximum(bottom - top, right - left).double()
+    side = (longer * (1 + 2 * margin)).round().long().clamp_min(2)
     return Square((left + right - side) // 2, (top + bottom - side) // 2, side)
+
+
+def has_object(alpha: Tensor) -> Tensor:
+    """Whether anything of alpha [H,W] is opaque, bool []."""
+    return (alpha >= _OBJECT_ALPHA).any()
+
+
+def check_object(there_is_one: bool | Tensor) -> None:
+    """Raises InputError unless there is."""
+    if not there_is_one:
+        raise InputError("empty mask: expected an object with opaque pixels, every pixel is transparent")
+
+
+def _span(flags: Tensor) -> tuple[Tensor, Tensor]:
+    """Index of the first flag that is set, and one more than that of the last."""
+    return flags.int().argmax(), len(flags) - flags.flip(0).int().argmax()
 
 
 def crop_resize(image: Tensor, square: Square, size_px: int) -> Tensor:
@@ -59,3 +80,30 @@ def crop_resize(image: Tensor, square: Square, size_px: int) -> Tensor:
     if square.side == size_px:
         return padded
     return F.interpolate(padded[None], size=(size_px, size_px), mode="bilinear", antialias=True)[0]
+
+
+def crop_resize_on_device(image: Tensor, square: Square, size_px: int, margin: float = MARGIN) -> Tensor:
+    """crop_resize for a square in tensors, of object_square_on_device with this margin, without waiting for a device.
+
+    Two products with matrices of the image's size: more arithmetic than crop_resize, so for GPUs only.
+    """
+    longest = round(max(image.shape[1:]) * (1 + 2 * margin)) + 2
+    down, across = (_resampling(length, first, square.side, size_px, longest)
+                    for length, first in zip(image.shape[1:], (square.top, square.left)))
+    return down @ image.float() @ across.T
+
+
+def _resampling(length: int, first: Tensor, side: Tensor, size_px: int, longest: int) -> Tensor:
+    """Matrix [size_px, length] of the antialiased bilinear filter from pixels first .. first + side - 1 to size_px.
+
+    Triangles as wide as an output pixel, at least an input pixel, normalised over the square (at most `longest`).
+    """
+    scale = side.double() / size_px
+    centres = (torch.arange(size_px, device=side.device) + 0.5) * scale
+
+    def triangles(start: Tensor | int, count: int) -> Tensor:
+        places = torch.arange(count, device=side.device) + 0.5 - start
+        heights = 1 - (places - centres[:, None]).abs() / scale.clamp_min(1)
+        return heights.clamp_min(0) * ((places > 0) & (places < side))
+
+    return (triangles(first, length) / triangles(0, longest).sum(1, keepdim=True)).float()

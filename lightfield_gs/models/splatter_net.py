@@ -51,11 +51,13 @@ class SplatterNet(nn.Module):
 
         images: [B,4,H,W], RGB premultiplied by alpha and alpha, 0..1. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of
         those pictures. Returns Gaussians with leading B and N = layers * H * W, float32. H and W must be multiples of
-        patch_px * 2^(levels - 1). The U-Net obeys autocast; heads and composer are float32 always.
+        patch_px * 2^(levels - 1). The U-Net obeys autocast and may be of lower precision; heads and composer are
+        float32 always.
         """
         pixels = describe_pixels(images, intrinsics)
         folded = F.pixel_unshuffle(network_input(images, pixels, self.config.input), self.config.patch_px)
-        features = self.unet(folded.contiguous(memory_format=torch.channels_last))
+        folded = folded.to(self.unet.stem.weight.dtype, memory_format=torch.channels_last)
+        features = self.unet(folded)
         with torch.autocast(images.device.type, enabled=False):
             raw = F.pixel_shuffle(self.head(features.float()), self.config.patch_px)
             return self.composer(raw, pixels)
@@ -64,26 +66,52 @@ class SplatterNet(nn.Module):
     def predict(self, rgba: np.ndarray | Tensor) -> Gaussians:
         """Gaussians of the object in a photo, in its camera's axes (at the origin, z forward; object near z = 1.3).
 
-        rgba: [H,W,4] float in 0..1, colours not premultiplied, any size and aspect. The photo is cropped to the object
-        as in training; its camera is taken to look at the middle of that crop with the focal length config.photo_focal.
-        Gaussians that cannot be seen are left out. Raises InputError for other shapes, types or values, or an empty
-        mask.
+        rgba: [H,W,4] float in 0..1 or uint8, colours not premultiplied, any size and aspect. The photo is cropped to
+        the object as in training; its camera is taken to look at the middle of that crop with the focal length
+        config.photo_focal. Gaussians that cannot be seen are left out. Raises InputError for other shapes, types or
+        values, or an empty mask. PhotoEncoder goes on to the image of a panel, and faster on CUDA.
         """
-        image = _checked_photo(rgba).to(next(self.parameters()).device)
-        image = torch.cat([image[:3] * image[3:], image[3:]])
+        return self.seen_gaussians(self.crop_photo(checked_photo(rgba)))
+
+    def crop_photo(self, photo: Tensor) -> Tensor:
+        """The object of what checked_photo returned as the network takes it, [4,S,S] premultiplied, on its device.
+
+        Raises InputError for values outside 0..1 or an empty mask.
+        """
+        photo = photo.to(self.device)
+        check_values(in_range(photo))
+        image = premultiplied(photo)
+        return crop.crop_resize(image, crop.object_square(image[3]), self.config.image_size_px)
+
+    def seen_gaussians(self, cropped: Tensor) -> Gaussians:
+        """Gaussians of a cropped picture, but for those too faint to be drawn. Waits for the device."""
+        gaussians = self.all_gaussians(cropped, self.photo_intrinsics())
+        seen = gaussians.opacities >= _FAINTEST
+        return Gaussians(*(field[seen].contiguous() for field in gaussians.fields().values()))
+
+    @property
+    def device(self) -> torch.device:
+        return self.head.weight.device
+
+    def photo_intrinsics(self) -> Tensor:
+        """(fx, fy, cx, cy) of the camera that is assumed of a cropped photo, [1,4] in pixels of the crop."""
         size = self.config.image_size_px
-        cropped = crop.crop_resize(image, crop.object_square(image[3]), size)
-        focal = self.config.photo_focal * size
-        intrinsics = torch.tensor([[focal, focal, size / 2, size / 2]], device=image.device)
+        return torch.tensor([[self.config.photo_focal * size] * 2 + [size / 2] * 2], device=self.device)
+
+    @torch.no_grad()
+    def all_gaussians(self, cropped: Tensor, intrinsics: Tensor) -> Gaussians:
+        """All layers * H * W Gaussians of one cropped picture [4,H,W], premultiplied, those that are unseen included.
+
+        intrinsics: [1,4], see forward.
+        """
         was_training = self.training
         self.eval()
         try:
             batch = self(cropped[None], intrinsics)
         finally:
             self.train(was_training)
-        seen = batch.opacities[0] >= _FAINTEST
         fields = (batch.means, F.normalize(batch.quaternions, dim=-1), batch.scales, batch.opacities, batch.sh)
-        return Gaussians(*(field[0][seen].contiguous() for field in fields))
+        return Gaussians(*(field[0].contiguous() for field in fields))
 
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
         """Write the weights as float16 safetensors, configuration and notes in the metadata."""
@@ -103,14 +131,35 @@ class SplatterNet(nn.Module):
         return net.eval()
 
 
-def _checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
-    """The photo as float32 [4,H,W], or InputError."""
-    image = torch.as_tensor(rgba)
-    if image.ndim != 3 or image.shape[2] != 4 or 0 in image.shape:
-        raise InputError(f"photo: expected an array [H,W,4] (RGB and alpha), got {list(image.shape)}")
-    if not image.is_floating_point():
-        raise InputError(f"photo: expected floating point values in 0..1, got {image.dtype}; divide by 255")
-    image = image.to(torch.float32).permute(2, 0, 1)
-    if not bool(torch.isfinite(image).all()) or float(image.min()) < 0 or float(image.max()) > 1:
+def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
+    """The photo as a tensor [H,W,4], uint8 or float32, where it is; raises InputError for what is no photo by shape."""
+    photo = torch.as_tensor(rgba)
+    if photo.ndim != 3 or photo.shape[2] != 4 or 0 in photo.shape:
+        raise InputError(f"photo: expected an array [H,W,4] (RGB and alpha), got {list(photo.shape)}")
+    if photo.dtype == torch.uint8:
+        return photo
+    if not photo.is_floating_point():
+        raise InputError(f"photo: expected uint8 or floating point values in 0..1, got {photo.dtype}; divide by its "
+                         "largest value (65535 of 16 bits)")
+    return photo.to(torch.float32)
+
+
+def premultiplied(photo: Tensor) -> Tensor:
+    """float32 [4,H,W], colours times alpha, from what checked_photo returns."""
+    image = photo.permute(2, 0, 1).float()
+    if photo.dtype == torch.uint8:
+        image = image / 255
+    return torch.cat([image[:3] * image[3:], image[3:]])
+
+
+def in_range(photo: Tensor) -> Tensor:
+    """Whether all values of what checked_photo returns are in 0..1 (uint8 always are), bool []."""
+    if photo.dtype == torch.uint8:
+        return torch.ones((), dtype=torch.bool, device=photo.device)
+    return ((photo >= 0) & (photo <= 1)).all()
+
+
+def check_values(values_in_range: bool | Tensor) -> None:
+    """Raises InputError unless they are."""
+    if not values_in_range:
         raise InputError("photo: expected values in 0..1, got values outside or not finite")
-    return image

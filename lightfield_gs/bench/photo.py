@@ -1,0 +1,87 @@
+"""How long a photo takes to the image of a panel: from decoded bytes in memory to the 8-bit image in memory.
+
+The total is that of PhotoEncoder, nothing waiting between its stages on CUDA but for the rig; the stages are timed in
+runs of their own, in which they wait for each other. Decoding of the file is beside the total.
+"""
+
+from __future__ import annotations
+
+import statistics
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from lightfield_gs.bench.tables import aligned, in_ms
+from lightfield_gs.bench.timing import timed
+from lightfield_gs.errors import InputError
+from lightfield_gs.io.photo import load_photo
+from lightfield_gs.models import ModelConfig, SplatterNet
+from lightfield_gs.models.splatter_net import PRETRAINED
+from lightfield_gs.panel import Panel
+from lightfield_gs.photo_encoder import PhotoEncoder
+
+EXAMPLE = Path(__file__).parent.parent / "data" / "cat.png"
+STAGES = ("crop", "network", "framing", "encode")
+
+
+def network(name: str | None) -> SplatterNet:
+    """The network of a checkpoint (.safetensors; None: the one inside), or an untrained one of a configuration.
+
+    An untrained one takes as long and shows the photo as a flat card. Raises InputError.
+    """
+    if name is None or Path(name).suffix == ".safetensors":
+        return SplatterNet.from_pretrained(name)
+    torch.manual_seed(0)
+    return SplatterNet(ModelConfig.from_yaml(name)).eval()
+
+
+def row(path: str | Path, model: str | None, panel: Panel, device: str, repeats: int | None,
+        threads: int | None) -> dict[str, Any]:
+    """Medians of a photo, ms: decode, the stages, total; and ms_min, ms_max of the total. Raises InputError."""
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(threads or before)
+        decoded, decode_ms = timed(partial(load_photo, path), False, repeats)
+        rgba = np.round(255 * decoded).astype(np.uint8)
+        encoder = PhotoEncoder(network(model).to(device), panel)
+        encoder(rgba)  # loads and captures
+        image, total_ms = timed(partial(encoder, rgba), device == "cuda", repeats)
+        stages = _stages(encoder, rgba, len(total_ms))
+        return {"photo": Path(path).name, "height_px": rgba.shape[0], "width_px": rgba.shape[1],
+                "model": model or PRETRAINED.name, "gaussians": encoder.gaussians.count, "panel": panel.name,
+                "device": device, "threads": torch.get_num_threads(), "decode_ms": statistics.median(decode_ms),
+                "stages_ms": stages, "ms_median": statistics.median(total_ms), "ms_min": min(total_ms),
+                "ms_max": max(total_ms), "runs": len(total_ms)}
+    finally:
+        torch.set_num_threads(before)
+
+
+def _stages(encoder: PhotoEncoder, rgba: np.ndarray, runs: int) -> dict[str, float]:
+    """Medians of the stages."""
+    found: list[dict[str, float]] = []
+    for _ in range(runs):
+        stats: dict[str, Any] = {}
+        encoder(rgba, stats)
+        found.append(stats["stages_ms"])
+    return {stage: statistics.median(times[stage] for times in found) for stage in STAGES}
+
+
+def rows(photos: list[str], model: str | None, panel: Panel, device: str, repeats: int | None,
+         threads: list[int | None]) -> list[dict[str, Any]]:
+    """A row for each photo and number of threads. Raises InputError."""
+    for path in photos:
+        if not Path(path).is_file():
+            raise InputError(f"--photo: found no file {path}")
+    return [row(path, model, panel, device, repeats, count) for path in photos for count in threads]
+
+
+def table(found: list[dict[str, Any]]) -> str:
+    """The rows as text, a line each."""
+    head = ("photo", "size", "model", "Gaussians", "device", "threads", "decode", *STAGES, "total ms", "min", "max")
+    lines = [(r["photo"], f"{r['width_px']} x {r['height_px']}", r["model"], str(r["gaussians"]), r["device"],
+              str(r["threads"]), in_ms(r["decode_ms"]), *(in_ms(r["stages_ms"][stage]) for stage in STAGES),
+              in_ms(r["ms_median"]), in_ms(r["ms_min"]), in_ms(r["ms_max"])) for r in found]
+    return "\n".join(aligned([head, *lines]))

@@ -1,0 +1,91 @@
+"""Photos on a GPU: the replayed stages against the CPU's. Needs a GPU."""
+
+import warnings
+
+import numpy as np
+import pytest
+import torch
+from photo_cases import PANEL, photo, psnr_db, tiny_net
+
+from lightfield_gs import InputError, PhotoEncoder, Rig, SplatterNet, _core, encode
+from lightfield_gs.models.splatter_net import PRETRAINED
+
+if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
+    pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
+
+
+def of_the_cpu(net: SplatterNet, rgba: np.ndarray, **options) -> tuple[torch.Tensor, Rig]:
+    gaussians = net.cpu().predict(rgba)
+    rig = Rig.frame(gaussians, PANEL, np.eye(4))
+    return encode(gaussians, PANEL, rig, **options), rig
+
+
+@pytest.mark.parametrize("shape", [(40, 90), (200, 30), (300, 300)])
+@pytest.mark.parametrize("views", ["integer", "continuous"])
+def test_image_is_that_of_the_cpu(shape, views):
+    rgba, options = photo(*shape), dict(views=views, background=(0.2, 0.5, 0.9))
+    encoder = PhotoEncoder(tiny_net().cuda(), PANEL, **options)
+    found = encoder(rgba)
+    expected, rig = of_the_cpu(tiny_net(), rgba, **options)
+    assert found.is_cuda and psnr_db(found, expected) > 38
+    assert encoder.rig.focal_px == pytest.approx(rig.focal_px, rel=0.01)
+    assert encoder.rig.zero_depth == pytest.approx(rig.zero_depth, rel=0.01)
+
+
+@pytest.mark.skipif(not PRETRAINED.exists(), reason="this checkout has no trained checkpoint")
+def test_the_trained_network_draws_what_the_cpu_draws():
+    rgba = photo(400, 300)
+    found = PhotoEncoder(SplatterNet.from_pretrained().cuda(), PANEL)(rgba)
+    assert psnr_db(found, of_the_cpu(SplatterNet.from_pretrained(), rgba)[0]) > 38
+
+
+def test_photos_of_one_size_are_replayed_and_others_captured():
+    encoder = PhotoEncoder(tiny_net().cuda(), PANEL)
+    photos = [photo(60, 80), photo(60, 80, (0.1, 0.3, 0.8)), np.roll(photo(60, 80), 9, 1)]
+    encoder(photos[0])
+    captured = encoder._captured
+    images = [encoder(rgba) for rgba in photos]
+    assert encoder._captured is captured
+    for rgba, image in zip(photos, images):
+        assert psnr_db(image, of_the_cpu(tiny_net(), rgba)[0]) > 38
+    assert psnr_db(encoder(photo(61, 80)), of_the_cpu(tiny_net(), photo(61, 80))[0]) > 38
+    assert encoder._captured is not captured
+
+
+def test_bytes_and_tensors_on_the_device_are_taken():
+    encoder = PhotoEncoder(tiny_net().cuda(), PANEL)
+    as_bytes = np.round(255 * photo(50, 60)).astype(np.uint8)
+    expected = encoder(as_bytes)
+    assert torch.equal(encoder(torch.from_numpy(as_bytes).cuda()), expected)
+    assert psnr_db(encoder(as_bytes / np.float32(255)), expected) > 60
+
+
+def test_the_host_waits_once():
+    encoder, rgba = PhotoEncoder(tiny_net().cuda(), PANEL), photo(60, 80)
+    encoder(rgba)
+    torch.cuda.synchronize()
+    torch.cuda.set_sync_debug_mode("warn")
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            encoder(rgba)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert len([w for w in caught if "synchroniz" in str(w.message)]) == 1
+
+
+@pytest.mark.parametrize("rgba, word", [
+    (np.zeros((8, 8, 3), np.float32), "H,W,4"), (np.zeros((8, 8, 4), np.float32), "mask"),
+    (np.full((8, 8, 4), 2, np.float32), "0..1"), (np.full((8, 8, 4), np.nan, np.float32), "0..1")])
+def test_what_is_no_photo_is_refused_and_the_next_is_drawn(rgba, word):
+    encoder = PhotoEncoder(tiny_net().cuda(), PANEL)
+    for _ in range(2):
+        with pytest.raises(InputError, match=word):
+            encoder(rgba)
+        assert psnr_db(encoder(photo(60, 80)), of_the_cpu(tiny_net(), photo(60, 80))[0]) > 38
+
+
+def test_stages_are_timed():
+    stats = {}
+    PhotoEncoder(tiny_net().cuda(), PANEL)(photo(60, 80), stats)
+    assert list(stats["stages_ms"]) == ["crop", "network", "framing", "encode"]

@@ -1,0 +1,100 @@
+"""Photo after photo to the image of a panel: the same as its steps one by one."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from photo_cases import PANEL, photo, psnr_db, tiny_net
+
+from lightfield_gs import InputError, PhotoEncoder, Rig, encode
+from lightfield_gs.models import SplatterNet
+from lightfield_gs.models.crop import (crop_resize, crop_resize_on_device, has_object, object_square,
+                                       object_square_on_device)
+from lightfield_gs.models.splatter_net import PRETRAINED
+
+
+@pytest.mark.parametrize("shape", [(40, 90), (200, 30)])
+@pytest.mark.parametrize("views", ["integer", "continuous"])
+def test_image_is_that_of_the_steps(shape, views):
+    net, rgba = tiny_net(), photo(*shape)
+    encoder = PhotoEncoder(net, PANEL, views=views, background=(0.2, 0.5, 0.9))
+    stats = {}
+    found = encoder(rgba, stats)
+    gaussians = net.predict(rgba)
+    rig = Rig.frame(gaussians, PANEL, np.eye(4))
+    assert torch.equal(found, encode(gaussians, PANEL, rig, views=views, background=(0.2, 0.5, 0.9)))
+    assert encoder.rig.to_dict() == rig.to_dict() and encoder.gaussians.count == gaussians.count
+    assert list(stats["stages_ms"]) == ["crop", "network", "framing", "encode"]
+    assert all(ms > 0 for ms in stats["stages_ms"].values())
+
+
+def test_bytes_are_taken_as_they_are():
+    as_bytes = np.round(255 * photo(50, 60)).astype(np.uint8)
+    encoder = PhotoEncoder(tiny_net(), PANEL, output="float32")
+    torch.testing.assert_close(encoder(as_bytes), encoder(as_bytes / np.float32(255)))
+
+
+def test_later_changes_of_the_network_do_not_show():
+    net, rgba = tiny_net(), photo(50, 60)
+    encoder = PhotoEncoder(net, PANEL)
+    before = encoder(rgba)
+    torch.nn.init.normal_(net.head.weight)
+    assert torch.equal(encoder(rgba), before)
+
+
+def test_what_is_not_seen_does_not_move_the_rig():
+    net, rgba = tiny_net(), photo(70, 40)
+    everything = net.all_gaussians(net.crop_photo(torch.from_numpy(rgba)), net.photo_intrinsics())
+    seen = net.predict(rgba)
+    assert seen.count < everything.count
+    rigs = [Rig.frame(gaussians, PANEL, np.eye(4)) for gaussians in (everything, seen)]
+    assert rigs[0].zero_depth == pytest.approx(rigs[1].zero_depth, rel=1e-5)
+    assert rigs[0].focal_px == pytest.approx(rigs[1].focal_px, rel=1e-5)
+    images = [encode(gaussians, PANEL, rigs[1]).int() for gaussians in (everything, seen)]
+    assert (images[0] - images[1]).abs().max() <= 1
+
+
+@pytest.mark.parametrize("rgba, word", [
+    (np.zeros((8, 8, 3), np.float32), "H,W,4"), (np.zeros((8, 8, 4), np.int32), "65535"),
+    (np.zeros((8, 8, 4), np.uint8), "mask"), (np.full((8, 8, 4), np.nan, np.float32), "finite")])
+def test_what_is_no_photo_is_refused_and_the_next_is_drawn(rgba, word):
+    encoder = PhotoEncoder(tiny_net(), PANEL)
+    with pytest.raises(InputError, match=word):
+        encoder(rgba)
+    assert encoder(photo(20, 20)).shape == (PANEL.height_px, PANEL.width_px, 3)
+
+
+def test_unknown_options_are_refused():
+    for options in ({"views": "all"}, {"output": "float64"}):
+        with pytest.raises(InputError, match=next(iter(options.values()))):
+            PhotoEncoder(tiny_net(), PANEL, **options)
+
+
+@settings(max_examples=40, deadline=None)
+@given(height=st.integers(3, 90), width=st.integers(3, 90), seed=st.integers(0, 2**32 - 1))
+def test_the_crop_on_a_device_is_that_of_the_host(height, width, seed):
+    random = np.random.default_rng(seed)
+    image = torch.from_numpy(random.random((4, height, width), np.float32))
+    (top, bottom), (left, right) = (sorted(random.choice(size + 1, 2, replace=False)) for size in (height, width))
+    image[3] = 0
+    assert not has_object(image[3])
+    image[3, top:bottom, left:right] = 0.7
+    assert has_object(image[3])
+    square, there = object_square(image[3]), object_square_on_device(image[3])
+    assert square == type(square)(int(there.left), int(there.top), int(there.side))
+    torch.testing.assert_close(crop_resize_on_device(image, there, 32), crop_resize(image, square, 32),
+                               atol=2e-5, rtol=0)
+
+
+@pytest.mark.skipif(not PRETRAINED.exists(), reason="this checkout has no trained checkpoint")
+def test_a_network_in_bfloat16_draws_the_same():
+    net, rgba = SplatterNet.from_pretrained(), photo(150, 120)
+    half = copy.deepcopy(net)
+    half.unet.to(torch.bfloat16)
+    gaussians = net.predict(rgba)
+    rig = Rig.frame(gaussians, PANEL, np.eye(4))
+    images = [encode(g, PANEL, rig) for g in (gaussians, half.predict(rgba))]
+    assert psnr_db(*images) > 40
