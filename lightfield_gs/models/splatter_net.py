@@ -123,11 +123,12 @@ class SplatterNet(nn.Module):
         """Load a checkpoint written by save() (None: the one that comes with the package), in eval mode, float32."""
         from lightfield_gs.models.checkpoint import read_weights
         config, weights = read_weights(Path(path) if path is not None else PRETRAINED)
-        net = cls(config)
+        with torch.device("meta"):  # no initial values for nothing
+            net = cls(config)
         wanted = net.state_dict()
         if {name: tensor.shape for name, tensor in weights.items()} != {name: t.shape for name, t in wanted.items()}:
             raise InputError(f"{path}: damaged checkpoint: the weights do not fit the configuration beside them")
-        net.load_state_dict(weights)
+        net.load_state_dict(weights, assign=True)
         return net.eval()
 
 
