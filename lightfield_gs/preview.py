@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,13 +38,16 @@ def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, p
     except OSError as error:
         raise InputError(f"cannot make the folder {folder}: {error.strerror or error}") from error
     paths = [folder / "views.png", folder / "look-around.webp"]
-    write_image(paths[0], contact_sheet(gaussians, panel, rig, background), compression="small")
-    _write_webp(paths[1], _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX))
-    if panel.viewing_distance_mm is not None and panel.pixel_pitch_mm is not None:
-        for name, side in (("left", -0.5), ("right", 0.5)):
-            eye = (side * EYE_SEPARATION_MM, 0.0, panel.viewing_distance_mm)
-            paths.append(folder / f"{name}-eye.png")
-            write_image(paths[-1], to_integers(simulate(image, panel, eye), 8), compression="small")
+    frames = _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX)
+    with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
+        animation = beside.submit(_write_webp, paths[1], frames)
+        write_image(paths[0], contact_sheet(gaussians, panel, rig, background), compression="small")
+        if panel.viewing_distance_mm is not None and panel.pixel_pitch_mm is not None:
+            for name, side in (("left", -0.5), ("right", 0.5)):
+                eye = (side * EYE_SEPARATION_MM, 0.0, panel.viewing_distance_mm)
+                paths.append(folder / f"{name}-eye.png")
+                write_image(paths[-1], to_integers(simulate(image, panel, eye), 8), compression="small")
+        animation.result()
     return paths
 
 

@@ -44,7 +44,7 @@ def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_su
     slope = sub_mm * z / ((z + gap) * lens_mm)
     shift = middle / lens + (x - y * panel.slant_tan) * gap / ((z + gap) * lens_mm)
     columns, rows = _cells(panel.width_px, lens), _cells(panel.height_px, lens)
-    lit = np.zeros((len(rows) - 1, len(columns) - 1, 3))
+    lit = np.zeros((len(rows) - 1, len(columns) - 1, 3), np.float32)
     weight = np.zeros_like(lit)
     sigma = spread * _FWHM_TO_SIGMA / lens
     cells_per_chunk = max(1, int(_ROWS_PER_CHUNK_PX * len(rows) / panel.height_px))
@@ -61,7 +61,7 @@ def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_su
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:  # NumPy works outside the interpreter lock
         list(pool.map(sum_up, range(0, len(rows) - 1, cells_per_chunk)))
     scale = 1 / np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else 1.0
-    return (scale * _blurred(lit) / _blurred(weight)).astype(np.float32)
+    return np.float32(scale) * _blurred(lit) / _blurred(weight)
 
 
 def _light(panel: Panel, channel: int, rows: slice, shift: float, slope: float, middle: float,
