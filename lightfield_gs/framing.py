@@ -18,7 +18,8 @@ _FILL = 0.92  # share of the panel that the content fills
 _VISIBLE_OPACITY = 0.1  # fainter Gaussians do not count as content, where there are others
 _LEAST_WEIGHT = 1e-6  # of a Gaussian where none is visible
 _TAIL = 0.001  # share of the opacity that may lie outside on each side: stray Gaussians of captures ...
-_WIDE_TAIL, _FENCE = 0.01, 0.15  # ... and up to this share what is further out than 15 % of the extent of the rest
+_WIDE_TAIL = 0.01  # ... and up to this share where that lies far out: in units of the extent of the rest, ...
+_FAR, _ROOM = 0.4, 0.15  # ... beyond the first of these, and then it gets the second as room
 _DEPTH_TAIL = 0.05
 _NEAR = 0.01  # near plane of the rasterizer, scene units
 _FIELD_OF_VIEW_DEG = (20.0, 50.0)  # what the panel subtends at its viewing distance, kept within these
@@ -110,8 +111,10 @@ def _bounds(centres: Tensor, radii: Tensor, weights: Tensor) -> Tensor:
     """Robust bounds [D, 2] (low, high) of balls with these centres [D, N] and radii [N]."""
     low, least = _percentiles(centres - radii, weights, (_WIDE_TAIL, _TAIL))
     high, most = _percentiles(centres + radii, weights, (1 - _WIDE_TAIL, 1 - _TAIL))
-    fence = _FENCE * (high - low)
-    return torch.stack([torch.maximum(low - fence, least), torch.minimum(high + fence, most)], 1)
+    rest = high - low
+    least = torch.where(low - least <= _FAR * rest, least, low - _ROOM * rest)
+    most = torch.where(most - high <= _FAR * rest, most, high + _ROOM * rest)
+    return torch.stack([least, most], 1)
 
 
 def _percentiles(values: Tensor, weights: Tensor, shares: Sequence[float]) -> Tensor:

@@ -38,7 +38,8 @@ def central_intrinsics(size: int = 32) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("name, millions, tolerance",
-                         [("default", 6.5, 0.05), ("full-resolution", 6.5, 0.05), ("original", 56.4, 0.02)])
+                         [("default", 6.6, 0.05), ("small", 6.5, 0.05), ("full-resolution", 6.5, 0.05),
+                          ("original", 56.4, 0.02)])
 def test_parameter_count(name, millions, tolerance):
     with torch.device("meta"):
         net = SplatterNet(ModelConfig.from_yaml(name))

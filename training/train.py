@@ -1,4 +1,4 @@
-"""Train the network: `python -m training.train --config configs/training/first.yaml [--seed 1 ...]`.
+"""Train the network: `python -m training.train --config configs/training/cpu.yaml [--seed 1 ...]`.
 
 Every field of TrainingConfig is an option that overrides the file. Running the same command again resumes the run.
 """
