@@ -68,9 +68,9 @@ class Panel:
         if self.cone_deg >= 180:
             raise InputError(f"panel: cone_deg must be below 180, got {self.cone_deg}")
         if self.subpixel_order not in ("RGB", "BGR"):
-            raise InputError(f"panel: subpixel_order must be RGB or BGR, got {self.subpixel_order!r}")
+            raise InputError(f"panel: subpixel_order must be RGB or BGR, got {_shown(self.subpixel_order)}")
         if not isinstance(self.invert_views, bool):
-            raise InputError(f"panel: invert_views must be true or false, got {self.invert_views!r}")
+            raise InputError(f"panel: invert_views must be true or false, got {_shown(self.invert_views)}")
         self._set("name", str(self.name))
 
     def _set(self, key: str, value: Any) -> None:

@@ -16,6 +16,8 @@ from lightfield_gs.io.atomic import atomic_path, check_output_path
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
+# A file may become so many times as long in memory, or this many bytes: deflate, of a plain picture, reaches 1030.
+_MOST_EXPANSION, _SMALL_BYTES = 2000, 64 << 20
 _METADATA_KEY = "ImageDescription"  # the one text field that PNG, EXR and TIFF all keep
 _DTYPES = {".png": ("uint8", "uint16"), ".exr": ("float32",), ".tif": ("uint8", "uint16", "float32"),
            ".tiff": ("uint8", "uint16", "float32")}
@@ -140,6 +142,10 @@ def _opened(path: str | Path) -> Iterator:
         if spec.depth > 1 or not 1 <= spec.nchannels <= 16:
             raise InputError(f"{path}: expected a flat image of 1..16 channels, got {spec.nchannels} channels and "
                              f"depth {spec.depth}")
+        size, wanted = path.stat().st_size, width * height * spec.nchannels * spec.format.size()
+        if wanted > max(_SMALL_BYTES, _MOST_EXPANSION * size) or width * height * spec.nchannels > 4 * MAX_PIXELS:
+            raise InputError(f"{path}: {width} x {height} pixels of {spec.nchannels} channels from a file of {size} "
+                             "bytes; it is damaged, or made to exhaust the memory")
         yield source
     finally:
         source.close()

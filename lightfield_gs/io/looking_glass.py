@@ -48,6 +48,6 @@ def _number(data: dict[str, Any], key: str, where: str) -> float:
     value = data[key]
     if isinstance(value, dict):
         value = value.get("value")
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:  # not for NaN
         raise InputError(f"{where}: {key} must be a number, got {str(value)[:60]!r}")
     return value
