@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.depth_edges import continue_behind, slopes, snap_mixed
+from lightfield_gs.arrays import dense_tensor
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 
@@ -136,7 +137,7 @@ def _plane_axes(normal: Tensor) -> tuple[Tensor, Tensor]:
 
 def _checked_image(image: np.ndarray | Tensor) -> Tensor:
     """The photo as float32 [H, W, 3 or 4], or InputError."""
-    image = torch.as_tensor(image)
+    image = dense_tensor("photo", image)
     if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
         raise InputError(f"photo: expected [H, W, 3] or [H, W, 4], got {list(image.shape)}")
     if not image.is_floating_point():
@@ -150,7 +151,7 @@ def _checked_image(image: np.ndarray | Tensor) -> Tensor:
 
 
 def _checked_depth(depth: np.ndarray | Tensor) -> Tensor:
-    depth = torch.as_tensor(depth)
+    depth = dense_tensor("depth", depth)
     if depth.ndim != 2 or not depth.is_floating_point():
         raise InputError(f"depth: expected floating point [H, W], got {depth.dtype} {list(depth.shape)}")
     return depth.to(torch.float32)
@@ -162,7 +163,7 @@ def _pair(name: str, given: Sequence[float] | None, default: tuple[float, float]
     try:
         x, y = (float(value) for value in given)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: expected two numbers, got {given!r}") from None
+        raise InputError(f"{name}: expected two numbers, got {type(given).__name__}") from None
     if not (math.isfinite(x) and math.isfinite(y)):
         raise InputError(f"{name}: expected finite numbers, got {given!r}")
     return x, y

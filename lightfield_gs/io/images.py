@@ -13,6 +13,7 @@ import numpy as np
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
@@ -120,7 +121,7 @@ def _opened(path: str | Path) -> Iterator:
     """An open ImageInput whose size has been checked."""
     import OpenImageIO as oiio
 
-    path = Path(path)
+    path = checked_path(path)
     try:
         if path.stat().st_size == 0 or not path.is_file():
             raise InputError(f"{path} is no image: it is empty or not a file")

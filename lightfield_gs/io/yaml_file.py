@@ -12,6 +12,7 @@ from typing import Any
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.paths import checked_path
 
 _LIMIT_BYTES = 1 << 20
 
@@ -23,7 +24,7 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
     """
     import yaml
 
-    path = Path(path)
+    path = checked_path(path)
     try:
         if path.stat().st_size > _LIMIT_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes is too long for a YAML file of settings")
