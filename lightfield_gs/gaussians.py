@@ -98,11 +98,12 @@ class Gaussians:
         for name, tensor in self.fields().items():
             if not isinstance(tensor, torch.Tensor):
                 raise InputError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
-            if tensor.layout != torch.strided or tensor.device.type not in ("cpu", "cuda"):
-                raise InputError(f"{name}: expected a dense tensor on the CPU or CUDA, got {tensor.layout} on "
-                                 f"{tensor.device}")
+            if tensor.layout != torch.strided:
+                raise InputError(f"{name}: expected a dense tensor, got {tensor.layout}")
         if means.ndim not in (2, 3):
             raise InputError(f"means: expected shape [N, 3] or [B, N, 3], got {list(means.shape)}")
+        if means.device.type not in ("cpu", "cuda"):
+            raise InputError(f"means: expected a tensor on the CPU or CUDA, got {means.device}")
         if means.dtype not in (torch.float32, torch.float64):
             raise InputError(f"means: expected float32 or float64, got {means.dtype}")
         lead = means.shape[:-1]

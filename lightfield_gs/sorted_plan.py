@@ -120,7 +120,8 @@ def panel_plan(panel: Panel, device_type: str) -> SortedPlan:
 
 def checked_view_map(view_map: np.ndarray | Tensor, panel: Panel, views: int) -> np.ndarray:
     """The map as a C-contiguous array, after checking its shape, type and values. Raises InputError."""
-    table = dense_tensor("view_map", view_map).detach().cpu().numpy()
+    isarray = isinstance(view_map, np.ndarray)  # which may be a file, mapped and read-only
+    table = view_map if isarray else dense_tensor("view_map", view_map).detach().cpu().numpy()
     shape = (panel.height_px, panel.width_px, 3)
     if table.shape != shape or table.dtype != np.int32:
         raise InputError(f"view_map must be int32 {list(shape)} for this panel, got {table.dtype} {list(table.shape)}")

@@ -29,8 +29,8 @@ Change = Callable[[Gaussians], None]
 @dataclass(frozen=True)
 class Case:
     """change: what it does to a random scene of `count`. panel: what is not as usual. single: bound of float32.
-    gradient: relative bound of float32 gradients, as vectors of a field; float64's is a twentieth. no_rotation: spheres,
-    whose gradients of the quaternions are zero but for rounding."""
+    gradient: relative bound of float32 gradients, as vectors of a field; float64's is a twentieth. no_rotation:
+    spheres, whose gradients of the quaternions are zero but for rounding."""
 
     change: Change
     count: int = 40
@@ -118,7 +118,8 @@ CASES = {
     **{f"ratio 1e8 at {s:g}": Case(_all("scales", [s, s * 1e-4, s * 1e-8]), gradient=1e-4 if s < 1e6 else 2e-3)
        for s in (1e-3, 1.0, 1e2, 1e6)},
     "ratio 1e8 the other way": Case(_all("scales", [1e-10, 1e-2, 1e-6])),
-    **{f"quaternions times {s:g}": Case(_times("quaternions", s)) for s in (1e-38, 1e-30, 1e-18, 1e-6, 1e6, 1e18, 1e37)},
+    **{f"quaternions times {s:g}": Case(_times("quaternions", s))
+       for s in (1e-38, 1e-30, 1e-18, 1e-6, 1e6, 1e18, 1e37)},
     **{f"opacity {o:g}": Case(_all("opacities", o)) for o in (0.0, 1e-45, 1e-38, 1 / 255, 0.0040, 0.99, 1.0)},
     "at the near plane": Case(_depths(0.0099999, 0.01, 0.0100001, 0.011)),
     "behind": Case(_depths(-1e6, -2.0, -0.01, -1e-30, 0.0)),
@@ -127,7 +128,8 @@ CASES = {
     "means at 1e6 aside": Case(_far_origin),
     "means at 1e6 before": Case(_far_depth),
     "needles end-on": Case(_needles),
-    **{f"blades of {length:g}": Case(_blades(length), gradient=1e-4 if length < 1e6 else 0.2) for length in (1.0, 30.0, 1e3, 1e6)},
+    **{f"blades of {length:g}": Case(_blades(length), gradient=1e-4 if length < 1e6 else 0.2)
+       for length in (1.0, 30.0, 1e3, 1e6)},
     "one that covers the panel": Case(_covering, count=1, no_rotation=True),
     "forty that cover the panel": Case(_covering, no_rotation=True),
     "single": Case(lambda scene: None, count=1),
@@ -159,7 +161,8 @@ def use_backend(name: str) -> Iterator[torch.device]:
 
 
 # For the methods that draw view by view, and so take longer
-METHODS = [name for name in CASES if not name.startswith(("quaternions", "line number", "slant", "65536 views", "1000"))]
+_SLOW = ("quaternions", "line number", "slant", "65536 views", "1000 views")
+METHODS = [name for name in CASES if not name.startswith(_SLOW)]
 
 
 @contextmanager

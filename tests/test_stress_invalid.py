@@ -56,8 +56,8 @@ JUNK = st.one_of(
     st.none(), st.booleans(), st.integers(), st.integers(-5, 5), FLOATS, st.text(max_size=5), st.binary(max_size=5),
     st.lists(FLOATS, max_size=4), st.dictionaries(st.text(max_size=3), FLOATS, max_size=2), st.just(object()),
     st.sampled_from([10**400, 1j, (), [[]], {}, float, SCENE, PANEL, RIG, CAMERAS, np.zeros(0), np.zeros((4, 4)),
-                     np.array([["a"]]), np.array([object()]), torch.zeros(()), torch.zeros(2, 3), torch.zeros(1, 1, 4, 4),
-                     torch.full((1, 3), math.nan), torch.zeros(1, 3, dtype=torch.int64), torch.zeros(3, device="meta"),
+                     np.array([["a"]]), np.array([object()]), torch.zeros(()), torch.zeros(2, 3),
+                     torch.zeros(1, 1, 4, 4), torch.full((1, 3), math.nan), torch.zeros(1, 3, dtype=torch.int64), torch.zeros(3, device="meta"),
                      torch.zeros(1, 3, dtype=torch.complex64), torch.zeros(1, 3).to_sparse()]))
 
 

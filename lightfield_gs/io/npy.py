@@ -14,7 +14,8 @@ from lightfield_gs.paths import checked_path
 def open_array(path: str | Path) -> np.ndarray:
     """The array of a .npy file, mapped, read-only. Raises InputError that names the file."""
     try:
-        return np.lib.format.open_memmap(checked_path(path), mode="r")  # never unpickles, and never allocates what a header claims
+        # Never unpickles, and never allocates what a header claims
+        return np.lib.format.open_memmap(checked_path(path), mode="r")
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:

@@ -1,9 +1,9 @@
 """python -m fuzzing [--inputs N] [READER ...], in tests/: damaged files for every reader.
 
 N inputs are shared out among the readers, a process each, one after the other. Guided by coverage where atheris (from
-PyPI, built on LLVM's libFuzzer) is installed, otherwise random changes. Stops at the first input that a reader mishandles (anything but
-InputError, more than 10 s, more than 1 GiB, or memory that is not given back), and keeps it beside the corpus as
-mishandled-*; a crash of the process too.
+PyPI, built on LLVM's libFuzzer) is installed, otherwise random changes. A reader stops at the first input that it
+mishandles (anything but InputError, more than 10 s, more than 1 GiB, memory not given back, a crash), which is kept
+beside its corpus as mishandled-*.
 """
 
 from __future__ import annotations
@@ -59,11 +59,20 @@ def fuzz_one(name: str, inputs: int, folder: Path) -> None:
                 one(mutated(files, seed))
             return
         (folder / "found").mkdir()
-        options = {"runs": inputs, "max_len": LONGEST, "verbosity": 0, "timeout": 2 * SECONDS_PER_INPUT, "rss_limit_mb": 0,
-                   "print_final_stats": 0, "artifact_prefix": f"{folder}/"}
+        options = {"runs": inputs, "max_len": LONGEST, "verbosity": 0, "timeout": 2 * SECONDS_PER_INPUT,
+                   "rss_limit_mb": 0, "print_final_stats": 0, "artifact_prefix": f"{folder}/"}
         folders = [str(folder / "found"), str(CORPUS / READERS[name].corpus)]
         atheris.Setup([sys.argv[0], *folders, *(f"-{key}={value}" for key, value in options.items())], one)
         atheris.Fuzz()
+
+
+def keep_last(name: str, folder: Path) -> str:
+    """Copies the last input of a run beside the corpus."""
+    if not (folder / "last").exists():
+        return "the message above: it did not start"
+    kept = CORPUS / READERS[name].corpus / f"mishandled-{int(time.time())}{READERS[name].suffix}"
+    kept.write_bytes((folder / "last").read_bytes())
+    return str(kept)
 
 
 def main() -> int:
@@ -82,9 +91,7 @@ def main() -> int:
             run = subprocess.run([sys.executable, "-m", "fuzzing", name, "--inputs", str(share), "--folder", folder])
             if run.returncode:
                 failed += 1
-                kept = CORPUS / READERS[name].corpus / f"mishandled-{int(time.time())}{READERS[name].suffix}"
-                kept.write_bytes((Path(folder) / "last").read_bytes())
-                print(f"{name}: MISHANDLED, see {kept}", flush=True)
+                print(f"{name}: MISHANDLED, see {keep_last(name, Path(folder))}", flush=True)
     print(f"{share * len(names)} inputs, {failed} of {len(names)} readers failed, {time.monotonic() - start:.0f} s, "
           f"at most {SECONDS_PER_INPUT} s and {BYTES_PER_INPUT >> 20} MiB each")
     return 1 if failed else 0
