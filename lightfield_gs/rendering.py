@@ -40,6 +40,8 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
     """
     expect("gaussians", gaussians, Gaussians)
     expect("cameras", cameras, Cameras)
+    expect("alpha", alpha, bool)
+    expect("depth", depth, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         gaussians.validate()  # there, looking at values would wait for the device

@@ -11,12 +11,16 @@ from hypothesis import strategies as st
 from stress_cases import CASES
 
 import lightfield_gs as lf
-from lightfield_gs import Cameras, Encoder, Gaussians, InputError, Panel, Rig, SortedPlan, SplatterNet, encode, render
+from lightfield_gs import (Cameras, Encoder, Gaussians, InputError, Panel, PhotoEncoder, Rig, SortedPlan, SplatterNet,
+                           encode, render)
+from lightfield_gs.models.config import ModelConfig
+from lightfield_gs.models.unet import UNetConfig
 
 PANEL, RIG = CASES["panel 2 x 1"].view()
 SCENE = CASES["single"].scene().to(dtype=torch.float32)
 CAMERAS = RIG.cameras(PANEL)
 VIEWS = torch.zeros(PANEL.views, 1, 2, 3)
+NET = SplatterNet(ModelConfig(image_size_px=16, layers=1, unet=UNetConfig(4, (1, 2), 1, (), 1)))
 PHOTO, DEPTH = np.ones((3, 4, 4), np.float32), np.ones((3, 4), np.float32)
 
 # What every public name takes when all is well
@@ -38,8 +42,10 @@ CALLS = {
     "Rig": (Rig, dict(RIG.to_dict(), cone_deg=20.0)),
     "Rig.frame": (Rig.frame, dict(gaussians=SCENE, panel=PANEL, world_to_camera=np.eye(4))),
     "Rig.cameras": (RIG.cameras, dict(panel=PANEL, views=[0, 1])),
+    "PhotoEncoder": (PhotoEncoder, dict(net=NET, panel=PANEL, views="integer", background=(1, 1, 1), output="uint8")),
+    "PhotoEncoder.__call__": (PhotoEncoder(NET, PANEL), dict(rgba=np.ones((9, 7, 4), np.float32), stats=None)),
     "SortedPlan": (SortedPlan, dict(panel=PANEL, view_map=PANEL.view_map(), views=PANEL.views, device="cpu")),
-    "SplatterNet": (SplatterNet, dict(config=lf.models.ModelConfig(image_size_px=16, layers=1))),
+    "SplatterNet": (SplatterNet, dict(config=NET.config)),
     "SplatterNet.from_pretrained": (SplatterNet.from_pretrained, dict(path="nowhere.safetensors")),
     "encode": (encode, dict(gaussians=SCENE, panel=PANEL, rig=RIG, method="direct", views="integer",
                             background=(1, 1, 1), output="uint8", threads=1, stats={})),
@@ -82,7 +88,7 @@ def test_junk_is_refused(name, data):
     changed = data.draw(st.sampled_from(sorted(arguments)))
     value = data.draw(JUNK)
     if isinstance(value, str) and changed in ("path", "source", "mask"):
-        value = f"nowhere/{value}"
+        value = f"/nowhere/at/all/{value}"
     result = outcome(call, {**arguments, changed: value})
     if isinstance(result, torch.Tensor):
         assert torch.isfinite(result.float()).all()
