@@ -245,6 +245,8 @@ def _constant_background(background: tuple[float, ...], dtype: torch.dtype, devi
 
 def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype, device: torch.device) -> Tensor:
     """A tensor on a GPU is taken as it is: looking for NaN there would wait for it."""
+    if isinstance(background, (Tensor, np.ndarray)):
+        background = dense_tensor("background", background)
     there = isinstance(background, Tensor) and background.is_cuda
     try:
         colour = torch.as_tensor(background, dtype=dtype, device=device)
@@ -252,7 +254,8 @@ def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype
         raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {type(background).__name__}"
                          ) from None
     if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
-        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {background}")
+        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got "
+                         f"{' '.join(str(background).split())[:80]}")
     return colour
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from lightfield_gs.depth_edges import continue_behind, slopes, snap_mixed
 from lightfield_gs.arrays import dense_tensor
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
@@ -161,9 +161,10 @@ def _pair(name: str, given: Sequence[float] | None, default: tuple[float, float]
     if given is None:
         return default
     try:
+        expect(name, given, Sequence, np.ndarray)
         x, y = (float(value) for value in given)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name}: expected two numbers, got {type(given).__name__}") from None
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise InputError(f"{name}: expected finite numbers, got {given!r}")
+        raise InputError(f"{name}: expected finite numbers, got {x}, {y}")
     return x, y
