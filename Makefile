@@ -7,7 +7,7 @@ DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 
-.PHONY: setup demo test bench clean
+.PHONY: setup demo test sanitize fuzz bench clean
 
 setup: $(VENV)/.installed
 
@@ -18,6 +18,28 @@ demo: setup
 
 test: setup
 	$(BIN)/python -m pytest -q tests
+
+# The native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code, and the stages on
+# several threads under ThreadSanitizer.
+SANITIZED := tests/test_stress_light_field.py tests/test_stages.py tests/test_sorted.py
+CONFIGURE = PATH=$(CURDIR)/$(BIN):$$PATH cmake -G Ninja -S . -DCMAKE_BUILD_TYPE=Release -DLFGS_CUDA=OFF \
+  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dpybind11_DIR=$$($(BIN)/python -m pybind11 --cmakedir)
+PRELOAD = $(foreach library,libasan.so libubsan.so libstdc++.so,$(shell g++ -print-file-name=$(library)))
+
+sanitize: setup
+	$(CONFIGURE) -B build/threads -DLFGS_SANITIZE=thread
+	PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/threads --target stages_on_threads
+	build/threads/stages_on_threads
+	$(CONFIGURE) -B build/sanitize -DLFGS_SANITIZE=address,undefined
+	PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/sanitize --target _core
+	LD_PRELOAD="$(PRELOAD)" ASAN_OPTIONS=detect_leaks=0:quarantine_size_mb=16 OMP_NUM_THREADS=2 \
+	  LFGS_CORE=$$(ls build/sanitize/_core*.so) $(BIN)/python -m pytest -q $(SANITIZED)
+
+# Damaged files for every reader; FUZZ_INPUTS=1000000 takes hours.
+FUZZ_INPUTS ?= 100000
+fuzz: setup
+	$(BIN)/python -m pip install -q atheris || echo "make: no atheris for this Python; random changes instead"
+	cd tests && PYTHONPATH=$(CURDIR):$(CURDIR)/tests ../$(BIN)/python -m fuzzing --inputs $(FUZZ_INPUTS)
 
 bench: setup
 	$(BIN)/lightfield-gs bench --scene sheet:128,sheet:512,cloud:262144 --cone 5,40 --json bench.json

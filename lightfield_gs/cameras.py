@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import torch
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
+from lightfield_gs.gaussians import check_finite
 
 
 @dataclass
@@ -32,6 +33,13 @@ class Cameras:
     jacobian_limits: torch.Tensor | None = None
 
     def __post_init__(self) -> None:
+        for name in ("world_to_camera", "focal_px", "principal_point_px", "jacobian_limits"):
+            value = getattr(self, name)
+            if name != "jacobian_limits" or value is not None:
+                expect(f"cameras: {name}", value, torch.Tensor)
+                if not value.is_floating_point() or value.layout != torch.strided or value.is_meta:
+                    raise InputError(f"cameras: {name} must be floating point numbers, got {value.dtype} "
+                                     f"({value.layout}, {value.device})")
         lead = self.world_to_camera.shape[:-2]
         expected = {"world_to_camera": (*lead, 4, 4), "focal_px": (*lead, 2), "principal_point_px": (*lead, 2)}
         if self.jacobian_limits is not None:
@@ -40,12 +48,13 @@ class Cameras:
             found = tuple(getattr(self, name).shape)
             if found != shape or len(lead) not in (1, 2):
                 raise InputError(f"cameras: {name} must be {['...', 'C', *shape[len(lead):]]}, got {list(found)}")
-            if getattr(self, name).device.type == "cpu" and not bool(torch.isfinite(getattr(self, name)).all()):
-                raise InputError(f"cameras: {name} must be finite numbers, got NaN or infinity")
+            if getattr(self, name).device.type == "cpu":
+                check_finite(f"cameras: {name}", getattr(self, name))
         if self.focal_px.device.type == "cpu" and not bool((self.focal_px > 0).all()):
             raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
             size = getattr(self, name)
+            expect(f"cameras: {name}", size, int)
             if not 1 <= size <= 65536:
                 raise InputError(f"cameras: {name} must be 1..65536 pixels, got {size}")
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import ops, rendering
+from lightfield_gs.errors import expect
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
@@ -30,6 +31,9 @@ class Encoder:
     def __init__(self, panel: Panel, rig: Rig, *, views: str = "integer",
                  background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8"):
         rendering.check_options("direct", views, output)
+        expect("panel", panel, Panel)
+        expect("rig", rig, Rig)
+        rendering.background_tensor(background, torch.empty(0))
         self.panel, self.rig, self.views, self.background, self.output = panel, rig, views, background, output
         self._arguments = rendering.lens_arguments(panel, rig, views == "continuous")
         self._captured: _Capture | None = None
@@ -37,6 +41,8 @@ class Encoder:
     @torch.no_grad()
     def __call__(self, gaussians: Gaussians) -> Tensor:
         """The image [H, W, 3]. On CUDA it is the same tensor every time: the next call draws over it."""
+        expect("gaussians", gaussians, Gaussians)
+        gaussians.validate_layout()
         fields = list(gaussians.fields().values())
         if not (gaussians.means.is_cuda and self.output != "float64"
                 and all(t.dtype == torch.float32 and t.is_contiguous() for t in fields)):

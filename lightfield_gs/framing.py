@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
@@ -37,6 +37,9 @@ def frame(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray | None
     height takes the angle that the panel subtends for its viewer (kept within 20..50 degrees; 30 when not known).
     Raises InputError on a batch, on no Gaussians, or when none lies in front of the camera.
     """
+    expect("gaussians", gaussians, Gaussians)
+    expect("panel", panel, Panel)
+    gaussians.validate()
     if gaussians.is_batched:
         raise InputError(f"framing takes one set of Gaussians, got a batch of {gaussians.means.shape[0]}; frame one")
     if gaussians.count == 0:

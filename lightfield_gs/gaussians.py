@@ -98,8 +98,12 @@ class Gaussians:
         for name, tensor in self.fields().items():
             if not isinstance(tensor, torch.Tensor):
                 raise InputError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
+            if tensor.layout != torch.strided:
+                raise InputError(f"{name}: expected a dense tensor, got {tensor.layout}")
         if means.ndim not in (2, 3):
             raise InputError(f"means: expected shape [N, 3] or [B, N, 3], got {list(means.shape)}")
+        if means.device.type not in ("cpu", "cuda"):
+            raise InputError(f"means: expected a tensor on the CPU or CUDA, got {means.device}")
         if means.dtype not in (torch.float32, torch.float64):
             raise InputError(f"means: expected float32 or float64, got {means.dtype}")
         lead = means.shape[:-1]
@@ -133,6 +137,13 @@ def _extremes(tensor: torch.Tensor) -> tuple[float, float]:
     """Smallest and largest value; NaN where there is any. One pass, without a temporary."""
     low, high = tensor.detach().aminmax()
     return float(low), float(high)
+
+
+def check_finite(name: str, tensor: torch.Tensor) -> None:
+    """Raises InputError that names the first index where there is NaN or an infinity."""
+    good = torch.isfinite(tensor.detach())
+    if not bool(good.all()):
+        _complain(good, name, tensor, "a finite number")
 
 
 def _complain(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str) -> NoReturn:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
 from lightfield_gs.paths import config_path
 
@@ -67,10 +67,10 @@ class Panel:
                 self._set(key, real_number(f"panel: {key}", getattr(self, key), low, high))
         if self.cone_deg >= 180:
             raise InputError(f"panel: cone_deg must be below 180, got {self.cone_deg}")
-        if self.subpixel_order not in ("RGB", "BGR"):
-            raise InputError(f"panel: subpixel_order must be RGB or BGR, got {self.subpixel_order!r}")
+        if not isinstance(self.subpixel_order, str) or self.subpixel_order not in ("RGB", "BGR"):
+            raise InputError(f"panel: subpixel_order must be RGB or BGR, got {_shown(self.subpixel_order)}")
         if not isinstance(self.invert_views, bool):
-            raise InputError(f"panel: invert_views must be true or false, got {self.invert_views!r}")
+            raise InputError(f"panel: invert_views must be true or false, got {_shown(self.invert_views)}")
         self._set("name", str(self.name))
 
     def _set(self, key: str, value: Any) -> None:
@@ -81,6 +81,7 @@ class Panel:
     @staticmethod
     def load(source: str | Path) -> "Panel":
         """A panel by name (configs/panels), from a YAML file, or from a Looking Glass visual.json."""
+        expect("panel", source, str, Path)
         if str(source).lower().endswith(".json"):
             return Panel.from_looking_glass(source)
         return Panel.from_yaml(source)
@@ -91,6 +92,7 @@ class Panel:
 
         Raises InputError when it cannot be read, or names an unknown or missing key.
         """
+        expect("panel", source, str, Path)
         text = str(source)
         is_file = text.lower().endswith((".yaml", ".yml")) or "/" in text or Path(text).is_file()
         path = Path(source) if is_file else config_path("panels", text)

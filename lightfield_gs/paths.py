@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import os
 from pathlib import Path
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -37,3 +38,11 @@ def config_path(kind: str, name: str) -> Path:
     near = difflib.get_close_matches(name, names, 1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     raise InputError(f"unknown name '{name}' in configs/{kind}; {hint}known: {', '.join(names)}, or give a file")
+
+
+def checked_path(path: str | os.PathLike) -> Path:
+    """`path` as a Path; raises InputError where it is none."""
+    expect("path", path, str, os.PathLike)
+    if "\0" in os.fspath(path):
+        raise InputError("path: expected a file name, got one with a zero byte in it")
+    return Path(path)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import framing, ops, rendering
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range, premultiplied
@@ -37,6 +37,9 @@ class PhotoEncoder:
     def __init__(self, net: SplatterNet, panel: Panel, *, views: str = "integer",
                  background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8"):
         rendering.check_options("direct", views, output)
+        expect("net", net, SplatterNet)
+        expect("panel", panel, Panel)
+        rendering.background_tensor(background, torch.empty(0))
         if output == "float64":
             raise InputError("a PhotoEncoder puts out uint8 or float32, got 'float64'")
         self.panel, self.views, self.background, self.output = panel, views, background, output
@@ -56,6 +59,7 @@ class PhotoEncoder:
         that are not seen are among them. stats: a dict to fill with stages_ms, of crop, network, framing and encode (on
         CUDA they wait for each other then). Raises InputError.
         """
+        expect("stats", stats, dict, type(None))
         photo = checked_photo(rgba)
         counters = Stats(device=self.net.device if stats is not None else None)
         draw = self._draw_on_cuda if self.net.device.type == "cuda" else self._draw_on_cpu

@@ -117,43 +117,51 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
     return torch.stack(basis, -1)
 
 
+def square(vectors: Tensor) -> Tensor:
+    """Squared length of vectors [..., 3]."""
+    return (vectors * vectors).sum(-1)
+
+
 class Projection:
-    """One scene before one eye: view-space means and covariances of the Gaussians it may draw, near ones first."""
+    """One scene before one eye: view-space means and spreads of the Gaussians it may draw, near ones first."""
 
     def __init__(self, scene: Scene, eye: Eye):
         self.scene, self.eye = scene, eye.to(scene.means.device)
         self.axes, self.translation = self.eye.world_to_camera[:3, :3], self.eye.world_to_camera[:3, 3]
         self.position = scene.means @ self.axes.T + self.translation
-        spread = self.axes @ rotations(scene.quaternions) * scene.scales[:, None, :]
-        self.covariance = spread @ spread.transpose(1, 2)
+        self.spread = self.axes @ rotations(scene.quaternions) * scene.scales[:, None, :]
         depth = self.position[:, 2].detach()
         drawn = torch.nonzero((depth >= NEAR) & (scene.opacities.detach() * 255 >= 1)).flatten()
         self.order = drawn[torch.sort(depth[drawn], stable=True).indices]
 
     def footprint(self, gaussian: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
-        """Projected mean u, v (px) and covariance xx, xy, yy (px^2) of Gaussians seen from an offset (EWA)."""
+        """Projected mean u, v (px) of Gaussians seen from an offset, and the rows [..., 3] of their spread (px): two
+        vectors whose products are the covariance (EWA) before the low pass."""
         fx, fy, cx, cy = self.eye.intrinsics.unbind()
         low_x, high_x, low_y, high_y = self.eye.limits.unbind()
         X, Y, Z = self.position[gaussian].unbind(-1)
-        V = self.covariance[gaussian]
+        F = self.spread[gaussian]
 
         # The Jacobian is taken at a point within the limits, the mean is projected from where it is.
         from_centre = self.eye.to_centre
         tx = Z * ((X + from_centre) / Z).clamp(low_x, high_x) - from_centre - offset
         ty = Z * (Y / Z).clamp(low_y, high_y)
         a, b, c, e = fx / Z, -fx * tx / Z**2, fy / Z, -fy * ty / Z**2
-        xx = a * a * V[..., 0, 0] + 2 * a * b * V[..., 0, 2] + b * b * V[..., 2, 2] + LOW_PASS_PX2
-        xy = a * c * V[..., 0, 1] + a * e * V[..., 0, 2] + b * c * V[..., 1, 2] + b * e * V[..., 2, 2]
-        yy = c * c * V[..., 1, 1] + 2 * c * e * V[..., 1, 2] + e * e * V[..., 2, 2] + LOW_PASS_PX2
+        across = a[..., None] * F[..., 0, :] + b[..., None] * F[..., 2, :]
+        down = c[..., None] * F[..., 1, :] + e[..., None] * F[..., 2, :]
         u = fx * (X - offset) / Z + cx + self.eye.shift_px * offset
         v = fy * Y / Z + cy
-        return u, v, xx, xy, yy
+        return u, v, *torch.broadcast_tensors(across, down)
 
     def alpha(self, gaussian: Tensor, samples: Samples) -> Tensor:
         """Opacity of Gaussians at samples (broadcast against each other), before the cut at 1/255."""
-        u, v, xx, xy, yy = self.footprint(gaussian, samples.offsets)
+        u, v, across, down = self.footprint(gaussian, samples.offsets)
         dx, dy = samples.columns - u, samples.rows - v
-        q = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
+        # Sums of squares, no differences of products: these keep their digits where a needle is 10^9 pixels long.
+        along = square(down * dx[..., None] - across * dy[..., None]) + LOW_PASS_PX2 * (dx * dx + dy * dy)
+        determinant = (square(torch.linalg.cross(across, down))
+                       + LOW_PASS_PX2 * (square(across) + square(down) + LOW_PASS_PX2))
+        q = along / determinant
         return (self.scene.opacities[gaussian] * torch.exp(-q / 2)).clamp(max=ALPHA_MAX)
 
     def colour(self, gaussian: Tensor, offset: Tensor, channel: Tensor | None = None) -> Tensor:
@@ -169,7 +177,8 @@ class Projection:
     def pairs(self, samples: Samples) -> tuple[Tensor, Tensor]:
         """Pairs (sample, Gaussian), each [P], whose alpha nearly reaches the cut: by sample, then near to far."""
         zero = samples.offsets.new_zeros(())
-        _, v, _, _, yy = self.footprint(self.order, zero)
+        _, v, _, down = self.footprint(self.order, zero)
+        yy = square(down) + LOW_PASS_PX2
         reach = (2 * yy * (self.scene.opacities[self.order] / (NEARLY * ALPHA_MIN)).log()).sqrt()
         rows, counts = torch.unique_consecutive(samples.rows, return_counts=True)
         begin, found = 0, []

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import ops
+from lightfield_gs.arrays import dense_tensor
 from lightfield_gs.cameras import Cameras
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
@@ -23,6 +24,7 @@ from lightfield_gs.workspace import Stats
 METHODS = ("direct", "sorted", "classic")
 VIEWS = ("integer", "continuous")
 OUTPUTS = {"uint8": torch.uint8, "float32": torch.float32, "float64": torch.float64}
+MOST_THREADS = 1024
 _CLASSIC_PIXELS = 4_000_000  # rendered at a time: small images go in batches
 
 
@@ -36,7 +38,13 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
     Returns the image [..., C, H, W, 3]; with alpha and/or depth a tuple (image, alpha [..., C, H, W], depth
     [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is. Raises InputError.
     """
+    expect("gaussians", gaussians, Gaussians)
+    expect("cameras", cameras, Cameras)
+    expect("alpha", alpha, bool)
+    expect("depth", depth, bool)
     gaussians.validate_layout()
+    if not gaussians.means.is_cuda:
+        gaussians.validate()  # there, looking at values would wait for the device
     like, batched = gaussians.means, gaussians.is_batched
     views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     if cameras.world_to_camera.dim() == 3:
@@ -83,14 +91,17 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     Raises InputError.
     """
     check_options(method, views, output)
+    for name, value, kinds in (("gaussians", gaussians, (Gaussians,)), ("panel", panel, (Panel,)),
+                               ("rig", rig, (Rig, type(None))), ("cameras", cameras, (Cameras, type(None))),
+                               ("stats", stats, (dict, type(None))), ("threads", threads, (int, type(None)))):
+        expect(name, value, *kinds)
+    gaussians.validate_layout()
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
-    if gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing():
-        gaussians.validate_layout()  # looking at values would wait for the device
-    else:
-        gaussians.validate()
-    if threads is not None and threads < 1:
-        raise InputError(f"threads must be at least 1, got {threads}")
+    if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
+        gaussians.validate()  # looking at values waits for the device
+    if threads is not None and not 1 <= threads <= MOST_THREADS:
+        raise InputError(f"threads must be 1..{MOST_THREADS}, got {threads}")
     _check_sorted_only(method, views, rig, cameras, view_map, memory_budget)
     precision = torch.float64 if output == "float64" else torch.float32
     gaussians = gaussians.to(dtype=precision)
@@ -112,6 +123,8 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
 
 def check_options(method: str, views: str, output: str) -> None:
     """Raises InputError for what `encode` does not know."""
+    for name, value in (("method", method), ("views", views), ("output", output)):
+        expect(name, value, str)
     if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
         raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {tuple(OUTPUTS)}, got {method!r}, "
                          f"{views!r} and {output!r}")
@@ -122,6 +135,8 @@ def interlace(views: Tensor, panel: Panel) -> Tensor:
 
     N = panel.views, H and W the panel's size. Raises InputError.
     """
+    views = dense_tensor("views", views)
+    expect("panel", panel, Panel)
     expected = (panel.views, panel.height_px, panel.width_px, 3)
     if tuple(views.shape) != expected:
         raise InputError(f"views must be {list(expected)} for this panel, got {list(views.shape)}")
@@ -203,7 +218,8 @@ def _check_sorted_only(method: str, views: str, rig: Rig | None, cameras: Camera
     if memory_budget is None:
         return
     if isinstance(memory_budget, bool) or not isinstance(memory_budget, int) or memory_budget < 1:
-        raise InputError(f"memory_budget must be a whole number of bytes, at least 1, got {memory_budget!r}")
+        raise InputError(f"memory_budget must be a whole number of bytes, at least 1, got "
+                         f"{' '.join(repr(memory_budget).split())[:60]}")
     if views == "continuous":
         raise InputError("memory_budget goes with integer views: cameras for all distinct places within a lens have no "
                          "bound; use method direct, which takes little memory, or integer views")
@@ -229,10 +245,17 @@ def _constant_background(background: tuple[float, ...], dtype: torch.dtype, devi
 
 def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype, device: torch.device) -> Tensor:
     """A tensor on a GPU is taken as it is: looking for NaN there would wait for it."""
+    if isinstance(background, (Tensor, np.ndarray)):
+        background = dense_tensor("background", background)
     there = isinstance(background, Tensor) and background.is_cuda
-    colour = torch.as_tensor(background, dtype=dtype, device=device)
+    try:
+        colour = torch.as_tensor(background, dtype=dtype, device=device)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {type(background).__name__}"
+                         ) from None
     if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
-        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {background}")
+        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got "
+                         f"{' '.join(str(background).split())[:80]}")
     return colour
 
 

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.depth_edges import continue_behind, slopes, snap_mixed
-from lightfield_gs.errors import InputError
+from lightfield_gs.arrays import dense_tensor
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
@@ -136,7 +137,7 @@ def _plane_axes(normal: Tensor) -> tuple[Tensor, Tensor]:
 
 def _checked_image(image: np.ndarray | Tensor) -> Tensor:
     """The photo as float32 [H, W, 3 or 4], or InputError."""
-    image = torch.as_tensor(image)
+    image = dense_tensor("photo", image)
     if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
         raise InputError(f"photo: expected [H, W, 3] or [H, W, 4], got {list(image.shape)}")
     if not image.is_floating_point():
@@ -150,7 +151,7 @@ def _checked_image(image: np.ndarray | Tensor) -> Tensor:
 
 
 def _checked_depth(depth: np.ndarray | Tensor) -> Tensor:
-    depth = torch.as_tensor(depth)
+    depth = dense_tensor("depth", depth)
     if depth.ndim != 2 or not depth.is_floating_point():
         raise InputError(f"depth: expected floating point [H, W], got {depth.dtype} {list(depth.shape)}")
     return depth.to(torch.float32)
@@ -160,9 +161,10 @@ def _pair(name: str, given: Sequence[float] | None, default: tuple[float, float]
     if given is None:
         return default
     try:
+        expect(name, given, Sequence, np.ndarray)
         x, y = (float(value) for value in given)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: expected two numbers, got {given!r}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name}: expected two numbers, got {type(given).__name__}") from None
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise InputError(f"{name}: expected finite numbers, got {given!r}")
+        raise InputError(f"{name}: expected finite numbers, got {x}, {y}")
     return x, y

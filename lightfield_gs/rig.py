@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
-from lightfield_gs.panel import Panel, real_number
+from lightfield_gs.panel import Panel, real_number, whole_number
 
 if TYPE_CHECKING:
     from lightfield_gs.cameras import Cameras
@@ -117,7 +117,11 @@ class Rig:
 
         Raises InputError on a view outside 0..N-1.
         """
-        numbers = np.arange(panel.views) if views is None else np.asarray(list(views), np.int64)
+        expect("panel", panel, Panel)
+        if views is None:
+            views = range(panel.views)
+        expect("views", views, Sequence, np.ndarray)
+        numbers = np.array([whole_number("views", view, -1 << 31, 1 << 31) for view in views], np.int64)
         if numbers.size and not (0 <= numbers.min() and numbers.max() < panel.views):
             raise InputError(f"views must be 0..{panel.views - 1}, got {numbers.min()}..{numbers.max()}")
         return self.cameras_at(panel, numbers + 0.5)
@@ -146,7 +150,7 @@ def _rigid(matrix: Any) -> np.ndarray:
     """`matrix` as float64 [4, 4] with a proper rotation; raises InputError."""
     try:
         matrix = np.array(matrix, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError, RuntimeError):
         raise InputError("rig: world_to_camera must be 4 rows of 4 numbers") from None
     if matrix.shape != (4, 4):
         raise InputError(f"rig: world_to_camera must be 4 rows of 4 numbers, got shape {list(matrix.shape)}")
@@ -162,6 +166,6 @@ def _rigid(matrix: Any) -> np.ndarray:
 
 
 def _pair(what: str, values: Any, low: float, high: float) -> tuple[float, float]:
-    if isinstance(values, str) or not hasattr(values, "__len__") or len(values) != 2:
+    if not isinstance(values, (Sequence, np.ndarray)) or isinstance(values, (str, bytes)) or len(values) != 2:
         raise InputError(f"{what} must be two numbers, got {str(values)[:60]!r}")
     return real_number(what, values[0], low, high), real_number(what, values[1], low, high)

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.errors import InputError
-from lightfield_gs.panel import Panel
+from lightfield_gs.arrays import dense_tensor
+from lightfield_gs.errors import InputError, expect
+from lightfield_gs.panel import MAX_VIEWS, Panel, whole_number
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels; every list is filled up to whole blocks
 _SUBPIXELS_PER_TILE = 224    # of one view, on the average
@@ -37,8 +38,10 @@ class SortedPlan:
                  device: torch.device | str = "cpu"):
         """Of the panel's lens, or of an int32 view_map [H, W, 3] by image channel, values 0 .. views - 1, or -1 where a
         sub-pixel shows nothing. views: the panel's unless given. device: where it will be used. Raises InputError."""
-        self.width_px, self.height_px, self.views = panel.width_px, panel.height_px, views or panel.views
-        self.device_type = torch.device(device).type
+        expect("panel", panel, Panel)
+        self.width_px, self.height_px = panel.width_px, panel.height_px
+        self.views = panel.views if views is None else whole_number("views", views, 1, MAX_VIEWS)
+        self.device_type = _device_type(device)
         self._table = None if view_map is None else checked_view_map(view_map, panel, self.views)
         self._map = _core_map(panel) if self._table is None else _core.ViewMap(
             self.width_px, self.height_px, self.views, self._table.ctypes.data)
@@ -117,7 +120,8 @@ def panel_plan(panel: Panel, device_type: str) -> SortedPlan:
 
 def checked_view_map(view_map: np.ndarray | Tensor, panel: Panel, views: int) -> np.ndarray:
     """The map as a C-contiguous array, after checking its shape, type and values. Raises InputError."""
-    table = view_map.detach().cpu().numpy() if isinstance(view_map, Tensor) else np.asarray(view_map)
+    isarray = isinstance(view_map, np.ndarray)  # which may be a file, mapped and read-only
+    table = view_map if isarray else dense_tensor("view_map", view_map).detach().cpu().numpy()
     shape = (panel.height_px, panel.width_px, 3)
     if table.shape != shape or table.dtype != np.int32:
         raise InputError(f"view_map must be int32 {list(shape)} for this panel, got {table.dtype} {list(table.shape)}")
@@ -125,6 +129,13 @@ def checked_view_map(view_map: np.ndarray | Tensor, panel: Panel, views: int) ->
     if low < -1 or high >= views:
         raise InputError(f"view_map must hold 0..{views - 1}, or -1 where nothing is shown, got {low}..{high}")
     return np.ascontiguousarray(table)
+
+
+def _device_type(device: torch.device | str) -> str:
+    try:
+        return torch.device(device).type
+    except (RuntimeError, TypeError, ValueError):
+        raise InputError(f"device: expected cpu or cuda, got {str(device)[:60]!r}") from None
 
 
 def views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -1,10 +1,20 @@
-"""Fixtures shared by the tests."""
+"""Fixtures shared by the tests. LFGS_CORE=FILE: another build of the native module, as `make sanitize` makes one."""
 
+import importlib.util
+import os
+import sys
 from pathlib import Path
 
 import pytest
 
-from srn_scene import write_object
+import lightfield_gs
+
+if os.environ.get("LFGS_CORE"):
+    specification = importlib.util.spec_from_file_location("lightfield_gs._core", os.environ["LFGS_CORE"])
+    sys.modules["lightfield_gs._core"] = lightfield_gs._core = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(lightfield_gs._core)
+
+from srn_scene import write_object  # noqa: E402
 
 
 @pytest.fixture(scope="session")

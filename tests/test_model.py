@@ -179,8 +179,10 @@ def test_missing_cut_or_foreign_checkpoint_is_an_input_error(tmp_path):
 @pytest.mark.parametrize("change, word", [({"layers": 0}, "layers"), ({"sh_degree": 4}, "sh_degree"),
                                           ({"colour": 1}, "colour"), ({"image_size_px": 30}, "image_size_px"),
                                           ({"near": 2.0}, "base_depth"),
-                                          ({"unet": {"heads": 3}}, "heads"), ({"unet": {"blocks": "two"}}, "type"),
-                                          ({"unet": 5}, "unet"), ({"composer": "sum"}, "composer")])
+                                          ({"unet": {"heads": 3}}, "heads"), ({"unet": {"blocks": "two"}}, "blocks"),
+                                          ({"unet": 5}, "unet"), ({"layers": True}, "layers"),
+                                          ({"unet": {"base_channels": 1 << 40}}, "base_channels"),
+                                          ({"near": "0.5"}, "near"), ({"composer": "sum"}, "composer")])
 def test_bad_configuration_names_the_field(change, word):
     with pytest.raises(InputError, match=word):
         ModelConfig.from_dict(change)

@@ -14,6 +14,12 @@ FIELDS = ("u0", "du", "v0", "log2_opacity", "S0", "S1", "S2", "tau", "c0", "c1",
 DTYPES = {"float32": (np.float32, 2e-6), "float64": (np.float64, 1e-12)}
 
 
+def projected(projection, index, offset):
+    """Mean u, v and covariance xx, xy, yy, low pass included, as the oracle has them."""
+    u, v, across, down = (value.numpy() for value in projection.footprint(index, offset))
+    return u, v, (across**2).sum(1) + 0.3, (across * down).sum(1), (down**2).sum(1) + 0.3
+
+
 def address(array: np.ndarray | None) -> int:
     assert array is None or array.flags.c_contiguous
     return 0 if array is None else array.ctypes.data
@@ -97,7 +103,7 @@ def test_project_dense_gives_the_conditional_form(precision):
         eye = Eye(views[0][b, v], views[1][b, v], views[2][b, v, :4], 0.0)
         projection = Projection(Scene.of(scenes[b]), eye)
         index = torch.arange(50)
-        u, row, xx, xy, yy = (value.numpy() for value in projection.footprint(index, zero))
+        u, row, xx, xy, yy = projected(projection, index, zero)
         drawn = stages.field("reach_y")[image] >= 0
         assert drawn.any()
         expected = {"u0": u, "v0": row, "S0": (xx - xy**2 / yy) / HALF_LOG2E, "tau": HALF_LOG2E / yy, "c0": xy / yy,
@@ -132,7 +138,7 @@ def test_project_lens_holds_for_all_offsets(name, precision, continuous):
     assert reach == pytest.approx(fan.half_width(shown))
     for s in np.linspace(-1, 1, 7):
         offset = torch.full((60,), s * reach, dtype=torch.float64)
-        u, row, xx, xy, yy = (value.numpy() for value in projection.footprint(index, offset))
+        u, row, xx, xy, yy = projected(projection, index, offset)
         got = {name: stages.field(name)[0].astype(np.float64) for name in FIELDS}
         pairs = {"mean": (got["u0"] + s * got["du"], u), "slope": (got["c0"] + s * got["c1"], xy / yy),
                  "S": (got["S0"] + s * got["S1"] + s**2 * got["S2"], (xx - xy**2 / yy) / HALF_LOG2E)}

@@ -220,9 +220,12 @@ void bind_cuda(py::module_ m) {
 }
 #endif
 
+// What this processor can run of what was compiled: scalar code always, where it was (LFGS_SCALAR).
+int64_t usable_targets() { return (hwy::SupportedTargets() | HWY_EMU128) & HWY_TARGETS; }
+
 std::vector<std::string> simd_targets() {
   std::vector<std::string> names;
-  for (int64_t left = hwy::SupportedTargets() & HWY_TARGETS; left; left &= left - 1)
+  for (int64_t left = usable_targets(); left; left &= left - 1)
     names.push_back(hwy::TargetName(left & -left));
   return names;
 }
@@ -231,7 +234,7 @@ std::vector<std::string> simd_targets() {
 void set_simd_target(const std::string& name) {
   hwy::SetSupportedTargetsForTest(0);
   int64_t chosen = 0;
-  for (int64_t left = hwy::SupportedTargets() & HWY_TARGETS; left; left &= left - 1)
+  for (int64_t left = usable_targets(); left; left &= left - 1)
     if (hwy::TargetName(left & -left) == name) chosen = left & -left;
   require(name.empty() || chosen, "SIMD target '" + name + "' is not among simd_targets()");
   if (chosen) hwy::SetSupportedTargetsForTest(chosen);

@@ -8,6 +8,7 @@
 #include "math/colour_polynomial.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"
+#include "math/saturate.h"
 #include "pipeline/stages.h"
 
 namespace lfgs {
@@ -45,9 +46,10 @@ Splat<double> splat_gradient(const double* g) {
 
 template <class T>
 void add(const Shape<double>& g, const Gaussians<T>& out, int64_t i) {
-  for (int c = 0; c < 3; ++c) out.means[3 * i + c] += T(g.mean[c]), out.scales[3 * i + c] += T(g.scale[c]);
-  for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] += T(g.quaternion[c]);
-  out.opacities[i] += T(g.opacity);
+  auto add_to = [](T& sum, double value) { sum = saturated<T>(double(sum) + value); };
+  for (int c = 0; c < 3; ++c) add_to(out.means[3 * i + c], g.mean[c]), add_to(out.scales[3 * i + c], g.scale[c]);
+  for (int c = 0; c < 4; ++c) add_to(out.quaternions[4 * i + c], g.quaternion[c]);
+  add_to(out.opacities[i], g.opacity);
 }
 
 dvec3 eye_at(const View<double>& rig, const Lens& lens, double s) {

@@ -6,6 +6,7 @@
 #include "cuda/lens_rig.cuh"
 #include "cuda/stages.h"
 #include "math/harmonics.h"
+#include "math/saturate.h"
 
 namespace lfgs::cuda {
 namespace {
@@ -35,7 +36,7 @@ __device__ Splat<float> splat_gradient(const Splat<float>& s, const float* slot_
 
 __device__ void store(const Shape<float>& g, const Gaussians<float>& out, int64_t i) {
   for (int c = 0; c < 3; ++c) out.means[3 * i + c] = g.mean[c], out.scales[3 * i + c] = g.scale[c];
-  for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] = g.quaternion[c];
+  for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] = saturated<float>(g.quaternion[c]);
   out.opacities[i] = g.opacity;
 }
 

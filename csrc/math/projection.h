@@ -47,7 +47,7 @@ template <class R>
 struct Projection {
   glm::vec<3, R> t;                      // mean in view axes
   glm::vec<4, R> unit;                   // normalized quaternion
-  R norm;                                // of the quaternion as given
+  R norm;                                // of the quaternion as given, however small or large
   glm::mat<3, 3, R> turn, factor;        // view-from-local rotation; the same times the scales
   Symmetric3<R> V;                       // covariance in view axes
   R iz, kx, ky;                          // 1/Z, clamped slopes
@@ -58,12 +58,14 @@ struct Projection {
 
   LFGS_HD Projection(const View<R>& view, const Shape<R>& shape) {
     t = view.rotation * shape.mean + view.translation;
-    norm = glm::length(shape.quaternion);
+    const glm::vec<4, R> q = glm::abs(shape.quaternion);
+    const R largest = glm::max(glm::max(q.x, q.y), glm::max(q.z, q.w));
+    norm = largest > 0 ? largest * glm::length(shape.quaternion / largest) : R(0);
     drawn = t.z >= R(kNearDepth) && shape.opacity * 255 >= 1 && norm > 0;
     if (!drawn) return;
 
     // Covariance in view axes
-    unit = shape.quaternion / norm;
+    unit = glm::normalize(shape.quaternion / largest);
     turn = view.rotation * rotation_of(unit);
     factor = turn;
     for (int k = 0; k < 3; ++k) factor[k] *= shape.scale[k];
@@ -93,19 +95,28 @@ struct Projection {
     s.reach_y = -1;
     s.depth = t.z;
     if (!drawn) return s;
-    R xx0 = a * a * V.xx + 2 * a * b * V.xz + b * b * V.zz + R(kBlurVariancePx);
     s.u0 = view.fx * t.x * iz + view.cx;
     s.du = view.sweep * view.fx * (view.inverse_zero_depth - iz);
     s.v0 = view.fy * t.y * iz + view.cy;
     s.log2_opacity = std::log2(opacity);
-    s.S0 = (xx0 - xy0 * xy0 * iy) / R(kHalfLog2e);
-    s.S1 = (2 * g * qz - 2 * xy0 * xy1 * iy) / R(kHalfLog2e);
-    s.S2 = (g * g * V.zz - xy1 * xy1 * iy) / R(kHalfLog2e);
+    conditional_variance(s);
     s.tau = R(kHalfLog2e) * iy;
     s.c0 = xy0 * iy;
     s.c1 = xy1 * iy;
     s.reach_y = std::sqrt((s.log2_opacity - R(kLog2MinAlpha)) / s.tau);
     return s;
+  }
+
+  // S(s) = xx(s) - xy(s)^2 / yy as sums of squares (Cauchy and Binet: a determinant by its minors), for the difference
+  // has no digits left where a needle is some thousand pixels long. So S(s) never falls below the blur's variance.
+  LFGS_HD void conditional_variance(Splat<R>& s) const {
+    const R blur(kBlurVariancePx);
+    const glm::mat<3, 3, R> rows = glm::transpose(factor);
+    const glm::vec<3, R> across = a * rows[0] + b * rows[2], down = std::sqrt(iy) * (c * rows[1] + e * rows[2]);
+    const glm::vec<3, R> m0 = glm::cross(across, down), m1 = g * glm::cross(rows[2], down);
+    s.S0 = (glm::dot(m0, m0) + blur * (1 + glm::dot(across, across) * iy)) / R(kHalfLog2e);
+    s.S1 = 2 * (glm::dot(m0, m1) + blur * g * glm::dot(across, rows[2]) * iy) / R(kHalfLog2e);
+    s.S2 = (glm::dot(m1, m1) + blur * g * g * V.zz * iy) / R(kHalfLog2e);
   }
 
   // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat.

@@ -9,11 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.paths import checked_path
 
 
 def check_output_path(path: str | Path) -> Path:
     """`path`, if a file can be written there; raises InputError before any long work is done for nothing."""
-    path = Path(path)
+    path = checked_path(path)
     if path.is_dir():
         raise InputError(f"cannot write {path}: it is a folder; give a file name")
     if not path.parent.is_dir():

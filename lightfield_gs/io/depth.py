@@ -37,7 +37,9 @@ def read_depth(path: str | Path, kind: str = "distance", *, scale: float | None 
         if scale is None and values.dtype.kind in "iu":
             raise InputError(f"{path} holds whole numbers; say what they mean: near and far (--depth-range NEAR,FAR), "
                              "or the length of one (--depth-scale, 0.001 for millimetres to metres)")
-        depth = _scaled(values.astype(np.float64), kind, 1.0 if scale is None else _positive("depth scale", scale))
+        scale = 1.0 if scale is None else _positive("depth scale", scale)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            depth = _scaled(values.astype(np.float64), kind, scale)
     if not np.isfinite(depth).any():
         raise InputError(f"{path}: expected distances or disparities > 0, there is none")
     return depth.astype(np.float32)

@@ -13,9 +13,12 @@ import numpy as np
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
+# A file may become so many times as long in memory, or this many bytes: deflate, of a plain picture, reaches 1030.
+_MOST_EXPANSION, _SMALL_BYTES = 2000, 64 << 20
 _METADATA_KEY = "ImageDescription"  # the one text field that PNG, EXR and TIFF all keep
 _DTYPES = {".png": ("uint8", "uint16"), ".exr": ("float32",), ".tif": ("uint8", "uint16", "float32"),
            ".tiff": ("uint8", "uint16", "float32")}
@@ -118,13 +121,14 @@ def _opened(path: str | Path) -> Iterator:
     """An open ImageInput whose size has been checked."""
     import OpenImageIO as oiio
 
-    path = Path(path)
+    path = checked_path(path)
     try:
         if path.stat().st_size == 0 or not path.is_file():
             raise InputError(f"{path} is no image: it is empty or not a file")
         path.open("rb").close()
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    _check_size(path, *_webp_size(path))  # OpenImageIO decodes a WebP when it opens it
     config = oiio.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1
     with _native_stderr_silenced():
@@ -133,16 +137,38 @@ def _opened(path: str | Path) -> Iterator:
         raise InputError(f"{path} is not an image that can be read: {_first_line(oiio.geterror())}")
     try:
         spec = source.spec()
-        width, height = spec.width, spec.height
-        if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX and width * height <= MAX_PIXELS):
-            raise InputError(f"{path}: {width} x {height} pixels; expected 1..{MAX_SIDE_PX} a side and at most "
-                             f"{MAX_PIXELS} in all")
         if spec.depth > 1 or not 1 <= spec.nchannels <= 16:
             raise InputError(f"{path}: expected a flat image of 1..16 channels, got {spec.nchannels} channels and "
                              f"depth {spec.depth}")
+        _check_size(path, spec.width, spec.height, spec.nchannels, spec.format.size())
         yield source
     finally:
         source.close()
+
+
+def _check_size(path: Path, width: int, height: int, channels: int = 4, sample_bytes: int = 1) -> None:
+    """Raises InputError on an image that is too large, or too large for so small a file."""
+    if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX and width * height <= MAX_PIXELS):
+        raise InputError(f"{path}: {width} x {height} pixels; expected 1..{MAX_SIDE_PX} a side and at most "
+                         f"{MAX_PIXELS} in all")
+    size, samples = path.stat().st_size, width * height * channels
+    if samples * sample_bytes > max(_SMALL_BYTES, _MOST_EXPANSION * size) or samples > 4 * MAX_PIXELS:
+        raise InputError(f"{path}: {width} x {height} pixels of {channels} channels from a file of {size} bytes; it is "
+                         "damaged, or made to exhaust the memory")
+
+
+def _webp_size(path: Path) -> tuple[int, int]:
+    """Width and height that the header of a WebP states (RFC 9649, sections 2.5 to 2.7); 1, 1 of any other file."""
+    with path.open("rb") as file:
+        start = file.read(30)
+    if start[:4] != b"RIFF" or start[8:12] != b"WEBP" or len(start) < 30:
+        return 1, 1
+    if start[12:16] == b"VP8X":
+        return 1 + int.from_bytes(start[24:27], "little"), 1 + int.from_bytes(start[27:30], "little")
+    if start[12:16] == b"VP8L":
+        bits = int.from_bytes(start[21:25], "little")
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    return int.from_bytes(start[26:28], "little") & 0x3FFF or 1, int.from_bytes(start[28:30], "little") & 0x3FFF or 1
 
 
 def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:

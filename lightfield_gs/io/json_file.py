@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.paths import checked_path
 
 
 def read_object(path: str | Path, limit_bytes: int) -> dict[str, Any]:
     """The object in a JSON file of at most `limit_bytes`. Raises InputError that names the file."""
-    path = Path(path)
+    path = checked_path(path)
     try:
         if path.stat().st_size > limit_bytes:
             raise InputError(f"{path}: expected at most {limit_bytes} bytes of JSON, got {path.stat().st_size}")

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.io.json_file import read_object
 
 _LIMIT_BYTES = 1 << 20
@@ -20,6 +20,7 @@ def panel_fields(source: str | Path | dict[str, Any], views: int) -> dict[str, A
     P_e = 3 DPI / (pitch cos(atan(1/slope))), tan(theta) = -1/slope, D_0 = 1.5 + 3 (H - 0.5)/slope - center P_e.
     Raises InputError when the file cannot be read, or a value is missing or makes no sense.
     """
+    expect("calibration", source, dict, str, Path)
     where = "Looking Glass calibration" if isinstance(source, dict) else str(source)
     data = source if isinstance(source, dict) else read_object(source, _LIMIT_BYTES)
     pitch, slope, center, dpi, width, height = (
@@ -48,6 +49,6 @@ def _number(data: dict[str, Any], key: str, where: str) -> float:
     value = data[key]
     if isinstance(value, dict):
         value = value.get("value")
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:  # not for NaN
         raise InputError(f"{where}: {key} must be a number, got {str(value)[:60]!r}")
     return value

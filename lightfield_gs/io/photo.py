@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.io.background import background_removed
 from lightfield_gs.io.images import read_image
 
@@ -27,6 +27,8 @@ def load_photo(path: str | Path, mask: str | Path | None = None, *, remove_backg
     what the package rembg finds, else the photo's own alpha, else what stands out from a plain background; or
     everything, with `whole`. Raises InputError when there is none of these, or nothing in it.
     """
+    expect("remove_background", remove_background, bool)
+    expect("whole", whole, bool)
     if mask is not None and remove_background:
         raise InputError("--mask and --remove-background are two ways to the same cut-out; leave out one of them")
     pixels = read_image(path)

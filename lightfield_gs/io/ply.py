@@ -15,6 +15,7 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.ply_header import read_header
+from lightfield_gs.paths import checked_path
 
 _REQUIRED = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
              "rot_0", "rot_1", "rot_2", "rot_3")
@@ -32,7 +33,7 @@ def read_ply(path: str | Path) -> Gaussians:
     Raises InputError when the file is not such a .ply, is cut, has wrong counts, lacks a property (it is named) or
     holds a value that is not finite (property and index are named).
     """
-    path = Path(path)
+    path = checked_path(path)
     if path.suffix.lower() in _OTHER_FORMATS:
         raise InputError(f"{path}: {_OTHER_FORMATS[path.suffix.lower()]} files are not supported in this version; "
                          "convert it to a standard 3DGS .ply")

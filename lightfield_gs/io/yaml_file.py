@@ -12,6 +12,7 @@ from typing import Any
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.paths import checked_path
 
 _LIMIT_BYTES = 1 << 20
 
@@ -23,14 +24,14 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
     """
     import yaml
 
-    path = Path(path)
+    path = checked_path(path)
     try:
         if path.stat().st_size > _LIMIT_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes is too long for a YAML file of settings")
         data = yaml.load(path.read_text(encoding="utf-8"), _loader())
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except (UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+    except (ValueError, IndexError, yaml.YAMLError, RecursionError) as error:  # ValueError: of dates
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path} is not YAML: {reason}") from error
     if not isinstance(data, dict):
@@ -41,13 +42,16 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
 
 @functools.cache
 def _loader() -> type:
-    """SafeLoader without aliases (a small file could grow without bound) and with 1e-5 as a number (YAML 1.2)."""
+    """SafeLoader without aliases (a small file could grow without bound), without tags (settings need none, and they
+    fail in many ways), and with 1e-5 as a number (YAML 1.2)."""
     import yaml
 
     class Loader(yaml.SafeLoader):
         def compose_node(self, parent, index):
             if self.check_event(yaml.AliasEvent):
                 raise yaml.YAMLError("aliases are not allowed")
+            if self.peek_event().tag is not None:
+                raise yaml.YAMLError("tags (!...) are not allowed")
             return super().compose_node(parent, index)
 
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),

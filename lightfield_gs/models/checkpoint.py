@@ -38,5 +38,5 @@ def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:
         raise InputError(f"{path}: found no such checkpoint") from None
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: expected a SplatterNet checkpoint (safetensors with its configuration), "
-                         f"but {' '.join(str(error).split())}") from None
+                         f"but {' '.join(str(error).split())[:200]}") from None
     return ModelConfig.from_dict(config), weights

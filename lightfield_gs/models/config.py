@@ -8,7 +8,7 @@ from typing import Any
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.yaml_file import check_keys, read_mapping
-from lightfield_gs.models.unet import UNetConfig
+from lightfield_gs.models.unet import UNetConfig, check_field_types
 from lightfield_gs.paths import config_path
 
 INPUT_CHANNELS = {"rgb": 3, "rgb_mask_ray": 6}
@@ -47,6 +47,7 @@ class ModelConfig:
 
     def __post_init__(self) -> None:
         """Check every field that a file can get wrong."""
+        check_field_types(self, "")
         step = self.patch_px << (len(self.unet.multipliers) - 1) if self.patch_px > 0 else 1
         checks = (
             (self.input in INPUT_CHANNELS, "input", f"one of {', '.join(INPUT_CHANNELS)}"),
@@ -66,17 +67,14 @@ class ModelConfig:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "ModelConfig":
         """Build from a dictionary, as in YAML or in a checkpoint. Raises InputError for unknown fields."""
-        values = dict(values)
-        unet = values.pop("unet", {})
+        unet = values.get("unet", {}) if isinstance(values, dict) else None
         if not isinstance(unet, dict):
-            raise InputError(f"model configuration: unet: expected fields with values, got {unet!r}")
+            raise InputError("model configuration: expected fields with values, and the same for unet")
+        values = {name: value for name, value in values.items() if name != "unet"}
         for owner, given in ((cls, values), (UNetConfig, unet)):
             check_keys(given, (), [field.name for field in dataclasses.fields(owner)], "model configuration")
         unet = {name: tuple(value) if isinstance(value, list) else value for name, value in unet.items()}
-        try:
-            return cls(**values, unet=UNetConfig(**unet))
-        except TypeError as error:
-            raise InputError(f"model configuration: a field has the wrong type: {error}") from None
+        return cls(**values, unet=UNetConfig(**unet))
 
     @classmethod
     def from_yaml(cls, name: str | Path) -> "ModelConfig":

@@ -13,13 +13,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.arrays import dense_tensor
+from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
 from lightfield_gs.models.initializer import describe_pixels, network_input
 from lightfield_gs.models.unet import UNet
+from lightfield_gs.paths import checked_path
 
 PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"
 # Gaussians fainter than this are never drawn (the rasterizer's own threshold).
@@ -31,6 +33,7 @@ class SplatterNet(nn.Module):
 
     def __init__(self, config: ModelConfig = ModelConfig()) -> None:
         super().__init__()
+        expect("config", config, ModelConfig)
         self.config = config
         predicted = config.layers * sum(parameter_groups(config.sh_degree).values())
         features = config.features or predicted
@@ -116,14 +119,14 @@ class SplatterNet(nn.Module):
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
         """Write the weights as float16 safetensors, configuration and notes in the metadata."""
         from lightfield_gs.models.checkpoint import save_weights
-        save_weights(self, Path(path), notes or {})
+        save_weights(self, checked_path(path), notes or {})
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> "SplatterNet":
         """Load a checkpoint written by save() (None: the one that comes with the package), in eval mode, float32."""
         from lightfield_gs.models.checkpoint import read_weights
-        config, weights = read_weights(Path(path) if path is not None else PRETRAINED)
-        with torch.device("meta"):  # no initial values for nothing
+        config, weights = read_weights(checked_path(path) if path is not None else PRETRAINED)
+        with torch.device("meta"):  # no initial values for nothing, and no memory for a damaged configuration, and no memory for a damaged configuration
             net = cls(config)
         wanted = net.state_dict()
         if {name: tensor.shape for name, tensor in weights.items()} != {name: t.shape for name, t in wanted.items()}:
@@ -134,7 +137,7 @@ class SplatterNet(nn.Module):
 
 def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
     """The photo as a tensor [H,W,4], uint8 or float32, where it is; raises InputError for what is no photo by shape."""
-    photo = torch.as_tensor(rgba)
+    photo = dense_tensor("photo", rgba)
     if photo.ndim != 3 or photo.shape[2] != 4 or 0 in photo.shape:
         raise InputError(f"photo: expected an array [H,W,4] (RGB and alpha), got {list(photo.shape)}")
     if photo.dtype == torch.uint8:

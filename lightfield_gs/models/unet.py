@@ -6,14 +6,41 @@ at chosen resolutions and in the middle. Splatter Image (Szymanowicz et al., CVP
 """
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lightfield_gs.errors import InputError
+
+
+MOST = 65536  # of any whole number in a configuration: more is a mistake
+
+
+def check_field_types(config: Any, where: str) -> None:
+    """Raises InputError at the first field of a dataclass that has not the type of its default."""
+    for field in dataclasses.fields(config):
+        value, default = getattr(config, field.name), field.default
+        if isinstance(default, tuple):
+            good = isinstance(value, tuple) and all(_is_count(v) for v in value)
+            expected = f"a list of whole numbers up to {MOST}"
+        elif isinstance(default, float):
+            good = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e9
+            expected = "a number"
+        elif isinstance(default, int) and not isinstance(default, bool):
+            good, expected = _is_count(value), f"a whole number up to {MOST}"
+        else:
+            good, expected = isinstance(value, type(default)), type(default).__name__
+        if not good:
+            raise InputError(f"model configuration: {where}{field.name}: expected {expected}, got {repr(value)[:60]}")
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MOST
 
 
 @dataclass(frozen=True)
@@ -39,10 +66,12 @@ class UNetConfig:
 
     def __post_init__(self) -> None:
         """Check the fields that a file can get wrong."""
+        check_field_types(self, "unet.")
         checks = (
             (self.base_channels >= 1, "base_channels", "at least 1"),
-            (len(self.multipliers) > 0 and min(self.multipliers) >= 1, "multipliers", "a number per level, at least 1"),
-            (self.blocks >= 1, "blocks", "at least 1"),
+            (0 < len(self.multipliers) <= 16 and min(self.multipliers) >= 1, "multipliers",
+             "a number per level, at least 1, for at most 16 levels"),
+            (1 <= self.blocks <= 64, "blocks", "1 to 64"),
             (self.heads >= 1 and all(self.base_channels * m % self.heads == 0 for m in self.multipliers), "heads",
              "a divisor of every level's channels"),
             (0 <= self.dropout < 1, "dropout", "0 to 1, less than 1"),

@@ -1,0 +1,101 @@
+"""python -m fuzzing [--inputs N] [READER ...], in tests/: damaged files for every reader.
+
+N inputs are shared out among the readers, a process each, one after the other. Guided by coverage where atheris (from
+PyPI, built on LLVM's libFuzzer) is installed, otherwise random changes. A reader stops at the first input that it
+mishandles (anything but InputError, more than 10 s, more than 1 GiB, memory not given back, a crash), which is kept
+beside its corpus as mishandled-*.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from fuzzing.mutate import mutated
+
+try:
+    import atheris
+except ImportError:
+    atheris = None
+_WATCHED = ["lightfield_gs", "training", "yaml", "json", "numpy.lib"]
+with atheris.instrument_imports(_WATCHED) if atheris else contextlib.nullcontext():
+    from fuzzing.readers import (BYTES_PER_INPUT, CORPUS, READERS, SECONDS_PER_INPUT, attempt, corpus, memory_limit,
+                                 resident_bytes)
+
+LEAK_BYTES = 64 << 20  # more resident memory at the end than after the first tenth of the inputs
+LONGEST = 1 << 13
+
+
+def watch(name: str, inputs: int, folder: Path):
+    """attempt, that counts and looks after the memory."""
+    state = {"seen": 0, "read": 0, "settled": 0}
+
+    def one(data: bytes) -> None:
+        (folder / "last").write_bytes(data)
+        state["read"] += attempt(name, data, folder)
+        state["seen"] += 1
+        if state["seen"] == max(100, inputs // 10):
+            state["settled"] = resident_bytes()
+        if state["seen"] >= inputs:
+            grown = resident_bytes() - state["settled"] if state["settled"] else 0
+            print(f"{name}: {state['seen']} inputs, {state['read']} of them read, {grown >> 20} MiB grown", flush=True)
+            if grown > LEAK_BYTES:
+                raise MemoryError(f"{name}: {grown} bytes not given back")
+
+    return one
+
+
+def fuzz_one(name: str, inputs: int, folder: Path) -> None:
+    one = watch(name, inputs, folder)
+    with memory_limit():
+        if atheris is None:
+            files = corpus(name)
+            for seed in range(inputs):
+                one(mutated(files, seed))
+            return
+        (folder / "found").mkdir()
+        options = {"runs": inputs, "max_len": LONGEST, "verbosity": 0, "timeout": 2 * SECONDS_PER_INPUT,
+                   "rss_limit_mb": 0, "print_final_stats": 0, "artifact_prefix": f"{folder}/"}
+        folders = [str(folder / "found"), str(CORPUS / READERS[name].corpus)]
+        atheris.Setup([sys.argv[0], *folders, *(f"-{key}={value}" for key, value in options.items())], one)
+        atheris.Fuzz()
+
+
+def keep_last(name: str, folder: Path) -> str:
+    """Copies the last input of a run beside the corpus."""
+    if not (folder / "last").exists():
+        return "the message above: it did not start"
+    kept = CORPUS / READERS[name].corpus / f"mishandled-{int(time.time())}{READERS[name].suffix}"
+    kept.write_bytes((folder / "last").read_bytes())
+    return str(kept)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("readers", nargs="*", choices=[*READERS, []], help="default: all")
+    parser.add_argument("--inputs", type=int, default=10_000)
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.folder:
+        fuzz_one(args.readers[0], args.inputs, args.folder)
+        return 0
+    names, failed, start = args.readers or list(READERS), 0, time.monotonic()
+    share = -(-args.inputs // len(names))
+    for name in names:
+        with tempfile.TemporaryDirectory() as folder:
+            run = subprocess.run([sys.executable, "-m", "fuzzing", name, "--inputs", str(share), "--folder", folder])
+            if run.returncode:
+                failed += 1
+                print(f"{name}: MISHANDLED, see {keep_last(name, Path(folder))}", flush=True)
+    print(f"{share * len(names)} inputs, {failed} of {len(names)} readers failed, {time.monotonic() - start:.0f} s, "
+          f"at most {SECONDS_PER_INPUT} s and {BYTES_PER_INPUT >> 20} MiB each")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

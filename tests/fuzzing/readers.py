@@ -1,0 +1,115 @@
+"""Every reader of files, as a function of a path, and small files of its own that it can read."""
+
+from __future__ import annotations
+
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lightfield_gs import Panel, Rig, SplatterNet, load_photo
+from lightfield_gs.errors import InputError
+from lightfield_gs.io.depth import read_depth
+from lightfield_gs.io.images import read_image, read_info
+from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.ply import read_ply
+from lightfield_gs.io.view_files import read_cameras, read_view_map
+from lightfield_gs.models.config import ModelConfig
+from training.data.srn import read_intrinsics, read_pose
+from training.data.transforms import read_transforms
+
+CORPUS = Path(__file__).parent / "corpus"
+SMALL_PANEL = Panel(width_px=4, height_px=2, views=3, line_number=4.0, slant_tan=0.1)
+SECONDS_PER_INPUT = 10
+BYTES_PER_INPUT = 1 << 30  # of address space, beside what the process had before
+
+
+@dataclass(frozen=True)
+class Reader:
+    """suffix: of its files. read: what may raise InputError and nothing else. corpus: a folder of CORPUS."""
+
+    suffix: str
+    read: Callable[[Path], Any]
+    corpus: str
+
+
+def _read_image(path: Path) -> None:
+    read_info(path)
+    read_image(path, as_stored=True)
+
+
+READERS = {
+    "ply": Reader(".ply", lambda path: read_ply(path).validate(), "ply"),
+    "image": Reader(".png", _read_image, "image"),
+    "photo": Reader(".png", lambda path: load_photo(path, whole=True), "image"),
+    "depth": Reader(".png", lambda path: read_depth(path, limits=(0.5, 2.0)), "image"),
+    "depth-npy": Reader(".npy", lambda path: read_depth(path, scale=0.001), "depth-npy"),
+    "view-map": Reader(".npy", lambda path: read_view_map(path, SMALL_PANEL, 3), "view-map"),
+    "cameras": Reader(".json", lambda path: read_cameras(path, SMALL_PANEL), "cameras"),
+    "looking-glass": Reader(".json", Panel.load, "looking-glass"),
+    "panel": Reader(".yaml", Panel.from_yaml, "panel"),
+    "rig": Reader(".yaml", Rig.from_yaml, "rig"),
+    "model": Reader(".yaml", ModelConfig.from_yaml, "model"),
+    "srn-intrinsics": Reader(".txt", read_intrinsics, "srn-intrinsics"),
+    "srn-pose": Reader(".txt", read_pose, "srn-pose"),
+    "transforms": Reader(".json", read_transforms, "transforms"),
+    "object": Reader(".json", lambda path: read_object(path, 1 << 16), "object"),
+    "checkpoint": Reader(".safetensors", SplatterNet.from_pretrained, "checkpoint"),
+}
+
+
+def corpus(name: str) -> list[bytes]:
+    """The files kept for a reader: good ones, and those that were mishandled once."""
+    return [path.read_bytes() for path in sorted((CORPUS / READERS[name].corpus).iterdir())]
+
+
+def attempt(name: str, data: bytes, folder: Path) -> bool:
+    """Gives a reader a file with these bytes; whether it read it. What it may not do, it raises."""
+    path = folder / f"input{READERS[name].suffix}"
+    path.write_bytes(data)
+    try:
+        with time_limit(SECONDS_PER_INPUT):
+            READERS[name].read(path)
+    except InputError as error:
+        message = str(error)
+        if "\n" in message or len(message) > 2000:
+            raise AssertionError(f"expected one line that is no novel, got {message[:3000]!r}") from error
+        return False
+    return True
+
+
+class TooSlow(BaseException):
+    """Not an Exception: no reader may swallow it."""
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    def stop(*_: Any) -> None:
+        raise TooSlow(f"more than {seconds} s for one file")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@contextmanager
+def memory_limit(more: int = BYTES_PER_INPUT) -> Iterator[None]:
+    """Lets the address space grow by `more` bytes: allocations beyond it fail."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + more, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()

@@ -1,0 +1,74 @@
+"""python -m fuzzing.seeds, in tests/: writes the good files of the corpus, by this package's own writers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+from fuzzing.readers import CORPUS, READERS, SMALL_PANEL
+
+from lightfield_gs import Gaussians, Panel, Rig, SplatterNet
+from lightfield_gs.io.images import write_image
+from lightfield_gs.models.config import ModelConfig
+from lightfield_gs.models.unet import UNetConfig
+
+
+def _gaussians(degree: int) -> Gaussians:
+    count = (degree + 1) ** 2
+    return Gaussians(torch.tensor([[0.0, 0, 2], [1, 2, 3]]), torch.eye(4)[:2], torch.full((2, 3), 0.1),
+                     torch.tensor([0.5, 0.9]), torch.linspace(-1, 1, 6 * count).view(2, count, 3))
+
+
+def _images(folder: Path, metadata: dict[str, str] | None = None) -> None:
+    ramp = np.linspace(0, 1, 16 * 12 * 4).reshape(16, 12, 4)
+    write_image(folder / "rgba.png", np.round(255 * ramp).astype(np.uint8), metadata, "small")
+    write_image(folder / "grey16.png", np.round(65535 * ramp[..., :1]).astype(np.uint16), metadata, "small")
+    write_image(folder / "float.exr", ramp[..., :3].astype(np.float32), metadata, "small")
+    write_image(folder / "float.tif", ramp[..., :1].astype(np.float32), metadata)
+    write_image(folder / "bytes.tif", np.round(255 * ramp[..., :3]).astype(np.uint8), metadata, "small")
+    try:
+        from PIL import Image
+
+        Image.fromarray(np.round(255 * ramp[..., :3]).astype(np.uint8)).save(folder / "colour.jpg", quality=60)
+        Image.fromarray(np.round(255 * ramp[..., :3]).astype(np.uint8)).save(folder / "colour.webp", lossless=True)
+    except ImportError:
+        pass
+
+
+def main() -> None:
+    folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
+    for folder in folders.values():
+        folder.mkdir(parents=True, exist_ok=True)
+    for degree in (0, 3):
+        _gaussians(degree).save(folders["ply"] / f"degree{degree}.ply")
+    _images(folders["image"], {"panel": "small"})
+    np.save(folders["depth-npy"] / "millimetres.npy", np.arange(1, 13, dtype=np.uint16).reshape(3, 4))
+    np.save(folders["depth-npy"] / "metres.npy", np.linspace(0.5, 2, 12, dtype=np.float32).reshape(3, 4).T)
+    np.save(folders["view-map"] / "map.npy", SMALL_PANEL.view_map())
+    cameras = Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0).cameras(SMALL_PANEL)
+    fields = ("world_to_camera", "focal_px", "principal_point_px")
+    (folders["cameras"] / "three.json").write_text(json.dumps({n: getattr(cameras, n).tolist() for n in fields}))
+    calibration = {"pitch": {"value": 42.0}, "slope": {"value": -6.0}, "center": {"value": 0.3}, "DPI": {"value": 136},
+                   "screenW": {"value": 7680}, "screenH": {"value": 4320}, "viewCone": 40, "invView": 1, "flipSubp": 0}
+    (folders["looking-glass"] / "visual.json").write_text(json.dumps(calibration))
+    Panel(**{**SMALL_PANEL.to_dict(), "pixel_pitch_mm": 0.2}).to_yaml(folders["panel"] / "small.yaml")
+    Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0, 30.0).to_yaml(folders["rig"] / "small.yaml")
+    unet = UNetConfig(base_channels=4, multipliers=(1,), blocks=1, attention_px=(), heads=1)
+    net = SplatterNet(ModelConfig(image_size_px=8, features=4, layers=1, unet=unet))
+    net.save(folders["checkpoint"] / "small.safetensors")
+    yaml = "input: rgb\nlayers: 1\nnear: 0.75\nunet: {base_channels: 8, multipliers: [1, 2], heads: 2}\n"
+    (folders["model"] / "small.yaml").write_text(yaml)
+    pose = np.diag([1.0, -1, -1, 1])
+    pose[2, 3] = 1.3
+    frames = [{"file_path": "view", "transform_matrix": pose.tolist()}]
+    camera = {"camera_angle_x": 0.7, "w": 12, "h": 16, "frames": frames}
+    (folders["transforms"] / "one.json").write_text(json.dumps(camera))
+    (folders["object"] / "nested.json").write_text('{"a": [1, 2.5e-3, null, true, {"b": "\\u00e4"}]}')
+    (folders["srn-intrinsics"] / "intrinsics.txt").write_text("131.25 64. 64. 0.\n0. 0. 0.\n1.\n128 128\n")
+    (folders["srn-pose"] / "pose.txt").write_text(" ".join(map(str, np.diag([1.0, 1, 1, 1]).ravel())))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""Damaged files for every reader of files: InputError in time and within memory, or something read; nothing else.
+
+The long run, guided by coverage where atheris is installed: make fuzz
+"""
+
+import pytest
+from fuzzing.mutate import mutated
+from fuzzing.readers import READERS, attempt, corpus, memory_limit
+
+INPUTS = 1000
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_damaged_files_are_refused_or_read(name, tmp_path):
+    files = corpus(name)
+    with memory_limit():
+        read = sum(attempt(name, data, tmp_path) for data in files)
+        changed = sum(attempt(name, mutated(files, seed), tmp_path) for seed in range(INPUTS))
+    assert (read or name == "transforms") and changed < INPUTS  # no image lies beside transforms.json
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_empty_files_and_folders_are_refused(name, tmp_path):
+    assert not attempt(name, b"", tmp_path) or name == "model"  # whose fields all have defaults
+    with pytest.raises(Exception, match="input") as caught:
+        (tmp_path / "input").mkdir()
+        READERS[name].read(tmp_path / "input")
+    assert type(caught.value).__name__ == "InputError"

@@ -1,0 +1,127 @@
+"""Anything at all as an argument of the public API: InputError that names it, or a right result; nothing else."""
+
+import inspect
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stress_cases import CASES
+
+import lightfield_gs as lf
+from lightfield_gs import (Cameras, Encoder, Gaussians, InputError, Panel, PhotoEncoder, Rig, SortedPlan, SplatterNet,
+                           encode, render)
+from lightfield_gs.models.config import ModelConfig
+from lightfield_gs.models.unet import UNetConfig
+
+PANEL, RIG = CASES["panel 2 x 1"].view()
+SCENE = CASES["single"].scene().to(dtype=torch.float32)
+CAMERAS = RIG.cameras(PANEL)
+VIEWS = torch.zeros(PANEL.views, 1, 2, 3)
+NET = SplatterNet(ModelConfig(image_size_px=16, layers=1, unet=UNetConfig(4, (1, 2), 1, (), 1)))
+PHOTO, DEPTH = np.ones((3, 4, 4), np.float32), np.ones((3, 4), np.float32)
+
+# What every public name takes when all is well
+CALLS = {
+    "Cameras": (Cameras, {name: getattr(CAMERAS, name) for name in (
+        "world_to_camera", "focal_px", "principal_point_px", "width_px", "height_px", "jacobian_limits")}),
+    "Encoder": (Encoder, dict(panel=PANEL, rig=RIG, views="integer", background=(1, 1, 1), output="uint8")),
+    "Encoder.__call__": (Encoder(PANEL, RIG), dict(gaussians=SCENE)),
+    "Gaussians": (lambda **fields: Gaussians(**fields).validate(), SCENE.fields()),
+    "Gaussians.load": (Gaussians.load, dict(path="nowhere.ply")),
+    "Gaussians.save": (SCENE.save, dict(path="/nowhere/a.ply")),
+    "Panel": (Panel, {**PANEL.to_dict(), "viewing_distance_mm": 2000.0, "pixel_pitch_mm": 0.2}),
+    "Panel.from_physical": (Panel.from_physical, dict(
+        width_px=2, height_px=1, views=8, lens_pitch_mm=0.6, slant_tan=1 / 6, viewing_distance_mm=1000, lens_gap_mm=2,
+        pixel_pitch_mm=0.18, phase=0.0, subpixel_order="RGB", invert_views=False, cone_deg=40, name="a")),
+    "Panel.from_looking_glass": (Panel.from_looking_glass, dict(
+        source={"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136, "screenW": 20, "screenH": 10}, views=9)),
+    "Panel.load": (Panel.load, dict(source="65in-8k-96v")),
+    "Rig": (Rig, dict(RIG.to_dict(), cone_deg=20.0)),
+    "Rig.frame": (Rig.frame, dict(gaussians=SCENE, panel=PANEL, world_to_camera=np.eye(4))),
+    "Rig.cameras": (RIG.cameras, dict(panel=PANEL, views=[0, 1])),
+    "PhotoEncoder": (PhotoEncoder, dict(net=NET, panel=PANEL, views="integer", background=(1, 1, 1), output="uint8")),
+    "PhotoEncoder.__call__": (PhotoEncoder(NET, PANEL), dict(rgba=np.ones((9, 7, 4), np.float32), stats=None)),
+    "SortedPlan": (SortedPlan, dict(panel=PANEL, view_map=PANEL.view_map(), views=PANEL.views, device="cpu")),
+    "SplatterNet": (SplatterNet, dict(config=NET.config)),
+    "SplatterNet.from_pretrained": (SplatterNet.from_pretrained, dict(path="nowhere.safetensors")),
+    "encode": (encode, dict(gaussians=SCENE, panel=PANEL, rig=RIG, method="direct", views="integer",
+                            background=(1, 1, 1), output="uint8", threads=1, stats={})),
+    "encode sorted": (encode, dict(gaussians=SCENE, panel=PANEL, rig=None, method="sorted", cameras=CAMERAS,
+                                   view_map=PANEL.view_map(), memory_budget=1 << 24)),
+    "from_depth": (lf.from_depth, dict(image=PHOTO, depth=DEPTH, focal_px=(4.0, 4.0), principal_point_px=(2.0, 1.5))),
+    "interlace": (lf.interlace, dict(views=VIEWS, panel=PANEL)),
+    "load_photo": (lf.load_photo, dict(path="nowhere.png", mask="nowhere.png", remove_background=False, whole=True)),
+    "render": (render, dict(gaussians=SCENE, cameras=CAMERAS.to(torch.float32), background=(1, 1, 1), alpha=True,
+                            depth=True)),
+}
+FLOATS = st.floats(allow_nan=True, allow_infinity=True, width=64)
+JUNK = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.integers(-5, 5), FLOATS, st.text(max_size=5), st.binary(max_size=5),
+    st.lists(FLOATS, max_size=4), st.dictionaries(st.text(max_size=3), FLOATS, max_size=2), st.just(object()),
+    st.sampled_from([10**400, 1j, (), [[]], {}, float, SCENE, PANEL, RIG, CAMERAS, np.zeros(0), np.zeros((4, 4)),
+                     np.array([["a"]]), np.array([object()]), torch.zeros(()), torch.zeros(2, 3),
+                     torch.zeros(1, 1, 4, 4), torch.full((1, 3), math.nan), torch.zeros(1, 3, dtype=torch.int64), torch.zeros(3, device="meta"),
+                     torch.zeros(1, 3, dtype=torch.complex64), torch.zeros(1, 3).to_sparse()]))
+
+
+def outcome(call, arguments):
+    """What a call returns, or None where it refuses in one line."""
+    try:
+        return call(**arguments)
+    except InputError as error:
+        assert "\n" not in str(error)
+
+
+def test_every_public_name_is_tried():
+    tried = {name.split(".")[0].split()[0] for name in CALLS}
+    assert tried == set(lf.__all__) - {"InputError", "build_info"}
+
+
+@pytest.mark.parametrize("name", CALLS)
+@settings(deadline=None, max_examples=60, derandomize=True)
+@given(data=st.data())
+def test_junk_is_refused(name, data):
+    call, arguments = CALLS[name]
+    changed = data.draw(st.sampled_from(sorted(arguments)))
+    value = data.draw(JUNK)
+    if isinstance(value, str) and changed in ("path", "source", "mask"):
+        value = f"/nowhere/at/all/{value}"
+    result = outcome(call, {**arguments, changed: value})
+    if isinstance(result, torch.Tensor):
+        assert torch.isfinite(result.float()).all()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", SCENE.fields())
+@pytest.mark.parametrize("how", ["direct", "sorted", "classic", "render", "frame", "save"])
+def test_numbers_that_are_none_are_named_with_their_index(how, field, bad):
+    scene = CASES["needles end-on"].scene().to(dtype=torch.float32)
+    scene.fields()[field].view(40, -1)[17, -1] = bad
+    calls = {"render": lambda: render(scene, CAMERAS.to(torch.float32)), "frame": lambda: Rig.frame(scene, PANEL),
+             "save": lambda: scene.save("/nowhere/a.ply")}
+    with pytest.raises(InputError, match=rf"{field}\[17.*got -?(nan|inf)"):
+        calls.get(how, lambda: encode(scene, PANEL, RIG, how))()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", ["world_to_camera", "focal_px", "principal_point_px", "jacobian_limits"])
+def test_cameras_that_are_none_are_named_with_their_index(field, bad):
+    fields = dict(CALLS["Cameras"][1])
+    fields[field] = fields[field].clone()
+    fields[field].view(PANEL.views, -1)[7, 1] = bad
+    with pytest.raises(InputError, match=rf"{field}\[7, .*got -?(nan|inf)"):
+        Cameras(**fields)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("made", [Panel, Rig])
+def test_numbers_of_panel_and_rig_are_named(made, bad):
+    _, arguments = CALLS[made.__name__]
+    for name, value in arguments.items():
+        if isinstance(value, (float, int)) and not isinstance(value, bool):
+            with pytest.raises(InputError, match=name):
+                made(**{**arguments, name: bad})
+    assert inspect.signature(made).parameters.keys() == arguments.keys()
