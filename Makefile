@@ -7,7 +7,7 @@ DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 
-.PHONY: setup demo test sanitize fuzz bench clean
+.PHONY: setup demo test suite sanitize fuzz bench clean
 
 setup: $(VENV)/.installed
 
@@ -16,7 +16,9 @@ demo: setup
 	mkdir -p demo
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
 
-test: setup
+test: suite sanitize
+
+suite: setup
 	$(BIN)/python -m pytest -q tests
 
 # The native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code, and the stages on

@@ -15,8 +15,8 @@ from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
 
 _FILL = 0.92  # share of the panel that the content fills
-_VISIBLE_OPACITY = 0.1  # fainter Gaussians do not count as content, where there are others
-_LEAST_WEIGHT = 1e-6  # of a Gaussian where none is visible
+_HAZE = 0.1  # Gaussians fainter than this share of the usual opacity do not count as content
+_LEAST_WEIGHT = 1e-6  # of a Gaussian where all have opacity 0
 _TAIL = 0.001  # share of the opacity that may lie outside on each side: stray Gaussians of captures ...
 _WIDE_TAIL = 0.01  # ... and up to this share where that lies far out: in units of the extent of the rest, ...
 _FAR, _ROOM = 0.4, 0.15  # ... beyond the first of these, and then it gets the second as room
@@ -86,10 +86,10 @@ def _sizes(gaussians: Gaussians) -> Tensor:
 
 
 def _weights(gaussians: Gaussians) -> Tensor:
-    """Opacities [N] of the visible Gaussians, 0 of others; where none is visible, all count."""
-    opacities = gaussians.opacities
-    visible = opacities >= _VISIBLE_OPACITY
-    return torch.where(visible.any(), opacities * visible, opacities.clamp_min(_LEAST_WEIGHT))
+    """Opacities [N] of the Gaussians that make up the scene, 0 of haze; what is usual depends on how it was made."""
+    opacities = gaussians.opacities.clamp_min(_LEAST_WEIGHT)
+    usual = opacities.double().square().sum() / opacities.double().sum()
+    return torch.where(opacities >= _HAZE * usual, opacities, 0)
 
 
 def _camera_in_front(gaussians: Gaussians, panel: Panel) -> np.ndarray:
