@@ -1,12 +1,13 @@
 // Stage composite for the panel, and its reverse. A work item is one band of rows.
 #include <algorithm>
+#include <array>
 #include <memory>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
 #include "base/parallel.h"
-#include "cpu/lens_layout.h"
+#include "cpu/lens_run.h"
 #include "cpu/tile_lists.h"
 #include "math/colour_polynomial.h"
 #include "pipeline/stages.h"
@@ -15,6 +16,7 @@
 #define HWY_TARGET_INCLUDE "cpu/composite_lens.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
 #include "hwy/highway.h"
+#include "cpu/lens_lattice-inl.h"
 #include "cpu/lens_splat-inl.h"
 #include "cpu/lens_tile-inl.h"
 #include "math/blend-inl.h"
@@ -27,6 +29,7 @@ struct LensJob {
   Splats<T> splats;
   Bins bins;
   const Lens* lens;
+  Quality quality;
   const T* background;  // [3]
   T* out;               // one of these two
   uint8_t* out8;
@@ -44,18 +47,19 @@ namespace lfgs {
 namespace HWY_NAMESPACE {
 
 // Blends a splat over the `count` vectors that it may touch. Never inlined: what is constant stays in registers.
-template <class Footprint, int kOrder, class Shape, class T>
+template <class Footprint, int kOrder, class T>
 HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
-                               const Shape& shape, int64_t count) {
+                               const Footprint& shape, int64_t count) {
   constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share the look-out for what stops
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
-  const Footprint footprint(shape);
+  const Footprint footprint = shape;
   const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
   T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
   const int order = job.splats.orders[id];
-  const V least_after = hn::Set(d, T(kMinTransmittance));
+  const V least_after = hn::Set(d, T(job.quality.stop));
+  const bool ends_early = job.quality.ends_early();
 
   auto blend = [&](auto vectors, const uint16_t* list) {
     V weights[vectors], afters[vectors], least = least_after;
@@ -76,7 +80,7 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
       if (HWY_UNLIKELY(stops)) {
         const auto stop = hn::Lt(after, least_after);
         weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
-        c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
+        if (!ends_early) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
         after = hn::IfThenZeroElse(stop, after);
         if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
       }
@@ -93,20 +97,15 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
 template <class T>
 void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, int64_t count) {
   const Splat<T>& splat = job.splats.splats[id];
-  auto draw = [&](auto footprint, const auto& shape) {
-    using Footprint = typename decltype(footprint)::type;
+  auto draw = [&](const auto& footprint) {
     switch (job.splats.orders[id]) {
-      case 0: return ForwardSplat<Footprint, 0>(job, tile, background, id, shape, count);
-      case 1: return ForwardSplat<Footprint, 1>(job, tile, background, id, shape, count);
-      case 2: return ForwardSplat<Footprint, 2>(job, tile, background, id, shape, count);
-      default: return ForwardSplat<Footprint, -1>(job, tile, background, id, shape, count);
+      case 0: return ForwardSplat<std::decay_t<decltype(footprint)>, 0>(job, tile, background, id, footprint, count);
+      case 1: return ForwardSplat<std::decay_t<decltype(footprint)>, 1>(job, tile, background, id, footprint, count);
+      case 2: return ForwardSplat<std::decay_t<decltype(footprint)>, 2>(job, tile, background, id, footprint, count);
+      default: return ForwardSplat<std::decay_t<decltype(footprint)>, -1>(job, tile, background, id, footprint, count);
     }
   };
-  if constexpr (sizeof(T) == 4) {
-    const InverseRoot<T> root(splat);
-    if (PlainFootprint<T>::fits(splat, root)) return draw(std::type_identity<PlainFootprint<T>>(), root);
-  }
-  draw(std::type_identity<ExactFootprint<T>>(), splat);
+  with_footprint(splat, job.quality, draw);
 }
 
 // Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel.
@@ -151,7 +150,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
   const Splat<T>& splat = job.splats.splats[id];
-  const ExactFootprint<T> footprint(splat);
+  const ExactFootprint<T> footprint(splat, T(kLog2MinAlpha));
   const T* colour = colour_of(job.splats, id);
   const int order = job.splats.orders[id];
   SplatSums<Tag<T>> sums(d);
@@ -227,6 +226,8 @@ void BackgroundGradient(const LensTile<T>& tile, int64_t samples, T* out) {
     out[tile.channel[i]] += tile.gradient[i] * (tile.colour[i] + tile.transmittance[i]);
 }
 
+constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lattice; how often these are halved, less 1
+
 template <class T>
 Counters CompositeLensImpl(const LensJob<T>& job) {
   const Lens& lens = *job.lens;
@@ -236,8 +237,27 @@ Counters CompositeLensImpl(const LensJob<T>& job) {
   std::vector<TileLists> lists(workers);
   std::vector<Counters> counters(workers);
   std::vector<std::unique_ptr<LensTile<T>>> tiles(workers);
+  std::vector<std::unique_ptr<LensLattice>> lattices(workers);
+  std::vector<std::array<TileLists, kLatticeLevels>> run_lists(workers);
   const int64_t size = pair_gradient_size(job.splats.colour_order);
   alignas(16) const T background[kColourStride] = {job.background[0], job.background[1], job.background[2], 0};
+
+  T behind[3];
+  uint8_t behind8[3];
+  for (int place = 0; place < 3; ++place) {
+    behind[place] = background[lens.bgr ? 2 - place : place];
+    behind8[place] = uint8_t(std::clamp(behind[place], T(0), T(1)) * 255 + T(0.5));
+  }
+  const Backdrop<T> backdrop(behind, lens.width_px);
+  const Backdrop<uint8_t> backdrop8(behind8, lens.width_px);
+
+  // A lattice has no use for jumps at a raised opacity cut: only what is drawn without it is cut
+  const bool raised = job.quality.lattice > 0 && job.quality.log2_cut > kLog2MinAlpha;
+  auto splat_of = [&](int32_t id, bool exact) {
+    Splat<T> splat = job.splats.splats[id];
+    if (raised && !exact) raise_cut(splat, T(job.quality.log2_cut));
+    return splat;
+  };
 
   parallel_for(band_count(lens.height_px), job.threads, [&](int64_t band, int worker) {
     if (!tiles[size_t(worker)]) tiles[size_t(worker)] = std::make_unique<LensTile<T>>(lens, layout, backward);
@@ -246,26 +266,30 @@ Counters CompositeLensImpl(const LensJob<T>& job) {
     Counters& c = counters[size_t(worker)];
     const int64_t row0 = band * kBandRows, rows = std::min<int64_t>(kBandRows, lens.height_px - row0);
     const Range cells = layout.cells_of_band(lens, row0);
-    const int64_t tile_count = (cells.last - cells.first) / layout.cells_per_tile + 1;
 
-    // Tiles that each splat of the band sweeps over
-    const int64_t begin = job.bins.band_offsets[band], end = job.bins.band_offsets[band + 1];
-    list.build(job.bins.band_splats + begin, end - begin, tile_count, [&](int32_t id) -> Range {
-      T low, high;
-      if (!columns_of(job.splats.splats[id], T(row0) + T(0.5), T(row0 + rows) - T(0.5), T(layout.shear / 3), low, high))
-        return {0, -1};
-      const Range touched = layout.cells_of(double(low), double(high));
-      const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
-      if (last < first) return {0, -1};
-      return {(first - cells.first) / layout.cells_per_tile, (last - cells.first) / layout.cells_per_tile};
-    });
-    c.pairs += list.pairs();
-
-    for (int64_t t = 0; t < tile_count; ++t) {
-      tile.move_to(row0, cells.first + t * layout.cells_per_tile);
+    // Lists of the splats that sweep over each of some runs of cells, `width` wide
+    auto list_runs = [&](TileLists& out, const int32_t* ids, int64_t count, Range cells, int64_t width, bool exact) {
+      out.build(ids, count, (cells.last - cells.first) / width + 1, [&](int32_t id) -> Range {
+        T low, high;
+        if (!columns_of(splat_of(id, exact), T(row0) + T(0.5), T(row0 + rows) - T(0.5), T(layout.shear / 3), low,
+                        high))
+          return {0, -1};
+        const Range touched = layout.cells_of(double(low), double(high));
+        const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
+        if (last < first) return {0, -1};
+        return {(first - cells.first) / width, (last - cells.first) / width};
+      });
+      c.pairs += out.pairs();
+    };
+    auto draw_empty = [&](const LensRun& run) {
+      job.out8 ? backdrop8.draw(run, lens.width_px, job.out8) : backdrop.draw(run, lens.width_px, job.out);
+    };
+    auto draw_tile = [&](int64_t cell0, const int32_t* begin, const int32_t* end) {
+      if (begin == end && !backward) return draw_empty(LensRun(lens, layout, row0, cell0, layout.cells_per_tile));
+      tile.move_to(row0, cell0);
       if (backward) LoadGradients(job, tile, layout.samples());
-      for (const int32_t* id = list.begin(t); id != list.end(t) && tile.open > 0; ++id) {
-        const int64_t count = tile.find(job.splats.splats[*id]);
+      for (const int32_t* id = begin; id != end && tile.open > 0; ++id) {
+        const int64_t count = tile.find(splat_of(*id, false));
         c.evaluations += count * LensTile<T>::kLanes;
         if (!backward) {
           Forward(job, tile, background, *id, count);
@@ -278,7 +302,48 @@ Counters CompositeLensImpl(const LensJob<T>& job) {
         BackgroundGradient(tile, layout.samples(), job.band_background + 3 * band);
       else
         FinishTile(job, tile, layout.samples(), background);
+    };
+    auto draw_tiles = [&](const int32_t* ids, int64_t count, Range cells) {
+      list_runs(list, ids, count, cells, layout.cells_per_tile, false);
+      for (int64_t cell = cells.first, t = 0; cell <= cells.last; cell += layout.cells_per_tile, ++t)
+        draw_tile(cell, list.begin(t), list.end(t));
+    };
+
+    const int32_t* ids = job.bins.band_splats + job.bins.band_offsets[band];
+    const int64_t count = job.bins.band_offsets[band + 1] - job.bins.band_offsets[band];
+    if constexpr (sizeof(T) == 4) {
+      if (job.quality.lattice > 0) {
+        auto& lattice = lattices[size_t(worker)];
+        if (!lattice) lattice = std::make_unique<LensLattice>(lens, job.quality);
+        lattice->start_band();
+        // Runs that want a much finer lattice are halved first
+        auto draw_runs = [&](auto& self, const int32_t* ids, int64_t count, Range cells, int level) -> void {
+          TileLists& runs = run_lists[size_t(worker)][size_t(level)];
+          const int64_t width = (kLatticeTiles >> level) * layout.cells_per_tile;
+          list_runs(runs, ids, count, cells, width, true);
+          for (int64_t cell = cells.first, t = 0; cell <= cells.last; cell += width, ++t) {
+            const LensRun run(lens, layout, row0, cell, width);
+            const Range own = {cell, std::min(cell + width - 1, cells.last)};
+            const int32_t *begin = runs.begin(t), *end = runs.end(t);
+            if (run.samples() == 0) continue;
+            if (begin == end) {
+              draw_empty(run);
+            } else if (const bool last = level + 1 == kLatticeLevels;
+                       lattice->fits(run, job.splats, begin, end, background, last)) {
+              job.out8 ? lattice->write(run, job.out8) : lattice->write(run, job.out);
+            } else if (last) {
+              draw_tiles(begin, end - begin, own);
+            } else {
+              const float fineness = lattice->fineness;
+              self(self, begin, end - begin, own, level + 1);
+              lattice->fineness = fineness;
+            }
+          }
+        };
+        draw_runs(draw_runs, ids, count, cells, 0);
+      }
     }
+    if (!(job.quality.lattice > 0)) draw_tiles(ids, count, cells);
     if (!backward && lens.bgr) {
       const int64_t first = row0 * 3 * lens.width_px, pixels = rows * lens.width_px;
       job.out8 ? SwapRedBlue(job.out8 + first, pixels) : SwapRedBlue(job.out + first, pixels);
@@ -288,7 +353,7 @@ Counters CompositeLensImpl(const LensJob<T>& job) {
   Counters sum;
   for (size_t w = 0; w < workers; ++w) {
     sum.pairs += counters[w].pairs;
-    sum.evaluations += counters[w].evaluations;
+    sum.evaluations += counters[w].evaluations + (lattices[w] ? lattices[w]->evaluations() : 0);
     sum.scratch_bytes += lists[w].bytes() + (tiles[w] ? tiles[w]->bytes() : 0);
   }
   return sum;
@@ -314,10 +379,10 @@ Counters dispatch(const LensJob<double>& job) { return HWY_DYNAMIC_DISPATCH(Comp
 }  // namespace
 
 template <class T>
-Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background, T* out,
-                        uint8_t* out8, int threads) {
+Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
+                        const T* background, T* out, uint8_t* out8, int threads) {
   LensJob<T> job{};
-  job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
+  job.quality = quality, job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
   job.out = out, job.out8 = out8;
   return dispatch(job);
 }
@@ -334,7 +399,7 @@ Counters composite_lens_backward(const Splats<T>& splats, Bins bins, const Lens&
 }
 
 #define LFGS_INSTANTIATE(T)                                                                                        \
-  template Counters composite_lens(const Splats<T>&, Bins, const Lens&, const T*, T*, uint8_t*, int);              \
+  template Counters composite_lens(const Splats<T>&, Bins, const Lens&, const Quality&, const T*, T*, uint8_t*, int); \
   template Counters composite_lens_backward(const Splats<T>&, Bins, const Lens&, const T*, const T*, const T*,     \
                                             const int64_t*, T*, T*, int);
 LFGS_INSTANTIATE(float)
