@@ -86,8 +86,8 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     asked of torch's allocator, which may round each buffer up.
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
     "direct" are differentiable. quality: "exact", "high", "fast", "draft" or a Quality, of "direct" without gradients:
-    how much error is allowed for less time. threads: CPU threads (default: torch's). stats: a dict to fill with stages_ms
-    (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
+    how much error is allowed for less time. threads: CPU threads (default: torch's). stats: a dict to fill with
+    stages_ms (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
     CUDA), work_bytes, gaussians_culled, colour_error; for "sorted" also memory_bytes and memory_bytes_unchunked, by
     stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
     Raises InputError.

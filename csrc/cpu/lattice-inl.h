@@ -12,7 +12,6 @@
 #include <cmath>
 #include <vector>
 
-#include "cpu/lens_offsets-inl.h"
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
@@ -25,7 +24,7 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Colours at the nodes of a plan. A vector holds nodes of one plane, row after row.
+// Colours at the nodes of a plan, and transmittances: [plane][down][row], a row being of whole vectors.
 class LatticeNodes {
  public:
   using D = Tag<float>;
@@ -35,66 +34,60 @@ class LatticeNodes {
 
   // Lays the nodes out; x and y of the plan are about (x0, y0).
   void lay(const LatticePlan& plan) {
-    plan_ = plan, per_plane_ = (plan.per_plane() + kLanes - 1) / kLanes * kLanes;
-    const size_t samples = size_t(per_plane_) * size_t(plan.planes);
-    grow(x_, size_t(per_plane_)), grow(y_, size_t(per_plane_));
-    grow(transmittance_, samples), grow(colours_, 3 * samples);
-    for (auto* a : {&inverse_S_, &s_}) grow(*a, size_t(plan.planes));
+    plan_ = plan, row_ = (plan.across + kLanes - 1) / kLanes * kLanes;
+    stride_ = int64_t(row_) * plan.down * plan.planes;
+    grow(transmittance_, size_t(stride_)), grow(colours_, 3 * size_t(stride_));
+    for (auto* a : {&s_, &inverse_S_, &middle_, &half_}) grow(*a, size_t(plan.planes));
     grow(splat_colours_, kColourStride * size_t(plan.planes));
-    for (int i = 0; i < per_plane_; ++i) {
-      const int node = std::min(i, plan.per_plane() - 1);
-      x_.data[i] = plan.x0 + float(node % plan.across) * plan.step_x;
-      y_.data[i] = plan.y0 + float(node / plan.across) * plan.step_y;
-    }
     for (int k = 0; k < plan.planes; ++k) s_.data[k] = plan.s0 + float(k) * plan.step_s;
-    std::fill_n(transmittance_.data.get(), samples, 1.f);
-    std::fill_n(colours_.data.get(), 3 * samples, 0.f);
-    alive_.assign(samples / kLanes, 1);
-    open_ = int64_t(alive_.size());
+    for (int64_t i = 0; i < stride_; i += row_) {
+      float* row = &transmittance_.data[i];
+      std::fill(std::fill_n(row, plan.across, 1.f), row + row_, 0.f);
+    }
+    std::fill_n(colours_.data.get(), 3 * stride_, 0.f);
   }
 
-  bool done() const { return open_ == 0; }
   const LatticePlan& plan() const { return plan_; }
-  // Of a channel on a plane: [down, across].
-  const float* colours(int channel, int plane) const { return colours_.data.get() + offset(plane) * 3 + channel * per_plane_; }
+  // Of a channel on a row of a plane; a vector may be read behind the last.
+  const float* colours(int channel, int plane, int row) const {
+    return colours_.data.get() + channel * stride_ + at(plane, row);
+  }
+  // Whether no node takes any more light.
+  bool opaque() const {
+    const D d;
+    auto most = hn::Zero(d);
+    for (int64_t i = 0; i < stride_; i += kLanes) most = hn::Max(most, hn::Load(d, &transmittance_.data[i]));
+    return hn::AllTrue(d, hn::Eq(most, hn::Zero(d)));
+  }
 
   // Blends a splat, (u, v) being its centre about (x0, y0); colours: [order + 1, kColourStride].
   template <int kExpDegree>
   HWY_NOINLINE void add(const Splat<float>& splat, float u, float v, const float* colours, int order,
                         const Quality& quality, const float* background) {
-    const D d;
     int first, last;
     if (!planes_touched(splat, u, v, first, last)) return;
     shape_on_planes(splat, colours, order, first, last);
-    const V cut = hn::Set(d, float(kLog2MinAlpha));
-    for (int i = 0; i < per_plane_; i += kLanes) {
-      const V dy = hn::Sub(hn::Load(d, &y_.data[i]), hn::Set(d, v));
-      const V A = hn::NegMulAdd(hn::Mul(hn::Set(d, splat.tau), dy), dy, hn::Set(d, splat.log2_opacity));
-      if (hn::AllTrue(d, hn::Lt(A, cut))) continue;
-      const V X = hn::NegMulAdd(hn::Set(d, splat.c0), dy, hn::Sub(hn::Load(d, &x_.data[i]), hn::Set(d, u)));
-      const V M1 = hn::MulAdd(hn::Set(d, splat.c1), dy, hn::Set(d, splat.du));
+    for (int j = 0; j < plan_.down; ++j) {
+      const float dy = plan_.y0 + float(j) * plan_.step_y - v;
+      const float A = splat.log2_opacity - splat.tau * dy * dy, left = A - float(kLog2MinAlpha);
+      if (!(left >= 0)) continue;
+      reach_on_planes(u + splat.c0 * dy, splat.du + splat.c1 * dy, left, first, last);
       for (int k = first; k <= last; ++k) {
-        const V dx = hn::NegMulAdd(hn::Set(d, s_.data[k]), M1, X);
-        const V power = hn::NegMulAdd(hn::Mul(dx, dx), hn::Set(d, inverse_S_.data[k]), A);
-        const auto lit = hn::Ge(power, cut);
-        if (hn::AllFalse(d, lit)) continue;
-        const V alpha = hn::IfThenElseZero(lit, hn::Min(Exp2<kExpDegree>(d, power), hn::Set(d, float(kMaxAlpha))));
-        blend(offset(k) + i, alpha, &splat_colours_.data[kColourStride * k], i + int(3 * offset(k)), quality, background);
+        const int from = std::max(int(std::ceil(middle_.data[k] - half_.data[k])), 0);
+        const int to = std::min(int(std::floor(middle_.data[k] + half_.data[k])), plan_.across - 1);
+        for (int i = from & -kLanes; i <= to; i += kLanes) blend<kExpDegree>(j, k, i, A, quality, background);
       }
-      evaluations += (last - first + 1) * kLanes;
     }
   }
 
   // Adds the background.
   void finish(const float* background) {
     const D d;
-    for (int k = 0; k < plan_.planes; ++k)
-      for (int c = 0; c < 3; ++c)
-        for (int i = 0; i < per_plane_; i += kLanes) {
-          float* to = colours_.data.get() + offset(k) * 3 + c * per_plane_ + i;
-          hn::Store(hn::MulAdd(hn::Load(d, &transmittance_.data[offset(k) + i]), hn::Set(d, background[c]),
-                               hn::Load(d, to)), d, to);
-        }
+    for (int c = 0; c < 3; ++c)
+      for (int64_t i = 0; i < stride_; i += kLanes) {
+        float* to = &colours_.data[c * stride_ + i];
+        hn::Store(hn::MulAdd(hn::Load(d, &transmittance_.data[i]), hn::Set(d, background[c]), hn::Load(d, to)), d, to);
+      }
   }
 
  private:
@@ -107,8 +100,6 @@ class LatticeNodes {
     if (size <= buffer.size) return;
     buffer.data = hwy::AllocateAligned<float>(size), buffer.size = size;
   }
-  int64_t offset(int plane) const { return int64_t(plane) * per_plane_; }
-
   // The planes on which a splat may touch a node.
   HWY_INLINE bool planes_touched(const Splat<float>& splat, float u, float v, int& first, int& last) const {
     const float low = plan_.y0 - v, high = low + float(plan_.down - 1) * plan_.step_y;
@@ -119,7 +110,8 @@ class LatticeNodes {
                         0.01f;
     const float left = plan_.x0 - u - splat.c0 * middle, right = left + float(plan_.across - 1) * plan_.step_x;
     const float sweep = splat.du + splat.c1 * middle;
-    const float slope = std::abs(sweep) < 1e-6f ? 1e-6f : sweep, a = (left - reach) / slope, b = (right + reach) / slope;
+    const float slope = std::abs(sweep) < 1e-6f ? 1e-6f : sweep;
+    const float a = (left - reach) / slope, b = (right + reach) / slope;
     const float k0 = (std::min(a, b) - plan_.s0) / plan_.step_s, k1 = (std::max(a, b) - plan_.s0) / plan_.step_s;
     if (!(k0 <= float(plan_.planes - 1)) || !(k1 >= 0)) return false;
     first = k0 > 0 ? int(std::ceil(k0)) : 0, last = k1 < float(plan_.planes - 1) ? int(k1) : plan_.planes - 1;
@@ -143,33 +135,51 @@ class LatticeNodes {
     }
   }
 
-  // at: the vector's first transmittance; to: its first red.
-  HWY_INLINE void blend(int64_t at, V alpha, const float* colour, int to, const Quality& quality,
-                        const float* background) {
+  // Where |x - m(s)|^2 / S(s) <= left on some planes, in nodes: middle -+ half.
+  HWY_INLINE void reach_on_planes(float m0, float m1, float left, int first, int last) {
     const D d;
-    const V before = hn::Load(d, &transmittance_.data[at]);
-    V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
-    const auto stop = hn::Lt(after, hn::Set(d, float(quality.stop)));
-    const bool stops = !hn::AllFalse(d, stop);
-    if (HWY_UNLIKELY(stops)) {
-      weight = hn::IfThenElse(stop, before, weight), after = hn::IfThenZeroElse(stop, after);
-      auto& alive = alive_[size_t(at / kLanes)];
-      if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) open_ -= alive, alive = 0;
+    const float per_x = 1 / plan_.step_x;
+    for (int k = first; k <= last; k += kLanes) {
+      const V s = hn::LoadU(d, &s_.data[k]), S = hn::Div(hn::Set(d, left), hn::LoadU(d, &inverse_S_.data[k]));
+      hn::StoreU(hn::MulAdd(hn::Sqrt(S), hn::Set(d, per_x), hn::Set(d, 1e-3f)), d, &half_.data[k]);
+      const V m = hn::MulAdd(s, hn::Set(d, m1), hn::Set(d, m0 - plan_.x0));
+      hn::StoreU(hn::Mul(m, hn::Set(d, per_x)), d, &middle_.data[k]);
     }
-    hn::Store(after, d, &transmittance_.data[at]);
-    for (int c = 0; c < 3; ++c, to += per_plane_) {
+  }
+
+  int64_t at(int plane, int row) const { return int64_t(plane * plan_.down + row) * row_; }
+
+  // A vector of nodes of a row.
+  template <int kExpDegree>
+  HWY_INLINE void blend(int row, int plane, int i, float A, const Quality& quality, const float* background) {
+    const D d;
+    evaluations += kLanes;
+    const float step = plan_.step_x, scale = step * step * inverse_S_.data[plane];
+    const V dx = hn::Add(hn::Iota(d, 0.f), hn::Set(d, float(i) - middle_.data[plane]));
+    const V power = hn::NegMulAdd(hn::Mul(dx, dx), hn::Set(d, scale), hn::Set(d, A));
+    const auto lit = hn::Ge(power, hn::Set(d, float(kLog2MinAlpha)));
+    const V alpha = hn::IfThenElseZero(lit, hn::Min(Exp2<kExpDegree>(d, power), hn::Set(d, float(kMaxAlpha))));
+    float *left = &transmittance_.data[at(plane, row) + i], *sum = &colours_.data[at(plane, row) + i];
+    const V before = hn::Load(d, left);
+    V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
+    const auto stop = hn::And(lit, hn::Lt(after, hn::Set(d, float(quality.stop))));
+    const bool stops = !hn::AllFalse(d, stop);
+    if (HWY_UNLIKELY(stops)) weight = hn::IfThenElse(stop, before, weight), after = hn::IfThenZeroElse(stop, after);
+    hn::Store(after, d, left);
+    const float* colour = &splat_colours_.data[kColourStride * plane];
+    for (int c = 0; c < 3; ++c, sum += stride_) {
       V value = hn::Set(d, colour[c]);
       if (HWY_UNLIKELY(stops && !quality.ends_early()))
         value = hn::IfThenElse(stop, hn::Set(d, background[c]), value);
-      hn::Store(hn::MulAdd(weight, value, hn::Load(d, &colours_.data[to])), d, &colours_.data[to]);
+      hn::Store(hn::MulAdd(weight, value, hn::Load(d, sum)), d, sum);
     }
   }
 
   LatticePlan plan_;
-  int per_plane_ = 0;
-  int64_t open_ = 0;
-  Buffer x_, y_, s_, inverse_S_, splat_colours_, transmittance_, colours_;
-  std::vector<uint8_t> alive_;  // vectors that still take light
+  int row_ = 0;
+  int64_t stride_ = 0;  // of a channel
+  Buffer s_, inverse_S_, middle_, half_, splat_colours_;  // on planes, of the splat at hand
+  Buffer transmittance_, colours_;                        // [stride], [3, stride]
 };
 
 // Colours between the nodes, a row at a time, in 16 bits: 256 times those of 8 bits, and a half.
@@ -195,18 +205,18 @@ class LatticeRow {
     const float place = (y - plan_.y0) / plan_.step_y;
     const int row = std::clamp(int(std::floor(place)), 0, plan_.down - 2);
     const V f = hn::Set(d, place - float(row));
-    auto fixed = [&](const float* a) {
-      const V low = hn::LoadU(d, a), high = hn::LoadU(d, a + plan_.across);
+    auto fixed = [&](const float* a, const float* b) {
+      const V low = hn::LoadU(d, a), high = hn::LoadU(d, b);
       const V unit = hn::Min(hn::Max(hn::MulAdd(f, hn::Sub(high, low), low), hn::Zero(d)), hn::Set(d, 1.f));
       return hn::BitCast(du, hn::ConvertTo(hn::RebindToSigned<D>(), hn::MulAdd(unit, hn::Set(d, kUnit),
                                                                                hn::Set(d, kHalf + 0.5f))));
     };
     for (int c = 0; c < 3; ++c)
       for (int k = 0; k < plan_.planes; ++k) {
-        const float* a = nodes.colours(c, k) + row * plan_.across;
+        const float *a = nodes.colours(c, k, row), *b = nodes.colours(c, k, row + 1);
         uint32_t* to = pairs_.get() + (c * (plan_.planes + 1) + k) * stride_;
         for (int i = 0; i < plan_.across; i += kLanes)
-          hn::StoreU(hn::Or(fixed(a + i), hn::ShiftLeft<16>(fixed(a + i + 1))), du, to + i);
+          hn::StoreU(hn::Or(fixed(a + i, b + i), hn::ShiftLeft<16>(fixed(a + i + 1, b + i + 1))), du, to + i);
       }
   }
 

@@ -25,6 +25,7 @@ class LensLattice {
  public:
   static constexpr int kLanes = LatticeNodes::kLanes;
   using Words = hn::RebindToUnsigned<Tag<float>>;
+  enum class Verdict { kFits, kSplit, kRefuse };
   float fineness;  // of the next lattice
   int64_t evaluations() const { return nodes_.evaluations + middles_.evaluations; }
 
@@ -36,13 +37,15 @@ class LensLattice {
     quality.stop = std::min(quality.stop, std::max(0.1 * quality.lattice, kMinTransmittance));
     return quality;
   }
-  void start_band() { fineness = first_fineness(); }
+  void start_band() { fineness = first_fineness(), refused_ = 0; }
 
-  // Evaluates the lattice for a run with samples, and its middles; false where one as good as asked for has too many
-  // nodes to be worth it, or, unless this is the last chance, is much finer than the first that was tried.
+  // Evaluates the lattice for a run with samples, and its middles. Refuses where one as good as asked for has too many
+  // nodes to be worth it; would have a run split, unless it is the last, that needs one much finer than was tried.
   // [begin, end): the splats that the run's samples may meet, nearest first.
-  bool fits(const LensRun& run, const Splats<float>& splats, const int32_t* begin, const int32_t* end,
+  Verdict judge(const LensRun& run, const Splats<float>& splats, const int32_t* begin, const int32_t* end,
             const float* background, bool last) {
+    // Where nothing fitted lately, only one run in some is tried
+    if (refused_ >= kPatience && ++refused_ % (2 * kPatience) != 0) return Verdict::kRefuse;
     x0_ = double(run.first[0]) / 3, y0_ = double(run.row0);
     const LatticePart part = run.part(lens_, x0_, y0_);
     LatticeCurvature curvature(part);
@@ -60,10 +63,11 @@ class LensLattice {
                                    1e-6f);
       const float better = kBackOff / std::sqrt(error);
       fineness = std::clamp(fineness * std::clamp(better, 0.4f, 1.25f), 0.01f, kMostFineness);
-      if (error <= 1) return true;
-      if (error > kSplitError && !last) break;
+      if (error <= 1) return refused_ = 0, Verdict::kFits;
+      if (error > kSplitError && !last && refused_ < kPatience) return Verdict::kSplit;
     }
-    return false;
+    ++refused_;
+    return Verdict::kRefuse;
   }
 
   // Interpolates the run's samples and writes them, a sub-pixel by its place in the pixel.
@@ -81,6 +85,8 @@ class LensLattice {
 
  private:
   static constexpr int kAttempts = 3;
+  static constexpr int kPatience = 4;  // runs
+  static constexpr int kLookOut = 64;  // splats from one look whether all is opaque to the next
   static constexpr float kSplitError = 2.5f;
   static constexpr float kMostNodes = 0.3f;  // of the samples; a node has three channels
   static constexpr float kMeanShare = 5;     // the root mean square of the errors must be so many times smaller
@@ -90,7 +96,8 @@ class LensLattice {
   void draw(LatticeNodes& nodes, const LatticePlan& plan, const Splats<float>& splats, const int32_t* begin,
             const int32_t* end, const float* background) {
     nodes.lay(plan);
-    for (const int32_t* id = begin; id != end && !nodes.done(); ++id) {
+    for (const int32_t* id = begin; id != end; ++id) {
+      if ((id - begin) % kLookOut == kLookOut - 1 && nodes.opaque()) break;
       const Splat<float>& splat = splats.splats[*id];
       const float u = float(double(splat.u0) - x0_), v = float(double(splat.v0) - y0_);
       if (quality_.rough)
@@ -119,7 +126,7 @@ class LensLattice {
           const auto index = hn::ConvertTo(hn::RebindToSigned<Tag<float>>(), lane);
           const auto along = hn::Add(lane, hn::Set(d, float(plan.margin) + 0.5f));
           for (int c = 0; c < 3; ++c) {
-            const auto is = hn::GatherIndex(d, middles_.colours(c, k) + j * plan.across, index);
+            const auto is = hn::GatherIndex(d, middles_.colours(c, k, j), index);
             const auto made = colour_of_bits(row_.at(c, along, hn::Set(d, float(k) + 0.5f)));
             const auto error = hn::Sub(made, shown(is));
             worst = hn::Max(worst, hn::Abs(error)), squares = hn::MulAdd(error, error, squares);
@@ -200,6 +207,7 @@ class LensLattice {
 
   const Lens& lens_;
   const Quality quality_;
+  int refused_ = 0;  // runs since one fitted
   double x0_ = 0, y0_ = 0;  // what places are about
   LatticeNodes nodes_, middles_;
   LatticeRow row_;

@@ -15,7 +15,6 @@
 #include <vector>
 
 #include "cpu/lens_layout.h"
-#include "cpu/lens_offsets-inl.h"
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
@@ -218,7 +217,7 @@ class LensTile {
       const int64_t i = (patch * layout_.ordinals + t) * kLanes;
       const auto ordinal = hn::Set(di, TI(t));
       const auto shown = hn::RebindMask(d, hn::And(hn::Gt(ordinal, before), hn::Lt(ordinal, end)));
-      const V offset = next_offsets<T>(lens_, phases);
+      const V offset = next_offsets(phases);
       s_low = hn::Min(s_low, hn::IfThenElse(shown, offset, s_low));
       s_high = hn::Max(s_high, hn::IfThenElse(shown, offset, s_high));
 
@@ -235,6 +234,33 @@ class LensTile {
     const T low = hn::GetLane(hn::MinOfLanes(d, s_low)), high = hn::GetLane(hn::MaxOfLanes(d, s_high));
     patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (low + high);
     patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
+  }
+
+  // Offsets of the samples at these phases, which go on to the next sub-pixel. Exact but for the last rounding.
+  HWY_INLINE V next_offsets(uint64_t* HWY_RESTRICT phases) const {
+    const D d;
+    if constexpr (kLanes == 1) {
+      const uint64_t phase = *phases;
+      *phases += lens_.phase_x;
+      return hn::Set(d, T(layout_.s_start + layout_.s_step * camera_coordinate(lens_, phase)));
+    } else {
+      // camera_coordinate in halves of a vector, as integers: the view, or x as a fraction of 2^31
+      const hn::RebindToSigned<D> di;
+      const hn::RepartitionToWide<hn::RebindToUnsigned<D>> d64;
+      const hn::RebindToUnsigned<D> d32;
+      const auto views = hn::BitCast(d32, hn::Set(d64, uint64_t(lens_.views)));
+      auto next = [&](uint64_t* at) {
+        const auto phase = hn::Load(d64, at), high = hn::ShiftRight<32>(phase);
+        hn::Store(hn::Add(phase, hn::Set(d64, lens_.phase_x)), d64, at);
+        if (lens_.continuous) return hn::BitCast(d32, hn::ShiftRight<1>(high));
+        const auto carry = hn::ShiftRight<32>(hn::MulEven(hn::BitCast(d32, phase), views));
+        return hn::BitCast(d32, hn::ShiftRight<32>(hn::Add(hn::MulEven(hn::BitCast(d32, high), views), carry)));
+      };
+      const auto low = next(phases), integers = hn::ConcatEven(d32, next(phases + kLanes / 2), low);
+      const double unit = lens_.continuous ? double(lens_.views) / 2147483648.0 : 1, half = lens_.continuous ? 0 : 0.5;
+      return hn::MulAdd(hn::ConvertTo(d, hn::BitCast(di, integers)), hn::Set(d, T(layout_.s_step * unit)),
+                        hn::Set(d, T(layout_.s_start + layout_.s_step * half)));
+    }
   }
 
   const Lens& lens_;

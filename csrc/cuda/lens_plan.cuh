@@ -6,6 +6,7 @@
 #pragma once
 
 #include "cuda/lens_frame.h"
+#include "math/footprint.h"
 #include "math/constants.h"
 
 namespace lfgs::cuda {
