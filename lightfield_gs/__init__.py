@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
 _HOMES = {"Cameras": "cameras", "Encoder": "encoder", "Gaussians": "gaussians", "InputError": "errors",
           "Panel": "panel", "PhotoEncoder": "photo_encoder", "Quality": "quality", "Rig": "rig",
-          "SortedPlan": "sorted_plan", "SplatterNet": "models", "encode": "rendering", "from_depth": "rgbd", "interlace": "rendering",
-          "load_photo": "io.photo", "render": "rendering"}
+          "SortedPlan": "sorted_plan", "SplatterNet": "models", "encode": "rendering", "from_depth": "rgbd",
+          "interlace": "rendering", "load_photo": "io.photo", "render": "rendering"}
 __all__ = [*_HOMES, "build_info"]
 __version__ = "0.1.0"
 

@@ -23,10 +23,10 @@ class Encoder:
     """Draws the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
 
     panel, rig, views, background, output ("uint8" or "float32") and quality are those of `encode`. On CUDA the whole
-    frame, from the Gaussians to the image, is one CUDA graph, captured for the tensors of the first call and replayed as long as
-    the same tensors come, whose values may change: nothing waits for the device then, and values are checked at the
-    capture only. Other tensors make another capture. On the CPU every call is an `encode`. No gradients.
-    Raises InputError.
+    frame, from the Gaussians to the image, is one CUDA graph, captured for the tensors of the first call and replayed
+    as long as the same tensors come, whose values may change: nothing waits for the device then, and values are checked
+    at the capture only. Other tensors make another capture. On the CPU every call is an `encode`. No gradients. Raises
+    InputError.
     """
 
     def __init__(self, panel: Panel, rig: Rig, *, views: str = "integer",

@@ -30,9 +30,9 @@ class PhotoEncoder:
     """Draws what a panel shows of the object in a photo: SplatterNet.predict, Rig.frame and `encode`, without detours.
 
     net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
-    ("uint8" or "float32") and quality are those of `encode`. On CUDA the U-Net runs in bfloat16, crop, network and framing are CUDA
-    graphs, captured for the first photo of each size, and the host waits for the device once a photo, to learn where
-    the object is. Raises InputError.
+    ("uint8" or "float32") and quality are those of `encode`. On CUDA the U-Net runs in bfloat16, crop, network and
+    framing are CUDA graphs, captured for the first photo of each size, and the host waits for the device once a photo,
+    to learn where the object is. Raises InputError.
     """
 
     def __init__(self, net: SplatterNet, panel: Panel, *, views: str = "integer",

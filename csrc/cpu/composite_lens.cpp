@@ -32,141 +32,181 @@ void SwapRedBlue(U* rows, int64_t pixels) {
   for (int64_t j = 0; j < pixels; ++j) std::swap(rows[3 * j], rows[3 * j + 2]);
 }
 
-constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lattice; how often these are halved, less 1
+constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lattice; levels: the same, halves, quarters
+
+// What a frame has in common for all its bands.
+template <class T>
+struct LensScene {
+  const LensJob<T>& job;
+  LensLayout layout;
+  alignas(16) T background[kColourStride];
+  Backdrop<T> backdrop;
+  Backdrop<uint8_t> backdrop8;
+  // A lattice has no use for jumps at a raised opacity cut: only what is drawn without it is cut
+  bool raised;
+
+  explicit LensScene(const LensJob<T>& job_)
+      : job(job_), layout(*job_.lens, LensTile<T>::kCellsPerPatch),
+        background{job_.background[0], job_.background[1], job_.background[2], 0},
+        backdrop(*job_.lens, [&](int c) { return background[c]; }),
+        backdrop8(*job_.lens, [&](int c) { return uint8_t(std::clamp(background[c], T(0), T(1)) * 255 + T(0.5)); }),
+        raised(job_.quality.lattice > 0 && job_.quality.log2_cut > kLog2MinAlpha) {}
+
+  Splat<T> splat(int32_t id, bool uncut) const {
+    Splat<T> s = job.splats.splats[id];
+    if (raised && !uncut) raise_cut(s, T(job.quality.log2_cut));
+    return s;
+  }
+};
+
+// Splats by index, nearest first.
+struct SplatList {
+  const int32_t *begin, *end;
+  int64_t size() const { return end - begin; }
+  bool empty() const { return begin == end; }
+};
+
+// Draws bands, or takes their gradients: what one worker needs for that.
+template <class T>
+class LensBands {
+ public:
+  explicit LensBands(const LensScene<T>& scene)
+      : scene_(scene), job_(scene.job), lens_(*scene.job.lens), layout_(scene.layout),
+        tile_(lens_, layout_, job_.backward), lattice_(lens_, job_.quality) {}
+
+  void draw(int64_t band) {
+    band_ = band, row0_ = band * kBandRows, rows_ = std::min<int64_t>(kBandRows, lens_.height_px - row0_);
+    const int64_t* offsets = job_.bins.band_offsets + band;
+    const SplatList splats = {job_.bins.band_splats + offsets[0], job_.bins.band_splats + offsets[1]};
+    const Range cells = layout_.cells_of_band(lens_, row0_);
+    if (job_.quality.lattice > 0) {
+      lattice_.start_band();
+      draw_runs(splats, cells, 0);
+    } else {
+      draw_tiles(splats, cells);
+    }
+    if (job_.backward || !lens_.bgr) return;
+    const int64_t first = row0_ * 3 * lens_.width_px, pixels = rows_ * lens_.width_px;
+    job_.out8 ? SwapRedBlue(job_.out8 + first, pixels) : SwapRedBlue(job_.out + first, pixels);
+  }
+
+  Counters counters() const {
+    Counters out = counters_;
+    out.evaluations += lattice_.evaluations();
+    out.scratch_bytes = tile_.bytes() + lattice_.bytes() + tiles_.bytes();
+    for (const TileLists& runs : runs_) out.scratch_bytes += runs.bytes();
+    return out;
+  }
+
+ private:
+  // Which splats sweep over each `width` cells of some. uncut: see LensScene::splat.
+  void list(TileLists& out, SplatList splats, Range cells, int64_t width, bool uncut) {
+    out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, [&](int32_t id) -> Range {
+      T low, high;
+      if (!columns_of(scene_.splat(id, uncut), T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low,
+                      high))
+        return {0, -1};
+      const Range touched = layout_.cells_of(double(low), double(high));
+      const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
+      if (last < first) return {0, -1};
+      return {(first - cells.first) / width, (last - cells.first) / width};
+    });
+    counters_.pairs += out.pairs();
+  }
+
+  void draw_empty(const LensRun& run) {
+    job_.out8 ? scene_.backdrop8.draw(run, lens_.width_px, job_.out8)
+              : scene_.backdrop.draw(run, lens_.width_px, job_.out);
+  }
+
+  // Runs of tiles on lattices; those that want a much finer one are halved first.
+  void draw_runs(SplatList splats, Range cells, int level) {
+    TileLists& lists = runs_[size_t(level)];
+    const int64_t width = (kLatticeTiles >> level) * layout_.cells_per_tile;
+    list(lists, splats, cells, width, true);
+    for (int64_t cell = cells.first, t = 0; cell <= cells.last; cell += width, ++t) {
+      const LensRun run(lens_, layout_, row0_, cell, width);
+      const SplatList own = {lists.begin(t), lists.end(t)};
+      const Range own_cells = {cell, std::min(cell + width - 1, cells.last)};
+      if (run.samples() == 0) continue;
+      if (own.empty())
+        draw_empty(run);
+      else
+        draw_run(run, own, own_cells, level);
+    }
+  }
+
+  void draw_run(const LensRun& run, SplatList splats, Range cells, int level) {
+    if constexpr (sizeof(T) == 4) {
+      const bool last = level + 1 == kLatticeLevels;
+      switch (lattice_.judge(run, job_.splats, splats.begin, splats.end, scene_.background, last)) {
+        case LensLattice::Verdict::kFits:
+          job_.out8 ? lattice_.write(run, job_.out8) : lattice_.write(run, job_.out);
+          break;
+        case LensLattice::Verdict::kRefuse:
+          draw_tiles(splats, cells);
+          break;
+        case LensLattice::Verdict::kSplit: {
+          const float fineness = lattice_.fineness;
+          draw_runs(splats, cells, level + 1);
+          lattice_.fineness = fineness;
+        }
+      }
+    }
+  }
+
+  void draw_tiles(SplatList splats, Range cells) {
+    list(tiles_, splats, cells, layout_.cells_per_tile, false);
+    for (int64_t cell = cells.first, t = 0; cell <= cells.last; cell += layout_.cells_per_tile, ++t)
+      draw_tile(cell, {tiles_.begin(t), tiles_.end(t)});
+  }
+
+  void draw_tile(int64_t cell0, SplatList splats) {
+    if (splats.empty() && !job_.backward)
+      return draw_empty(LensRun(lens_, layout_, row0_, cell0, layout_.cells_per_tile));
+    tile_.move_to(row0_, cell0);
+    if (job_.backward) LoadGradients(job_, tile_, layout_.samples());
+    for (const int32_t* id = splats.begin; id != splats.end && tile_.open > 0; ++id) {
+      const int64_t count = tile_.find(scene_.splat(*id, false));
+      counters_.evaluations += count * LensTile<T>::kLanes;
+      if (!job_.backward) {
+        Forward(job_, tile_, scene_.background, *id, count);
+        continue;
+      }
+      const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
+      const int64_t pair = job_.first_pair[*id] + own_band;
+      BackwardSplat(job_, tile_, *id, job_.pair_gradients + pair * pair_gradient_size(job_.splats.colour_order), count);
+    }
+    if (job_.backward)
+      BackgroundGradient(tile_, layout_.samples(), job_.band_background + 3 * band_);
+    else
+      FinishTile(job_, tile_, layout_.samples(), scene_.background);
+  }
+
+  const LensScene<T>& scene_;
+  const LensJob<T>& job_;
+  const Lens& lens_;
+  const LensLayout& layout_;
+  int64_t band_ = 0, row0_ = 0, rows_ = 0;
+  LensTile<T> tile_;
+  LensLattice lattice_;
+  TileLists tiles_;
+  std::array<TileLists, kLatticeLevels> runs_;
+  Counters counters_;
+};
 
 template <class T>
 Counters CompositeLensImpl(const LensJob<T>& job) {
-  const Lens& lens = *job.lens;
-  const bool backward = job.backward;
-  const LensLayout layout(lens, LensTile<T>::kCellsPerPatch);
-  const size_t workers = size_t(std::max(job.threads, 1));
-  std::vector<TileLists> lists(workers);
-  std::vector<Counters> counters(workers);
-  std::vector<std::unique_ptr<LensTile<T>>> tiles(workers);
-  std::vector<std::unique_ptr<LensLattice>> lattices(workers);
-  std::vector<std::array<TileLists, kLatticeLevels>> run_lists(workers);
-  const int64_t size = pair_gradient_size(job.splats.colour_order);
-  alignas(16) const T background[kColourStride] = {job.background[0], job.background[1], job.background[2], 0};
-
-  T behind[3];
-  uint8_t behind8[3];
-  for (int place = 0; place < 3; ++place) {
-    behind[place] = background[lens.bgr ? 2 - place : place];
-    behind8[place] = uint8_t(std::clamp(behind[place], T(0), T(1)) * 255 + T(0.5));
-  }
-  const Backdrop<T> backdrop(behind, lens.width_px);
-  const Backdrop<uint8_t> backdrop8(behind8, lens.width_px);
-
-  // A lattice has no use for jumps at a raised opacity cut: only what is drawn without it is cut
-  const bool raised = job.quality.lattice > 0 && job.quality.log2_cut > kLog2MinAlpha;
-  auto splat_of = [&](int32_t id, bool exact) {
-    Splat<T> splat = job.splats.splats[id];
-    if (raised && !exact) raise_cut(splat, T(job.quality.log2_cut));
-    return splat;
-  };
-
-  parallel_for(band_count(lens.height_px), job.threads, [&](int64_t band, int worker) {
-    if (!tiles[size_t(worker)]) tiles[size_t(worker)] = std::make_unique<LensTile<T>>(lens, layout, backward);
-    LensTile<T>& tile = *tiles[size_t(worker)];
-    TileLists& list = lists[size_t(worker)];
-    Counters& c = counters[size_t(worker)];
-    const int64_t row0 = band * kBandRows, rows = std::min<int64_t>(kBandRows, lens.height_px - row0);
-    const Range cells = layout.cells_of_band(lens, row0);
-
-    // Lists of the splats that sweep over each of some runs of cells, `width` wide
-    auto list_runs = [&](TileLists& out, const int32_t* ids, int64_t count, Range cells, int64_t width, bool exact) {
-      out.build(ids, count, (cells.last - cells.first) / width + 1, [&](int32_t id) -> Range {
-        T low, high;
-        if (!columns_of(splat_of(id, exact), T(row0) + T(0.5), T(row0 + rows) - T(0.5), T(layout.shear / 3), low,
-                        high))
-          return {0, -1};
-        const Range touched = layout.cells_of(double(low), double(high));
-        const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
-        if (last < first) return {0, -1};
-        return {(first - cells.first) / width, (last - cells.first) / width};
-      });
-      c.pairs += out.pairs();
-    };
-    auto draw_empty = [&](const LensRun& run) {
-      job.out8 ? backdrop8.draw(run, lens.width_px, job.out8) : backdrop.draw(run, lens.width_px, job.out);
-    };
-    auto draw_tile = [&](int64_t cell0, const int32_t* begin, const int32_t* end) {
-      if (begin == end && !backward) return draw_empty(LensRun(lens, layout, row0, cell0, layout.cells_per_tile));
-      tile.move_to(row0, cell0);
-      if (backward) LoadGradients(job, tile, layout.samples());
-      for (const int32_t* id = begin; id != end && tile.open > 0; ++id) {
-        const int64_t count = tile.find(splat_of(*id, false));
-        c.evaluations += count * LensTile<T>::kLanes;
-        if (!backward) {
-          Forward(job, tile, background, *id, count);
-          continue;
-        }
-        const int64_t own_band = band - rows_of(job.splats.splats[*id], lens.height_px).first / kBandRows;
-        BackwardSplat(job, tile, *id, job.pair_gradients + (job.first_pair[*id] + own_band) * size, count);
-      }
-      if (backward)
-        BackgroundGradient(tile, layout.samples(), job.band_background + 3 * band);
-      else
-        FinishTile(job, tile, layout.samples(), background);
-    };
-    auto draw_tiles = [&](const int32_t* ids, int64_t count, Range cells) {
-      list_runs(list, ids, count, cells, layout.cells_per_tile, false);
-      for (int64_t cell = cells.first, t = 0; cell <= cells.last; cell += layout.cells_per_tile, ++t)
-        draw_tile(cell, list.begin(t), list.end(t));
-    };
-
-    const int32_t* ids = job.bins.band_splats + job.bins.band_offsets[band];
-    const int64_t count = job.bins.band_offsets[band + 1] - job.bins.band_offsets[band];
-    if constexpr (sizeof(T) == 4) {
-      if (job.quality.lattice > 0) {
-        auto& lattice = lattices[size_t(worker)];
-        if (!lattice) lattice = std::make_unique<LensLattice>(lens, job.quality);
-        lattice->start_band();
-        // Runs that want a much finer lattice are halved first
-        auto draw_runs = [&](auto& self, const int32_t* ids, int64_t count, Range cells, int level) -> void {
-          TileLists& runs = run_lists[size_t(worker)][size_t(level)];
-          const int64_t width = (kLatticeTiles >> level) * layout.cells_per_tile;
-          list_runs(runs, ids, count, cells, width, true);
-          for (int64_t cell = cells.first, t = 0; cell <= cells.last; cell += width, ++t) {
-            const LensRun run(lens, layout, row0, cell, width);
-            const Range own = {cell, std::min(cell + width - 1, cells.last)};
-            const int32_t *begin = runs.begin(t), *end = runs.end(t);
-            if (run.samples() == 0) continue;
-            if (begin == end) {
-              draw_empty(run);
-              continue;
-            }
-            switch (lattice->judge(run, job.splats, begin, end, background, level + 1 == kLatticeLevels)) {
-              case LensLattice::Verdict::kFits:
-                job.out8 ? lattice->write(run, job.out8) : lattice->write(run, job.out);
-                break;
-              case LensLattice::Verdict::kRefuse:
-                draw_tiles(begin, end - begin, own);
-                break;
-              case LensLattice::Verdict::kSplit: {
-                const float fineness = lattice->fineness;
-                self(self, begin, end - begin, own, level + 1);
-                lattice->fineness = fineness;
-              }
-            }
-          }
-        };
-        draw_runs(draw_runs, ids, count, cells, 0);
-      }
-    }
-    if (!(job.quality.lattice > 0)) draw_tiles(ids, count, cells);
-    if (!backward && lens.bgr) {
-      const int64_t first = row0 * 3 * lens.width_px, pixels = rows * lens.width_px;
-      job.out8 ? SwapRedBlue(job.out8 + first, pixels) : SwapRedBlue(job.out + first, pixels);
-    }
+  const LensScene<T> scene(job);
+  std::vector<std::unique_ptr<LensBands<T>>> workers(size_t(std::max(job.threads, 1)));
+  parallel_for(band_count(job.lens->height_px), job.threads, [&](int64_t band, int worker) {
+    auto& bands = workers[size_t(worker)];
+    if (!bands) bands = std::make_unique<LensBands<T>>(scene);
+    bands->draw(band);
   });
-
   Counters sum;
-  for (size_t w = 0; w < workers; ++w) {
-    sum.pairs += counters[w].pairs;
-    sum.evaluations += counters[w].evaluations + (lattices[w] ? lattices[w]->evaluations() : 0);
-    sum.scratch_bytes += lists[w].bytes() + (tiles[w] ? tiles[w]->bytes() : 0);
-  }
+  for (const auto& bands : workers)
+    if (bands) sum += bands->counters();
   return sum;
 }
 
@@ -193,8 +233,8 @@ template <class T>
 Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
                         const T* background, T* out, uint8_t* out8, int threads) {
   LensJob<T> job{};
-  job.quality = quality, job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
-  job.out = out, job.out8 = out8;
+  job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
+  job.quality = quality, job.out = out, job.out8 = out8;
   return dispatch(job);
 }
 

@@ -48,6 +48,7 @@ class LatticeNodes {
   }
 
   const LatticePlan& plan() const { return plan_; }
+  int64_t bytes() const { return int64_t((transmittance_.size + colours_.size) * sizeof(float)); }
   // Of a channel on a row of a plane; a vector may be read behind the last.
   const float* colours(int channel, int plane, int row) const {
     return colours_.data.get() + channel * stride_ + at(plane, row);
@@ -236,6 +237,7 @@ class LatticeRow {
   }
 
   const LatticePlan& plan() const { return plan_; }
+  int64_t bytes() const { return int64_t(size_ * sizeof(uint32_t)); }
 
  private:
   HWY_INLINE V lean_of(hn::Vec<hn::RebindToSigned<D>> plane) const {

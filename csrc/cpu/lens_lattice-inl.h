@@ -30,7 +30,12 @@ class LensLattice {
   int64_t evaluations() const { return nodes_.evaluations + middles_.evaluations; }
 
   LensLattice(const Lens& lens, const Quality& quality)
-      : fineness(0), lens_(lens), quality_(on_lattice(quality)), pixels_(size_t(lens.width_px + kLanes) * 3) {}
+      : fineness(0), lens_(lens), quality_(on_lattice(quality)),
+        pixels_(quality.lattice > 0 ? size_t(lens.width_px + kLanes) * 3 : 0) {}
+
+  int64_t bytes() const {
+    return int64_t(pixels_.capacity() * sizeof(float)) + nodes_.bytes() + middles_.bytes() + row_.bytes();
+  }
 
   // A stop that is seen would be taken for an edge.
   static Quality on_lattice(Quality quality) {

@@ -41,9 +41,10 @@ struct LensRun {
 template <class U>
 class Backdrop {
  public:
-  // values [3]: by place
-  Backdrop(const U* values, int64_t width_px) : places_(size_t(3 * width_px + 3)) {
-    for (size_t m = 0; m < places_.size(); ++m) places_[m] = values[m % 3];
+  // value(channel) of the image.
+  template <class Value>
+  Backdrop(const Lens& lens, const Value& value) : places_(size_t(3 * lens.width_px + 3)) {
+    for (int m = 0; m < int(places_.size()); ++m) places_[size_t(m)] = value(lens.bgr ? 2 - m % 3 : m % 3);
   }
   void draw(const LensRun& run, int64_t width_px, U* image) const {
     for (int64_t r = 0; r < run.rows; ++r)

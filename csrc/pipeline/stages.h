@@ -29,6 +29,11 @@ struct Counters {
   int64_t pairs = 0;        // (tile, splat)
   int64_t evaluations = 0;  // samples evaluated, lanes that missed included
   int64_t scratch_bytes = 0;
+
+  Counters& operator+=(const Counters& other) {
+    pairs += other.pairs, evaluations += other.evaluations, scratch_bytes += other.scratch_bytes;
+    return *this;
+  }
 };
 
 // Cameras of a batch of scenes: scene b is seen by cameras b * cameras_per_scene ...
