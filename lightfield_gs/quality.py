@@ -51,7 +51,7 @@ class Quality:
         """The setting of that name, or the object itself. Raises InputError."""
         if isinstance(quality, Quality):
             return quality
-        if quality not in QUALITIES:
+        if not isinstance(quality, str) or quality not in QUALITIES:
             raise InputError(f"quality must be one of {', '.join(QUALITIES)} or a Quality, got {quality!r}")
         return QUALITIES[quality]
 

@@ -145,8 +145,9 @@ def test_numbers_out_of_range_are_refused(bad):
 
 def test_what_is_exact_only_says_so():
     shown, scene = panel("default lens"), random_scene(5, dtype=torch.float32)
-    with pytest.raises(InputError, match="'exact', 'high'|exact, high"):
-        encode(scene, shown, rig(shown), quality="best")
+    for unknown in ("best", ["fast"], None):
+        with pytest.raises(InputError, match="exact, high, fast, draft or a Quality"):
+            encode(scene, shown, rig(shown), quality=unknown)
     for options in (dict(method="sorted"), dict(method="classic"), dict(output="float64")):
         with pytest.raises(InputError, match="exact only"):
             encode(scene, shown, rig(shown), quality="fast", **options)
