@@ -110,6 +110,8 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)")
     add("--views", choices=("integer", "continuous"), default="integer",
         help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)")
+    add("--quality", choices=("exact", "high", "fast", "draft"), default="exact",
+        help="less time for more error, of --method direct (default exact)")
     add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
     add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp, left-eye.png, right-eye.png")
     add("--bit-depth", type=int, choices=(8, 16, 32), metavar="BITS",

@@ -15,22 +15,29 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.errors import InputError
+from lightfield_gs.quality import EXACT, Quality
 from lightfield_gs.workspace import Scene, Stats
 
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share
 _LEAST_PAIRS = 1 << 12
 _MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 16  # numbered with 32 bits; with what sorting takes
 _MOST_KNOWN = 64
+_COLOUR_TOLERANCE = 2e-5  # of exact frames: their other errors leave less room than on the CPU
+
+
+def _colour_tolerance(quality: Quality) -> float:
+    return _COLOUR_TOLERANCE if quality.colour_error == EXACT.colour_error else quality.colour_error
 
 
 class Frame:
     """One light-field frame: its work buffer, from torch's allocator, and its stages, on torch's stream."""
 
-    def __init__(self, scene: Scene, rig: Any, lens: Any, colour_order: int, tolerance: float, capacity: int,
+    def __init__(self, scene: Scene, rig: Any, lens: Any, colour_order: int, quality: Quality, capacity: int,
                  kernel: str | None = None):
         self.scene = scene
         self.native = _core.cuda.LensFrame(gaussians=scene.count, sh_degree=scene.degree, colour_order=colour_order,
-                                           rig=rig, lens=lens, capacity=capacity, tolerance=tolerance)
+                                           rig=rig, lens=lens, capacity=capacity, quality=quality.native,
+                                           tolerance=_colour_tolerance(quality))
         if kernel is not None:
             self.native.force(_core.cuda.FRAME_KERNELS.index(kernel))
         self.work = scene.new(self.native.bytes(), dtype=torch.uint8)
@@ -90,10 +97,10 @@ class FrameKind:
     rig and lens may be replaced between frames (see moving_kind).
     """
 
-    def __init__(self, device: torch.device, rig: Any, lens: Any, colour_orders: tuple[int, ...], tolerance: float,
+    def __init__(self, device: torch.device, rig: Any, lens: Any, colour_orders: tuple[int, ...], quality: Quality,
                  kernel: str | None, slack: float = _SLACK):
         self.device, self.slack = device, slack
-        self.rig, self.lens, self.orders, self.tolerance, self.kernel = rig, lens, colour_orders, tolerance, kernel
+        self.rig, self.lens, self.orders, self.quality, self.kernel = rig, lens, colour_orders, quality, kernel
         self.capacity: int | None = None
         self.colour_order = colour_orders[0]
         self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
@@ -146,12 +153,12 @@ class FrameKind:
             affordable = torch.cuda.mem_get_info(self.device)[0] // (2 * _PAIR_BYTES)
             enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
-        if state["colour_error"] > self.tolerance:
+        if state["colour_error"] > _colour_tolerance(self.quality):
             self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
         return before != (self.capacity, self.colour_order)
 
     def _frame(self, scene: Scene, capacity: int) -> Frame:
-        return Frame(scene, self.rig, self.lens, self.colour_order, self.tolerance, capacity, self.kernel)
+        return Frame(scene, self.rig, self.lens, self.colour_order, self.quality, capacity, self.kernel)
 
 
 _kinds: OrderedDict[tuple, FrameKind] = OrderedDict()
@@ -159,11 +166,11 @@ forced_kernel: str | None = None  # of _core.cuda.FRAME_KERNELS; None: chosen by
 
 
 def kind_of(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...],
-            tolerance: float) -> FrameKind:
+            quality: Quality) -> FrameKind:
     """The kind of frames of a scene; numbers: what rig and lens were made of. Remembers the last 64."""
-    key = (scene.tensors[0].device, scene.count, scene.degree, numbers, forced_kernel)
+    key = (scene.tensors[0].device, scene.count, scene.degree, numbers, quality, forced_kernel)
     if key not in _kinds:
-        _kinds[key] = FrameKind(scene.tensors[0].device, rig, lens, colour_orders, tolerance, forced_kernel)
+        _kinds[key] = FrameKind(scene.tensors[0].device, rig, lens, colour_orders, quality, forced_kernel)
         while len(_kinds) > _MOST_KNOWN:
             _kinds.popitem(last=False)
     _kinds.move_to_end(key)
@@ -171,6 +178,6 @@ def kind_of(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tu
 
 
 def moving_kind(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...],
-                tolerance: float) -> FrameKind:
+                quality: Quality) -> FrameKind:
     """A kind to be kept by who draws scenes of one size, each with a rig of its own: it reserves generously."""
-    return FrameKind(scene.tensors[0].device, rig, lens, colour_orders, tolerance, forced_kernel, _MOVING_SLACK)
+    return FrameKind(scene.tensors[0].device, rig, lens, colour_orders, quality, forced_kernel, _MOVING_SLACK)

@@ -14,12 +14,12 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.errors import InputError
+from lightfield_gs.quality import EXACT, Quality
 from lightfield_gs.workspace import Scene, State, Stats, Workspace, check
 
 COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a rig
 # The same for frames on CUDA, which remember the order that was good enough
-FRAME_COLOUR_ORDERS, FRAME_COLOUR_TOLERANCE = (4, 8, 12, 16), 2e-5
-COLOUR_TOLERANCE = 5e-5  # largest error of a colour polynomial, of 1
+FRAME_COLOUR_ORDERS = (4, 8, 12, 16)
 
 
 def _workspace(scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, threads: int,
@@ -189,14 +189,14 @@ class LensArguments:
         return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
 
 
-def _lens_workspace(job: LensArguments, stats: Stats, threads: int) -> Any:
+def _lens_workspace(job: LensArguments, stats: Stats, threads: int, quality: Quality = EXACT) -> Any:
     """The workspace of a light field after all stages up to the composite."""
     with job.scene.guard:
         with stats.stage("project"):
             for order in job.colour_orders:
                 work = _workspace(job.scene, 1, job.width, job.height, order, stats, threads, lens=True)
-                stats.colour_error = work.project_lens(job.rig, job.lens, COLOUR_TOLERANCE)
-                if stats.colour_error <= COLOUR_TOLERANCE:
+                stats.colour_error = work.project_lens(job.rig, job.lens, quality)
+                if stats.colour_error <= quality.colour_error:
                     break
         work.order_and_bin()
     return work
@@ -217,7 +217,7 @@ def native_lens(lens: list[int], lens_shape: list[float]) -> Any:
                       continuous=bool(continuous), offset_start=offset_start, offset_step=offset_step)
 
 
-def lens_forward(*arguments: Any, as_bytes: bool = False, stats: Stats | None = None,
+def lens_forward(*arguments: Any, as_bytes: bool = False, quality: Quality = EXACT, stats: Stats | None = None,
                  threads: int | None = None) -> Tensor:
     """render_lens without autograd; see there. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`.
 
@@ -227,21 +227,21 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, stats: Stats | None = 
     with stats.stage("plan"):
         job = LensArguments(*arguments)
     if job.scene.tensors[0].is_cuda:
-        return draw_frame(job, frame_kind(job), as_bytes, stats)
-    work = _lens_workspace(job, stats, threads)
+        return draw_frame(job, frame_kind(job, quality), as_bytes, stats)
+    work = _lens_workspace(job, stats, threads, quality)
     with stats.stage("composite"):
         out = job.image(as_bytes)
-        work.composite_lens(job.lens, job.background, out)
+        work.composite_lens(job.lens, quality, job.background, out)
     return out
 
 
-def frame_kind(job: LensArguments, moving: bool = False) -> Any:
+def frame_kind(job: LensArguments, quality: Quality, moving: bool = False) -> Any:
     """What frames of such arguments are known to need, on CUDA. moving: of one's own, for frames of changing rigs."""
     from lightfield_gs.frame_cuda import kind_of, moving_kind
 
     orders = (0,) if job.scene.degree == 0 else FRAME_COLOUR_ORDERS
     find = moving_kind if moving else kind_of
-    return find(job.scene, job.numbers, job.rig, job.lens, orders, FRAME_COLOUR_TOLERANCE)
+    return find(job.scene, job.numbers, job.rig, job.lens, orders, quality)
 
 
 def draw_frame(job: LensArguments, kind: Any, as_bytes: bool, stats: Stats) -> Tensor:
@@ -273,7 +273,7 @@ def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     job = LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
     work, out = _lens_workspace(job, Stats(), torch.get_num_threads()), job.image()
     with job.scene.guard:
-        work.composite_lens(job.lens, job.background, out)
+        work.composite_lens(job.lens, EXACT, job.background, out)
     return out
 
 

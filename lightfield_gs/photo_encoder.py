@@ -16,6 +16,7 @@ from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range, premultiplied
 from lightfield_gs.panel import Panel
+from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
 from lightfield_gs.workspace import Stats
 
@@ -28,14 +29,16 @@ _WARM_UP = 2  # calls before a capture: libraries load and choose their algorith
 class PhotoEncoder:
     """Draws what a panel shows of the object in a photo: SplatterNet.predict, Rig.frame and `encode`, without detours.
 
-    net: on the device to work on; its weights are copied when the encoder is made. panel, views, background and output
-    ("uint8" or "float32") are those of `encode`. On CUDA the U-Net runs in bfloat16, crop, network and framing are CUDA
-    graphs, captured for the first photo of each size, and the host waits for the device once a photo, to learn where
-    the object is. Raises InputError.
+    net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
+    ("uint8" or "float32") and quality are those of `encode`. On CUDA the U-Net runs in bfloat16, crop, network and
+    framing are CUDA graphs, captured for the first photo of each size, and the host waits for the device once a photo,
+    to learn where the object is. Raises InputError.
     """
 
     def __init__(self, net: SplatterNet, panel: Panel, *, views: str = "integer",
-                 background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8"):
+                 background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8",
+                 quality: str | Quality = "exact"):
+        self.quality = Quality.of(quality)
         rendering.check_options("direct", views, output)
         expect("net", net, SplatterNet)
         expect("panel", panel, Panel)
@@ -77,7 +80,7 @@ class PhotoEncoder:
             self.rig = Rig.frame(self.gaussians, self.panel, np.eye(4))
         with stats.stage("encode"):
             return rendering.encode(self.gaussians, self.panel, self.rig, views=self.views, background=self.background,
-                                    output=self.output)
+                                    output=self.output, quality=self.quality)
 
     def _draw_on_cuda(self, photo: Tensor, stats: Stats) -> Tensor:
         with torch.cuda.device(self.net.device):
@@ -99,7 +102,7 @@ class PhotoEncoder:
         job = ops.LensArguments(*self.gaussians.fields().values(), background,
                                 *rendering.lens_arguments(self.panel, self.rig, self.views == "continuous"))
         if self._kind is None:
-            self._kind = ops.frame_kind(job, moving=True)
+            self._kind = ops.frame_kind(job, self.quality, moving=True)
         self._kind.rig, self._kind.lens = job.rig, job.lens
         return ops.draw_frame(job, self._kind, self.output == "uint8", Stats())
 

@@ -16,6 +16,7 @@ from lightfield_gs.cameras import Cameras
 from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
+from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
 from lightfield_gs.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.sorted_plan import SortedPlan, views_shown
@@ -70,8 +71,8 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
 def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: str = "direct", *,
            views: str = "integer", cameras: Cameras | None = None,
            view_map: np.ndarray | Tensor | SortedPlan | None = None, memory_budget: int | None = None,
-           background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8", threads: int | None = None,
-           stats: dict[str, Any] | None = None) -> Tensor:
+           background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8",
+           quality: str | Quality = "exact", threads: int | None = None, stats: dict[str, Any] | None = None) -> Tensor:
     """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
 
     method: "direct" renders only the sub-pixels (all cameras of the rig share one projection and one sort); "sorted"
@@ -84,8 +85,9 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or 1 GiB on CUDA); on CUDA those
     asked of torch's allocator, which may round each buffer up.
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
-    "direct" are differentiable. threads: CPU threads (default: torch's). stats: a dict to fill with stages_ms
-    (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
+    "direct" are differentiable. quality: "exact", "high", "fast", "draft" or a Quality, of "direct" without gradients:
+    how much error is allowed for less time. threads: CPU threads (default: torch's). stats: a dict to fill with
+    stages_ms (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
     CUDA), work_bytes, gaussians_culled, colour_error; for "sorted" also memory_bytes and memory_bytes_unchunked, by
     stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
     Raises InputError.
@@ -96,6 +98,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
                                ("stats", stats, (dict, type(None))), ("threads", threads, (int, type(None)))):
         expect(name, value, *kinds)
     gaussians.validate_layout()
+    quality = Quality.of(quality)
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
     if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
@@ -103,6 +106,9 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     if threads is not None and not 1 <= threads <= MOST_THREADS:
         raise InputError(f"threads must be 1..{MOST_THREADS}, got {threads}")
     _check_sorted_only(method, views, rig, cameras, view_map, memory_budget)
+    if not quality.is_exact and (method != "direct" or output == "float64"):
+        raise InputError(f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
+                         f"{output!r}: those are exact only")
     precision = torch.float64 if output == "float64" else torch.float32
     gaussians = gaussians.to(dtype=precision)
     colour = background_tensor(background, gaussians.means).reshape(-1)
@@ -115,7 +121,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
         image = encode_sorted(_tensors(gaussians), *chosen, memory_budget, colour, output == "uint8",
                               threads or torch.get_num_threads(), counters)
     else:
-        image = _direct(gaussians, panel, rig, views, colour, output, threads, counters)
+        image = _direct(gaussians, panel, rig, views, colour, output, quality, threads, counters)
     if stats is not None:
         _report(counters, gaussians, panel, stats)
     return image
@@ -156,12 +162,15 @@ def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float
 
 
 def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
-            threads: int | None, stats: Stats) -> Tensor:
+            quality: Quality, threads: int | None, stats: Stats) -> Tensor:
     arguments = (*_tensors(gaussians), background, *lens_arguments(panel, rig, views == "continuous"))
     if torch.is_grad_enabled() and output != "uint8" and any(t.requires_grad for t in arguments[:6]):
+        if not quality.is_exact:
+            raise InputError("quality is for images without gradients: use torch.no_grad(), or quality 'exact'")
         return torch.ops.lightfield_gs.render_lens(*arguments)
     with torch.no_grad():
-        return ops.lens_forward(*arguments, as_bytes=output == "uint8", stats=stats, threads=threads)
+        return ops.lens_forward(*arguments, as_bytes=output == "uint8", quality=quality, stats=stats,
+                                threads=threads)
 
 
 @torch.no_grad()

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.errors import InputError
+from lightfield_gs.quality import Quality
 
 
 @dataclass
@@ -184,9 +185,10 @@ class Workspace:
     def project_dense(self, cameras: Any) -> None:
         self.scene.core.project_dense(self.scene.native(), cameras, self.native, self.threads)
 
-    def project_lens(self, rig: Any, lens: Any, tolerance: float) -> float:
+    def project_lens(self, rig: Any, lens: Any, quality: Quality) -> float:
         """The largest estimated error of a colour polynomial."""
-        return self.scene.core.project_lens(self.scene.native(), rig, lens, tolerance, self.native, self.threads)
+        return self.scene.core.project_lens(self.scene.native(), rig, lens, quality.native, quality.colour_error,
+                                            self.native, self.threads)
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
         """admit: asked once `pairs` are counted, whether to go on; returns its answer."""
@@ -213,11 +215,11 @@ class Workspace:
         self.stats.count(self.scene.core.composite_dense(self.native, self.bins, cameras, background.data_ptr(), out,
                                                          self.threads))
 
-    def composite_lens(self, lens: Any, background: Tensor, out: Tensor) -> None:
+    def composite_lens(self, lens: Any, quality: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], of the scene's dtype or uint8."""
         floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
-        self.stats.count(self.scene.core.composite_lens(self.native, self.bins, lens, background.data_ptr(), floats,
-                                                        bytes_, self.threads))
+        self.stats.count(self.scene.core.composite_lens(self.native, self.bins, lens, quality.native,
+                                                        background.data_ptr(), floats, bytes_, self.threads))
 
     def dense_backward(self, cameras: Any, background: Tensor, images: Any, gradients: Any,
                        g_cameras: Tensor) -> tuple[list[Tensor], Tensor]:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.quality import Quality
 from lightfield_gs.workspace import Scene, State, Stats
 
 
@@ -49,11 +50,11 @@ class CudaWorkspace:
     def project_dense(self, cameras: Any) -> None:
         _core.cuda.project_dense(self.scene.native(), cameras, self.native, self.keys.data_ptr(), self.stream)
 
-    def project_lens(self, rig: Any, lens: Any, tolerance: float) -> float:
+    def project_lens(self, rig: Any, lens: Any, quality: Quality) -> float:
         """The largest estimated error of a colour polynomial."""
         error = self.scene.new(1, zero=True)
-        _core.cuda.project_lens(self.scene.native(), rig, lens, tolerance, self.native, self.keys.data_ptr(),
-                                error.data_ptr(), self.stream)
+        _core.cuda.project_lens(self.scene.native(), rig, lens, quality.colour_error, self.native,
+                                self.keys.data_ptr(), error.data_ptr(), self.stream)
         return float(error) if self.scene.degree > 0 else 0.0
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
@@ -90,7 +91,7 @@ class CudaWorkspace:
         _core.cuda.composite_dense(self.native, self.image, self.ranges.data_ptr(), self.pairs,
                                    background.data_ptr(), out, self.stream)
 
-    def composite_lens(self, lens: Any, background: Tensor, out: Tensor) -> None:
+    def composite_lens(self, lens: Any, _: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], float32. Images of bytes are frames (frame_cuda)."""
         _core.cuda.composite_lens(self.native, self.image, self.ranges.data_ptr(), self.pairs, lens,
                                   background.data_ptr(), out.data_ptr(), self.stream)

@@ -178,7 +178,8 @@ def test_metadata(folder, capsys):
     fields = Gaussians.load("s.ply").fields().values()
     digest = hashlib.sha256(b"".join(tensor.numpy().astype("<f4").tobytes() for tensor in fields)).hexdigest()
     assert json.loads(metadata["scene"]) == {"gaussians": 60, "sh_degree": 1, "sha256": digest}
-    assert json.loads(metadata["encoding"]) == {"method": "direct", "views": "integer", "background": [1, 0, 0]}
+    assert json.loads(metadata["encoding"]) == {"method": "direct", "views": "integer", "background": [1, 0, 0],
+                                                "quality": "exact"}
     assert json.loads(metadata["versions"])["torch"].startswith("2.")
     out = run(capsys, "info o.png")
     assert "image: 96 x 60, 3 channels, uint8" in out and digest in out

@@ -7,6 +7,7 @@ from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stac
 
 from lightfield_gs import _core, encode, reference, render
 from lightfield_gs.cameras import Cameras
+from lightfield_gs.quality import EXACT
 from lightfield_gs.reference_blend import Eye, Projection, Scene
 
 HALF_LOG2E = 0.5 / np.log(2)
@@ -55,7 +56,8 @@ class Stages:
         view = _core.Rig(world_to_camera=list(np.asarray(fan.world_to_camera).ravel()), intrinsics=[fx, fy, cx, cy],
                          limits=[*reference.rig_eye(shown, fan).limits.tolist(), 0.0], zero_depth=fan.zero_depth,
                          lens=self.lens)
-        return self.core.project_lens(self.gaussians(scene), view, self.lens, tolerance, self.splats, 2)
+        return self.core.project_lens(self.gaussians(scene), view, self.lens, EXACT.native, tolerance, self.splats,
+                                      2)
 
     def order_and_bin(self, height):
         images, count, _ = self.table.shape

@@ -19,9 +19,10 @@ void bind_lens_frame(py::module_ m) {
   m.attr("FRAME_STATE_BYTES") = sizeof(FrameState);
   m.attr("FRAME_KERNELS") = std::vector<std::string>{"pixel", "pixel-quadratic", "ordinal"};
   py::class_<LensFrame>(m, "LensFrame")
-      .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, double>(), py::kw_only(),
+      .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, const Quality&, double>(),
+           py::kw_only(),
            py::arg("gaussians"), py::arg("sh_degree"), py::arg("colour_order"), py::arg("rig"), py::arg("lens"),
-           py::arg("capacity"), py::arg("tolerance"))
+           py::arg("capacity"), py::arg("quality"), py::arg("tolerance"))
       .def("bytes", [](LensFrame frame) { return frame.place(nullptr); })
       .def("place", [](LensFrame& frame, Address work) { return frame.place(at<void>(work)); })
       .def("state_address", [](const LensFrame& frame) { return reinterpret_cast<Address>(frame.state); })

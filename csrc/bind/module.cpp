@@ -73,8 +73,10 @@ void bind_stages(py::module_ m) {
                                     at<T>(g_world_to_camera), threads);
         }, NoGil());
   m.def("project_lens",
-        [as_const](const G& g, const View<double>& rig, const Lens& lens, double tolerance, const Splats<T>& out,
-                   int threads) { return project_lens<T>(as_const(g), rig, lens, tolerance, out, threads); }, NoGil());
+        [as_const](const G& g, const View<double>& rig, const Lens& lens, const Quality& quality, double tolerance,
+                   const Splats<T>& out, int threads) {
+          return project_lens<T>(as_const(g), rig, lens, quality, tolerance, out, threads);
+        }, NoGil());
   m.def("project_lens_backward",
         [as_const](const G& g, const View<double>& rig, const Lens& lens, const Splats<T>& splats, Address first_pair,
                    Address pair_gradients, const G& out, int threads) {
@@ -108,9 +110,9 @@ void bind_stages(py::module_ m) {
                                              read_only(gradients), at<int64_t>(first_pair), at<T>(pair_gradients),
                                              at<T>(band_background), threads);
         }, NoGil());
-  m.def("composite_lens", [](const Splats<T>& splats, const Bins& bins, const Lens& lens, Address background,
-                             Address out, Address out8, int threads) {
-    return composite_lens<T>(splats, bins, lens, at<T>(background), at<T>(out), at<uint8_t>(out8), threads);
+  m.def("composite_lens", [](const Splats<T>& splats, const Bins& bins, const Lens& lens, const Quality& quality,
+                             Address background, Address out, Address out8, int threads) {
+    return composite_lens<T>(splats, bins, lens, quality, at<T>(background), at<T>(out), at<uint8_t>(out8), threads);
   }, NoGil());
   m.def("composite_lens_backward",
         [](const Splats<T>& splats, const Bins& bins, const Lens& lens, Address background, Address image,
@@ -280,6 +282,12 @@ PYBIND11_MODULE(_core, m) {
   py::class_<View<double>>(m, "Rig").def(py::init(&view_of), py::kw_only(), py::arg("world_to_camera"),
                                          py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),
                                          py::arg("lens"));
+  py::class_<Quality>(m, "Quality")
+      .def(py::init([](double opacity_cut, double transmittance_stop, double lattice, bool rough) {
+             return Quality{opacity_cut * 255 > 1 ? std::log2(opacity_cut) : kLog2MinAlpha,
+                            std::max(transmittance_stop, kMinTransmittance), lattice, rough};
+           }),
+           py::kw_only(), py::arg("opacity_cut"), py::arg("transmittance_stop"), py::arg("lattice"), py::arg("rough"));
   py::class_<Bins>(m, "Bins").def(py::init([](Address offsets, Address splats) {
     return Bins{at<int64_t>(offsets), at<int32_t>(splats)};
   }), py::arg("band_offsets"), py::arg("band_splats"));

@@ -1,12 +1,14 @@
 // Stage composite for the panel, and its reverse. A work item is one band of rows.
 #include <algorithm>
+#include <array>
 #include <memory>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
 #include "base/parallel.h"
-#include "cpu/lens_layout.h"
+#include "cpu/lens_job.h"
+#include "cpu/lens_run.h"
 #include "cpu/tile_lists.h"
 #include "math/colour_polynomial.h"
 #include "pipeline/stages.h"
@@ -15,128 +17,14 @@
 #define HWY_TARGET_INCLUDE "cpu/composite_lens.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
 #include "hwy/highway.h"
-#include "cpu/lens_splat-inl.h"
+#include "cpu/lens_blend-inl.h"
+#include "cpu/lens_lattice-inl.h"
 #include "cpu/lens_tile-inl.h"
 #include "math/blend-inl.h"
-
-#ifndef LFGS_COMPOSITE_LENS_ONCE
-#define LFGS_COMPOSITE_LENS_ONCE
-namespace lfgs {
-template <class T>
-struct LensJob {
-  Splats<T> splats;
-  Bins bins;
-  const Lens* lens;
-  const T* background;  // [3]
-  T* out;               // one of these two
-  uint8_t* out8;
-  const T *image, *gradient;  // reverse only
-  const int64_t* first_pair;
-  T *pair_gradients, *band_background;
-  bool backward;  // pair_gradients may be null in both directions: nothing may be drawn
-  int threads;
-};
-}  // namespace lfgs
-#endif
 
 HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
-
-// Blends a splat over the `count` vectors that it may touch. Never inlined: what is constant stays in registers.
-template <class Footprint, int kOrder, class Shape, class T>
-HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
-                               const Shape& shape, int64_t count) {
-  constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share the look-out for what stops
-  using V = typename LensTile<T>::V;
-  const Tag<T> d;
-  const hn::RebindToSigned<Tag<T>> di;
-  const Footprint footprint(shape);
-  const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
-  T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
-  const int order = job.splats.orders[id];
-  const V least_after = hn::Set(d, T(kMinTransmittance));
-
-  auto blend = [&](auto vectors, const uint16_t* list) {
-    V weights[vectors], afters[vectors], least = least_after;
-    for (int n = 0; n < vectors; ++n) {
-      const int64_t i = int64_t(list[n]) * kLanes;
-      const V before = hn::Load(d, transmittances + i);
-      weights[n] = footprint.weight(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n]), before);
-      afters[n] = hn::Sub(before, weights[n]);
-      least = hn::Min(least, afters[n]);
-    }
-    const bool stops = !hn::AllFalse(d, hn::Lt(least, least_after));
-    for (int n = 0; n < vectors; ++n) {
-      const int64_t i = int64_t(list[n]) * kLanes;
-      const auto channel = hn::Load(di, &tile.channel[i]);
-      V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
-
-      // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
-      if (HWY_UNLIKELY(stops)) {
-        const auto stop = hn::Lt(after, least_after);
-        weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
-        c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
-        after = hn::IfThenZeroElse(stop, after);
-        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
-      }
-      hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
-      hn::Store(after, d, transmittances + i);
-    }
-  };
-  const uint16_t *list = tile.list(), *end = list + count;
-  for (; list + kStep <= end; list += kStep) blend(std::integral_constant<int, kStep>(), list);
-  for (; list < end; ++list) blend(std::integral_constant<int, 1>(), list);
-}
-
-// The same, by the cheapest code that is right for the splat.
-template <class T>
-void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, int64_t count) {
-  const Splat<T>& splat = job.splats.splats[id];
-  auto draw = [&](auto footprint, const auto& shape) {
-    using Footprint = typename decltype(footprint)::type;
-    switch (job.splats.orders[id]) {
-      case 0: return ForwardSplat<Footprint, 0>(job, tile, background, id, shape, count);
-      case 1: return ForwardSplat<Footprint, 1>(job, tile, background, id, shape, count);
-      case 2: return ForwardSplat<Footprint, 2>(job, tile, background, id, shape, count);
-      default: return ForwardSplat<Footprint, -1>(job, tile, background, id, shape, count);
-    }
-  };
-  if constexpr (sizeof(T) == 4) {
-    const InverseRoot<T> root(splat);
-    if (PlainFootprint<T>::fits(splat, root)) return draw(std::type_identity<PlainFootprint<T>>(), root);
-  }
-  draw(std::type_identity<ExactFootprint<T>>(), splat);
-}
-
-// Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel.
-template <class T>
-void FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
-  const Tag<T> d;
-  const hn::RebindToSigned<Tag<T>> di;
-  const hn::RebindToUnsigned<Tag<T>> du;
-  const hn::Rebind<uint8_t, Tag<T>> d8;
-  constexpr int kLanes = LensTile<T>::kLanes;
-  uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // read no more once they are written
-  for (int64_t i = 0; i < samples; i += kLanes) {
-    const auto b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
-    const auto c = hn::MulAdd(hn::Load(d, &tile.transmittance[i]), b, hn::Load(d, &tile.colour[i]));
-    if (job.out8) {
-      const auto unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
-      const auto rounded = hn::ConvertTo(di, hn::MulAdd(unit, hn::Set(d, T(255)), hn::Set(d, T(0.5))));
-      hn::Store(hn::TruncateTo(d8, hn::BitCast(du, rounded)), d8, bytes + i);
-    } else {
-      hn::Store(c, d, &tile.colour[i]);
-    }
-  }
-  auto write = [&](const auto* from, auto* image) {
-    tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
-      auto* to = image + row * 3 * job.lens->width_px + m;
-      for (int64_t t = 0; t < count; ++t) to[t] = from[sample + t * kLanes];
-    });
-  };
-  job.out8 ? write(bytes, job.out8) : write(tile.colour.get(), job.out);
-}
 
 // From the places of a panel that has the blue left-most to the channels of an image.
 template <class U>
@@ -144,153 +32,181 @@ void SwapRedBlue(U* rows, int64_t pixels) {
   for (int64_t j = 0; j < pixels; ++j) std::swap(rows[3 * j], rows[3 * j + 2]);
 }
 
-// See BackwardTile of the dense sensor for the formula; here a sample has one channel.
+constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lattice; levels: the same, halves, quarters
+
+// What a frame has in common for all its bands.
 template <class T>
-void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out, int64_t count) {
-  using V = typename LensTile<T>::V;
-  const Tag<T> d;
-  const hn::RebindToSigned<Tag<T>> di;
-  const Splat<T>& splat = job.splats.splats[id];
-  const ExactFootprint<T> footprint(splat);
-  const T* colour = colour_of(job.splats, id);
-  const int order = job.splats.orders[id];
-  SplatSums<Tag<T>> sums(d);
-  V g_colour[3 * (kMaxColourOrder + 1)];
-  for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
-  bool touched = false;
-  for (int64_t step = 0; step < count; ++step) {
-    const auto vector = tile.list()[step];
-    const int64_t i = int64_t(vector) * LensTile<T>::kLanes;
-    const auto& rows = tile.rows(vector);
-    const V s = hn::Load(d, &tile.s[i]);
-    V dx, inverse_S;
-    const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
-    V alpha = Alpha(d, power);
-    const V before = hn::Load(d, &tile.transmittance[i]);
-    const V after = hn::NegMulAdd(alpha, before, before);
-    const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
-    const V g = hn::Load(d, &tile.gradient[i]);
-    const auto channel = hn::Load(di, &tile.channel[i]);
-    if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
-      // `colour` collects what each sample lets through to the background
-      hn::Store(hn::Add(hn::Load(d, &tile.colour[i]), hn::IfThenElseZero(stop, before)), d, &tile.colour[i]);
-      if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(vector);
+struct LensScene {
+  const LensJob<T>& job;
+  LensLayout layout;
+  alignas(16) T background[kColourStride];
+  Backdrop<T> backdrop;
+  Backdrop<uint8_t> backdrop8;
+  // A lattice has no use for jumps at a raised opacity cut: only what is drawn without it is cut
+  bool raised;
+
+  explicit LensScene(const LensJob<T>& job_)
+      : job(job_), layout(*job_.lens, LensTile<T>::kCellsPerPatch),
+        background{job_.background[0], job_.background[1], job_.background[2], 0},
+        backdrop(*job_.lens, [&](int c) { return background[c]; }),
+        backdrop8(*job_.lens, [&](int c) { return uint8_t(std::clamp(background[c], T(0), T(1)) * 255 + T(0.5)); }),
+        raised(job_.quality.lattice > 0 && job_.quality.log2_cut > kLog2MinAlpha) {}
+
+  Splat<T> splat(int32_t id, bool uncut) const {
+    Splat<T> s = job.splats.splats[id];
+    if (raised && !uncut) raise_cut(s, T(job.quality.log2_cut));
+    return s;
+  }
+};
+
+// Splats by index, nearest first.
+struct SplatList {
+  const int32_t *begin, *end;
+  int64_t size() const { return end - begin; }
+  bool empty() const { return begin == end; }
+};
+
+// Draws bands, or takes their gradients: what one worker needs for that.
+template <class T>
+class LensBands {
+ public:
+  explicit LensBands(const LensScene<T>& scene)
+      : scene_(scene), job_(scene.job), lens_(*scene.job.lens), layout_(scene.layout),
+        tile_(lens_, layout_, job_.backward), lattice_(lens_, job_.quality) {}
+
+  void draw(int64_t band) {
+    band_ = band, row0_ = band * kBandRows, rows_ = std::min<int64_t>(kBandRows, lens_.height_px - row0_);
+    const int64_t* offsets = job_.bins.band_offsets + band;
+    const SplatList splats = {job_.bins.band_splats + offsets[0], job_.bins.band_splats + offsets[1]};
+    const Range cells = layout_.cells_of_band(lens_, row0_);
+    if (job_.quality.lattice > 0) {
+      lattice_.start_band();
+      draw_runs(splats, cells, 0);
+    } else {
+      draw_tiles(splats, cells);
     }
-    hn::Store(hn::IfThenZeroElse(stop, after), d, &tile.transmittance[i]);
-    alpha = hn::IfThenZeroElse(stop, alpha);
-    const auto lit = hn::Gt(alpha, hn::Zero(d));
-    if (hn::AllFalse(d, lit)) continue;
-    touched = true;
+    if (job_.backward || !lens_.bgr) return;
+    const int64_t first = row0_ * 3 * lens_.width_px, pixels = rows_ * lens_.width_px;
+    job_.out8 ? SwapRedBlue(job_.out8 + first, pixels) : SwapRedBlue(job_.out + first, pixels);
+  }
 
-    const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s)
-                           : ColourAt<-1>(d, colour, order, channel, s);
-    const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
-    const V prefix = hn::MulAdd(weight, v, hn::Load(d, &tile.prefix[i]));
-    hn::Store(prefix, d, &tile.prefix[i]);
-    const V later = hn::Div(hn::Sub(hn::Load(d, &tile.total[i]), prefix), hn::Sub(hn::Set(d, T(1)), alpha));
-    const V g_alpha = hn::MulSub(before, v, later);
-    const auto free = hn::And(lit, hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
-    const V g_power = hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
-    sums.Add(g_power, hn::Load(d, rows.dy), hn::Mul(dx, inverse_S), s);
+  Counters counters() const {
+    Counters out = counters_;
+    out.evaluations += lattice_.evaluations();
+    out.scratch_bytes = tile_.bytes() + lattice_.bytes() + tiles_.bytes();
+    for (const TileLists& runs : runs_) out.scratch_bytes += runs.bytes();
+    return out;
+  }
 
-    // Colour coefficients, unless the clamp at zero holds (order 0 was clamped, and is masked, at projection)
-    V g_c = hn::Mul(g, weight);
-    if (order > 0) g_c = hn::IfThenElseZero(hn::Gt(c, hn::Zero(d)), g_c);
-    for (int k = 0; k < 3; ++k) {
-      V term = hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename LensTile<T>::TI(k)))), g_c);
-      for (int p = 0; p <= order; ++p, term = hn::Mul(term, s))
-        g_colour[3 * p + k] = hn::Add(g_colour[3 * p + k], term);
+ private:
+  // Which splats sweep over each `width` cells of some. uncut: see LensScene::splat.
+  void list(TileLists& out, SplatList splats, Range cells, int64_t width, bool uncut) {
+    out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, [&](int32_t id) -> Range {
+      T low, high;
+      if (!columns_of(scene_.splat(id, uncut), T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low,
+                      high))
+        return {0, -1};
+      const Range touched = layout_.cells_of(double(low), double(high));
+      const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
+      if (last < first) return {0, -1};
+      return {(first - cells.first) / width, (last - cells.first) / width};
+    });
+    counters_.pairs += out.pairs();
+  }
+
+  void draw_empty(const LensRun& run) {
+    job_.out8 ? scene_.backdrop8.draw(run, lens_.width_px, job_.out8)
+              : scene_.backdrop.draw(run, lens_.width_px, job_.out);
+  }
+
+  // Runs of tiles on lattices; those that want a much finer one are halved first.
+  void draw_runs(SplatList splats, Range cells, int level) {
+    TileLists& lists = runs_[size_t(level)];
+    const int64_t width = (kLatticeTiles >> level) * layout_.cells_per_tile;
+    list(lists, splats, cells, width, true);
+    for (int64_t cell = cells.first, t = 0; cell <= cells.last; cell += width, ++t) {
+      const LensRun run(lens_, layout_, row0_, cell, width);
+      const SplatList own = {lists.begin(t), lists.end(t)};
+      const Range own_cells = {cell, std::min(cell + width - 1, cells.last)};
+      if (run.samples() == 0) continue;
+      if (own.empty())
+        draw_empty(run);
+      else
+        draw_run(run, own, own_cells, level);
     }
   }
-  if (!touched) return;
-  sums.Reduce(d, splat, out);
-  for (int k = 0; k < 3 * (order + 1); ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
-}
 
-// Fills what the reverse reads at every sample.
-template <class T>
-void LoadGradients(const LensJob<T>& job, LensTile<T>& tile, int64_t samples) {
-  constexpr int kLanes = LensTile<T>::kLanes;
-  for (auto* a : {&tile.gradient, &tile.total, &tile.prefix}) std::fill(a->get(), a->get() + samples, T(0));
-  tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
-    for (int64_t t = 0; t < count; ++t, sample += kLanes) {
-      const int64_t from = row * 3 * job.lens->width_px + (m + t) / 3 * 3 + tile.channel[sample];
-      tile.gradient[sample] = job.gradient[from];
-      tile.total[sample] = job.gradient[from] * job.image[from];
+  void draw_run(const LensRun& run, SplatList splats, Range cells, int level) {
+    if constexpr (sizeof(T) == 4) {
+      const bool last = level + 1 == kLatticeLevels;
+      switch (lattice_.judge(run, job_.splats, splats.begin, splats.end, scene_.background, last)) {
+        case LensLattice::Verdict::kFits:
+          job_.out8 ? lattice_.write(run, job_.out8) : lattice_.write(run, job_.out);
+          break;
+        case LensLattice::Verdict::kRefuse:
+          draw_tiles(splats, cells);
+          break;
+        case LensLattice::Verdict::kSplit: {
+          const float fineness = lattice_.fineness;
+          draw_runs(splats, cells, level + 1);
+          lattice_.fineness = fineness;
+        }
+      }
     }
-  });
-}
+  }
 
-template <class T>
-void BackgroundGradient(const LensTile<T>& tile, int64_t samples, T* out) {
-  for (int64_t i = 0; i < samples; ++i)
-    out[tile.channel[i]] += tile.gradient[i] * (tile.colour[i] + tile.transmittance[i]);
-}
+  void draw_tiles(SplatList splats, Range cells) {
+    list(tiles_, splats, cells, layout_.cells_per_tile, false);
+    for (int64_t cell = cells.first, t = 0; cell <= cells.last; cell += layout_.cells_per_tile, ++t)
+      draw_tile(cell, {tiles_.begin(t), tiles_.end(t)});
+  }
+
+  void draw_tile(int64_t cell0, SplatList splats) {
+    if (splats.empty() && !job_.backward)
+      return draw_empty(LensRun(lens_, layout_, row0_, cell0, layout_.cells_per_tile));
+    tile_.move_to(row0_, cell0);
+    if (job_.backward) LoadGradients(job_, tile_, layout_.samples());
+    for (const int32_t* id = splats.begin; id != splats.end && tile_.open > 0; ++id) {
+      const int64_t count = tile_.find(scene_.splat(*id, false));
+      counters_.evaluations += count * LensTile<T>::kLanes;
+      if (!job_.backward) {
+        Forward(job_, tile_, scene_.background, *id, count);
+        continue;
+      }
+      const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
+      const int64_t pair = job_.first_pair[*id] + own_band;
+      BackwardSplat(job_, tile_, *id, job_.pair_gradients + pair * pair_gradient_size(job_.splats.colour_order), count);
+    }
+    if (job_.backward)
+      BackgroundGradient(tile_, layout_.samples(), job_.band_background + 3 * band_);
+    else
+      FinishTile(job_, tile_, layout_.samples(), scene_.background);
+  }
+
+  const LensScene<T>& scene_;
+  const LensJob<T>& job_;
+  const Lens& lens_;
+  const LensLayout& layout_;
+  int64_t band_ = 0, row0_ = 0, rows_ = 0;
+  LensTile<T> tile_;
+  LensLattice lattice_;
+  TileLists tiles_;
+  std::array<TileLists, kLatticeLevels> runs_;
+  Counters counters_;
+};
 
 template <class T>
 Counters CompositeLensImpl(const LensJob<T>& job) {
-  const Lens& lens = *job.lens;
-  const bool backward = job.backward;
-  const LensLayout layout(lens, LensTile<T>::kCellsPerPatch);
-  const size_t workers = size_t(std::max(job.threads, 1));
-  std::vector<TileLists> lists(workers);
-  std::vector<Counters> counters(workers);
-  std::vector<std::unique_ptr<LensTile<T>>> tiles(workers);
-  const int64_t size = pair_gradient_size(job.splats.colour_order);
-  alignas(16) const T background[kColourStride] = {job.background[0], job.background[1], job.background[2], 0};
-
-  parallel_for(band_count(lens.height_px), job.threads, [&](int64_t band, int worker) {
-    if (!tiles[size_t(worker)]) tiles[size_t(worker)] = std::make_unique<LensTile<T>>(lens, layout, backward);
-    LensTile<T>& tile = *tiles[size_t(worker)];
-    TileLists& list = lists[size_t(worker)];
-    Counters& c = counters[size_t(worker)];
-    const int64_t row0 = band * kBandRows, rows = std::min<int64_t>(kBandRows, lens.height_px - row0);
-    const Range cells = layout.cells_of_band(lens, row0);
-    const int64_t tile_count = (cells.last - cells.first) / layout.cells_per_tile + 1;
-
-    // Tiles that each splat of the band sweeps over
-    const int64_t begin = job.bins.band_offsets[band], end = job.bins.band_offsets[band + 1];
-    list.build(job.bins.band_splats + begin, end - begin, tile_count, [&](int32_t id) -> Range {
-      T low, high;
-      if (!columns_of(job.splats.splats[id], T(row0) + T(0.5), T(row0 + rows) - T(0.5), T(layout.shear / 3), low, high))
-        return {0, -1};
-      const Range touched = layout.cells_of(double(low), double(high));
-      const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
-      if (last < first) return {0, -1};
-      return {(first - cells.first) / layout.cells_per_tile, (last - cells.first) / layout.cells_per_tile};
-    });
-    c.pairs += list.pairs();
-
-    for (int64_t t = 0; t < tile_count; ++t) {
-      tile.move_to(row0, cells.first + t * layout.cells_per_tile);
-      if (backward) LoadGradients(job, tile, layout.samples());
-      for (const int32_t* id = list.begin(t); id != list.end(t) && tile.open > 0; ++id) {
-        const int64_t count = tile.find(job.splats.splats[*id]);
-        c.evaluations += count * LensTile<T>::kLanes;
-        if (!backward) {
-          Forward(job, tile, background, *id, count);
-          continue;
-        }
-        const int64_t own_band = band - rows_of(job.splats.splats[*id], lens.height_px).first / kBandRows;
-        BackwardSplat(job, tile, *id, job.pair_gradients + (job.first_pair[*id] + own_band) * size, count);
-      }
-      if (backward)
-        BackgroundGradient(tile, layout.samples(), job.band_background + 3 * band);
-      else
-        FinishTile(job, tile, layout.samples(), background);
-    }
-    if (!backward && lens.bgr) {
-      const int64_t first = row0 * 3 * lens.width_px, pixels = rows * lens.width_px;
-      job.out8 ? SwapRedBlue(job.out8 + first, pixels) : SwapRedBlue(job.out + first, pixels);
-    }
+  const LensScene<T> scene(job);
+  std::vector<std::unique_ptr<LensBands<T>>> workers(size_t(std::max(job.threads, 1)));
+  parallel_for(band_count(job.lens->height_px), job.threads, [&](int64_t band, int worker) {
+    auto& bands = workers[size_t(worker)];
+    if (!bands) bands = std::make_unique<LensBands<T>>(scene);
+    bands->draw(band);
   });
-
   Counters sum;
-  for (size_t w = 0; w < workers; ++w) {
-    sum.pairs += counters[w].pairs;
-    sum.evaluations += counters[w].evaluations;
-    sum.scratch_bytes += lists[w].bytes() + (tiles[w] ? tiles[w]->bytes() : 0);
-  }
+  for (const auto& bands : workers)
+    if (bands) sum += bands->counters();
   return sum;
 }
 
@@ -314,11 +230,11 @@ Counters dispatch(const LensJob<double>& job) { return HWY_DYNAMIC_DISPATCH(Comp
 }  // namespace
 
 template <class T>
-Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background, T* out,
-                        uint8_t* out8, int threads) {
+Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
+                        const T* background, T* out, uint8_t* out8, int threads) {
   LensJob<T> job{};
   job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
-  job.out = out, job.out8 = out8;
+  job.quality = quality, job.out = out, job.out8 = out8;
   return dispatch(job);
 }
 
@@ -334,7 +250,7 @@ Counters composite_lens_backward(const Splats<T>& splats, Bins bins, const Lens&
 }
 
 #define LFGS_INSTANTIATE(T)                                                                                        \
-  template Counters composite_lens(const Splats<T>&, Bins, const Lens&, const T*, T*, uint8_t*, int);              \
+  template Counters composite_lens(const Splats<T>&, Bins, const Lens&, const Quality&, const T*, T*, uint8_t*, int); \
   template Counters composite_lens_backward(const Splats<T>&, Bins, const Lens&, const T*, const T*, const T*,     \
                                             const int64_t*, T*, T*, int);
 LFGS_INSTANTIATE(float)

@@ -13,6 +13,7 @@
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
 #include "math/inverse_root.h"
+#include "math/quality.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace lfgs {
@@ -47,11 +48,11 @@ template <class T>
 struct ExactFootprint {
   using D = Tag<T>;
   using V = hn::Vec<D>;
-  V S0, S1, S2;
+  V S0, S1, S2, cut;
 
-  explicit HWY_INLINE ExactFootprint(const Splat<T>& s) {
+  HWY_INLINE ExactFootprint(const Splat<T>& s, T log2_cut) {
     const D d;
-    S0 = hn::Set(d, s.S0), S1 = hn::Set(d, s.S1), S2 = hn::Set(d, s.S2);
+    S0 = hn::Set(d, s.S0), S1 = hn::Set(d, s.S1), S2 = hn::Set(d, s.S2), cut = hn::Set(d, log2_cut);
   }
   // log2 of opacity * weight; also dx = px - m(s) and 1 / S(s).
   HWY_INLINE V power(V x, V s, const typename LensTile<T>::Rows& rows, V& dx, V& inverse_S) const {
@@ -63,32 +64,44 @@ struct ExactFootprint {
   // alpha * transmittance
   HWY_INLINE V weight(V x, V s, const typename LensTile<T>::Rows& rows, V transmittance) const {
     V dx, inverse_S;
-    return hn::Mul(Alpha(D(), power(x, s, rows, dx, inverse_S)), transmittance);
+    return hn::Mul(Alpha(D(), power(x, s, rows, dx, inverse_S), cut), transmittance);
   }
 };
 
 // The footprint of a splat whose S^(-1/2) is near enough to a parabola over the rig, and whose alpha needs no limit.
-template <class T>
+// kExpDegree: of the polynomial for exp2.
+template <class T, int kExpDegree>
 struct PlainFootprint {
   using D = Tag<T>;
   using V = hn::Vec<D>;
-  V r0, r1, r2;
+  V r0, r1, r2, cut;
 
-  explicit HWY_INLINE PlainFootprint(const InverseRoot<T>& root) {
+  HWY_INLINE PlainFootprint(const InverseRoot<T>& root, T log2_cut) {
     const D d;
-    r0 = hn::Set(d, root.r0), r1 = hn::Set(d, root.r1), r2 = hn::Set(d, root.r2);
+    r0 = hn::Set(d, root.r0), r1 = hn::Set(d, root.r1), r2 = hn::Set(d, root.r2), cut = hn::Set(d, log2_cut);
   }
   static bool fits(const Splat<T>& s, const InverseRoot<T>& root) {
-    return root.error < T(kMostRootError) && s.log2_opacity <= T(kLog2MaxAlpha);
+    return root.error < T(kExpDegree < 4 ? kMostRoughRootError : kMostRootError) && s.log2_opacity <= T(kLog2MaxAlpha);
   }
   HWY_INLINE V weight(V x, V s, const typename LensTile<T>::Rows& rows, V transmittance) const {
     const D d;
     const V e = hn::Mul(DistanceX<T>(x, s, rows), hn::MulAdd(hn::MulAdd(s, r2, r1), s, r0));
     const V power = hn::NegMulAdd(e, e, hn::Load(d, rows.A));
-    const auto lit = hn::Ge(power, hn::Set(d, T(kLog2MinAlpha)));
-    return hn::IfThenElseZero(lit, hn::Mul(Exp2<4>(d, power), transmittance));
+    return hn::IfThenElseZero(hn::Ge(power, cut), hn::Mul(Exp2<kExpDegree>(d, power), transmittance));
   }
 };
+
+// Calls visit with the cheapest footprint that is right for a splat.
+template <class T, class Visit>
+void with_footprint(const Splat<T>& splat, const Quality& quality, const Visit& visit) {
+  const T cut = T(quality.log2_cut);
+  if constexpr (sizeof(T) == 4) {
+    const InverseRoot<T> root(splat);
+    if (quality.rough && PlainFootprint<T, 2>::fits(splat, root)) return visit(PlainFootprint<T, 2>(root, cut));
+    if (PlainFootprint<T, 4>::fits(splat, root)) return visit(PlainFootprint<T, 4>(root, cut));
+  }
+  visit(ExactFootprint<T>(splat, cut));
+}
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs

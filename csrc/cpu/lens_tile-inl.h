@@ -106,7 +106,7 @@ class LensTile {
       const V middle = hn::Sub(hn::Load(d, &patch_row_[p]), hn::Set(d, v));
       const V nearest = hn::Max(hn::Sub(hn::Abs(middle), hn::Set(d, half)), zero);
       const V exponent = hn::NegMulAdd(hn::Mul(hn::Set(d, splat.tau), nearest), nearest,
-                                       hn::Set(d, splat.log2_opacity - T(kLog2MinAlpha) + T(1e-3)));
+                                       hn::Set(d, exponent_left(splat, T(0)) + T(1e-3)));
       const V w = hn::Add(hn::Sqrt(hn::Max(hn::Mul(exponent, widest), zero)), hn::Set(d, spread));
       const V M0 = hn::MulAdd(hn::Set(d, splat.c0), middle, hn::Set(d, u));
       const V M1 = hn::MulAdd(hn::Set(d, splat.c1), middle, hn::Set(d, splat.du));
@@ -262,7 +262,6 @@ class LensTile {
                         hn::Set(d, T(layout_.s_start + layout_.s_step * half)));
     }
   }
-
 
   const Lens& lens_;
   const LensLayout& layout_;

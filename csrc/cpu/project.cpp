@@ -141,8 +141,8 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
 }
 
 template <class T>
-double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens, double tolerance,
-                    const Splats<T>& out, int threads) {
+double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
+                    const Quality& quality, double tolerance, const Splats<T>& out, int threads) {
   const int64_t n = gaussians.count;
   const int order = out.colour_order, nodes = order + 1;
   const ColourBasis basis(order);
@@ -152,6 +152,7 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
     for (int64_t i = begin; i < end; ++i) {
       const Shape<double> shape = shape_of(gaussians, i);
       Splat<double> splat = Projection<double>(rig, shape).splat(rig, shape.opacity);
+      if (quality.log2_cut > kLog2MinAlpha && !(quality.lattice > 0)) raise_cut(splat, quality.log2_cut);
       cull_outside(splat, lens.width_px, lens.height_px);
       out.splats[i] = rounded<T>(splat);
       out.orders[i] = 0;
@@ -228,7 +229,7 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
 
 #define LFGS_INSTANTIATE(T)                                                                                          \
   template void project_dense(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, int);                  \
-  template double project_lens(const Gaussians<const T>&, const View<double>&, const Lens&, double,                  \
+  template double project_lens(const Gaussians<const T>&, const View<double>&, const Lens&, const Quality&, double,  \
                                const Splats<T>&, int);                                                               \
   template void project_dense_backward(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&,               \
                                        const int64_t*, const T*, const Gaussians<T>&, T*, int);                      \

@@ -123,15 +123,15 @@ struct Samples {
         for (int k = 0; k < 3; ++k) visit(r, p, k);
   }
 
-  __device__ bool opaque() {
+  __device__ bool opaque(float stop) {
     bool all = true;
-    for_each([&](int r, int p, int k) { all = all && transmittance[r][p][k] < float(kMinTransmittance); });
+    for_each([&](int r, int p, int k) { all = all && transmittance[r][p][k] < stop; });
     return all;
   }
 
   __device__ static float part(float4 c, int k) { return k == 0 ? c.x : k == 1 ? c.y : c.z; }
 
-  __device__ void add(const Staged<C>& staged, int i) {
+  __device__ void add(const Staged<C>& staged, int i, float cut) {
     const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i];
     const float4 f3 = C::Quadratic ? staged.fit[3][i] : make_float4(staged.fit[3][i].x, 0, 0, 0);
     const float4 colour_now = make_float4(f2.z, f2.w, f3.x, 0);
@@ -160,7 +160,7 @@ struct Samples {
           const float alpha = fast_exp2(power);
           const float change = C::Harmonics ? fmaf(v, part(slope_step, k), part(step, k)) : part(step, k);
           colour[r][p][k] = fmaf(T, change, colour[r][p][k]);
-          if (power >= float(kLog2MinAlpha)) T = fmaf(-alpha, T, T);
+          if (power >= cut) T = fmaf(-alpha, T, T);
         }
       }
     }
@@ -210,7 +210,7 @@ struct Samples {
       const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
       float c = part(highest, k);
       for (int q = order - 1; q >= 0; --q) c = fmaf(c, v, part(by_place(frame.optics, powers[q]), k));
-      const bool hit = power >= float(kLog2MinAlpha), stop = after < float(kMinTransmittance);
+      const bool hit = power >= frame.cut, stop = after < float(kMinTransmittance);
       // One that stops keeps its light for the background; an alpha of nothing leaves it as it is
       const float light = stop ? part(background, k) * T : fmaxf(c, 0.f) * (alpha * T);
       if (hit) colour[r][p][k] += light, T = stop ? 0 : after;
@@ -282,8 +282,8 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exac
       for (int h = 0;;) {
         const int next = marks ? __ffs(marks) - 1 : count;
 #pragma unroll 1
-        for (; h + 1 < next; h += 2) samples.add(staged, h), samples.add(staged, h + 1);
-        if (h < next) samples.add(staged, h);
+        for (; h + 1 < next; h += 2) samples.add(staged, h, frame.cut), samples.add(staged, h + 1, frame.cut);
+        if (h < next) samples.add(staged, h, frame.cut);
         if (next == count) break;
         samples.add_carefully(frame, staged.ids[next], centre, background);
         marks &= marks - 1, h = next + 1;
@@ -294,7 +294,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exac
       staged.ids[lane] = left_over;
       __syncwarp();
     } while (end && waiting > 0);
-    if (__all_sync(~0u, samples.opaque())) break;
+    if (__all_sync(~0u, samples.opaque(frame.stop))) break;
   }
   samples.store(frame.optics, left + lane_x, top + lane_y, background, out);
 }

@@ -66,6 +66,7 @@ struct LensFrame {
   int64_t capacity = 0;      // pairs
   int key_bytes = 4;
   float tolerance = 0;       // of colour polynomials
+  float cut = 0, stop = 0;   // of Quality: log2 of the opacity cut, transmittance at which a sample may end
 
   // Parts of the work buffer
   Splats<float> splats;
@@ -81,7 +82,7 @@ struct LensFrame {
   LensFrame() = default;
   // Throws Error when the sizes do not fit 32 bits.
   LensFrame(int64_t gaussians, int sh_degree, int colour_order, const View<double>& rig, const Lens& lens,
-            int64_t capacity, double tolerance);
+            int64_t capacity, const Quality& quality, double tolerance);
   // Lays the parts out in `work` (null: only counts); returns the bytes.
   size_t place(void* work);
   int64_t most_tiles() const { return std::max(pixel.tiles(), has_ordinal ? ordinal.tiles() : 0); }

@@ -6,6 +6,7 @@
 #pragma once
 
 #include "cuda/lens_frame.h"
+#include "math/footprint.h"
 #include "math/constants.h"
 
 namespace lfgs::cuda {
@@ -36,7 +37,7 @@ __host__ __device__ inline unsigned sample_stride(int64_t count) { return unsign
 __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s) {
   unsigned long long terms[kSums] = {};
   if (s.reach_y >= 0) {
-    const float range = s.log2_opacity - float(kLog2MinAlpha);
+    const float range = exponent_left(s, 0.f);
     const float a = fminf(sqrtf(range * s.S0), float(frame.optics.width_px)), D = 2 * fabsf(s.du);
     const float b = fminf(s.reach_y, float(frame.optics.height_px));
     const float values[] = {3.14159265f * a * b, a, b, D, b * D};

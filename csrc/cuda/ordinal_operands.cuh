@@ -93,12 +93,12 @@ __device__ inline void load_matrix(unsigned (&r)[2], unsigned address) {
 }
 
 template <bool Limit>
-__device__ inline void blend(float d, float A, float change, float& colour, float& transmittance) {
+__device__ inline void blend(float d, float A, float change, float cut, float& colour, float& transmittance) {
   const float power = fmaf(-d, d, A);
   float alpha = fast_exp2(power);
   if (Limit) alpha = fminf(alpha, float(kMaxAlpha));
   colour = fmaf(transmittance, change, colour);
-  if (power >= float(kLog2MinAlpha)) transmittance = fmaf(-alpha, transmittance, transmittance);
+  if (power >= cut) transmittance = fmaf(-alpha, transmittance, transmittance);
 }
 
 // Of the three places of a pixel, as a parabola in v: value + slope.x v + slope.y v^2; without harmonics the value.

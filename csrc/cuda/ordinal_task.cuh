@@ -246,10 +246,10 @@ struct Task {
             multiply(c, one_hot, c_b);
           }
           constexpr bool Limit = decltype(limited)::value;
-          blend<Limit>(d[0], A[0], c[0], colours[2 * f], transmittances[2 * f]);
-          blend<Limit>(d[2], A[2], c[2], colours[2 * f + 1], transmittances[2 * f + 1]);
-          blend<Limit>(d[1], A[1], c[1], colours[2 * f], transmittances[2 * f]);
-          blend<Limit>(d[3], A[3], c[3], colours[2 * f + 1], transmittances[2 * f + 1]);
+          blend<Limit>(d[0], A[0], c[0], frame.cut, colours[2 * f], transmittances[2 * f]);
+          blend<Limit>(d[2], A[2], c[2], frame.cut, colours[2 * f + 1], transmittances[2 * f + 1]);
+          blend<Limit>(d[1], A[1], c[1], frame.cut, colours[2 * f], transmittances[2 * f]);
+          blend<Limit>(d[3], A[3], c[3], frame.cut, colours[2 * f + 1], transmittances[2 * f + 1]);
         }
       };
       if (!limit) {
@@ -363,7 +363,7 @@ struct Task {
   __device__ bool opaque(int t) const {
     bool all = true;
 #pragma unroll
-    for (int i = 0; i < kHalves; ++i) all = all & (own.state[t * kHalves + i][lane].y < float(kMinTransmittance));
+    for (int i = 0; i < kHalves; ++i) all = all & (own.state[t * kHalves + i][lane].y < frame.stop);
     return __all_sync(~0u, all);
   }
   __device__ bool all_opaque(int ordinals) const {

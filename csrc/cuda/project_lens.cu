@@ -68,10 +68,11 @@ __device__ void store_colour(const Gaussians<const float>& gaussians, int64_t i,
 // Projects, culls and stores splat i; returns it (reach_y < 0: not drawn).
 template <int Order>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const View<float>& rig, int64_t width_px,
-                                    int64_t height_px, const BasisTable& basis, float tolerance, int64_t i,
+                                    int64_t height_px, const BasisTable& basis, float tolerance, float cut, int64_t i,
                                     const Splats<float>& out, unsigned* error) {
   const Shape<float> shape = shape_of(gaussians, i);
   Splat<float> splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
+  if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut);
   cull_outside(splat, width_px, height_px);
   write_splat(splat, out.splats + i);
   if (out.orders) out.orders[i] = 0;
@@ -89,7 +90,8 @@ __global__ void project_lens_kernel(Gaussians<const float> gaussians, View<float
                                     Splats<float> out, uint64_t* keys, unsigned* error) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
-  const Splat<float> splat = store_splat<Order>(gaussians, rig, width_px, height_px, basis, tolerance, i, out, error);
+  const Splat<float> splat = store_splat<Order>(gaussians, rig, width_px, height_px, basis, tolerance,
+                                                float(kLog2MinAlpha), i, out, error);
   keys[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : ~uint64_t(0);
 }
 
@@ -101,7 +103,7 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   splat.reach_y = -1;
   if (i < gaussians.count) {
     splat = store_splat<Order>(gaussians, frame.rig, frame.optics.width_px, frame.optics.height_px, basis,
-                               frame.tolerance, i, frame.splats, &frame.state->colour_error);
+                               frame.tolerance, frame.cut, i, frame.splats, &frame.state->colour_error);
     frame.depths[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : kNotDrawn;
     frame.indices[i] = uint32_t(i);
   }

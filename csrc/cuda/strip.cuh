@@ -1,7 +1,7 @@
 // What a splat sweeps out over a range of offsets, for lists and culls. Bounds err on the wide side.
 #pragma once
 
-#include "math/constants.h"
+#include "math/footprint.h"
 #include "math/projection.h"
 
 namespace lfgs::cuda {
@@ -27,7 +27,7 @@ struct Strip {
     const float d1 = fmaxf(y_low - s.v0, -s.reach_y), d2 = fminf(y_high - s.v0, s.reach_y);
     const float nearest = fmaxf(d1, 0.f) + fminf(d2, 0.f);
     dy = 0.5f * (d1 + d2), dh = 0.5f * (d2 - d1);
-    range = fmaxf(fmaf(-s.tau * nearest, nearest, s.log2_opacity - float(kLog2MinAlpha)), 0.f) * 1.00001f;
+    range = fmaxf(exponent_left(s, nearest), 0.f) * 1.00001f;
     range = d1 <= d2 ? range : -1.f;
     slope = s.c0, base = fmaf(slope, dy, s.u0);
     sweep = fmaf(s.c1, dy, s.du), turn = fmaf(fabsf(s.c1), dh, fabsf(sweep));

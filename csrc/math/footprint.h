@@ -29,11 +29,18 @@ LFGS_HD Range rows_of(const Splat<T>& s, int64_t height_px) {
   return pixels_within(s.v0 - s.reach_y, s.v0 + s.reach_y, height_px);
 }
 
+// How far the exponent at the middle of a row at distance dy from the centre lies above the opacity cut.
+template <class T>
+LFGS_HD T exponent_left(const Splat<T>& s, T dy) {
+  dy = std::fabs(dy);
+  return s.tau * (s.reach_y - dy) * (s.reach_y + dy);
+}
+
 // Squared half width, in px^2, of the footprint over rows no nearer to v0 than dy, for the widest camera of the rig.
 template <class T>
 LFGS_HD T square_reach_x(const Splat<T>& s, T dy) {
   T left = s.S0 - s.S1 + s.S2, right = s.S0 + s.S1 + s.S2;
-  T exponent = s.log2_opacity - T(kLog2MinAlpha) - s.tau * dy * dy;
+  T exponent = exponent_left(s, dy);
   return exponent > 0 ? exponent * (left > right ? left : right) : T(0);
 }
 
@@ -51,6 +58,12 @@ LFGS_HD bool columns_of(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T
   half += std::fabs(s.c0 + shear) * spread + std::fabs(s.du + s.c1 * middle) + std::fabs(s.c1) * spread;
   low = centre - half, high = centre + half;
   return true;
+}
+
+// Raises the opacity cut of a splat from 1/255.
+template <class T>
+LFGS_HD void raise_cut(Splat<T>& s, T log2_cut) {
+  if (s.reach_y >= 0) s.reach_y = s.log2_opacity >= log2_cut ? std::sqrt((s.log2_opacity - log2_cut) / s.tau) : T(-1);
 }
 
 // Gives a splat that touches no pixel of the image, from no camera of the rig, no rows at all; likewise one whose

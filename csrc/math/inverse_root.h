@@ -9,6 +9,7 @@
 namespace lfgs {
 
 constexpr double kMostRootError = 4e-5;  // relative; alpha errs by less than 0.74 of it, which keeps 80 dB at 8 bits
+constexpr double kMostRoughRootError = 2e-3;
 
 // S^(-1/2) ~ r0 + r1 s + r2 s^2 for s in [-1, 1]. Its series in S = S0 (1 + a1 s + a2 s^2) up to s^4, whose last two
 // terms become what is nearest to them: s^3 -> 3/4 s, s^4 -> s^2 - 1/8 (Chebyshev's economization).

@@ -9,6 +9,7 @@
 #include <cstdint>
 
 #include "math/projection.h"
+#include "math/quality.h"
 #include "scene/gaussians.h"
 #include "scene/lens.h"
 #include "scene/subpixels.h"
@@ -28,6 +29,11 @@ struct Counters {
   int64_t pairs = 0;        // (tile, splat)
   int64_t evaluations = 0;  // samples evaluated, lanes that missed included
   int64_t scratch_bytes = 0;
+
+  Counters& operator+=(const Counters& other) {
+    pairs += other.pairs, evaluations += other.evaluations, scratch_bytes += other.scratch_bytes;
+    return *this;
+  }
 };
 
 // Cameras of a batch of scenes: scene b is seen by cameras b * cameras_per_scene ...
@@ -81,8 +87,8 @@ void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& camera
 // The rig is the view of its centre camera plus the lens; returns the largest estimated error of a colour polynomial.
 // float: a splat's order is the smallest whose dropped Chebyshev coefficients sum to <= tolerance.
 template <class T>
-double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens, double tolerance,
-                    const Splats<T>& out, int threads);
+double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
+                    const Quality& quality, double tolerance, const Splats<T>& out, int threads);
 
 template <class T>
 void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
@@ -125,8 +131,8 @@ Counters composite_sorted(const Splats<T>& splats, Bins bins, const Cameras<T>& 
 
 // The pixel type of out: 0: T, 1: uint8 = round(255 clamp(c, 0, 1)).
 template <class T>
-Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background, T* out,
-                        uint8_t* out8, int threads);
+Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
+                        const T* background, T* out, uint8_t* out8, int threads);
 template <class T>
 Counters composite_lens_backward(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background,
                                  const T* image, const T* gradient, const int64_t* first_pair, T* pair_gradients,

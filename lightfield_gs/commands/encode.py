@@ -49,7 +49,8 @@ def run(args: argparse.Namespace) -> None:
             rig = Rig.frame(gaussians, panel, camera)
         stats: dict = {}
         image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
-                       output="uint8" if bits == 8 else "float32", threads=args.threads, stats=stats, **views)
+                       output="uint8" if bits == 8 else "float32", quality=args.quality, threads=args.threads,
+                       stats=stats, **views)
         image = image.cpu().numpy()
         watch.lap("image", stats["stages_ms"])
         write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig), args.compression)
@@ -126,7 +127,8 @@ def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
               rig: "Rig | None") -> dict[str, str]:
     """What the image was made from and by; the values but "software" and "input" are JSON."""
     scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
-    encoding = {"method": args.method, "views": args.views, "background": list(args.background)}
+    encoding = {"method": args.method, "views": args.views, "background": list(args.background),
+                "quality": args.quality}
     for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth)):
         if path is not None:
             encoding[name] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}

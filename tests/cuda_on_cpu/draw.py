@@ -23,6 +23,7 @@ torch.cuda.current_stream = lambda *device: types.SimpleNamespace(cuda_stream=0)
 import cases  # noqa: E402
 
 from lightfield_gs import frame_cuda, ops  # noqa: E402
+from lightfield_gs.quality import EXACT  # noqa: E402
 from lightfield_gs.rendering import lens_arguments  # noqa: E402
 from lightfield_gs.workspace_cuda import CudaWorkspace  # noqa: E402
 
@@ -38,7 +39,7 @@ def frame(kernel: str, name: str, degree: int, views: str) -> dict[str, object]:
                             *lens_arguments(panel, cases.rig_of(panel), continuous))
 
     def with_places(places: int) -> frame_cuda.Frame:
-        return frame_cuda.Frame(job.scene, job.rig, job.lens, 8 if degree else 0, 2e-5, places, kernel)
+        return frame_cuda.Frame(job.scene, job.rig, job.lens, 8 if degree else 0, EXACT, places, kernel)
 
     probe = with_places(0)
     probe.project(), probe.order(), probe.count(), probe.fill()

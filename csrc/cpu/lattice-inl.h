@@ -1,0 +1,269 @@
+// The light field of a part of the panel on the nodes of a coarse lattice, all three channels at once, and the
+// sub-pixels between them.
+
+#if defined(LFGS_CPU_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_LATTICE_INL_H_
+#undef LFGS_CPU_LATTICE_INL_H_
+#else
+#define LFGS_CPU_LATTICE_INL_H_
+#endif
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "hwy/aligned_allocator.h"
+#include "hwy/highway.h"
+#include "math/blend-inl.h"
+#include "math/footprint.h"
+#include "math/lattice_plan.h"
+#include "math/quality.h"
+#include "pipeline/stages.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lfgs {
+namespace HWY_NAMESPACE {
+
+// Colours at the nodes of a plan, and transmittances: [plane][down][row], a row being of whole vectors.
+class LatticeNodes {
+ public:
+  using D = Tag<float>;
+  using V = hn::Vec<D>;
+  static constexpr int kLanes = int(hn::MaxLanes(D()));
+  int64_t evaluations = 0;
+
+  // Lays the nodes out; x and y of the plan are about (x0, y0).
+  void lay(const LatticePlan& plan) {
+    plan_ = plan, row_ = (plan.across + kLanes - 1) / kLanes * kLanes;
+    stride_ = int64_t(row_) * plan.down * plan.planes;
+    grow(transmittance_, size_t(stride_)), grow(colours_, 3 * size_t(stride_));
+    for (auto* a : {&s_, &inverse_S_, &middle_, &half_}) grow(*a, size_t(plan.planes));
+    grow(splat_colours_, kColourStride * size_t(plan.planes));
+    for (int k = 0; k < plan.planes; ++k) s_.data[k] = plan.s0 + float(k) * plan.step_s;
+    for (int64_t i = 0; i < stride_; i += row_) {
+      float* row = &transmittance_.data[i];
+      std::fill(std::fill_n(row, plan.across, 1.f), row + row_, 0.f);
+    }
+    std::fill_n(colours_.data.get(), 3 * stride_, 0.f);
+  }
+
+  const LatticePlan& plan() const { return plan_; }
+  int64_t bytes() const { return int64_t((transmittance_.size + colours_.size) * sizeof(float)); }
+  // Of a channel on a row of a plane; a vector may be read behind the last.
+  const float* colours(int channel, int plane, int row) const {
+    return colours_.data.get() + channel * stride_ + at(plane, row);
+  }
+  // Whether no node takes any more light.
+  bool opaque() const {
+    const D d;
+    auto most = hn::Zero(d);
+    for (int64_t i = 0; i < stride_; i += kLanes) most = hn::Max(most, hn::Load(d, &transmittance_.data[i]));
+    return hn::AllTrue(d, hn::Eq(most, hn::Zero(d)));
+  }
+
+  // Blends a splat, (u, v) being its centre about (x0, y0); colours: [order + 1, kColourStride].
+  template <int kExpDegree>
+  HWY_NOINLINE void add(const Splat<float>& splat, float u, float v, const float* colours, int order,
+                        const Quality& quality, const float* background) {
+    int first, last;
+    if (!planes_touched(splat, u, v, first, last)) return;
+    shape_on_planes(splat, colours, order, first, last);
+    for (int j = 0; j < plan_.down; ++j) {
+      const float dy = plan_.y0 + float(j) * plan_.step_y - v;
+      const float A = splat.log2_opacity - splat.tau * dy * dy, left = A - float(kLog2MinAlpha);
+      if (!(left >= 0)) continue;
+      reach_on_planes(u + splat.c0 * dy, splat.du + splat.c1 * dy, left, first, last);
+      for (int k = first; k <= last; ++k) {
+        const int from = std::max(int(std::ceil(middle_.data[k] - half_.data[k])), 0);
+        const int to = std::min(int(std::floor(middle_.data[k] + half_.data[k])), plan_.across - 1);
+        for (int i = from & -kLanes; i <= to; i += kLanes) blend<kExpDegree>(j, k, i, A, quality, background);
+      }
+    }
+  }
+
+  // Adds the background.
+  void finish(const float* background) {
+    const D d;
+    for (int c = 0; c < 3; ++c)
+      for (int64_t i = 0; i < stride_; i += kLanes) {
+        float* to = &colours_.data[c * stride_ + i];
+        hn::Store(hn::MulAdd(hn::Load(d, &transmittance_.data[i]), hn::Set(d, background[c]), hn::Load(d, to)), d, to);
+      }
+  }
+
+ private:
+  struct Buffer {
+    hwy::AlignedFreeUniquePtr<float[]> data;
+    size_t size = 0;
+  };
+  static void grow(Buffer& buffer, size_t size) {
+    size = (size + kLanes - 1) / kLanes * kLanes + kLanes;
+    if (size <= buffer.size) return;
+    buffer.data = hwy::AllocateAligned<float>(size), buffer.size = size;
+  }
+  // The planes on which a splat may touch a node.
+  HWY_INLINE bool planes_touched(const Splat<float>& splat, float u, float v, int& first, int& last) const {
+    const float low = plan_.y0 - v, high = low + float(plan_.down - 1) * plan_.step_y;
+    const float d1 = std::max(low, -splat.reach_y), d2 = std::min(high, splat.reach_y);
+    if (!(d1 <= d2)) return false;
+    const float nearest = std::max(d1, 0.f) + std::min(d2, 0.f), middle = (d1 + d2) / 2, half = (d2 - d1) / 2;
+    const float reach = std::sqrt(square_reach_x(splat, nearest)) + (std::abs(splat.c0) + std::abs(splat.c1)) * half +
+                        0.01f;
+    const float left = plan_.x0 - u - splat.c0 * middle, right = left + float(plan_.across - 1) * plan_.step_x;
+    const float sweep = splat.du + splat.c1 * middle;
+    const float slope = std::abs(sweep) < 1e-6f ? 1e-6f : sweep;
+    const float a = (left - reach) / slope, b = (right + reach) / slope;
+    const float k0 = (std::min(a, b) - plan_.s0) / plan_.step_s, k1 = (std::max(a, b) - plan_.s0) / plan_.step_s;
+    if (!(k0 <= float(plan_.planes - 1)) || !(k1 >= 0)) return false;
+    first = k0 > 0 ? int(std::ceil(k0)) : 0, last = k1 < float(plan_.planes - 1) ? int(k1) : plan_.planes - 1;
+    return first <= last;
+  }
+
+  // 1 / S and the colour of a splat at the offsets of some planes.
+  HWY_INLINE void shape_on_planes(const Splat<float>& splat, const float* colours, int order, int first, int last) {
+    const D d;
+    for (int k = first; k <= last; k += kLanes) {
+      const V s = hn::LoadU(d, &s_.data[k]);
+      const V S = hn::MulAdd(hn::MulAdd(s, hn::Set(d, splat.S2), hn::Set(d, splat.S1)), s, hn::Set(d, splat.S0));
+      hn::StoreU(Reciprocal(d, S), d, &inverse_S_.data[k]);
+    }
+    const hn::CappedTag<float, 4> d4;
+    for (int k = first; k <= last; ++k) {
+      auto value = hn::LoadU(d4, colours + order * kColourStride);
+      for (int p = order - 1; p >= 0; --p)
+        value = hn::MulAdd(value, hn::Set(d4, s_.data[k]), hn::LoadU(d4, colours + p * kColourStride));
+      hn::StoreU(hn::Max(value, hn::Zero(d4)), d4, &splat_colours_.data[kColourStride * k]);
+    }
+  }
+
+  // Where |x - m(s)|^2 / S(s) <= left on some planes, in nodes: middle -+ half.
+  HWY_INLINE void reach_on_planes(float m0, float m1, float left, int first, int last) {
+    const D d;
+    const float per_x = 1 / plan_.step_x;
+    for (int k = first; k <= last; k += kLanes) {
+      const V s = hn::LoadU(d, &s_.data[k]), S = hn::Div(hn::Set(d, left), hn::LoadU(d, &inverse_S_.data[k]));
+      hn::StoreU(hn::MulAdd(hn::Sqrt(S), hn::Set(d, per_x), hn::Set(d, 1e-3f)), d, &half_.data[k]);
+      const V m = hn::MulAdd(s, hn::Set(d, m1), hn::Set(d, m0 - plan_.x0));
+      hn::StoreU(hn::Mul(m, hn::Set(d, per_x)), d, &middle_.data[k]);
+    }
+  }
+
+  int64_t at(int plane, int row) const { return int64_t(plane * plan_.down + row) * row_; }
+
+  // A vector of nodes of a row.
+  template <int kExpDegree>
+  HWY_INLINE void blend(int row, int plane, int i, float A, const Quality& quality, const float* background) {
+    const D d;
+    evaluations += kLanes;
+    const float step = plan_.step_x, scale = step * step * inverse_S_.data[plane];
+    const V dx = hn::Add(hn::Iota(d, 0.f), hn::Set(d, float(i) - middle_.data[plane]));
+    const V power = hn::NegMulAdd(hn::Mul(dx, dx), hn::Set(d, scale), hn::Set(d, A));
+    const auto lit = hn::Ge(power, hn::Set(d, float(kLog2MinAlpha)));
+    const V alpha = hn::IfThenElseZero(lit, hn::Min(Exp2<kExpDegree>(d, power), hn::Set(d, float(kMaxAlpha))));
+    float *left = &transmittance_.data[at(plane, row) + i], *sum = &colours_.data[at(plane, row) + i];
+    const V before = hn::Load(d, left);
+    V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
+    const auto stop = hn::And(lit, hn::Lt(after, hn::Set(d, float(quality.stop))));
+    const bool stops = !hn::AllFalse(d, stop);
+    if (HWY_UNLIKELY(stops)) weight = hn::IfThenElse(stop, before, weight), after = hn::IfThenZeroElse(stop, after);
+    hn::Store(after, d, left);
+    const float* colour = &splat_colours_.data[kColourStride * plane];
+    for (int c = 0; c < 3; ++c, sum += stride_) {
+      V value = hn::Set(d, colour[c]);
+      if (HWY_UNLIKELY(stops && !quality.ends_early()))
+        value = hn::IfThenElse(stop, hn::Set(d, background[c]), value);
+      hn::Store(hn::MulAdd(weight, value, hn::Load(d, sum)), d, sum);
+    }
+  }
+
+  LatticePlan plan_;
+  int row_ = 0;
+  int64_t stride_ = 0;  // of a channel
+  Buffer s_, inverse_S_, middle_, half_, splat_colours_;  // on planes, of the splat at hand
+  Buffer transmittance_, colours_;                        // [stride], [3, stride]
+};
+
+// Colours between the nodes, a row at a time, in 16 bits: 256 times those of 8 bits, and a half.
+class LatticeRow {
+ public:
+  using D = Tag<float>;
+  using V = hn::Vec<D>;
+  using DI = hn::RebindToUnsigned<D>;
+  static constexpr int kLanes = LatticeNodes::kLanes;
+  static constexpr float kUnit = 255 * 256, kHalf = 128;
+
+  // Nodes -> the row at y (about y0), straight between the rows of nodes.
+  void move_to(const LatticeNodes& nodes, float y) {
+    const D d;
+    const DI du;
+    plan_ = nodes.plan();
+    stride_ = plan_.across;
+    const size_t size = size_t(3 * (plan_.planes + 1) * stride_ + 2 * kLanes);  // a plane more, for s at its limit
+    if (size > size_) {
+      pairs_ = hwy::AllocateAligned<uint32_t>(size_ = size);
+      std::fill_n(pairs_.get(), size, 0u);
+    }
+    const float place = (y - plan_.y0) / plan_.step_y;
+    const int row = std::clamp(int(std::floor(place)), 0, plan_.down - 2);
+    const V f = hn::Set(d, place - float(row));
+    auto fixed = [&](const float* a, const float* b) {
+      const V low = hn::LoadU(d, a), high = hn::LoadU(d, b);
+      const V unit = hn::Min(hn::Max(hn::MulAdd(f, hn::Sub(high, low), low), hn::Zero(d)), hn::Set(d, 1.f));
+      return hn::BitCast(du, hn::ConvertTo(hn::RebindToSigned<D>(), hn::MulAdd(unit, hn::Set(d, kUnit),
+                                                                               hn::Set(d, kHalf + 0.5f))));
+    };
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < plan_.planes; ++k) {
+        const float *a = nodes.colours(c, k, row), *b = nodes.colours(c, k, row + 1);
+        uint32_t* to = pairs_.get() + (c * (plan_.planes + 1) + k) * stride_;
+        for (int i = 0; i < plan_.across; i += kLanes)
+          hn::StoreU(hn::Or(fixed(a + i, b + i), hn::ShiftLeft<16>(fixed(a + i + 1, b + i + 1))), du, to + i);
+      }
+  }
+
+  // A channel's colour at x0 + along step_x and s0 + up step_s: straight along x on the planes on both sides, and
+  // between them. The last 16 bits count.
+  HWY_INLINE hn::Vec<DI> at(int channel, V along, V up) const {
+    const D d;
+    const hn::RebindToSigned<D> di;
+    const V plane = hn::Floor(up), between = hn::Sub(up, plane);
+    const V lean = lean_of(hn::ConvertTo(di, plane));
+    const V place = hn::NegMulAdd(lean, between, along), node = hn::Floor(place), past = hn::Sub(place, node);
+    const V index = hn::MulAdd(plane, hn::Set(d, float(stride_)), node);
+    const uint32_t* pairs = pairs_.get() + channel * (plan_.planes + 1) * stride_;
+    const V low = straight(hn::GatherIndex(DI(), pairs, hn::ConvertTo(di, index)), past);
+    const V high = straight(hn::GatherIndex(DI(), pairs + stride_, hn::ConvertTo(di, hn::Add(index, lean))), past);
+    return hn::BitCast(DI(), hn::MulAdd(between, hn::Sub(high, low), low));
+  }
+
+  const LatticePlan& plan() const { return plan_; }
+  int64_t bytes() const { return int64_t(size_ * sizeof(uint32_t)); }
+
+ private:
+  HWY_INLINE V lean_of(hn::Vec<hn::RebindToSigned<D>> plane) const {
+    const D d;
+    if (plan_.planes > kLanes) return hn::GatherIndex(d, plan_.lean, plane);
+    return hn::TableLookupLanes(hn::LoadU(d, plan_.lean), hn::IndicesFromVec(d, plane));
+  }
+
+  // Between the halves of pairs, as floats 2^23 + 16 bits.
+  static HWY_INLINE V straight(hn::Vec<DI> pair, V past) {
+    const D d;
+    const DI du;
+    const auto magic = hn::Set(du, 0x4B000000u);
+    const V low = hn::BitCast(d, hn::Or(hn::And(pair, hn::Set(du, 0xffffu)), magic));
+    const V high = hn::BitCast(d, hn::Or(hn::ShiftRight<16>(pair), magic));
+    return hn::MulAdd(past, hn::Sub(high, low), low);
+  }
+
+  LatticePlan plan_;
+  int stride_ = 0;
+  size_t size_ = 0;
+  hwy::AlignedFreeUniquePtr<uint32_t[]> pairs_;  // [3, planes + 1, stride]: a node and the next
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lfgs
+HWY_AFTER_NAMESPACE();
+
+#endif  // LFGS_CPU_LATTICE_INL_H_

@@ -1,0 +1,201 @@
+// One splat over the samples of a lens tile, and its reverse; what a tile begins and ends with.
+
+#if defined(LFGS_CPU_LENS_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_LENS_BLEND_INL_H_
+#undef LFGS_CPU_LENS_BLEND_INL_H_
+#else
+#define LFGS_CPU_LENS_BLEND_INL_H_
+#endif
+
+#include <algorithm>
+#include <type_traits>
+
+#include "cpu/lens_job.h"
+#include "cpu/lens_splat-inl.h"
+#include "cpu/lens_tile-inl.h"
+#include "hwy/highway.h"
+#include "math/blend-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lfgs {
+namespace HWY_NAMESPACE {
+
+// Blends a splat over the `count` vectors that it may touch. Never inlined: what is constant stays in registers.
+template <class Footprint, int kOrder, class T>
+HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
+                               const Footprint& shape, int64_t count) {
+  constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share the look-out for what stops
+  using V = typename LensTile<T>::V;
+  const Tag<T> d;
+  const hn::RebindToSigned<Tag<T>> di;
+  const Footprint footprint = shape;
+  const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
+  T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
+  const int order = job.splats.orders[id];
+  const V least_after = hn::Set(d, T(job.quality.stop));
+  const bool ends_early = job.quality.ends_early();
+
+  auto blend = [&](auto vectors, const uint16_t* list) {
+    V weights[vectors], afters[vectors], least = least_after;
+    for (int n = 0; n < vectors; ++n) {
+      const int64_t i = int64_t(list[n]) * kLanes;
+      const V before = hn::Load(d, transmittances + i);
+      weights[n] = footprint.weight(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n]), before);
+      afters[n] = hn::Sub(before, weights[n]);
+      least = hn::Min(least, afters[n]);
+    }
+    const bool stops = !hn::AllFalse(d, hn::Lt(least, least_after));
+    for (int n = 0; n < vectors; ++n) {
+      const int64_t i = int64_t(list[n]) * kLanes;
+      const auto channel = hn::Load(di, &tile.channel[i]);
+      V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
+
+      // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
+      if (HWY_UNLIKELY(stops)) {
+        const auto stop = hn::Lt(after, least_after);
+        weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
+        if (!ends_early) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
+        after = hn::IfThenZeroElse(stop, after);
+        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
+      }
+      hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+      hn::Store(after, d, transmittances + i);
+    }
+  };
+  const uint16_t *list = tile.list(), *end = list + count;
+  for (; list + kStep <= end; list += kStep) blend(std::integral_constant<int, kStep>(), list);
+  for (; list < end; ++list) blend(std::integral_constant<int, 1>(), list);
+}
+
+// The same, by the cheapest code that is right for the splat.
+template <class T>
+void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, int64_t count) {
+  const Splat<T>& splat = job.splats.splats[id];
+  auto draw = [&](const auto& footprint) {
+    switch (job.splats.orders[id]) {
+      case 0: return ForwardSplat<std::decay_t<decltype(footprint)>, 0>(job, tile, background, id, footprint, count);
+      case 1: return ForwardSplat<std::decay_t<decltype(footprint)>, 1>(job, tile, background, id, footprint, count);
+      case 2: return ForwardSplat<std::decay_t<decltype(footprint)>, 2>(job, tile, background, id, footprint, count);
+      default: return ForwardSplat<std::decay_t<decltype(footprint)>, -1>(job, tile, background, id, footprint, count);
+    }
+  };
+  with_footprint(splat, job.quality, draw);
+}
+
+// Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel.
+template <class T>
+void FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
+  const Tag<T> d;
+  const hn::RebindToSigned<Tag<T>> di;
+  const hn::RebindToUnsigned<Tag<T>> du;
+  const hn::Rebind<uint8_t, Tag<T>> d8;
+  constexpr int kLanes = LensTile<T>::kLanes;
+  uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // read no more once they are written
+  for (int64_t i = 0; i < samples; i += kLanes) {
+    const auto b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
+    const auto c = hn::MulAdd(hn::Load(d, &tile.transmittance[i]), b, hn::Load(d, &tile.colour[i]));
+    if (job.out8) {
+      const auto unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
+      const auto rounded = hn::ConvertTo(di, hn::MulAdd(unit, hn::Set(d, T(255)), hn::Set(d, T(0.5))));
+      hn::Store(hn::TruncateTo(d8, hn::BitCast(du, rounded)), d8, bytes + i);
+    } else {
+      hn::Store(c, d, &tile.colour[i]);
+    }
+  }
+  auto write = [&](const auto* from, auto* image) {
+    tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
+      auto* to = image + row * 3 * job.lens->width_px + m;
+      for (int64_t t = 0; t < count; ++t) to[t] = from[sample + t * kLanes];
+    });
+  };
+  job.out8 ? write(bytes, job.out8) : write(tile.colour.get(), job.out);
+}
+
+// See BackwardTile of the dense sensor for the formula; here a sample has one channel.
+template <class T>
+void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out, int64_t count) {
+  using V = typename LensTile<T>::V;
+  const Tag<T> d;
+  const hn::RebindToSigned<Tag<T>> di;
+  const Splat<T>& splat = job.splats.splats[id];
+  const ExactFootprint<T> footprint(splat, T(kLog2MinAlpha));
+  const T* colour = colour_of(job.splats, id);
+  const int order = job.splats.orders[id];
+  SplatSums<Tag<T>> sums(d);
+  V g_colour[3 * (kMaxColourOrder + 1)];
+  for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
+  bool touched = false;
+  for (int64_t step = 0; step < count; ++step) {
+    const auto vector = tile.list()[step];
+    const int64_t i = int64_t(vector) * LensTile<T>::kLanes;
+    const auto& rows = tile.rows(vector);
+    const V s = hn::Load(d, &tile.s[i]);
+    V dx, inverse_S;
+    const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
+    V alpha = Alpha(d, power);
+    const V before = hn::Load(d, &tile.transmittance[i]);
+    const V after = hn::NegMulAdd(alpha, before, before);
+    const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
+    const V g = hn::Load(d, &tile.gradient[i]);
+    const auto channel = hn::Load(di, &tile.channel[i]);
+    if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
+      // `colour` collects what each sample lets through to the background
+      hn::Store(hn::Add(hn::Load(d, &tile.colour[i]), hn::IfThenElseZero(stop, before)), d, &tile.colour[i]);
+      if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(vector);
+    }
+    hn::Store(hn::IfThenZeroElse(stop, after), d, &tile.transmittance[i]);
+    alpha = hn::IfThenZeroElse(stop, alpha);
+    const auto lit = hn::Gt(alpha, hn::Zero(d));
+    if (hn::AllFalse(d, lit)) continue;
+    touched = true;
+
+    const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s)
+                           : ColourAt<-1>(d, colour, order, channel, s);
+    const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
+    const V prefix = hn::MulAdd(weight, v, hn::Load(d, &tile.prefix[i]));
+    hn::Store(prefix, d, &tile.prefix[i]);
+    const V later = hn::Div(hn::Sub(hn::Load(d, &tile.total[i]), prefix), hn::Sub(hn::Set(d, T(1)), alpha));
+    const V g_alpha = hn::MulSub(before, v, later);
+    const auto free = hn::And(lit, hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
+    const V g_power = hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
+    sums.Add(g_power, hn::Load(d, rows.dy), hn::Mul(dx, inverse_S), s);
+
+    // Colour coefficients, unless the clamp at zero holds (order 0 was clamped, and is masked, at projection)
+    V g_c = hn::Mul(g, weight);
+    if (order > 0) g_c = hn::IfThenElseZero(hn::Gt(c, hn::Zero(d)), g_c);
+    for (int k = 0; k < 3; ++k) {
+      V term = hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename LensTile<T>::TI(k)))), g_c);
+      for (int p = 0; p <= order; ++p, term = hn::Mul(term, s))
+        g_colour[3 * p + k] = hn::Add(g_colour[3 * p + k], term);
+    }
+  }
+  if (!touched) return;
+  sums.Reduce(d, splat, out);
+  for (int k = 0; k < 3 * (order + 1); ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
+}
+
+// Fills what the reverse reads at every sample.
+template <class T>
+void LoadGradients(const LensJob<T>& job, LensTile<T>& tile, int64_t samples) {
+  constexpr int kLanes = LensTile<T>::kLanes;
+  for (auto* a : {&tile.gradient, &tile.total, &tile.prefix}) std::fill(a->get(), a->get() + samples, T(0));
+  tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
+    for (int64_t t = 0; t < count; ++t, sample += kLanes) {
+      const int64_t from = row * 3 * job.lens->width_px + (m + t) / 3 * 3 + tile.channel[sample];
+      tile.gradient[sample] = job.gradient[from];
+      tile.total[sample] = job.gradient[from] * job.image[from];
+    }
+  });
+}
+
+template <class T>
+void BackgroundGradient(const LensTile<T>& tile, int64_t samples, T* out) {
+  for (int64_t i = 0; i < samples; ++i)
+    out[tile.channel[i]] += tile.gradient[i] * (tile.colour[i] + tile.transmittance[i]);
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lfgs
+HWY_AFTER_NAMESPACE();
+
+#endif  // LFGS_CPU_LENS_BLEND_INL_H_

@@ -1,0 +1,121 @@
+// Where a coarse lattice in (x, y, view) is laid for a part of the panel. A light field is the smoother along the view
+// the better x follows the disparity, so between two planes of views places are compared along x + shear s, with the
+// mean disparity of what is seen there.
+#pragma once
+
+#include <cmath>
+
+#include "base/config.h"
+#include "math/projection.h"
+
+namespace lfgs {
+
+// Part of the panel: columns and rows of sample centres, and the offsets that its samples show.
+struct LatticePart {
+  float x_low, x_high, y_low, y_high, s_low, s_high;
+};
+
+constexpr int kMostPlanes = 128;
+
+// Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. What is at node i of plane k is seen at about node
+// i + lean[k] of the next; margin: the largest of these.
+struct LatticePlan {
+  int across, down, planes, margin;
+  float x0, y0, s0, step_x, step_y, step_s;
+  float lean[kMostPlanes];
+
+  LFGS_HD int per_plane() const { return across * down; }
+  LFGS_HD int nodes() const { return per_plane() * planes; }
+
+  // The middles of the cells that samples of the part lie in.
+  LFGS_HD LatticePlan middles(const LatticePart& part) const {
+    LatticePlan out = *this;
+    out.x0 = part.x_low + step_x / 2, out.y0 = y0 + step_y / 2, out.s0 = s0 + step_s / 2;
+    out.across = across - 1 - 2 * margin, out.down = down - 1, out.planes = planes - 1;
+    return out;
+  }
+};
+
+// How fast the light field of a part varies: second derivatives of its splats' exponents, weighted by opacity, by the
+// offsets from which they are seen.
+class LatticeCurvature {
+ public:
+  LFGS_HD explicit LatticeCurvature(const LatticePart& part)
+      : part_(part), middle_((part.x_low + part.x_high) / 2), half_((part.x_high - part.x_low) / 2),
+        bins_per_s_(part.s_high > part.s_low ? kBins / (part.s_high - part.s_low) : 0) {}
+
+  // A splat with its centre at u, from the part's origin.
+  LFGS_HD void add(const Splat<float>& s, float u) {
+    const float opacity = std::exp2(s.log2_opacity), inverse = opacity / s.S0;
+    const float y = opacity * s.tau + s.c0 * s.c0 * inverse, x_du = inverse * s.du, x_du2 = x_du * s.du;
+    const float reach = half_ + std::sqrt(s.log2_opacity - float(kLog2MinAlpha)) * std::sqrt(s.S0);
+    const float near = (middle_ - reach - u) / s.du, far = (middle_ + reach - u) / s.du;
+    const float low = (std::fmin(near, far) - part_.s_low) * bins_per_s_;
+    const float high = (std::fmax(near, far) - part_.s_low) * bins_per_s_;
+    // Without disparity: seen from everywhere or nowhere, and then not in the list
+    const int first = low > 0 ? int(std::fmin(low, float(kBins))) : 0, last = high < kBins ? int(high) : kBins - 1;
+    for (int b = first; b <= last; ++b) {
+      Sums& sums = bins_[b];
+      sums.weight += opacity, sums.x += inverse, sums.y += y, sums.x_du += x_du, sums.x_du2 += x_du2;
+    }
+  }
+
+  // Steps of `fineness` standard deviations, about.
+  LFGS_HD LatticePlan plan(float fineness) const {
+    float weight = 0, x = 0, y = 0, spread = 0;
+    for (const Sums& b : bins_) weight += b.weight, x += b.x, y += b.y, spread += b.spread();
+    const float unit = fineness * std::sqrt(weight);
+    LatticePlan out;
+    const int rows = steps(part_.y_high - part_.y_low, unit / std::sqrt(y));
+    const int views = steps(part_.s_high - part_.s_low, unit / std::sqrt(std::fmax(spread, 1e-20f)));
+    out.down = rows + 1, out.planes = views < kMostPlanes ? views + 1 : kMostPlanes;
+    out.y0 = part_.y_low, out.s0 = part_.s_low;
+    out.step_y = (part_.y_high - part_.y_low) / float(rows);
+    out.step_s = (part_.s_high - part_.s_low) / float(out.planes - 1);
+    if (!(out.step_y > 0)) out.step_y = 1;
+    if (!(out.step_s > 0)) out.step_s = 1;
+    out.step_x = unit / std::sqrt(x);
+
+    // A sample between two planes lies up to `lean` nodes aside on each
+    float margin = 0;
+    for (int k = 0; k + 1 < out.planes; ++k) {
+      out.lean[k] = std::fmin(std::fmax(std::round(shear_at((float(k) + 0.5f) / float(out.planes - 1)) * out.step_s /
+                                                   out.step_x), -1e4f), 1e4f);
+      margin = std::fmax(margin, std::fabs(out.lean[k]));
+    }
+    out.lean[out.planes - 1] = 0;
+    out.margin = int(margin);
+    out.across = steps(part_.x_high - part_.x_low, out.step_x) + 1 + 2 * out.margin;
+    out.x0 = part_.x_low - margin * out.step_x;
+    return out;
+  }
+
+ private:
+  static constexpr int kBins = 16;
+  struct Sums {
+    float weight = 0, x = 0, y = 0, x_du = 0, x_du2 = 0;
+    LFGS_HD float shear() const { return x > 0 ? x_du / x : 0; }
+    LFGS_HD float spread() const { return x_du2 - shear() * x_du; }
+  };
+
+  LFGS_HD static int steps(float length, float step) {
+    const float n = std::ceil(length / step);
+    return n >= 1 ? n < 1e4f ? int(n) : 10000 : 1;
+  }
+
+  // Mean disparity at a share of the offsets, straight between the bins beside that see something.
+  LFGS_HD float shear_at(float share) const {
+    const float place = share * kBins - 0.5f;
+    const int below = place > 0 ? int(place) : 0, above = below + 1 < kBins ? below + 1 : below;
+    const Sums &a = bins_[below], &b = bins_[above];
+    if (!(a.x > 0 && b.x > 0)) return a.x > 0 ? a.shear() : b.shear();
+    const float part = std::fmin(std::fmax(place - float(below), 0.f), 1.f);
+    return a.shear() + part * (b.shear() - a.shear());
+  }
+
+  LatticePart part_;
+  float middle_, half_, bins_per_s_;
+  Sums bins_[kBins];
+};
+
+}  // namespace lfgs

@@ -1,0 +1,158 @@
+"""Quality: every knob keeps to its stated error, judged by the float64 oracle, and the exact setting is exact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from rasterizer_cases import PANELS, all_subpixels, panel, random_scene, rig
+
+from lightfield_gs import Encoder, InputError, Quality, encode, reference
+from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet
+from lightfield_gs.panel import Panel
+from lightfield_gs.quality import QUALITIES
+from lightfield_gs.reference_blend import ALPHA_MIN, Projection, Samples, Scene
+
+FLOAT_ERROR = 2e-4  # of exact float32 frames, and more where a sample sits on a threshold
+LENSES = ["default lens", "narrow cone", "leaning the other way, BGR", "narrower than a sub-pixel", "one view",
+          "one row", "one column", "one pixel", "inverted"]
+
+
+def errors(scene, shown, fan, quality, views="integer", **stats) -> tuple[np.ndarray, np.ndarray]:
+    """|image - oracle| and the oracle's margins, of every sub-pixel."""
+    image = encode(scene, shown, fan, quality=quality, views=views, background=(0.1, 0.5, 0.9), output="float32",
+                   **stats)
+    colours, margins = reference.subpixel_colours(scene, shown, fan, *all_subpixels(shown), background=(0.1, 0.5, 0.9),
+                                                  continuous=views == "continuous", return_margin=True)
+    return np.abs(image.numpy().ravel() - colours), margins
+
+
+def hidden_by_cut(scene, shown, fan, cut: float) -> np.ndarray:
+    """How many Gaussians of every sub-pixel have an alpha from 1/255 to the cut."""
+    rows, columns, channels = all_subpixels(shown)
+    offsets = reference.lens_offsets(shown, fan, reference.lens_views(shown, rows, columns, channels))
+    samples = Samples(*(torch.as_tensor(a, dtype=torch.float64) for a in (columns + 0.5, rows + 0.5, offsets)))
+    projection = Projection(Scene.of(scene), reference.rig_eye(shown, fan))
+    sample, gaussian = projection.pairs(samples)
+    alpha = projection.alpha(gaussian, samples=Samples(samples.columns[sample], samples.rows[sample],
+                                                       samples.offsets[sample]))
+    low = (alpha >= ALPHA_MIN * (1 - 1e-6)) & (alpha < cut * (1 + 1e-6))
+    return torch.bincount(sample[low], minlength=len(rows)).numpy()
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_opacity_cut(name):
+    shown, scene = panel(name), random_scene(40, size=0.1, dtype=torch.float32)
+    fan = rig(shown)
+    for cut in (0.02, 0.1):
+        error, margins = errors(scene, shown, fan, Quality(opacity_cut=cut))
+        bound = 1 - (1 - cut) ** hidden_by_cut(scene, shown, fan, cut)
+        assert np.all((error <= bound + FLOAT_ERROR)[margins > 1e-3])
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_transmittance_stop(name):
+    shown, scene = panel(name), random_scene(200, size=0.2, dtype=torch.float32)
+    for stop in (0.005, 0.1):
+        error, margins = errors(scene, shown, rig(shown), Quality(transmittance_stop=stop))
+        assert np.all((error <= stop + FLOAT_ERROR)[margins > 1e-3])
+    if shown.width_px > 1:
+        assert error.max() > 0.01  # something did stop
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_rough_alpha(name):
+    shown, scene = panel(name), random_scene(60, size=0.1, dtype=torch.float32)
+    error, margins = errors(scene, shown, rig(shown), Quality(rough_alpha=True))
+    assert np.all((error <= 4e-3 + FLOAT_ERROR)[margins > 5e-3])
+
+
+def test_colour_error():
+    shown, scene = panel("default lens"), random_scene(60, degree=3, size=0.1, dtype=torch.float32)
+    worst = [np.max(np.where(margins > 1e-3, error, 0)) for error, margins in (
+        errors(scene, shown, rig(shown), Quality(colour_error=allowed)) for allowed in (5e-5, 1e-2, 0.1))]
+    assert worst[0] < FLOAT_ERROR and worst[1] <= 1e-2 + FLOAT_ERROR and 0.01 < worst[2] <= 0.1 + FLOAT_ERROR
+
+
+def part_of_panel(cone: float, **changes) -> tuple[Panel, object]:
+    """A piece of the default panel, whole lenses and several bands, before the benchmarks' scenes."""
+    shown = replace(Panel.load("65in-8k-96v"), width_px=1500, height_px=40, **changes)
+    whole = benchmark_rig("sheet:1", None, Panel.load("65in-8k-96v"), cone)
+    return shown, replace(whole, principal_point_px=(750.0, 20.0))
+
+
+@pytest.mark.parametrize("allowed", [0.02, 0.06])
+@pytest.mark.parametrize("cone", [5.0, 40.0])
+@pytest.mark.parametrize("make", [lambda: sheet(128), lambda: sheet(512), lambda: cloud(20_000)],
+                         ids=["sheet:128", "sheet:512", "cloud:20000"])
+def test_lattice(make, cone, allowed):
+    scene, (shown, fan) = make(), part_of_panel(cone)
+    random = np.random.default_rng(5)
+    where = [random.integers(0, size, 4000) for size in (shown.height_px, shown.width_px, 3)]
+    image = encode(scene, shown, fan, quality=Quality(lattice_error=allowed), output="float32").numpy()
+    error = np.abs(image[tuple(where)] - np.clip(reference.subpixel_colours(scene, shown, fan, *where), 0, 1))
+    # Checked in the middle of every cell; elsewhere the error is not bounded but was never twice that
+    assert error.max() <= 2 * allowed and np.sqrt(np.mean(error**2)) <= allowed / 4
+
+
+@pytest.mark.parametrize("name", PANELS)
+@pytest.mark.parametrize("views", ["integer", "continuous"])
+def test_lattice_on_every_panel(name, views):
+    shown, scene = panel(name), random_scene(30, degree=1, size=0.5, dtype=torch.float32)
+    error, _ = errors(scene, shown, rig(shown), Quality(lattice_error=0.1), views)
+    assert error.max() <= 0.2
+
+
+def test_lattice_spares_evaluations():
+    counted = {}
+    for quality in ("exact", "high"):
+        stats: dict = {}
+        encode(sheet(128), *part_of_panel(5.0), quality=quality, stats=stats)
+        counted[quality] = stats["evaluations_per_subpixel"]
+    assert counted["high"] < counted["exact"] / 5
+
+
+@pytest.mark.parametrize("name", QUALITIES)
+def test_same_bits_on_any_number_of_threads(name):
+    scene, place = sheet(128), part_of_panel(20.0)
+    one, two = (encode(scene, *place, quality=name, threads=threads) for threads in (1, 2))
+    assert torch.equal(one, two)
+
+
+def test_exact_is_the_default():
+    shown, scene = panel("default lens"), random_scene(60, degree=1, dtype=torch.float32)
+    image = encode(scene, shown, rig(shown))
+    assert torch.equal(image, encode(scene, shown, rig(shown), quality="exact"))
+    assert torch.equal(image, encode(scene, shown, rig(shown), quality=Quality()))
+    fast = encode(scene, shown, rig(shown), quality="fast")
+    assert torch.equal(fast, Encoder(shown, rig(shown), quality="fast")(scene)) and not torch.equal(fast, image)
+
+
+@pytest.mark.parametrize("name", QUALITIES)
+def test_nothing_to_draw(name):
+    shown = panel("default lens")
+    image = encode(random_scene(0, dtype=torch.float32), shown, rig(shown), quality=name, background=(1, 0, 0.5))
+    assert (image == torch.tensor([255, 0, 128], dtype=torch.uint8)).all()
+
+
+@pytest.mark.parametrize("bad", [dict(opacity_cut=0.001), dict(opacity_cut=float("nan")), dict(transmittance_stop=0.9),
+                                 dict(transmittance_stop=True), dict(colour_error=-1), dict(lattice_error="coarse"),
+                                 dict(rough_alpha=1)])
+def test_numbers_out_of_range_are_refused(bad):
+    with pytest.raises(InputError, match=next(iter(bad))):
+        Quality(**bad)
+
+
+def test_what_is_exact_only_says_so():
+    shown, scene = panel("default lens"), random_scene(5, dtype=torch.float32)
+    for unknown in ("best", ["fast"], None):
+        with pytest.raises(InputError, match="exact, high, fast, draft or a Quality"):
+            encode(scene, shown, rig(shown), quality=unknown)
+    for options in (dict(method="sorted"), dict(method="classic"), dict(output="float64")):
+        with pytest.raises(InputError, match="exact only"):
+            encode(scene, shown, rig(shown), quality="fast", **options)
+    with pytest.raises(InputError, match="exact only"):
+        Encoder(shown, rig(shown), output="float64", quality="fast")
+    scene.means.requires_grad_()
+    with pytest.raises(InputError, match="gradients"):
+        encode(scene, shown, rig(shown), quality="fast", output="float32")
