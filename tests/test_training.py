@@ -185,7 +185,7 @@ def test_bad_arguments_are_reported_in_one_line(small_set, capsys, arguments, wo
     assert word in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["first", "original"])
+@pytest.mark.parametrize("name", ["cpu", "original", "release"])
 def test_shipped_configurations_can_be_read(name):
     config = train.read_config(["--config", str(config_path("training", name))])
     assert config.total_steps > 0
