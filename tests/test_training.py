@@ -10,14 +10,16 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from lightfield_gs.models import ModelConfig
+from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.paths import config_path
 from training import train
 from training.checkpoints import cut_log
 from training.config import OptimizerConfig, Stage, TrainingConfig
+from training.distributed import join_team
 from training.losses import LossWeights, composite, roughness, total_loss
 from training.metrics import psnr_db, ssim
 from training.schedule import WeightAverage, learning_rate
+from training.trainer import Trainer
 from training_runs import losses, run_config, start
 
 
@@ -185,7 +187,23 @@ def test_bad_arguments_are_reported_in_one_line(small_set, capsys, arguments, wo
     assert word in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["cpu", "original", "release"])
+def test_a_run_can_start_from_a_checkpoint(small_set, tmp_path):
+    """Weights and configuration are the checkpoint's, whatever model says; averages begin there too."""
+    config = train.read_config(["--config", str(run_config(small_set, "unused"))])
+    net = SplatterNet(ModelConfig.from_yaml(config.model))
+    net.save(tmp_path / "weights.safetensors")
+    changes = ["--initial_weights", str(tmp_path / "weights.safetensors"), "--model", "original"]
+    config = train.read_config(["--config", str(run_config(small_set, "unused")), *changes])
+    with join_team("cpu") as team:
+        trainer = Trainer(config, team)
+    for found in (trainer.net, trainer.average.average):
+        assert found.config == net.config and found.training == (found is trainer.net)
+        for name, weights in net.state_dict().items():
+            torch.testing.assert_close(found.state_dict()[name], weights.half().float(), atol=0, rtol=0)
+            assert found is not trainer.net or dict(trainer.net.named_parameters())[name].requires_grad
+
+
+@pytest.mark.parametrize("name", ["cpu", "finetune", "original", "release"])
 def test_shipped_configurations_can_be_read(name):
     config = train.read_config(["--config", str(config_path("training", name))])
     assert config.total_steps > 0

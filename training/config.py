@@ -40,8 +40,10 @@ class OptimizerConfig:
 class TrainingConfig:
     """One run.
 
-    model: name in configs/models, or a YAML file. data: folders of objects, SRN layout or transforms.json. cache_dir:
-    where decoded views are kept. output_dir: checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs, final weights.
+    model: name in configs/models, or a YAML file. initial_weights: checkpoint to start from, "pretrained" for the one
+    in the package; its network takes the place of model. data: folders of objects, SRN layout or transforms.json.
+    cache_dir: where decoded views are kept. output_dir: checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs,
+    final weights.
     cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source
     view, and within elevation_deg in elevation. 360 with elevation_deg 90 takes every view.
     target_data: for each folder of data one with further views of the same objects, in the same worlds; targets are
@@ -62,6 +64,7 @@ class TrainingConfig:
     stages: list[Stage]
     cache_dir: str = ".data/cache"
     model: str = "default"
+    initial_weights: str = ""
     seed: int = 0
     cone_deg: float = 40.0
     cone_margin: float = 1.5

@@ -36,13 +36,19 @@ class StepValues:
                 "learning_rate": self._rate, **found}
 
 
+def _initial_net(config: TrainingConfig) -> SplatterNet:
+    if not config.initial_weights:
+        return SplatterNet(ModelConfig.from_yaml(config.model))
+    return SplatterNet.from_pretrained(None if config.initial_weights == "pretrained" else config.initial_weights)
+
+
 class Trainer:
     """Network, averaged weights and optimizer of one run, and the step that advances them."""
 
     def __init__(self, config: TrainingConfig, team: Team) -> None:
         self.config, self.team, self.step = config, team, 0
         torch.manual_seed(config.seed)
-        net = SplatterNet(ModelConfig.from_yaml(config.model)).to(team.device, memory_format=torch.channels_last)
+        net = _initial_net(config).to(team.device, memory_format=torch.channels_last)
         self.net = net.train()
         self.average = WeightAverage(copy.deepcopy(self.net), self.net, config.optimizer.ema_decay)
         self.optimizer, self._weights = make_optimizer(self.net, config.optimizer), list(self.net.parameters())
