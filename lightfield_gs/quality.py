@@ -7,7 +7,8 @@ from functools import cached_property
 from typing import Any
 
 from lightfield_gs import _core
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, expect
+from lightfield_gs.panel import real_number
 
 OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
 
@@ -40,11 +41,8 @@ class Quality:
     def __post_init__(self) -> None:
         for name, low, high in (("opacity_cut", OPACITY_CUT, 0.5), ("transmittance_stop", TRANSMITTANCE_STOP, 0.5),
                                 ("colour_error", 0.0, 1.0), ("lattice_error", 0.0, 1.0)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-                raise InputError(f"quality: {name} must be a number in {low:.6g}..{high:g}, got {value!r}")
-        if not isinstance(self.rough_alpha, bool):
-            raise InputError(f"quality: rough_alpha must be True or False, got {self.rough_alpha!r}")
+            real_number(f"quality: {name}", getattr(self, name), low, high)
+        expect("quality: rough_alpha", self.rough_alpha, bool)
 
     @staticmethod
     def of(quality: str | Quality) -> Quality:

@@ -1,5 +1,6 @@
 """Anything at all as an argument of the public API: InputError that names it, or a right result; nothing else."""
 
+import dataclasses
 import inspect
 import math
 
@@ -11,8 +12,8 @@ from hypothesis import strategies as st
 from stress_cases import CASES
 
 import lightfield_gs as lf
-from lightfield_gs import (Cameras, Encoder, Gaussians, InputError, Panel, PhotoEncoder, Rig, SortedPlan, SplatterNet,
-                           encode, render)
+from lightfield_gs import (Cameras, Encoder, Gaussians, InputError, Panel, PhotoEncoder, Quality, Rig, SortedPlan,
+                           SplatterNet, encode, render)
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
 
@@ -44,11 +45,12 @@ CALLS = {
     "Rig.cameras": (RIG.cameras, dict(panel=PANEL, views=[0, 1])),
     "PhotoEncoder": (PhotoEncoder, dict(net=NET, panel=PANEL, views="integer", background=(1, 1, 1), output="uint8")),
     "PhotoEncoder.__call__": (PhotoEncoder(NET, PANEL), dict(rgba=np.ones((9, 7, 4), np.float32), stats=None)),
+    "Quality": (Quality, dataclasses.asdict(Quality())),
     "SortedPlan": (SortedPlan, dict(panel=PANEL, view_map=PANEL.view_map(), views=PANEL.views, device="cpu")),
     "SplatterNet": (SplatterNet, dict(config=NET.config)),
     "SplatterNet.from_pretrained": (SplatterNet.from_pretrained, dict(path="nowhere.safetensors")),
     "encode": (encode, dict(gaussians=SCENE, panel=PANEL, rig=RIG, method="direct", views="integer",
-                            background=(1, 1, 1), output="uint8", threads=1, stats={})),
+                            background=(1, 1, 1), output="uint8", quality="exact", threads=1, stats={})),
     "encode sorted": (encode, dict(gaussians=SCENE, panel=PANEL, rig=None, method="sorted", cameras=CAMERAS,
                                    view_map=PANEL.view_map(), memory_budget=1 << 24)),
     "from_depth": (lf.from_depth, dict(image=PHOTO, depth=DEPTH, focal_px=(4.0, 4.0), principal_point_px=(2.0, 1.5))),
@@ -63,7 +65,8 @@ JUNK = st.one_of(
     st.lists(FLOATS, max_size=4), st.dictionaries(st.text(max_size=3), FLOATS, max_size=2), st.just(object()),
     st.sampled_from([10**400, 1j, (), [[]], {}, float, SCENE, PANEL, RIG, CAMERAS, np.zeros(0), np.zeros((4, 4)),
                      np.array([["a"]]), np.array([object()]), torch.zeros(()), torch.zeros(2, 3),
-                     torch.zeros(1, 1, 4, 4), torch.full((1, 3), math.nan), torch.zeros(1, 3, dtype=torch.int64), torch.zeros(3, device="meta"),
+                     torch.zeros(1, 1, 4, 4), torch.full((1, 3), math.nan), torch.zeros(1, 3, dtype=torch.int64),
+                     torch.zeros(3, device="meta"),
                      torch.zeros(1, 3, dtype=torch.complex64), torch.zeros(1, 3).to_sparse()]))
 
 

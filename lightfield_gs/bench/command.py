@@ -139,7 +139,8 @@ def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs bench`."""
-    parser.add_argument("what", nargs="?", default="light-field", choices=("light-field", "paper", "training-step", "photo"),
+    parser.add_argument("what", nargs="?", default="light-field",
+                        choices=("light-field", "paper", "training-step", "photo"),
                         help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
                              "methods), forward and backward of the rasterizer in a training step, or a photo through "
                              "the network to the image")

@@ -126,7 +126,7 @@ class SplatterNet(nn.Module):
         """Load a checkpoint written by save() (None: the one that comes with the package), in eval mode, float32."""
         from lightfield_gs.models.checkpoint import read_weights
         config, weights = read_weights(checked_path(path) if path is not None else PRETRAINED)
-        with torch.device("meta"):  # no initial values for nothing, and no memory for a damaged configuration, and no memory for a damaged configuration
+        with torch.device("meta"):  # no initial values for nothing, no memory for a damaged configuration
             net = cls(config)
         wanted = net.state_dict()
         if {name: tensor.shape for name, tensor in weights.items()} != {name: t.shape for name, t in wanted.items()}:

@@ -13,8 +13,8 @@ from lightfield_gs.bench.scenes import cloud, sheet, with_harmonics
 
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
 PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
-          "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6), "one view": dict(views=1),
-          "narrow cone": dict(cone_deg=4.0)}
+          "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6),
+          "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0)}
 BACKGROUND = (0.1, 0.6, 0.3)
 
 
