@@ -128,7 +128,7 @@ CASES = {
     "means at 1e6 aside": Case(_far_origin),
     "means at 1e6 before": Case(_far_depth),
     "needles end-on": Case(_needles),
-    **{f"blades of {length:g}": Case(_blades(length), gradient=1e-4 if length < 1e6 else 0.2)
+    **{f"blades of {length:g}": Case(_blades(length), gradient=1e-4 if length < 1e6 else 0.5)
        for length in (1.0, 30.0, 1e3, 1e6)},
     "one that covers the panel": Case(_covering, count=1, no_rotation=True),
     "forty that cover the panel": Case(_covering, no_rotation=True),

@@ -1,7 +1,11 @@
 """What a frame takes, against stored figures: work counted by the stages, and ratios of times, but never seconds.
 
 The counters do not depend on the machine: one thread, one vector instruction set that every x86-64-v2 processor has.
-After a change that is meant: python tests/test_performance.py --renew
+They see more pairs, more evaluations, more memory; the ratios see an evaluation that takes longer, or a stage that no
+counter counts. Those are of processor time, which others on the machine do not add to, each the least of several runs
+by turns, and tried again before they fail. A slower `direct` or training step makes its ratio fall.
+
+After a change that is meant, and on a machine with nothing else to do: python tests/test_performance.py --renew
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ STORED = Path(__file__).with_name("performance.json")
 TARGET = "SSE4"
 COUNTERS = ("pairs", "evaluations", "work_bytes", "gaussians_culled")
 MORE, LESS = 1.02, 0.9  # compilers round differently; what does with much less wants its figures renewed
-SLOWER = 1.7  # of ratios of times, each the best of several runs by turns
+SLOWER, ATTEMPTS = 1.5, 3  # of ratios of times; with more runs by turns each time
 FRAMES = {f"{scene} {cone} degrees {method}": (scene, cone, method)
           for scene in ("sheet:96", "cloud:20000") for cone in (5.0, 40.0) for method in ("direct", "sorted")}
 PANEL = Panel(width_px=640, height_px=320, views=96, line_number=9.848282191911, slant_tan=1 / 6, cone_deg=40.0)
@@ -67,9 +71,9 @@ RATIOS = {
 
 def ratio(name, runs=4):
     def seconds(function):
-        start = time.perf_counter()
+        start = time.process_time()
         function()
-        return time.perf_counter() - start
+        return time.process_time() - start
 
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -94,7 +98,7 @@ def test_counters_are_the_stored_ones(frame):
 @pytest.mark.parametrize("name", RATIOS)
 def test_no_method_has_become_slower_beside_another(name):
     stored = json.loads(STORED.read_text())["ratios"][name]
-    assert ratio(name) > stored / SLOWER or ratio(name, 8) > stored / SLOWER
+    assert any(ratio(name, 4 * (1 + attempt)) > stored / SLOWER for attempt in range(ATTEMPTS))
 
 
 if __name__ == "__main__":

@@ -62,14 +62,12 @@ struct SubpixelBatch {
   // Takes `count_` samples, whole blocks of them; (x0, y0) is the tile's corner.
   void load(const SubpixelTile& tile, const uint16_t* codes, int count_, int64_t x0, int64_t y0, int64_t width_px) {
     count = count_;
+    Subpixel s{};  // the corner, for a list of filling alone: its map changed after it was counted
     for (int i = 0; i < count; ++i) {
-      if (codes[i] == kNoSubpixel) {
-        x[i] = x[i - 1], y[i] = y[i - 1], channel[i] = channel[i - 1], place[i] = -1;
-        continue;
-      }
-      const Subpixel s = decode_subpixel(tile, codes[i]);
+      const bool shown = codes[i] != kNoSubpixel;
+      if (shown) s = decode_subpixel(tile, codes[i]);
       x[i] = T(s.column) + T(0.5), y[i] = T(s.row) + T(0.5), channel[i] = TI(s.channel);
-      place[i] = ((y0 + s.row) * width_px + x0 + s.column) * 3 + s.channel;
+      place[i] = shown ? ((y0 + s.row) * width_px + x0 + s.column) * 3 + s.channel : -1;
     }
     std::fill(value, value + count, T(0));
     std::fill(transmittance, transmittance + count, T(1));

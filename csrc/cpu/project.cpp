@@ -95,6 +95,7 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
     const Gaussians<const T> scene = gaussians.slice(b * n);
     const Gaussians<T> g_scene = out.slice(b * n);
     std::vector<double> sum(size);
+    std::vector<Shape<double>> over_views(end - begin, Shape<double>{dvec3(0), glm::dvec4(0), dvec3(0), 0});
     for (int64_t v = 0; v < cameras.per_scene; ++v) {
       const int64_t image = b * cameras.per_scene + v;
       const View<double> view = cameras.view(image);
@@ -106,7 +107,7 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
         if (splat.reach_y < 0) continue;
         sum_pairs(splat, cameras.height_px, first_pair[image * n + i], size, pair_gradients, sum.data());
         const Shape<double> shape = shape_of(scene, i);
-        Shape<double> g{dvec3(0), glm::dvec4(0), dvec3(0), 0};
+        Shape<double>& g = over_views[i - begin];
         Projection<double>(view, shape).adjoint(view, shape, splat_gradient(sum.data()), g, g_view);
 
         // Colours, through their clamp at zero
@@ -118,12 +119,12 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
             sh_colour_adjoint(scene.sh_degree, scene.sh + k, shape.mean, eye, g_colour, g_scene.sh + k);
         g.mean += g_mean;
         g_eye -= g_mean;
-        add(g, g_scene, i);
       }
       // eye = -R^T t
       g_view.rotation += glm::outerProduct(-view.translation, g_eye);
       g_view.translation -= view.rotation * g_eye;
     }
+    for (int64_t i = begin; i < end; ++i) add(over_views[i - begin], g_scene, i);
   });
 
   for (int64_t image = 0; image < cameras.images(); ++image) {

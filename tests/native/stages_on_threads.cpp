@@ -1,4 +1,4 @@
-// The CPU's stages, forward and backward, both sensors and both precisions, on several threads, and two renders at a
+// The CPU's stages, forward and backward, every sensor and both precisions, on several threads, and two renders at a
 // time: for the thread sanitizer, which stops at the first race. Prints what it drew; fails where threads change it.
 #include <cstdio>
 #include <cstring>
@@ -11,13 +11,20 @@
 namespace lfgs {
 namespace {
 
-constexpr int64_t kCount = 1500, kWidth = 150, kHeight = 70;
+constexpr int64_t kCount = 1500, kWidth = 150, kHeight = 70, kViews = 3;
 const double kPose[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1}, kCamera[4] = {90, 90, 75, 35};
 const double kLimits[5] = {-1.5, 1.5, -1, 1, 0};
+constexpr Quality kLattice{-5, 0.05, 0.5, true};
+
+Lens lens_of(int64_t views, bool continuous) {
+  const uint64_t step = uint64_t(18446744073709551615.0 / 9.85);
+  return {kWidth, kHeight, views, step, step, step / 2, 9.85, 1.0 / 6, 1, false, continuous, 0.7, -1.4 / double(views)};
+}
 
 template <class T>
 struct Render {
   std::vector<T> means, quaternions, scales, opacities, sh, image, alpha, depth, gradient, sums;
+  std::vector<T> poses, cameras, limits;
   std::vector<T> colours, pairs, g_means, g_quaternions, g_scales, g_opacities, g_sh, g_pose, g_background;
   std::vector<Splat<T>> splats;
   std::vector<int32_t> orders, sorted, lists;
@@ -36,6 +43,11 @@ struct Render {
     fill(opacities, kCount, 0.1, 1), fill(sh, 12 * kCount, -0.5, 0.5);
     for (int64_t i = 0; i < kCount; ++i) means[size_t(3 * i + 2)] += T(2);
     fill(gradient, 3 * kWidth * kHeight, -1, 1);
+    for (int64_t i = 0; i < kViews; ++i) {
+      poses.insert(poses.end(), kPose, kPose + 16), cameras.insert(cameras.end(), kCamera, kCamera + 4);
+      limits.insert(limits.end(), kLimits, kLimits + 5);
+      poses[size_t(16 * i + 3)] = T(i) / 10;
+    }
     image.resize(3 * kWidth * kHeight), alpha.resize(kWidth * kHeight), depth.resize(kWidth * kHeight);
     g_means.resize(means.size()), g_quaternions.resize(quaternions.size()), g_scales.resize(scales.size());
     g_opacities.resize(opacities.size()), g_sh.resize(sh.size()), g_pose.resize(16);
@@ -48,32 +60,37 @@ struct Render {
   Gaussians<T> gradients() {
     return {kCount, 1, g_means.data(), g_quaternions.data(), g_scales.data(), g_opacities.data(), g_sh.data()};
   }
-  Splats<T> buffers(int order) {
-    splats.resize(kCount), orders.resize(kCount), colours.assign(size_t(kCount * (order + 1) * kColourStride), T(0));
-    return {1, kCount, order, splats.data(), colours.data(), orders.data()};
+  Cameras<T> views(int64_t count) const {
+    return {1, count, kWidth, kHeight, poses.data(), cameras.data(), limits.data()};
+  }
+  Splats<T> buffers(int64_t images, int order) {
+    const size_t n = size_t(images * kCount);
+    splats.resize(n), orders.resize(n), colours.assign(n * size_t((order + 1) * kColourStride), T(0));
+    return {images, kCount, order, splats.data(), colours.data(), orders.data()};
   }
 
   Bins order_and_bin(const Splats<T>& s) {
-    sorted.resize(kCount), drawn.resize(1), offsets.resize(size_t(band_count(kHeight) + 1));
+    sorted.resize(splats.size()), drawn.resize(size_t(s.images));
+    offsets.resize(size_t(s.images * band_count(kHeight) + 1));
     order<T>(s, sorted.data(), drawn.data(), threads);
     Bins bins{offsets.data(), nullptr};
     lists.resize(size_t(bin_count<T>(s, sorted.data(), drawn.data(), kHeight, bins, threads)));
     bins.band_splats = lists.data();
     bin_fill<T>(s, sorted.data(), drawn.data(), kHeight, bins, threads);
-    first.resize(kCount), first_pairs<T>(s, kHeight, bins, first.data(), threads);
+    first.resize(splats.size()), first_pairs<T>(s, kHeight, bins, first.data(), threads);
     pairs.assign(lists.size() * size_t(pair_gradient_size(s.colour_order)), T(0));
     return bins;
   }
 
-  void lens(bool continuous) {
-    const uint64_t step = uint64_t(18446744073709551615.0 / 9.85);
-    const Lens panel{kWidth, kHeight, 24, step, step, step / 2, 9.85, 1.0 / 6, 1, false, continuous, 0.7, -0.058};
+  void lens(bool continuous, const Quality& quality) {
+    const Lens panel = lens_of(24, continuous);
     View<double> rig = make_view<double>(kPose, kCamera, kLimits);
     rig.sweep = panel.reach(), rig.inverse_zero_depth = 0.5;
-    const Splats<T> s = buffers(8);
-    project_lens<T>(scene(), rig, panel, 5e-5, s, threads);
+    const Splats<T> s = buffers(1, 8);
+    project_lens<T>(scene(), rig, panel, quality, 5e-5, s, threads);
     const Bins bins = order_and_bin(s);
-    composite_lens<T>(s, bins, panel, background, image.data(), nullptr, threads);
+    composite_lens<T>(s, bins, panel, quality, background, image.data(), nullptr, threads);
+    if (quality.ends_early()) return keep();
     composite_lens_backward<T>(s, bins, panel, background, image.data(), gradient.data(), first.data(), pairs.data(),
                                g_background.data(), threads);
     project_lens_backward<T>(scene(), rig, panel, s, first.data(), pairs.data(), gradients(), threads);
@@ -81,9 +98,8 @@ struct Render {
   }
 
   void dense() {
-    const std::vector<T> pose(kPose, kPose + 16), camera(kCamera, kCamera + 4), limits(kLimits, kLimits + 5);
-    const Cameras<T> cameras{1, 1, kWidth, kHeight, pose.data(), camera.data(), limits.data()};
-    const Splats<T> s = buffers(0);
+    const Cameras<T> cameras = views(1);
+    const Splats<T> s = buffers(1, 0);
     project_dense<T>(scene(), cameras, s, threads);
     const Bins bins = order_and_bin(s);
     composite_dense<T>(s, bins, cameras, background, {image.data(), alpha.data(), depth.data()}, threads);
@@ -94,12 +110,34 @@ struct Render {
     keep();
   }
 
+  void by_view() {
+    const ViewMap map{kWidth, kHeight, kViews, nullptr, lens_of(kViews, false)};
+    const SubpixelTile tile{50, 4};
+    const int64_t tiles = tile.count(kWidth, kHeight);
+    const std::vector<int32_t> places{0, 1, 2};
+    std::vector<int32_t> counts(size_t(kViews * tiles));
+    plan_sorted_count(map, tile, places.data(), kViews, counts.data(), threads);
+    std::vector<int64_t> starts{0};
+    for (int32_t n : counts) starts.push_back(starts.back() + (n + kSubpixelBlock - 1) / kSubpixelBlock * kSubpixelBlock);
+    std::vector<uint16_t> codes(size_t(starts.back()));
+    plan_sorted_fill(map, tile, places.data(), kViews, starts.data(), codes.data(), threads);
+    const Splats<T> s = buffers(kViews, 0);
+    project_dense<T>(scene(), views(kViews), s, threads);
+    const Bins bins = order_and_bin(s);
+    composite_sorted<T>(s, bins, views(kViews), {tile, starts.data(), codes.data()}, background, image.data(), nullptr,
+                        threads);
+    keep();
+  }
+
   void keep() {
     for (const auto* part : {&image, &g_means, &g_quaternions, &g_scales, &g_opacities, &g_sh})
       sums.insert(sums.end(), part->begin(), part->end());
   }
 
-  void run() { lens(false), lens(true), dense(); }
+  void run() {
+    lens(false, {}), lens(true, {}), dense(), by_view();
+    if constexpr (sizeof(T) == 4) lens(false, kLattice), lens(true, kLattice);
+  }
 };
 
 template <class T>
