@@ -16,8 +16,8 @@ from stress_cases import BACKGROUND, CASES, EXACT
 from lightfield_gs import encode, reference
 from lightfield_gs.reference_blend import ALPHA_MAX, ALPHA_MIN, LOW_PASS_PX2
 
-EXTREMES = ["blades of 1", "blades of 1000", "blades of 1e+06", "needles end-on", "ratio 1e8 at 1", "ratio 1e8 at 1e+06",
-            "ratio 1e8 the other way", "scales 1e-12", "scales 1e+06"]
+EXTREMES = ["blades of 1", "blades of 1000", "blades of 1e+06", "needles end-on", "ratio 1e8 at 1",
+            "ratio 1e8 at 1e+06", "ratio 1e8 the other way", "scales 1e-12", "scales 1e+06"]
 
 
 def exact(values):

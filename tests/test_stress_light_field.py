@@ -8,7 +8,12 @@ import torch
 from rasterizer_cases import all_subpixels
 from stress_cases import BACKENDS, BACKGROUND, CASES, EXACT, METHODS, SETTLED, one_thread, use_backend
 
+from test_quality import hidden_by_cut
+
 from lightfield_gs import Gaussians, encode, reference
+from lightfield_gs.quality import QUALITIES
+
+ROUGH = 4e-3  # what rough alpha may change
 
 
 @pytest.fixture(params=BACKENDS)
@@ -49,6 +54,28 @@ def test_the_other_methods_are_near_the_oracle(name, method, device):
     scene, shown, fan, want, margin = oracle(name)
     image = encode(scene.to(device, torch.float32), shown, fan, method, background=BACKGROUND, output="float32").cpu()
     assert np.abs(image.numpy().ravel() - want)[margin > SETTLED].max() < CASES[name].single
+
+
+@lru_cache(maxsize=None)
+def given_up(name, quality):
+    """What a quality states as its bound for every sub-pixel of a case."""
+    scene, shown, fan, *_ = oracle(name)
+    with one_thread():
+        cut = 1 - (1 - quality.opacity_cut) ** hidden_by_cut(scene, shown, fan, quality.opacity_cut)
+    # A lattice is checked in the middle of its cells; elsewhere its error was never twice that
+    return cut + quality.transmittance_stop + quality.colour_error + ROUGH + 2 * quality.lattice_error
+
+
+@pytest.mark.parametrize("quality", ["high", "fast", "draft"])
+@pytest.mark.parametrize("name", CASES)
+def test_no_quality_gives_up_more_than_it_states(name, quality, device):
+    scene, shown, fan, want, margin = oracle(name)
+    image = encode(scene.to(device, torch.float32), shown, fan, background=BACKGROUND, output="float32",
+                   quality=quality).cpu()
+    assert torch.isfinite(image).all()
+    error = np.abs(image.numpy().ravel() - want.clip(0, 1))
+    bound = CASES[name].single + given_up(name, QUALITIES[quality])
+    assert (error <= bound)[margin > SETTLED].all()
 
 
 def gradients(draw, scene):

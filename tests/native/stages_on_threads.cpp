@@ -118,7 +118,8 @@ struct Render {
     std::vector<int32_t> counts(size_t(kViews * tiles));
     plan_sorted_count(map, tile, places.data(), kViews, counts.data(), threads);
     std::vector<int64_t> starts{0};
-    for (int32_t n : counts) starts.push_back(starts.back() + (n + kSubpixelBlock - 1) / kSubpixelBlock * kSubpixelBlock);
+    for (int32_t n : counts)
+      starts.push_back(starts.back() + (n + kSubpixelBlock - 1) / kSubpixelBlock * kSubpixelBlock);
     std::vector<uint16_t> codes(size_t(starts.back()));
     plan_sorted_fill(map, tile, places.data(), kViews, starts.data(), codes.data(), threads);
     const Splats<T> s = buffers(kViews, 0);
