@@ -28,7 +28,8 @@ PHOTO, DEPTH = np.ones((3, 4, 4), np.float32), np.ones((3, 4), np.float32)
 CALLS = {
     "Cameras": (Cameras, {name: getattr(CAMERAS, name) for name in (
         "world_to_camera", "focal_px", "principal_point_px", "width_px", "height_px", "jacobian_limits")}),
-    "Encoder": (Encoder, dict(panel=PANEL, rig=RIG, views="integer", background=(1, 1, 1), output="uint8")),
+    "Encoder": (Encoder, dict(panel=PANEL, rig=RIG, views="integer", background=(1, 1, 1), output="uint8",
+                              quality="fast")),
     "Encoder.__call__": (Encoder(PANEL, RIG), dict(gaussians=SCENE)),
     "Gaussians": (lambda **fields: Gaussians(**fields).validate(), SCENE.fields()),
     "Gaussians.load": (Gaussians.load, dict(path="nowhere.ply")),
@@ -50,7 +51,7 @@ CALLS = {
     "SplatterNet": (SplatterNet, dict(config=NET.config)),
     "SplatterNet.from_pretrained": (SplatterNet.from_pretrained, dict(path="nowhere.safetensors")),
     "encode": (encode, dict(gaussians=SCENE, panel=PANEL, rig=RIG, method="direct", views="integer",
-                            background=(1, 1, 1), output="uint8", quality="exact", threads=1, stats={})),
+                            background=(1, 1, 1), output="uint8", quality="high", threads=1, stats={})),
     "encode sorted": (encode, dict(gaussians=SCENE, panel=PANEL, rig=None, method="sorted", cameras=CAMERAS,
                                    view_map=PANEL.view_map(), memory_budget=1 << 24)),
     "from_depth": (lf.from_depth, dict(image=PHOTO, depth=DEPTH, focal_px=(4.0, 4.0), principal_point_px=(2.0, 1.5))),
@@ -99,12 +100,14 @@ def test_junk_is_refused(name, data):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("field", SCENE.fields())
-@pytest.mark.parametrize("how", ["direct", "sorted", "classic", "render", "frame", "save"])
+@pytest.mark.parametrize("how", ["direct", "sorted", "classic", "high", "fast", "encoder", "render", "frame", "save"])
 def test_numbers_that_are_none_are_named_with_their_index(how, field, bad):
     scene = CASES["needles end-on"].scene().to(dtype=torch.float32)
     scene.fields()[field].view(40, -1)[17, -1] = bad
     calls = {"render": lambda: render(scene, CAMERAS.to(torch.float32)), "frame": lambda: Rig.frame(scene, PANEL),
-             "save": lambda: scene.save("/nowhere/a.ply")}
+             "save": lambda: scene.save("/nowhere/a.ply"), "high": lambda: encode(scene, PANEL, RIG, quality="high"),
+             "fast": lambda: encode(scene, PANEL, RIG, quality="fast"),
+             "encoder": lambda: Encoder(PANEL, RIG, quality="fast")(scene)}
     with pytest.raises(InputError, match=rf"{field}\[17.*got -?(nan|inf)"):
         calls.get(how, lambda: encode(scene, PANEL, RIG, how))()
 
