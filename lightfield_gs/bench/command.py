@@ -201,7 +201,7 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
     for subject in pareto.subjects(scenes, photos, Panel.load(args.panel),
                                    pareto.CONES if args.cone is None else _cones(args.cone), args.device):
         made = subject()
-        _progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then {len(pareto.settings())} settings by turns")
+        _progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then all settings by turns")
         rows += pareto.rows(made, pareto.settings(), args.repeats, count)
     if args.plot is not None:
         plot(rows, args.plot)

@@ -30,7 +30,7 @@ from lightfield_gs.rendering import encode
 from lightfield_gs.rig import Rig
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
-KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "rough_alpha", "lattice_error")
+KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Subject:
 
 
 def settings() -> dict[str, Quality]:
-    """Exact first, the other names, each knob alone at the values that the names give it, and names without one knob."""
+    """Exact first, the other names, each knob alone at the values that the names give it, names without one knob."""
     found = dict(QUALITIES)
     for knob in KNOBS:
         for name, quality in QUALITIES.items():
@@ -57,8 +57,8 @@ def settings() -> dict[str, Quality]:
     return found
 
 
-def _value(value: float | bool) -> str:
-    return "" if value is True else f"1/{1 / value:.0f}" if value > 0 and 1 / value < 256 else f"{value:g}"
+def _value(value: float) -> str:
+    return f"1/{1 / value:.0f}" if 1 / value < 256 else f"{value:g}"
 
 
 def subjects(scenes: Sequence[str], photos: Sequence[str], panel: Panel, cones: Sequence[Any],
@@ -82,7 +82,8 @@ def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
 
 
 @torch.no_grad()
-def rows(subject: Subject, chosen: dict[str, Quality], repeats: int | None, threads: int | None) -> list[dict[str, Any]]:
+def rows(subject: Subject, chosen: dict[str, Quality], repeats: int | None,
+         threads: int | None) -> list[dict[str, Any]]:
     """A row for each setting, the exact one first. Raises InputError."""
     oracle = oracle_samples(subject.gaussians, subject.panel, subject.rig)
     what = {"scene": subject.name, "gaussians": subject.gaussians.count, "panel": subject.panel.name,
@@ -92,7 +93,8 @@ def rows(subject: Subject, chosen: dict[str, Quality], repeats: int | None, thre
         stats: dict[str, Any] = {}
         image = encode(subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads, stats=stats)
         found.append({**what, "setting": name, "named": name in QUALITIES, **oracle.errors(image),
-                      "pairs": stats["pairs"], "evaluations_per_subpixel": stats["evaluations_per_subpixel"]})
+                      "pairs": stats["pairs"], "evaluations_per_subpixel": stats["evaluations_per_subpixel"],
+                      "skipped": stats["skipped"]})
         calls.append(_call(subject, quality, threads))
     _, times = timed_in_turn(calls, subject.gaussians.means.is_cuda, repeats)
     for row, taken in zip(found, zip(*times)):
