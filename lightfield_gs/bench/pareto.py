@@ -31,6 +31,7 @@ from lightfield_gs.rig import Rig
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
 KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error")
+STOPS = (1e-2, 5e-2)  # no name has them: they pay in few scenes
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Subject:
 
 def settings() -> dict[str, Quality]:
     """Exact first, the other names, each knob alone at the values that the names give it, names without one knob."""
-    found = dict(QUALITIES)
+    found = dict(QUALITIES) | {f"transmittance_stop {_value(stop)}": Quality(transmittance_stop=stop) for stop in STOPS}
     for knob in KNOBS:
         for name, quality in QUALITIES.items():
             value, without = getattr(quality, knob), getattr(EXACT, knob)
