@@ -118,6 +118,7 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32")
     add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")
     add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
+    add("--stats", action="store_true", help="print what was drawn and what was skipped")
 
 
 def _add_depth(encode: argparse.ArgumentParser) -> None:

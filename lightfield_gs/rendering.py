@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import ops
+from lightfield_gs import ops, skips
 from lightfield_gs.arrays import dense_tensor
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.errors import InputError, expect
@@ -88,8 +88,10 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     "direct" are differentiable. quality: "exact", "high", "fast", "draft" or a Quality, of "direct" without gradients:
     how much error is allowed for less time. threads: CPU threads (default: torch's). stats: a dict to fill with
     stages_ms (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
-    CUDA), work_bytes, gaussians_culled, colour_error; for "sorted" also memory_bytes and memory_bytes_unchunked, by
-    stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
+    CUDA), work_bytes, gaussians_culled, colour_error; for "direct" also skipped: Gaussians not drawn by reason and, on
+    the CPU, tiles, lattices, samples that ended early and orders of colours; for "sorted" also memory_bytes and
+    memory_bytes_unchunked, by stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views,
+    and of all views at once.
     Raises InputError.
     """
     check_options(method, views, output)
@@ -124,6 +126,9 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
         image = _direct(gaussians, panel, rig, views, colour, output, quality, threads, counters)
     if stats is not None:
         _report(counters, gaussians, panel, stats)
+        if method == "direct":
+            drawn = gaussians.count - stats["gaussians_culled"]
+            stats["skipped"] = {"gaussians": skips.culled(gaussians, rig, drawn), **counters.skipped}
     return image
 
 

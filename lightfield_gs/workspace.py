@@ -11,7 +11,7 @@ from typing import Any, Iterator, NamedTuple
 import torch
 from torch import Tensor
 
-from lightfield_gs import _core
+from lightfield_gs import _core, skips
 from lightfield_gs.errors import InputError
 from lightfield_gs.quality import Quality
 
@@ -34,6 +34,7 @@ class Stats:
     gaussians_drawn: int = 0  # in all images
     colour_error: float = 0.0
     kernel: str | None = None  # that drew a light field on CUDA
+    skipped: dict[str, Any] = field(default_factory=dict)  # of a light field on the CPU, see skips.lines
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -218,8 +219,11 @@ class Workspace:
     def composite_lens(self, lens: Any, quality: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], of the scene's dtype or uint8."""
         floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
-        self.stats.count(self.scene.core.composite_lens(self.native, self.bins, lens, quality.native,
-                                                        background.data_ptr(), floats, bytes_, self.threads))
+        counters = self.scene.core.composite_lens(self.native, self.bins, lens, quality.native, background.data_ptr(),
+                                                  floats, bytes_, self.threads)
+        self.stats.count(counters)
+        if self.stats.device is not None:
+            self.stats.skipped = skips.of_lens(counters, self.orders, self.splats, self.colour_order)
 
     def dense_backward(self, cameras: Any, background: Tensor, images: Any, gradients: Any,
                        g_cameras: Tensor) -> tuple[list[Tensor], Tensor]:

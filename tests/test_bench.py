@@ -4,16 +4,20 @@ import argparse
 import itertools
 import json
 import time
+from dataclasses import fields
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
-from lightfield_gs.bench import command, paper, scenes, timing, training
+from lightfield_gs.bench import command, oracle, paper, pareto, photo, scenes, timing, training
 from lightfield_gs.cli import build_parser
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
+from lightfield_gs.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.rendering import render
 
 KEYS = {"scene", "gaussians", "sh_degree", "panel", "cone", "cone_deg", "method", "device", "ms_median", "ms_min",
@@ -119,9 +123,9 @@ def test_machine_is_described():
 
 def test_errors_are_counted_in_steps_of_8_bits():
     zeros = np.zeros(4, np.int64)
-    oracle = command.OracleSamples(zeros, np.arange(4), zeros, np.array([10, 20, 30, 40]))
+    expected = oracle.OracleSamples(zeros, np.arange(4), zeros, np.array([10, 20, 30, 40]))
     image = torch.tensor([[[10, 0, 0], [21, 0, 0], [27, 0, 0], [40, 0, 0]]], dtype=torch.uint8)
-    errors = oracle.errors(image)
+    errors = expected.errors(image)
     assert errors["max_error_255"] == 3 and errors["share_over_1"] == 0.25
     assert errors["psnr_db"] == pytest.approx(10 * np.log10(255**2 * 4 / 10))
 
@@ -254,7 +258,45 @@ def test_photo_rows(tmp_path, capsys):
     assert "total ms" in shown and len([line for line in shown.splitlines() if "cat.png" in line]) == 2
 
 
-@pytest.mark.parametrize("words", ["--photo a.png", "--model default", "photo --photo none.png", "photo --model none",
+def test_pareto_rows_table_and_plot(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr("lightfield_gs.bench.pareto.oracle_samples", partial(oracle.oracle_samples, count=500))
+    Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
+    path, picture = tmp_path / "pareto.json", tmp_path / "pareto.png"
+    assert command.run(arguments("pareto", "--scene", "sheet:16,cloud:100", "--photo", str(photo.EXAMPLE), "--cone",
+                                 "40", "--panel", str(tmp_path / "small.yaml"), "--repeats", "1", "--threads", "1",
+                                 "--json", str(path), "--plot", str(picture))) == 0
+    rows, chosen = json.loads(path.read_text())["rows"], list(pareto.settings())
+    assert [(row["scene"], row["setting"]) for row in rows] == list(
+        itertools.product(("sheet:16", "cloud:100", photo.EXAMPLE.name), chosen))
+    assert chosen[0] == "exact" and {row["setting"] for row in rows if row["named"]} == set(QUALITIES)
+    for first in rows[::len(chosen)]:
+        assert first["times_as_fast"] == 1 and first["psnr_db"] >= 70 and first["max_error_255"] <= 2
+    assert all(row["times_as_fast"] > 0 and row["psnr_db"] > 10 and row["runs"] == 1 for row in rows)
+    with Image.open(picture) as shown:
+        assert min(shown.size) > 200 and len(set(shown.convert("L").tobytes())) > 20
+    shown = capsys.readouterr().out
+    assert "times as fast" in shown and len([line for line in shown.splitlines() if "cloud:100" in line]) == len(chosen)
+
+
+def test_pareto_front_is_what_nothing_beats():
+    def row(ms, psnr_db):
+        return {"ms": ms, "psnr_db": psnr_db}
+
+    some = [row(9, 80), row(5, 50), row(6, 45), row(5, 49), row(2, 50), row(9, 80)]
+    assert [row for row in some if pareto.on_front(row, some)] == [row(9, 80), row(2, 50), row(9, 80)]
+
+
+def test_every_knob_stands_alone_and_is_left_out_once():
+    chosen = pareto.settings()
+    alone = [name for name, quality in chosen.items() if sum(
+        getattr(quality, knob) != getattr(EXACT, knob) for knob in pareto.KNOBS) == 1]
+    assert {name.split()[0] for name in alone} == {field.name for field in fields(Quality)}
+
+
+@pytest.mark.parametrize("words", ["pareto --methods direct", "pareto --plot rows.txt", "--plot rows.png",
+                                   "pareto --photo none.png", "pareto --threads 1,2", "pareto --model default",
+                                   "--photo a.png", "--model default", "photo --photo none.png", "photo --model none",
                                    "photo --cone 5", "photo --scene sheet:4",
                                    "--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",
                                    "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=",

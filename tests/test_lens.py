@@ -147,6 +147,10 @@ def test_nothing_to_draw_leaves_the_background(method, views, kind):
     image = encode(scene, shown, rig(shown), method, views=views, background=BACKGROUND, output="float64", stats=stats)
     assert torch.equal(image, torch.tensor(BACKGROUND, dtype=torch.float64).expand_as(image))
     assert stats["pairs"] == 0 and stats["evaluations"] == 0 and stats["gaussians_culled"] == scene.count
+    if method == "direct":
+        reasons = {"behind": 0, "faint": 0, "outside": 0} | ({kind: 30} if kind != "none" else {})
+        assert stats["skipped"]["gaussians"] == reasons and stats["skipped"]["tiles"]["drawn"] == 0
+        assert stats["skipped"]["tiles"]["empty"] > 0 and stats["skipped"]["samples_stopped"] == 0
 
 
 @pytest.mark.parametrize("views", VIEWS)
@@ -179,6 +183,20 @@ def test_stats_tell_what_was_done(method):
     assert stats["evaluations_per_subpixel"] == pytest.approx(stats["evaluations"] / subpixels)
     if method == "direct":
         assert 7 <= stats["gaussians_culled"] < 2000
+        skipped = stats["skipped"]
+        assert skipped["gaussians"] == {"behind": 7, "faint": 0, "outside": stats["gaussians_culled"] - 7}
+        assert skipped["colour_orders"] == [2000 - stats["gaussians_culled"]]
+        assert skipped["tiles"]["drawn"] > 0 and skipped["lattices"] == {"fit": 0, "split": 0, "refused": 0}
+
+
+def test_stats_count_the_sub_pixels_that_ended_early():
+    shown, scene, stats = panel(), random_scene(1, extent=0.01, size=0.3, dtype=torch.float32), {}
+    scene.opacities[:], scene.sh[:] = 0.98, -9  # black
+    left = encode(scene, shown, rig(shown), output="float64", background=(1, 1, 1))
+    four = Gaussians(*(torch.cat([field] * 4) for field in scene.fields().values()))
+    encode(four, shown, rig(shown), stats=stats)
+    ended = int((left**4 < 1e-4).sum())
+    assert ended > 100 and stats["skipped"]["samples_stopped"] == pytest.approx(ended, abs=2)
 
 
 @pytest.mark.parametrize("change, word", [

@@ -283,18 +283,25 @@ PYBIND11_MODULE(_core, m) {
                                          py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),
                                          py::arg("lens"));
   py::class_<Quality>(m, "Quality")
-      .def(py::init([](double opacity_cut, double transmittance_stop, double lattice, bool rough) {
+      .def(py::init([](double opacity_cut, double transmittance_stop, double lattice) {
              return Quality{opacity_cut * 255 > 1 ? std::log2(opacity_cut) : kLog2MinAlpha,
-                            std::max(transmittance_stop, kMinTransmittance), lattice, rough};
+                            std::max(transmittance_stop, kMinTransmittance), lattice};
            }),
-           py::kw_only(), py::arg("opacity_cut"), py::arg("transmittance_stop"), py::arg("lattice"), py::arg("rough"));
+           py::kw_only(), py::arg("opacity_cut"), py::arg("transmittance_stop"), py::arg("lattice"));
   py::class_<Bins>(m, "Bins").def(py::init([](Address offsets, Address splats) {
     return Bins{at<int64_t>(offsets), at<int32_t>(splats)};
   }), py::arg("band_offsets"), py::arg("band_splats"));
   py::class_<Counters>(m, "Counters")
       .def_readonly("pairs", &Counters::pairs)
       .def_readonly("evaluations", &Counters::evaluations)
-      .def_readonly("scratch_bytes", &Counters::scratch_bytes);
+      .def_readonly("scratch_bytes", &Counters::scratch_bytes)
+      .def_readonly("tiles", &Counters::tiles)
+      .def_readonly("empty_tiles", &Counters::empty_tiles)
+      .def_readonly("stopped_samples", &Counters::stopped_samples)
+      .def_readonly("lattice_tiles", &Counters::lattice_tiles)
+      .def_readonly("lattices", &Counters::lattices)
+      .def_readonly("split_lattices", &Counters::split_lattices)
+      .def_readonly("refused_lattices", &Counters::refused_lattices);
 
   bind_stages<float>(m.def_submodule("float32"));
   bind_stages<double>(m.def_submodule("float64"));

@@ -243,8 +243,7 @@ Counters CompositeDenseImpl(const DenseJob<T>& job) {
   });
   Counters sum;
   for (size_t w = 0; w < lists.size(); ++w) {
-    sum.pairs += counters[w].pairs;
-    sum.evaluations += counters[w].evaluations;
+    sum += counters[w];
     sum.scratch_bytes += lists[w].bytes() + int64_t(sizeof(DenseTile<T>));
   }
   return sum;

@@ -10,6 +10,8 @@
 #include "cpu/lens_job.h"
 #include "cpu/lens_run.h"
 #include "cpu/tile_lists.h"
+#include "cpu/tile_splats.h"
+#include "hwy/cache_control.h"
 #include "math/colour_polynomial.h"
 #include "pipeline/stages.h"
 
@@ -33,6 +35,10 @@ void SwapRedBlue(U* rows, int64_t pixels) {
 }
 
 constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lattice; levels: the same, halves, quarters
+// Lattices are tried on every kProbeBands-th band first. Where on two in turn fewer than 1 / kLeastFitting of the tiles
+// were drawn so, the bands between do without
+constexpr int64_t kProbeBands = 8, kLeastFitting = 3;
+constexpr int64_t kAhead = 4;  // splats that are fetched before they are drawn
 
 // What a frame has in common for all its bands.
 template <class T>
@@ -43,20 +49,15 @@ struct LensScene {
   Backdrop<T> backdrop;
   Backdrop<uint8_t> backdrop8;
   // A lattice has no use for jumps at a raised opacity cut: only what is drawn without it is cut
-  bool raised;
+  TileSplats<T> splats;
 
   explicit LensScene(const LensJob<T>& job_)
       : job(job_), layout(*job_.lens, LensTile<T>::kCellsPerPatch),
         background{job_.background[0], job_.background[1], job_.background[2], 0},
         backdrop(*job_.lens, [&](int c) { return background[c]; }),
         backdrop8(*job_.lens, [&](int c) { return uint8_t(std::clamp(background[c], T(0), T(1)) * 255 + T(0.5)); }),
-        raised(job_.quality.lattice > 0 && job_.quality.log2_cut > kLog2MinAlpha) {}
-
-  Splat<T> splat(int32_t id, bool uncut) const {
-    Splat<T> s = job.splats.splats[id];
-    if (raised && !uncut) raise_cut(s, T(job.quality.log2_cut));
-    return s;
-  }
+        splats(job_.splats, job_.quality, job_.quality.lattice > 0 && job_.quality.log2_cut > kLog2MinAlpha,
+               job_.threads) {}
 };
 
 // Splats by index, nearest first.
@@ -74,20 +75,24 @@ class LensBands {
       : scene_(scene), job_(scene.job), lens_(*scene.job.lens), layout_(scene.layout),
         tile_(lens_, layout_, job_.backward), lattice_(lens_, job_.quality) {}
 
-  void draw(int64_t band) {
+  // Returns whether a lattice, where it was tried, was worth it.
+  bool draw(int64_t band, bool try_lattices) {
     band_ = band, row0_ = band * kBandRows, rows_ = std::min<int64_t>(kBandRows, lens_.height_px - row0_);
     const int64_t* offsets = job_.bins.band_offsets + band;
     const SplatList splats = {job_.bins.band_splats + offsets[0], job_.bins.band_splats + offsets[1]};
     const Range cells = layout_.cells_of_band(lens_, row0_);
-    if (job_.quality.lattice > 0) {
+    const Counters before = counters_;
+    if (try_lattices) {
       lattice_.start_band();
       draw_runs(splats, cells, 0);
     } else {
       draw_tiles(splats, cells);
     }
-    if (job_.backward || !lens_.bgr) return;
-    const int64_t first = row0_ * 3 * lens_.width_px, pixels = rows_ * lens_.width_px;
-    job_.out8 ? SwapRedBlue(job_.out8 + first, pixels) : SwapRedBlue(job_.out + first, pixels);
+    if (!job_.backward && lens_.bgr) {
+      const int64_t first = row0_ * 3 * lens_.width_px, pixels = rows_ * lens_.width_px;
+      job_.out8 ? SwapRedBlue(job_.out8 + first, pixels) : SwapRedBlue(job_.out + first, pixels);
+    }
+    return kLeastFitting * (counters_.lattice_tiles - before.lattice_tiles) > counters_.tiles - before.tiles;
   }
 
   Counters counters() const {
@@ -99,11 +104,12 @@ class LensBands {
   }
 
  private:
-  // Which splats sweep over each `width` cells of some. uncut: see LensScene::splat.
+  // Which splats sweep over each `width` cells of some. uncut: as a lattice takes them.
   void list(TileLists& out, SplatList splats, Range cells, int64_t width, bool uncut) {
     out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, [&](int32_t id) -> Range {
       T low, high;
-      if (!columns_of(scene_.splat(id, uncut), T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low,
+      const Splat<T>& splat = uncut ? job_.splats.splats[id] : scene_.splats[id].splat;
+      if (!columns_of(splat, T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low,
                       high))
         return {0, -1};
       const Range touched = layout_.cells_of(double(low), double(high));
@@ -114,7 +120,10 @@ class LensBands {
     counters_.pairs += out.pairs();
   }
 
-  void draw_empty(const LensRun& run) {
+  int64_t tiles_in(Range cells) const { return (cells.last - cells.first) / layout_.cells_per_tile + 1; }
+
+  void draw_empty(const LensRun& run, Range cells) {
+    counters_.empty_tiles += tiles_in(cells);
     job_.out8 ? scene_.backdrop8.draw(run, lens_.width_px, job_.out8)
               : scene_.backdrop.draw(run, lens_.width_px, job_.out);
   }
@@ -130,7 +139,7 @@ class LensBands {
       const Range own_cells = {cell, std::min(cell + width - 1, cells.last)};
       if (run.samples() == 0) continue;
       if (own.empty())
-        draw_empty(run);
+        draw_empty(run, own_cells);
       else
         draw_run(run, own, own_cells, level);
     }
@@ -142,11 +151,14 @@ class LensBands {
       switch (lattice_.judge(run, job_.splats, splats.begin, splats.end, scene_.background, last)) {
         case LensLattice::Verdict::kFits:
           job_.out8 ? lattice_.write(run, job_.out8) : lattice_.write(run, job_.out);
+          ++counters_.lattices, counters_.lattice_tiles += tiles_in(cells);
           break;
         case LensLattice::Verdict::kRefuse:
+          ++counters_.refused_lattices;
           draw_tiles(splats, cells);
           break;
         case LensLattice::Verdict::kSplit: {
+          ++counters_.split_lattices;
           const float fineness = lattice_.fineness;
           draw_runs(splats, cells, level + 1);
           lattice_.fineness = fineness;
@@ -163,14 +175,20 @@ class LensBands {
 
   void draw_tile(int64_t cell0, SplatList splats) {
     if (splats.empty() && !job_.backward)
-      return draw_empty(LensRun(lens_, layout_, row0_, cell0, layout_.cells_per_tile));
+      return draw_empty(LensRun(lens_, layout_, row0_, cell0, layout_.cells_per_tile), {cell0, cell0});
+    ++counters_.tiles;
     tile_.move_to(row0_, cell0);
     if (job_.backward) LoadGradients(job_, tile_, layout_.samples());
     for (const int32_t* id = splats.begin; id != splats.end && tile_.open > 0; ++id) {
-      const int64_t count = tile_.find(scene_.splat(*id, false));
+      if (splats.end - id > kAhead) {
+        hwy::Prefetch(&scene_.splats[id[kAhead]]);
+        hwy::Prefetch(colour_of(job_.splats, id[kAhead]));
+      }
+      const TileSplat<T>& splat = scene_.splats[*id];
+      const int64_t count = tile_.find(splat.splat);
       counters_.evaluations += count * LensTile<T>::kLanes;
       if (!job_.backward) {
-        Forward(job_, tile_, scene_.background, *id, count);
+        Forward(job_, tile_, scene_.background, *id, splat, count);
         continue;
       }
       const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
@@ -180,7 +198,7 @@ class LensBands {
     if (job_.backward)
       BackgroundGradient(tile_, layout_.samples(), job_.band_background + 3 * band_);
     else
-      FinishTile(job_, tile_, layout_.samples(), scene_.background);
+      counters_.stopped_samples += FinishTile(job_, tile_, layout_.samples(), scene_.background);
   }
 
   const LensScene<T>& scene_;
@@ -199,12 +217,26 @@ template <class T>
 Counters CompositeLensImpl(const LensJob<T>& job) {
   const LensScene<T> scene(job);
   std::vector<std::unique_ptr<LensBands<T>>> workers(size_t(std::max(job.threads, 1)));
-  parallel_for(band_count(job.lens->height_px), job.threads, [&](int64_t band, int worker) {
+  auto draw = [&](int64_t band, int worker, bool try_lattices) {
     auto& bands = workers[size_t(worker)];
     if (!bands) bands = std::make_unique<LensBands<T>>(scene);
-    bands->draw(band);
-  });
+    return bands->draw(band, try_lattices);
+  };
+  const int64_t bands = band_count(job.lens->height_px);
+  if (job.quality.lattice > 0) {
+    std::vector<uint8_t> worth(size_t((bands - 1) / kProbeBands + 1));
+    parallel_for(int64_t(worth.size()), job.threads, [&](int64_t probe, int worker) {
+      worth[size_t(probe)] = draw(probe * kProbeBands, worker, true);
+    });
+    parallel_for(bands, job.threads, [&](int64_t band, int worker) {
+      const size_t above = size_t(band / kProbeBands), below = std::min(above + 1, worth.size() - 1);
+      if (band % kProbeBands != 0) draw(band, worker, worth[above] || worth[below]);
+    });
+  } else {
+    parallel_for(bands, job.threads, [&](int64_t band, int worker) { draw(band, worker, false); });
+  }
   Counters sum;
+  sum.scratch_bytes = scene.splats.bytes();
   for (const auto& bands : workers)
     if (bands) sum += bands->counters();
   return sum;

@@ -179,8 +179,7 @@ Counters CompositeSortedImpl(const SortedJob<T>& job) {
   Counters sum;
   sum.scratch_bytes = int64_t(2 * groups.size() * sizeof(int64_t));
   for (size_t w = 0; w < lists.size(); ++w) {
-    sum.pairs += counters[w].pairs;
-    sum.evaluations += counters[w].evaluations;
+    sum += counters[w];
     sum.scratch_bytes += lists[w].bytes() + int64_t(sizeof(SubpixelBatch<T>));
   }
   return sum;

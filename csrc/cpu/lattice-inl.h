@@ -62,7 +62,6 @@ class LatticeNodes {
   }
 
   // Blends a splat, (u, v) being its centre about (x0, y0); colours: [order + 1, kColourStride].
-  template <int kExpDegree>
   HWY_NOINLINE void add(const Splat<float>& splat, float u, float v, const float* colours, int order,
                         const Quality& quality, const float* background) {
     int first, last;
@@ -76,7 +75,7 @@ class LatticeNodes {
       for (int k = first; k <= last; ++k) {
         const int from = std::max(int(std::ceil(middle_.data[k] - half_.data[k])), 0);
         const int to = std::min(int(std::floor(middle_.data[k] + half_.data[k])), plan_.across - 1);
-        for (int i = from & -kLanes; i <= to; i += kLanes) blend<kExpDegree>(j, k, i, A, quality, background);
+        for (int i = from & -kLanes; i <= to; i += kLanes) blend(j, k, i, A, quality, background);
       }
     }
   }
@@ -151,7 +150,6 @@ class LatticeNodes {
   int64_t at(int plane, int row) const { return int64_t(plane * plan_.down + row) * row_; }
 
   // A vector of nodes of a row.
-  template <int kExpDegree>
   HWY_INLINE void blend(int row, int plane, int i, float A, const Quality& quality, const float* background) {
     const D d;
     evaluations += kLanes;
@@ -159,11 +157,11 @@ class LatticeNodes {
     const V dx = hn::Add(hn::Iota(d, 0.f), hn::Set(d, float(i) - middle_.data[plane]));
     const V power = hn::NegMulAdd(hn::Mul(dx, dx), hn::Set(d, scale), hn::Set(d, A));
     const auto lit = hn::Ge(power, hn::Set(d, float(kLog2MinAlpha)));
-    const V alpha = hn::IfThenElseZero(lit, hn::Min(Exp2<kExpDegree>(d, power), hn::Set(d, float(kMaxAlpha))));
+    const V alpha = hn::IfThenElseZero(lit, hn::Min(Exp2<4>(d, power), hn::Set(d, float(kMaxAlpha))));
     float *left = &transmittance_.data[at(plane, row) + i], *sum = &colours_.data[at(plane, row) + i];
     const V before = hn::Load(d, left);
     V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
-    const auto stop = hn::And(lit, hn::Lt(after, hn::Set(d, float(quality.stop))));
+    const auto stop = hn::And(hn::Gt(weight, hn::Zero(d)), hn::Lt(after, hn::Set(d, float(quality.stop))));
     const bool stops = !hn::AllFalse(d, stop);
     if (HWY_UNLIKELY(stops)) weight = hn::IfThenElse(stop, before, weight), after = hn::IfThenZeroElse(stop, after);
     hn::Store(after, d, left);

@@ -33,18 +33,22 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
   T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
   const int order = job.splats.orders[id];
   const V least_after = hn::Set(d, T(job.quality.stop));
+  // Positive floats in the order of their bits, less one: samples that have stopped, at zero, come last
+  const hn::RebindToUnsigned<Tag<T>> du;
+  const auto one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
   const bool ends_early = job.quality.ends_early();
 
   auto blend = [&](auto vectors, const uint16_t* list) {
-    V weights[vectors], afters[vectors], least = least_after;
+    V weights[vectors], afters[vectors];
+    auto least = limit;
     for (int n = 0; n < vectors; ++n) {
       const int64_t i = int64_t(list[n]) * kLanes;
       const V before = hn::Load(d, transmittances + i);
       weights[n] = footprint.weight(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n]), before);
       afters[n] = hn::Sub(before, weights[n]);
-      least = hn::Min(least, afters[n]);
+      least = hn::Min(least, hn::Sub(hn::BitCast(du, afters[n]), one));
     }
-    const bool stops = !hn::AllFalse(d, hn::Lt(least, least_after));
+    const bool stops = !hn::AllTrue(du, hn::Eq(least, limit));
     for (int n = 0; n < vectors; ++n) {
       const int64_t i = int64_t(list[n]) * kLanes;
       const auto channel = hn::Load(di, &tile.channel[i]);
@@ -69,8 +73,8 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
 
 // The same, by the cheapest code that is right for the splat.
 template <class T>
-void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, int64_t count) {
-  const Splat<T>& splat = job.splats.splats[id];
+void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, const TileSplat<T>& splat,
+             int64_t count) {
   auto draw = [&](const auto& footprint) {
     switch (job.splats.orders[id]) {
       case 0: return ForwardSplat<std::decay_t<decltype(footprint)>, 0>(job, tile, background, id, footprint, count);
@@ -82,18 +86,21 @@ void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int3
   with_footprint(splat, job.quality, draw);
 }
 
-// Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel.
+// Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel. Returns how many samples
+// had stopped.
 template <class T>
-void FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
+int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
   const hn::RebindToUnsigned<Tag<T>> du;
   const hn::Rebind<uint8_t, Tag<T>> d8;
   constexpr int kLanes = LensTile<T>::kLanes;
+  int64_t stopped = 0;
   uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // read no more once they are written
   for (int64_t i = 0; i < samples; i += kLanes) {
     const auto b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
-    const auto c = hn::MulAdd(hn::Load(d, &tile.transmittance[i]), b, hn::Load(d, &tile.colour[i]));
+    const auto left = hn::Load(d, &tile.transmittance[i]), c = hn::MulAdd(left, b, hn::Load(d, &tile.colour[i]));
+    stopped += int64_t(hn::CountTrue(d, hn::Eq(left, hn::Zero(d))));
     if (job.out8) {
       const auto unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
       const auto rounded = hn::ConvertTo(di, hn::MulAdd(unit, hn::Set(d, T(255)), hn::Set(d, T(0.5))));
@@ -109,6 +116,7 @@ void FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const
     });
   };
   job.out8 ? write(bytes, job.out8) : write(tile.colour.get(), job.out);
+  return stopped;
 }
 
 // See BackwardTile of the dense sensor for the formula; here a sample has one channel.

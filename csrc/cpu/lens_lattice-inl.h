@@ -105,10 +105,7 @@ class LensLattice {
       if ((id - begin) % kLookOut == kLookOut - 1 && nodes.opaque()) break;
       const Splat<float>& splat = splats.splats[*id];
       const float u = float(double(splat.u0) - x0_), v = float(double(splat.v0) - y0_);
-      if (quality_.rough)
-        nodes.add<2>(splat, u, v, colour_of(splats, *id), splats.orders[*id], quality_, background);
-      else
-        nodes.add<4>(splat, u, v, colour_of(splats, *id), splats.orders[*id], quality_, background);
+      nodes.add(splat, u, v, colour_of(splats, *id), splats.orders[*id], quality_, background);
     }
     nodes.finish(background);
   }

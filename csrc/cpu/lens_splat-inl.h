@@ -10,9 +10,9 @@
 #include <cmath>
 
 #include "cpu/lens_tile-inl.h"
+#include "cpu/tile_splats.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
-#include "math/inverse_root.h"
 #include "math/quality.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -69,8 +69,7 @@ struct ExactFootprint {
 };
 
 // The footprint of a splat whose S^(-1/2) is near enough to a parabola over the rig, and whose alpha needs no limit.
-// kExpDegree: of the polynomial for exp2.
-template <class T, int kExpDegree>
+template <class T>
 struct PlainFootprint {
   using D = Tag<T>;
   using V = hn::Vec<D>;
@@ -81,24 +80,24 @@ struct PlainFootprint {
     r0 = hn::Set(d, root.r0), r1 = hn::Set(d, root.r1), r2 = hn::Set(d, root.r2), cut = hn::Set(d, log2_cut);
   }
   static bool fits(const Splat<T>& s, const InverseRoot<T>& root) {
-    return root.error < T(kExpDegree < 4 ? kMostRoughRootError : kMostRootError) && s.log2_opacity <= T(kLog2MaxAlpha);
+    return root.error < T(kMostRootError) && s.log2_opacity <= T(kLog2MaxAlpha);
   }
   HWY_INLINE V weight(V x, V s, const typename LensTile<T>::Rows& rows, V transmittance) const {
     const D d;
     const V e = hn::Mul(DistanceX<T>(x, s, rows), hn::MulAdd(hn::MulAdd(s, r2, r1), s, r0));
     const V power = hn::NegMulAdd(e, e, hn::Load(d, rows.A));
-    return hn::IfThenElseZero(hn::Ge(power, cut), hn::Mul(Exp2<kExpDegree>(d, power), transmittance));
+    return hn::IfThenElseZero(hn::Ge(power, cut), hn::Mul(Exp2<4>(d, power), transmittance));
   }
 };
 
 // Calls visit with the cheapest footprint that is right for a splat.
 template <class T, class Visit>
-void with_footprint(const Splat<T>& splat, const Quality& quality, const Visit& visit) {
+void with_footprint(const TileSplat<T>& tile_splat, const Quality& quality, const Visit& visit) {
+  const Splat<T>& splat = tile_splat.splat;
   const T cut = T(quality.log2_cut);
   if constexpr (sizeof(T) == 4) {
-    const InverseRoot<T> root(splat);
-    if (quality.rough && PlainFootprint<T, 2>::fits(splat, root)) return visit(PlainFootprint<T, 2>(root, cut));
-    if (PlainFootprint<T, 4>::fits(splat, root)) return visit(PlainFootprint<T, 4>(root, cut));
+    const InverseRoot<T>& root = tile_splat.root;
+    if (PlainFootprint<T>::fits(splat, root)) return visit(PlainFootprint<T>(root, cut));
   }
   visit(ExactFootprint<T>(splat, cut));
 }

@@ -7,6 +7,7 @@ constexpr double kBlurVariancePx = 0.3;             // added to the diagonal of 
 constexpr double kMaxAlpha = 0.99;
 constexpr double kMinTransmittance = 1e-4;          // a sample stops before it falls below
 constexpr double kNearDepth = 0.01;
+constexpr double kMinAlpha = 1.0 / 255;
 constexpr double kLog2MinAlpha = -7.994353436858858;  // log2(1/255)
 constexpr double kLog2MaxAlpha = -0.014499569695115;  // log2(0.99)
 constexpr double kHalfLog2e = 0.7213475204444817;     // exp(-q/2) = 2^(-kHalfLog2e q)

@@ -60,10 +60,15 @@ LFGS_HD bool columns_of(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T
   return true;
 }
 
-// Raises the opacity cut of a splat from 1/255.
+// Raises the opacity cut of a splat from 1/255, and its opacity by as much: the integral of alpha over an image, which
+// is proportional to opacity - cut, stays what it was (but where the opacity ends at 0.99).
 template <class T>
 LFGS_HD void raise_cut(Splat<T>& s, T log2_cut) {
-  if (s.reach_y >= 0) s.reach_y = s.log2_opacity >= log2_cut ? std::sqrt((s.log2_opacity - log2_cut) / s.tau) : T(-1);
+  if (!(s.reach_y >= 0)) return;
+  const T raised = std::log2(std::exp2(s.log2_opacity) + std::exp2(log2_cut) - T(kMinAlpha));
+  const T most = T(kLog2MaxAlpha) > s.log2_opacity ? T(kLog2MaxAlpha) : s.log2_opacity;
+  s.log2_opacity = raised < most ? raised : most;
+  s.reach_y = s.log2_opacity >= log2_cut ? std::sqrt((s.log2_opacity - log2_cut) / s.tau) : T(-1);
 }
 
 // Gives a splat that touches no pixel of the image, from no camera of the rig, no rows at all; likewise one whose

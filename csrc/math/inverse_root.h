@@ -9,15 +9,15 @@
 namespace lfgs {
 
 constexpr double kMostRootError = 4e-5;  // relative; alpha errs by less than 0.74 of it, which keeps 80 dB at 8 bits
-constexpr double kMostRoughRootError = 2e-3;
 
 // S^(-1/2) ~ r0 + r1 s + r2 s^2 for s in [-1, 1]. Its series in S = S0 (1 + a1 s + a2 s^2) up to s^4, whose last two
 // terms become what is nearest to them: s^3 -> 3/4 s, s^4 -> s^2 - 1/8 (Chebyshev's economization).
 template <class T>
 struct InverseRoot {
-  T r0, r1, r2;
-  T error;  // about the largest relative one
+  T r0 = 0, r1 = 0, r2 = 0;
+  T error = 1;  // about the largest relative one
 
+  InverseRoot() = default;
   LFGS_HD explicit InverseRoot(const Splat<T>& s) {
     const T inverse = 1 / s.S0, root = std::sqrt(inverse), a1 = s.S1 * inverse, a2 = s.S2 * inverse, square = a1 * a1;
     const T p1 = T(-0.5) * a1, p2 = T(0.375) * square - T(0.5) * a2;

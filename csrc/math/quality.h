@@ -9,7 +9,6 @@ struct Quality {
   double log2_cut = kLog2MinAlpha;    // of the opacity cut: splats below it leave a sample as it is
   double stop = kMinTransmittance;    // a sample ends before its transmittance falls below
   double lattice = 0;                 // error allowed at the checks of a coarse lattice; 0: no lattice
-  bool rough = false;                 // alpha to 2e-3 instead of 4e-5
 
   // A sample that ends early belongs to the splat at which it does; at the field's own limit, to the background.
   bool ends_early() const { return stop > kMinTransmittance; }

@@ -29,9 +29,16 @@ struct Counters {
   int64_t pairs = 0;        // (tile, splat)
   int64_t evaluations = 0;  // samples evaluated, lanes that missed included
   int64_t scratch_bytes = 0;
+  // Lens only: tiles drawn by themselves and those of them without splats, samples that stopped before the last splat;
+  // tiles drawn from lattices; lattices that were good enough, too coarse for a run that was then halved, given up.
+  int64_t tiles = 0, empty_tiles = 0, stopped_samples = 0, lattice_tiles = 0;
+  int64_t lattices = 0, split_lattices = 0, refused_lattices = 0;
 
   Counters& operator+=(const Counters& other) {
-    pairs += other.pairs, evaluations += other.evaluations, scratch_bytes += other.scratch_bytes;
+    for (auto count : {&Counters::pairs, &Counters::evaluations, &Counters::scratch_bytes, &Counters::tiles,
+                       &Counters::empty_tiles, &Counters::stopped_samples, &Counters::lattice_tiles,
+                       &Counters::lattices, &Counters::split_lattices, &Counters::refused_lattices})
+      this->*count += other.*count;
     return *this;
   }
 };

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
-from lightfield_gs.bench import paper, peers, photo, training
+from lightfield_gs.bench import paper, pareto, peers, photo, training
 from lightfield_gs.bench.measure import measure
+from lightfield_gs.bench.oracle import ORACLE_SAMPLES, oracle_samples
+from lightfield_gs.bench.pareto_plot import check_plot, plot
 from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, load_scene
 from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line, table
 from lightfield_gs.bench.timing import machine
@@ -30,43 +31,10 @@ from lightfield_gs.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rendering import METHODS
 from lightfield_gs.rig import Rig
 
-ORACLE_SAMPLES = 20_000
-ORACLE_SEED = 1
-PSNR_CAP_DB = 120.0  # of images without any error
 BENCH_METHODS = (*METHODS, *peers.PEERS)
 COUNTERS = ("stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes", "memory_bytes",
             "memory_bytes_unchunked")  # of encode's stats; None where a method does not tell
 DEFAULT_SCENES, DEFAULT_METHODS = ("sheet:128",), ("direct",)
-
-
-@dataclass(frozen=True)
-class OracleSamples:
-    """Random sub-pixels (rows, columns, channels [M]) and the 8-bit values [M] that they must have."""
-
-    rows: np.ndarray
-    columns: np.ndarray
-    channels: np.ndarray
-    values: np.ndarray
-
-    def errors(self, image: torch.Tensor) -> dict[str, float]:
-        """psnr_db, max_error_255 (in 1/255) and share_over_1 (share off by more than 1/255) of an 8-bit image."""
-        shown = image[self.rows, self.columns, self.channels].cpu().numpy()
-        error = np.abs(shown.astype(np.int64) - self.values)
-        mean_square = np.mean((error / 255) ** 2)
-        psnr_db = PSNR_CAP_DB if mean_square == 0 else min(PSNR_CAP_DB, -10 * np.log10(mean_square))
-        return {"psnr_db": float(psnr_db), "max_error_255": int(error.max()), "share_over_1": float(np.mean(error > 1))}
-
-
-def oracle_samples(gaussians: Gaussians, panel: Panel, rig: Rig, count: int = ORACLE_SAMPLES) -> OracleSamples:
-    """Random sub-pixels of a panel, before a white background, by lightfield_gs.reference."""
-    from lightfield_gs.reference import subpixel_colours
-
-    random = np.random.default_rng(ORACLE_SEED)
-    rows = random.integers(0, panel.height_px, count)
-    columns = random.integers(0, panel.width_px, count)
-    channels = random.integers(0, 3, count)
-    colours = subpixel_colours(gaussians, panel, rig, rows, columns, channels)
-    return OracleSamples(rows, columns, channels, np.rint(255 * np.clip(colours, 0, 1)).astype(np.int64))
 
 
 @dataclass(frozen=True)
@@ -140,12 +108,13 @@ def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs bench`."""
     parser.add_argument("what", nargs="?", default="light-field",
-                        choices=("light-field", "paper", "training-step", "photo"),
+                        choices=("light-field", "paper", "training-step", "photo", "pareto"),
                         help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
-                             "methods), forward and backward of the rasterizer in a training step, or a photo through "
-                             "the network to the image")
-    parser.add_argument("--scene", help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128)")
-    parser.add_argument("--photo", help="of photo: files, several with commas (default: the one inside, "
+                             "methods), forward and backward of the rasterizer in a training step, a photo through "
+                             "the network to the image, or run time against error over the settings of quality")
+    parser.add_argument("--scene", help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128; of "
+                                        f"pareto: {', '.join(pareto.SCENES)})")
+    parser.add_argument("--photo", help="of photo and pareto: files, several with commas (default: the one inside, "
                                         f"{photo.EXAMPLE.name})")
     parser.add_argument("--model", help="of photo: a checkpoint (.safetensors), or the configuration of an untrained "
                                         "network, a name or .yaml (default: the checkpoint inside)")
@@ -153,7 +122,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of "
                              "published figures")
     parser.add_argument("--cone", help="viewing cone in degrees, or narrow (40 px of disparity over all views) or wide "
-                                       "(53 degrees); several with commas (default: the panel's)")
+                                       "(53 degrees); several with commas (default: the panel's; of pareto: 5,40)")
     parser.add_argument("--sh-degree", help="0..3 of synthetic scenes, several with commas (default: 0)")
     parser.add_argument("--methods", help=f"with commas, of {', '.join(BENCH_METHODS)} (the last one on CUDA, when "
                                           f"gsplat is installed; default: direct)")
@@ -164,6 +133,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                                                     "of what takes less than 50 ms on CUDA)")
     parser.add_argument("--threads", help="threads (default: all cores); several with commas for "
                                           "training-step and photo")
+    parser.add_argument("--plot", type=Path, help="of pareto: a picture of the rows, .png, .svg, .pdf or .webp")
     parser.add_argument("--json", type=Path, help="where to write the rows, and what machine they are from")
 
 
@@ -175,12 +145,15 @@ def run(args: argparse.Namespace) -> int:
     threads = _numbers("--threads", args.threads, int)
     if args.json is not None:
         check_output_path(args.json)
-    if args.what != "photo" and (args.photo or args.model):
-        raise InputError("--photo and --model are for `bench photo`; leave them out")
+    for option, kinds in (("photo", ("photo", "pareto")), ("model", ("photo",)), ("plot", ("pareto",))):
+        if getattr(args, option) and args.what not in kinds:
+            raise InputError(f"--{option} is for `bench {'` and `bench '.join(kinds)}`; leave it out")
     if args.what == "training-step":
         result, text = _training_step(args, threads)
     elif args.what == "photo":
         result, text = _photo(args, threads)
+    elif args.what == "pareto":
+        result, text = _pareto(args, threads)
     else:
         result, text = _light_field(args, threads, args.what == "paper")
     result["machine"] = machine(args.device)
@@ -209,12 +182,48 @@ def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple
 
 def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every photo, and their text."""
-    for option in ("scene", "cone", "sh_degree", "methods", "memory_budget"):
-        if getattr(args, option) is not None:
-            raise InputError(f"--{option.replace('_', '-')} is for light-field images, not for photo")
+    _refuse(args, "scene", "cone", "sh_degree", "methods", "memory_budget")
     photos = [str(photo.EXAMPLE)] if args.photo is None else args.photo.split(",")
+    _check_files(photos)
     rows = photo.rows(photos, args.model, Panel.load(args.panel), args.device, args.repeats, threads)
     return {"rows": rows}, photo.table(rows)
+
+
+def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
+    """Rows of every scene, photo, cone and setting, and their text; draws the plot."""
+    _refuse(args, "sh_degree", "methods", "memory_budget")
+    if args.plot is not None:
+        check_plot(args.plot)
+    photos = [] if args.scene and not args.photo else (args.photo or str(photo.EXAMPLE)).split(",")
+    _check_files(photos)
+    scenes = pareto.SCENES if not args.scene and not args.photo else args.scene.split(",") if args.scene else ()
+    rows, count = [], _one_thread_count(args, threads)
+    for subject in pareto.subjects(scenes, photos, Panel.load(args.panel),
+                                   pareto.CONES if args.cone is None else _cones(args.cone), args.device):
+        made = subject()
+        _progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then all settings by turns")
+        rows += pareto.rows(made, pareto.settings(), args.repeats, count)
+    if args.plot is not None:
+        plot(rows, args.plot)
+    return {"rows": rows}, pareto.table(rows)
+
+
+def _one_thread_count(args: argparse.Namespace, threads: list[int | None]) -> int | None:
+    if len(threads) > 1:
+        raise InputError(f"--threads: expected one number for a light-field image, got {args.threads}")
+    return threads[0]
+
+
+def _refuse(args: argparse.Namespace, *options: str) -> None:
+    for option in options:
+        if getattr(args, option) is not None:
+            raise InputError(f"--{option.replace('_', '-')} is for light-field images, not for {args.what}")
+
+
+def _check_files(photos: list[str]) -> None:
+    for path in photos:
+        if not Path(path).is_file():
+            raise InputError(f"--photo: found no file {path}")
 
 
 def _light_field(args: argparse.Namespace, threads: list[int | None], published: bool) -> tuple[dict[str, Any], str]:
@@ -222,8 +231,7 @@ def _light_field(args: argparse.Namespace, threads: list[int | None], published:
     scenes, methods = (paper.SCENES, paper.METHODS) if published else (DEFAULT_SCENES, DEFAULT_METHODS)
     scenes = scenes if args.scene is None else args.scene.split(",")
     methods = _methods(list(methods) if args.methods is None else args.methods.split(","), args.device)
-    if len(threads) > 1:
-        raise InputError(f"--threads: expected one number for a light-field image, got {args.threads}")
+    count = _one_thread_count(args, threads)
     if args.memory_budget is not None and "sorted" not in methods:
         raise InputError(f"--memory-budget is for the method sorted, not {', '.join(methods)}; add it to --methods")
     panel = Panel.load(args.panel)
@@ -231,7 +239,7 @@ def _light_field(args: argparse.Namespace, threads: list[int | None], published:
              for degree in _sh_degrees(args.sh_degree)]
     rows, comparisons = [], []
     for case in cases:
-        new_rows, new_comparisons = bench_case(case, methods, args.device, args.repeats, threads[0],
+        new_rows, new_comparisons = bench_case(case, methods, args.device, args.repeats, count,
                                                args.memory_budget)
         rows += new_rows
         comparisons += new_comparisons

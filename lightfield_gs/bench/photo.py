@@ -72,9 +72,6 @@ def _stages(encoder: PhotoEncoder, rgba: np.ndarray, runs: int) -> dict[str, flo
 def rows(photos: list[str], model: str | None, panel: Panel, device: str, repeats: int | None,
          threads: list[int | None]) -> list[dict[str, Any]]:
     """A row for each photo and number of threads. Raises InputError."""
-    for path in photos:
-        if not Path(path).is_file():
-            raise InputError(f"--photo: found no file {path}")
     return [row(path, model, panel, device, repeats, count) for path in photos for count in threads]
 
 

@@ -66,6 +66,16 @@ def run(args: argparse.Namespace) -> None:
             watch.lap("preview")
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians.count} Gaussians")
     print(watch.line())
+    if args.stats:
+        print("\n".join(_stats_lines(stats, gaussians.count)))
+
+
+def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:
+    from lightfield_gs import skips
+
+    each = stats["evaluations_per_subpixel"]
+    lines = [f"pairs of tile and Gaussian: {stats['pairs']}", *skips.lines(stats.get("skipped", {}), gaussians)]
+    return lines if each is None else [*lines, f"evaluations per sub-pixel: {each:.1f}"]
 
 
 def _check_options(args: argparse.Namespace) -> None:

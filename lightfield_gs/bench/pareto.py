@@ -1,0 +1,129 @@
+"""Run time against error: the named qualities, and every knob of Quality by itself, on the same scenes.
+
+All settings are run by turns, the exact one first in every round, so that what else the machine does meets them alike;
+times are the shortest of the rounds. Errors are those of the 8-bit image against the float64 oracle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.bench.oracle import oracle_samples
+from lightfield_gs.bench.photo import network
+from lightfield_gs.bench.scenes import benchmark_rig, cone_degrees, load_scene
+from lightfield_gs.bench.tables import aligned, in_ms, or_dash
+from lightfield_gs.bench.timing import timed_in_turn
+from lightfield_gs.encoder import Encoder
+from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.io.photo import load_photo
+from lightfield_gs.panel import Panel
+from lightfield_gs.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rendering import encode
+from lightfield_gs.rig import Rig
+
+SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
+KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error")
+STOPS = (1e-2, 5e-2)  # no name has them: they pay in few scenes
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is drawn: Gaussians by a name, before a panel, by a rig."""
+
+    name: str
+    gaussians: Gaussians
+    panel: Panel
+    rig: Rig
+
+
+def settings() -> dict[str, Quality]:
+    """Exact first, the other names, each knob alone at the values that the names give it, names without one knob."""
+    found = dict(QUALITIES) | {f"transmittance_stop {_value(stop)}": Quality(transmittance_stop=stop) for stop in STOPS}
+    for knob in KNOBS:
+        for name, quality in QUALITIES.items():
+            value, without = getattr(quality, knob), getattr(EXACT, knob)
+            if value == without:
+                continue
+            found.setdefault(f"{knob} {_value(value)}", replace(EXACT, **{knob: value}))
+            if knob in ("opacity_cut", "lattice_error"):
+                found[f"{name}, no {knob}"] = replace(quality, **{knob: without})
+    return found
+
+
+def _value(value: float) -> str:
+    return f"1/{1 / value:.0f}" if 1 / value < 256 else f"{value:g}"
+
+
+def subjects(scenes: Sequence[str], photos: Sequence[str], panel: Panel, cones: Sequence[Any],
+             device: str) -> list[Callable[[], Subject]]:
+    """Calls that make the subjects: every scene (as load_scene names them) and every photo, in every cone."""
+    return [*(partial(_of_scene, scene, panel, cone, device) for scene in scenes for cone in cones),
+            *(partial(_of_photo, path, panel, cone, device) for path in photos for cone in cones)]
+
+
+def _of_scene(scene: str, panel: Panel, cone: Any, device: str) -> Subject:
+    gaussians = load_scene(scene).to(device)
+    return Subject(Path(scene).name, gaussians, panel, benchmark_rig(scene, gaussians, panel, cone))
+
+
+def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
+    """What the shipped network makes of a photo."""
+    gaussians = network(None).predict(load_photo(path))
+    rig = Rig.frame(gaussians, panel, np.eye(4))
+    rig = replace(rig, cone_deg=cone_degrees(cone, panel, rig.focal_px[0]))
+    return Subject(Path(path).name, gaussians.to(device), panel, rig)
+
+
+@torch.no_grad()
+def rows(subject: Subject, chosen: dict[str, Quality], repeats: int | None,
+         threads: int | None) -> list[dict[str, Any]]:
+    """A row for each setting, the exact one first. Raises InputError."""
+    oracle = oracle_samples(subject.gaussians, subject.panel, subject.rig)
+    what = {"scene": subject.name, "gaussians": subject.gaussians.count, "panel": subject.panel.name,
+            "cone_deg": subject.rig.cone_deg, "device": subject.gaussians.means.device.type}
+    found, calls = [], []
+    for name, quality in chosen.items():
+        stats: dict[str, Any] = {}
+        image = encode(subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads, stats=stats)
+        found.append({**what, "setting": name, "named": name in QUALITIES, **oracle.errors(image),
+                      "pairs": stats["pairs"], "evaluations_per_subpixel": stats["evaluations_per_subpixel"],
+                      "skipped": stats["skipped"]})
+        calls.append(_call(subject, quality, threads))
+    _, times = timed_in_turn(calls, subject.gaussians.means.is_cuda, repeats)
+    for row, taken in zip(found, zip(*times)):
+        row |= {"ms": min(taken), "runs": len(taken)}
+    for row in found:
+        row["times_as_fast"] = found[0]["ms"] / row["ms"]
+        row["front"] = on_front(row, found)
+    return found
+
+
+def _call(subject: Subject, quality: Quality, threads: int | None) -> Callable[[], Tensor]:
+    """On CUDA an Encoder's replayed frame."""
+    if subject.gaussians.means.is_cuda:
+        return partial(Encoder(subject.panel, subject.rig, quality=quality), subject.gaussians)
+    return partial(encode, subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads)
+
+
+def on_front(row: dict[str, Any], found: list[dict[str, Any]]) -> bool:
+    """Whether no other row is as fast and as right, and better in one of them."""
+    mine = row["ms"], -row["psnr_db"]
+    others = ((other["ms"], -other["psnr_db"]) for other in found)
+    return not any(ms <= mine[0] and loss <= mine[1] and (ms, loss) != mine for ms, loss in others)
+
+
+def table(found: list[dict[str, Any]]) -> str:
+    """The rows as text, a line each; those of the Pareto front have a star."""
+    head = ("scene", "cone", "setting", "", "ms", "times as fast", "PSNR dB", "max /255", "pairs", "eval/sub-px")
+    lines = [(row["scene"], f"{row['cone_deg']:g}", row["setting"], "*" if row["front"] else "", in_ms(row["ms"]),
+              f"{row['times_as_fast']:.2f}", f"{row['psnr_db']:.1f}", str(row["max_error_255"]), str(row["pairs"]),
+              or_dash(row["evaluations_per_subpixel"], ".1f")) for row in found]
+    return "\n".join(aligned([head, *lines]))

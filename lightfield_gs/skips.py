@@ -1,0 +1,54 @@
+"""What a light-field image did not have to draw, counted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from lightfield_gs import _core
+
+if TYPE_CHECKING:
+    from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.rig import Rig
+
+NEAR_DEPTH = 0.01  # scene units
+
+
+def culled(gaussians: Gaussians, rig: Rig, drawn: int) -> dict[str, int]:
+    """Gaussians that are not drawn, by the first reason that holds: behind (or nearer than the near plane), faint
+    (opacity below 1/255), outside the panel from every camera of the rig (or of no shape: a quaternion of zeros)."""
+    pose = torch.as_tensor(rig.world_to_camera, dtype=torch.float64, device=gaussians.means.device)
+    behind = gaussians.means.double() @ pose[2, :3] + pose[2, 3] < NEAR_DEPTH
+    faint = ~behind & (gaussians.opacities.double() * 255 < 1)
+    counts = {"behind": int(behind.sum()), "faint": int(faint.sum())}
+    return {**counts, "outside": gaussians.count - drawn - sum(counts.values())}
+
+
+def of_lens(counters: Any, orders: Tensor, splats: Tensor, most: int) -> dict[str, Any]:
+    """Tiles, lattices and samples of a composite; splats [1, N, ...] by the polynomial orders [1, N] of their colours,
+    0..most."""
+    drawn = splats[..., _core.SPLAT_FIELDS - 2] >= 0  # by their reach
+    return {"colour_orders": torch.bincount(orders[drawn], minlength=most + 1).tolist(),
+            "tiles": {"empty": counters.empty_tiles, "lattice": counters.lattice_tiles, "drawn": counters.tiles},
+            "lattices": {"fit": counters.lattices, "split": counters.split_lattices,
+                         "refused": counters.refused_lattices},
+            "samples_stopped": counters.stopped_samples}
+
+
+def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
+    """What `encode` puts in stats["skipped"], a line each."""
+    out = []
+    if reasons := skipped.get("gaussians"):
+        out.append(f"of {gaussians} Gaussians not drawn: " + ", ".join(f"{n} {why}" for why, n in reasons.items()))
+    if orders := skipped.get("colour_orders"):
+        out.append("colours by polynomial order over the views: " + ", ".join(
+            f"{order}: {n}" for order, n in enumerate(orders) if n))
+    if tiles := skipped.get("tiles"):
+        out.append(f"tiles: {tiles['empty']} empty, {tiles['lattice']} from lattices, {tiles['drawn']} drawn")
+    if lattices := skipped.get("lattices"):
+        out.append(f"lattices: {lattices['fit']} good enough, {lattices['split']} split, {lattices['refused']} refused")
+    if "samples_stopped" in skipped:
+        out.append(f"sub-pixels that ended early: {skipped['samples_stopped']}")
+    return out
