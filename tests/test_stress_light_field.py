@@ -7,13 +7,10 @@ import pytest
 import torch
 from rasterizer_cases import all_subpixels
 from stress_cases import BACKENDS, BACKGROUND, CASES, EXACT, METHODS, SETTLED, one_thread, use_backend
-
-from test_quality import hidden_by_cut
+from test_quality import reached
 
 from lightfield_gs import Gaussians, encode, reference
 from lightfield_gs.quality import QUALITIES
-
-ROUGH = 4e-3  # what rough alpha may change
 
 
 @pytest.fixture(params=BACKENDS)
@@ -61,9 +58,9 @@ def given_up(name, quality):
     """What a quality states as its bound for every sub-pixel of a case."""
     scene, shown, fan, *_ = oracle(name)
     with one_thread():
-        cut = 1 - (1 - quality.opacity_cut) ** hidden_by_cut(scene, shown, fan, quality.opacity_cut)
+        cut = quality.opacity_cut * reached(scene, shown, fan)
     # A lattice is checked in the middle of its cells; elsewhere its error was never twice that
-    return cut + quality.transmittance_stop + quality.colour_error + ROUGH + 2 * quality.lattice_error
+    return cut + quality.transmittance_stop + quality.colour_error + 2 * quality.lattice_error
 
 
 @pytest.mark.parametrize("quality", ["high", "fast", "draft"])

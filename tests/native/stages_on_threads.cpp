@@ -14,7 +14,7 @@ namespace {
 constexpr int64_t kCount = 1500, kWidth = 150, kHeight = 70, kViews = 3;
 const double kPose[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1}, kCamera[4] = {90, 90, 75, 35};
 const double kLimits[5] = {-1.5, 1.5, -1, 1, 0};
-constexpr Quality kLattice{-5, 0.05, 0.5, true};
+constexpr Quality kLattice{-5, 0.05, 0.5};
 
 Lens lens_of(int64_t views, bool continuous) {
   const uint64_t step = uint64_t(18446744073709551615.0 / 9.85);
