@@ -174,3 +174,14 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def check_gradients(case, want, single, double):
+    """Those of the five fields in float32 and float64 are finite, and those of the oracle within the case's bound."""
+    for field, true, s, d in zip(case.scene().fields(), want, single, double):
+        assert torch.isfinite(s).all() and torch.isfinite(d).all(), field
+        if field == "quaternions" and case.no_rotation:
+            continue
+        assert (d - true).norm() <= case.gradient / 20 * true.norm(), field
+        held = true.clamp(-torch.finfo(torch.float32).max, torch.finfo(torch.float32).max)
+        assert (s.cpu().double() - held).norm() <= case.gradient * held.norm(), field
