@@ -38,6 +38,7 @@ target_sources(_core PRIVATE
   csrc/cuda/lens_frame.cu
   csrc/cuda/lens_plan.cu
   csrc/cuda/lens_lists.cu
+  csrc/cuda/composite_lattice.cu
   csrc/cuda/composite_pixel.cu
   csrc/cuda/composite_ordinal.cu
   csrc/cuda/project_backward.cu

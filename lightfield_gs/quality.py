@@ -23,11 +23,11 @@ class Quality:
     transmittance_stop: 1e-4..0.5; a sample ends before its transmittance would fall below, and the Gaussian that ends
         it takes what light is left: an error of at most the stop. Pays where scenes are deep and opaque.
     colour_error: 0..1; of the polynomials that stand for spherical harmonics over the rig, hence of the image.
-    lattice_error: 0..1, on the CPU; CUDA draws without lattices, whatever is allowed. Where the light field is smooth
-        it is evaluated on a coarse lattice in (x, y, view) only, and interpolated. The middle of every cell is
-        evaluated too: nowhere there is the error larger than this, nor its root mean square over a run of tiles larger
-        than a fifth; else the lattice is refined, split or given up. Between corners and middles it is what a smooth
-        field leaves it, not bounded. Colours on a lattice end at 0 and 1. 0: no lattice.
+    lattice_error: 0..1; where the light field is smooth it is evaluated on a coarse lattice in (x, y, view) only, and
+        interpolated. The middle of every cell is evaluated too: nowhere there is the error larger than this, nor its
+        root mean square over a run of tiles (on CUDA: a tile) larger than a fifth; else the lattice is refined, split
+        or given up. Between corners and middles it is what a smooth field leaves it, not bounded. Colours on a lattice
+        end at 0 and 1. 0: no lattice.
     Raises InputError for numbers out of their ranges.
     """
 

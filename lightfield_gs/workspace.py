@@ -35,6 +35,8 @@ class Stats:
     colour_error: float = 0.0
     kernel: str | None = None  # that drew a light field on CUDA
     skipped: dict[str, Any] = field(default_factory=dict)  # of a light field on the CPU, see skips.lines
+    lattice_tiles: int = 0     # on CUDA, drawn from a lattice
+    refused_tiles: int = 0     # those that the lattice left to the kernel
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -67,6 +69,7 @@ class Stats:
         self.images += 1
         self.gaussians_drawn += state["drawn"]
         self.colour_error, self.kernel = state["colour_error"], state["kernel"]
+        self.lattice_tiles, self.refused_tiles = state["lattice_tiles"], state["refused_tiles"]
         self.add_buffers(work)
 
     def count(self, counters: Any) -> None:

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from cuda_on_cpu.cases import LATTICE_FRAMES, lattice_frame
+
 from lightfield_gs import Encoder, Gaussians, InputError, Panel, Rig, _core, encode, frame_cuda, render
 from lightfield_gs.bench.scenes import cloud, sheet
+from lightfield_gs.quality import QUALITIES
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
@@ -92,6 +95,39 @@ def test_a_frame_with_too_few_places_is_drawn_right(scene, kernel, monkeypatch):
     assert most_apart(encode(on_gpu(scene), panel, rig(panel)), expected) <= 1  # other batches, other rounding
     torch.cuda.synchronize()
     assert kind.adapt() and kind.capacity > 10
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+@pytest.mark.parametrize("kernel, quality, views, changes", LATTICE_FRAMES)
+def test_what_is_smooth_is_drawn_from_a_lattice(kernel, quality, views, changes, degree, monkeypatch):
+    monkeypatch.setattr(frame_cuda, "forced_kernel", kernel)
+    scene, panel, fan = lattice_frame(changes, degree)
+    options, stats = dict(views=views, background=BACKGROUND, output="float32"), {}
+    exact = encode(scene, panel, fan, **options).clamp(0, 1)
+    found = encode(on_gpu(scene), panel, fan, quality=quality, stats=stats, **options)
+    error = (found.cpu().clamp(0, 1) - exact).abs()
+    assert stats["kernel"] == kernel and min(stats["lattice_tiles"], stats["refused_tiles"]) >= 2
+    assert (error**2).mean() < {"high": 1e-5, "fast": 1e-4}[quality]
+    assert error[:, :64].max() <= 2 * QUALITIES[quality].lattice_error  # smooth there
+    again = encode(on_gpu(scene), panel, fan, quality=quality, **options)
+    assert torch.equal(found, again)
+    bytes_ = encode(on_gpu(scene), panel, fan, quality=quality, **{**options, "output": "uint8"})
+    assert torch.equal(bytes_, (255 * found.clamp(0, 1)).round().to(torch.uint8))
+    assert torch.equal(bytes_, Encoder(panel, fan, views=views, background=BACKGROUND, quality=quality)(on_gpu(scene)))
+
+
+def test_an_exact_frame_has_no_lattice(scene):
+    panel, stats = Panel(**LENS), {}
+    encode(on_gpu(scene), panel, rig(panel), stats=stats)
+    assert (stats["lattice_tiles"], stats["refused_tiles"]) == (0, 0)
+
+
+@pytest.mark.parametrize("quality", ["high", "fast", "draft"])
+def test_an_empty_light_field_of_any_quality(quality):
+    panel = Panel(**LENS)
+    nothing = Gaussians(*(field[:0] for field in sheet(48, 11).fields().values()))
+    found = encode(on_gpu(nothing), panel, rig(panel), quality=quality, background=(1, 0, 0.5))
+    assert (found.cpu() == torch.tensor([255, 0, 128], dtype=torch.uint8)).all()
 
 
 def test_bytes_are_the_rounded_floats(scene):

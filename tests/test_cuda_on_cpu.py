@@ -9,11 +9,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from cuda_on_cpu import cases
 
-from lightfield_gs import encode
+from lightfield_gs import encode, reference
+from lightfield_gs.quality import QUALITIES
 
 FOLDER = Path(__file__).parent / "cuda_on_cpu"
 CSRC = FOLDER.parents[1] / "csrc"
@@ -49,6 +51,39 @@ def test_frames_are_those_of_the_cpu(module, kernel, mean_square, tmp_path):
         error = (found["image"] - expected).abs()
         assert found["kernel"] == kernel and (error > 1 / 255).sum() <= 1, name
         assert (error**2).mean() < mean_square, (name, degree, views)
+
+
+@pytest.fixture(scope="module")
+def lattice_frames(module, tmp_path_factory) -> list[dict[str, Any]]:
+    return drawn(module, "lattice", tmp_path_factory.mktemp("lattice"))
+
+
+def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
+    *found, harmonic, crowded, bytes_ = lattice_frames
+    cases_ = [*((case, 0) for case in cases.LATTICE_FRAMES), (cases.LATTICE_FRAMES[0], 1)]
+    for ((kernel, quality, views, changes), degree), frame in zip(cases_, [*found, harmonic], strict=True):
+        scene, panel, rig = cases.lattice_frame(changes, degree)
+        options = dict(views=views, background=cases.BACKGROUND)
+        exact = encode(scene, panel, rig, output="float32", **options).clamp(0, 1)
+        error = (frame["image"].clamp(0, 1) - exact).abs()
+        assert frame["kernel"] == kernel and min(frame["lattice_tiles"], frame["refused_tiles"]) >= 2
+        assert (error**2).mean() < {"high": 1e-5, "fast": 1e-4}[quality], (kernel, quality)  # 50 and 40 dB
+        # Smooth on the left, where nothing but the lattice and the stop err
+        left, allowed = error[:, :64].max(), QUALITIES[quality].lattice_error
+        assert 1e-4 < left <= 2 * allowed, (kernel, quality)
+    # Without lists everything is left to the kernel; bytes are the rounded floats
+    assert crowded["lattice_tiles"] == 0 and crowded["refused_tiles"] > 0
+    assert torch.equal(bytes_["image"], (255 * found[0]["image"].clamp(0, 1)).round().to(torch.uint8))
+
+
+def test_a_lattice_is_within_its_bound_of_the_oracle(lattice_frames):
+    (_, quality, _, changes), image = cases.LATTICE_FRAMES[0], lattice_frames[0]["image"]
+    scene, panel, rig = cases.lattice_frame(changes, 0)
+    random = np.random.default_rng(5)
+    where = [random.integers(0, size, 2000) for size in (panel.height_px, 128, 3)]
+    colours = reference.subpixel_colours(scene, panel, rig, *where, background=cases.BACKGROUND)
+    error = np.abs(image.numpy()[tuple(where)] - np.clip(colours, 0, 1))
+    assert error.max() <= 2 * QUALITIES[quality].lattice_error
 
 
 def test_images_and_gradients_are_those_of_float64(module, tmp_path):

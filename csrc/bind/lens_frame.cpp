@@ -40,6 +40,8 @@ void bind_lens_frame(py::module_ m) {
     out["colour_error"] = std::bit_cast<float>(state.colour_error);
     out["kernel"] = state.kernel;
     out["exact"] = bool(state.exact);
+    out["lattice_tiles"] = state.lattice_tiles;
+    out["refused_tiles"] = state.refused_tiles;
     return out;
   });
   m.def("frame_project", [](const LensFrame& frame, const G& g, Address stream) {

@@ -58,7 +58,9 @@ class LensLattice {
       curvature.add(splats.splats[*id], float(double(splats.splats[*id].u0) - x0_));
     const double most = kMostNodes * double(run.samples());
     for (int attempt = 0; attempt < kAttempts; ++attempt) {
-      const LatticePlan plan = curvature.plan(fineness), middles = plan.middles(part);
+      LatticePlan plan;
+      curvature.plan(fineness, plan);
+      const LatticePlan middles = plan.middles(part);
       if (double(plan.nodes()) + double(middles.nodes()) > most) break;
       draw(nodes_, plan, splats, begin, end, background);
       draw(middles_, middles, splats, begin, end, background);

@@ -23,6 +23,14 @@ struct Lists {
   __device__ uint2 range(int64_t number) const { return ranges ? ranges[number] : make_uint2(0, drawn); }
 };
 
+// Tiles that a lattice left to the kernel chosen, or all; the i-th of them.
+__device__ inline unsigned tiles_to_draw(const LensFrame& frame, const Tiling& tiling) {
+  return frame.refused ? frame.state->refused_tiles : unsigned(tiling.across * tiling.down);
+}
+__device__ inline unsigned tile_to_draw(const LensFrame& frame, unsigned i) {
+  return frame.refused ? frame.refused[i] : i;
+}
+
 // Hands out the pieces of work of a kernel. The next is asked for early, so that nobody waits for it.
 struct WorkQueue {
   unsigned* next;
@@ -35,6 +43,14 @@ struct WorkQueue {
 
 __device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
   return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
+}
+
+// A splat, its centre about a point.
+__device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
+  const float4* source = reinterpret_cast<const float4*>(splats.splats + id);
+  float4 a = source[0];
+  a.x -= centre.x, a.z -= centre.y;
+  return assembled(a, source[1], source[2]);
 }
 
 // Blocks that the device holds at a time.

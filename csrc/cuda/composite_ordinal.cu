@@ -162,7 +162,7 @@ __global__ void __launch_bounds__(kThreads, 2)
   Memory<Harmonics>& memory = *reinterpret_cast<Memory<Harmonics>*>(shared);
   const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
-  const unsigned tiles = unsigned(frame.ordinal.across * frame.ordinal.down);
+  const unsigned tiles = tiles_to_draw(frame, frame.ordinal);
   WorkQueue work(frame, LensKernel::kOrdinal);
   if (threadIdx.x < (Harmonics ? kGroupOrdinals : 1)) {
     memory.colour[threadIdx.x][kBatch<Harmonics>] = make_float4(0, 0, 0, 0);
@@ -170,7 +170,7 @@ __global__ void __launch_bounds__(kThreads, 2)
   }
   for (unsigned tile = blockIdx.x; tile < tiles; tile = memory.next_tile) {
     if (threadIdx.x == 0) work.claim(gridDim.x);
-    draw_tile<Harmonics>(frame, lists, tile, row_bytes, behind, out, memory);
+    draw_tile<Harmonics>(frame, lists, tile_to_draw(frame, tile), row_bytes, behind, out, memory);
     __syncthreads();
     if (threadIdx.x == 0) memory.next_tile = work.claimed;
     __syncthreads();

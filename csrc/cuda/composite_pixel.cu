@@ -77,14 +77,6 @@ __device__ inline bool straight_colour(const Splats<float>& splats, uint32_t id,
   return good;
 }
 
-// A splat, its centre about a point.
-__device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
-  const float4* source = reinterpret_cast<const float4*>(splats.splats + id);
-  float4 a = source[0];
-  a.x -= centre.x, a.z -= centre.y;
-  return assembled(a, source[1], source[2]);
-}
-
 template <class C>
 struct Samples {
   float x[2], y[kLaneRows];  // about the patch's centre
@@ -248,7 +240,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exac
                            Out* out, Staged<C>& staged) {
   constexpr unsigned kAcross = 4, kDown = 32 / kPatchHeight;  // patches of a list's tile
   const int lane = threadIdx.x % 32, lane_x = 2 * (lane % 8), lane_y = lane / 8;
-  const unsigned tile = unit / (kAcross * kDown), part = unit % (kAcross * kDown);
+  const unsigned tile = tile_to_draw(frame, unit / (kAcross * kDown)), part = unit % (kAcross * kDown);
   const unsigned across = unsigned(frame.pixel.across);
   const uint2 range = lists.range(tile);
   const int left = int(tile % across * kAcross + part % kAcross) * kPatchWidth;
@@ -307,7 +299,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
   const bool exact = frame.state->exact;
-  const unsigned units = unsigned(frame.pixel.tiles()) * (4 * 32 / kPatchHeight);
+  const unsigned units = tiles_to_draw(frame, frame.pixel) * (4 * 32 / kPatchHeight);
   WorkQueue work(frame, C::kernel);
   for (unsigned unit = blockIdx.x * kWarps + threadIdx.x / 32; unit < units;
        unit = __shfl_sync(~0u, work.claimed, 0)) {

@@ -11,7 +11,6 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kPixelTileWidth = 64, kPixelTileHeight = 32;
 constexpr int64_t kMostTiles = int64_t(1) << 31;
 
 // By how many sub-pixels the lenses lean over the height; the smallest D - origin of the panel.
@@ -88,7 +87,8 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
                      int64_t capacity_, const Quality& quality, double tolerance_)
     : rig(rounded(rig_)), optics(optics_of(lens)), pixel(pixel_tiling(lens)), ordinal(ordinal_tiling(lens, optics)),
       has_ordinal(can_composite_ordinal(lens)), sh_degree(sh_degree_), capacity(capacity_),
-      tolerance(float(tolerance_)), cut(float(quality.log2_cut)), stop(float(quality.stop)) {
+      tolerance(float(tolerance_)), cut(float(quality.log2_cut)), stop(float(quality.stop)),
+      lattice(float(quality.lattice)) {
   require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),
           "a frame takes fewer than 2^31 Gaussians and 2^32 pairs, got " + std::to_string(gaussians) + " and " +
               std::to_string(capacity));
@@ -112,6 +112,7 @@ size_t LensFrame::place(void* work) {
   keys = unsorted, sorted_keys = sorted;
   parts.take(values, capacity), parts.take(sorted_values, capacity);
   parts.take(ranges, 2 * most_tiles());
+  if (lattice > 0) parts.take(refused, most_tiles());
   temporary_bytes = lists_temporary_bytes(*this);
   char* scratch = nullptr;
   parts.take(scratch, int64_t(temporary_bytes));
@@ -120,6 +121,7 @@ size_t LensFrame::place(void* work) {
 }
 
 void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
+  if (frame.lattice > 0) composite_lattice(frame, background, out, out8, stream);
   composite_pixel(frame, background, out, out8, stream);
   composite_ordinal(frame, background, out, out8, stream);
 }

@@ -23,12 +23,15 @@ struct FrameState {
   int kernel;                    // LensKernel chosen
   int exact;                     // every splat of a pixel kernel is evaluated with a division
   unsigned next_tile[4];         // of each composite kernel
+  unsigned lattice_tiles;        // drawn from a lattice
+  unsigned refused_tiles;        // by the lattice: left to the kernel chosen
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
   unsigned long long sums[8];    // see FrameSum, fixed point
 };
 
 constexpr uint32_t kNotDrawn = ~0u;  // depth of a splat that is not drawn: sorted last
 constexpr int kMostOrdinals = 32;
+constexpr int kPixelTileWidth = 64, kPixelTileHeight = 32;
 
 // Sub-pixels t of all lenses, t = 0, 1, ...: the part of the rig that they see.
 struct Ordinals {
@@ -67,6 +70,7 @@ struct LensFrame {
   int key_bytes = 4;
   float tolerance = 0;       // of colour polynomials
   float cut = 0, stop = 0;   // of Quality: log2 of the opacity cut, transmittance at which a sample may end
+  float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
 
   // Parts of the work buffer
   Splats<float> splats;
@@ -76,6 +80,7 @@ struct LensFrame {
   void *keys = nullptr, *sorted_keys = nullptr;                                                // [capacity]
   uint32_t *values = nullptr, *sorted_values = nullptr;                                        // [capacity]
   uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
+  uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order; null: all, there is no lattice
   void* temporary = nullptr;
   size_t temporary_bytes = 0;
 
@@ -97,7 +102,9 @@ void frame_composite(const LensFrame& frame, const float* background, float* out
 
 // Part of frame_project: chooses the kernel.
 void frame_plan(const LensFrame& frame, Stream stream);
-// Parts of frame_composite: each draws when the frame chose it.
+// Parts of frame_composite. The lattice first, if the frame has one; then each of the others draws what the lattice
+// refused, or all tiles, when the frame chose it.
+void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_pixel(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_ordinal(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 // Lenses across and rows down of a tile of composite_ordinal; whether it can draw a lens on the current device.

@@ -10,6 +10,7 @@
 
 #include "cuda/check.h"
 #include "cuda/gaussian_io.cuh"
+#include "cuda/lens_optics.cuh"
 #include "cuda/strip.cuh"
 
 namespace lfgs::cuda {
@@ -19,14 +20,6 @@ constexpr int kThreads = 128, kMostLanes = 4;
 
 __device__ bool ordinal_chosen(const LensFrame& frame) {
   return frame.state->kernel == int(LensKernel::kOrdinal);
-}
-
-// Offsets that a group of ordinals sees.
-__device__ void group_offsets(const Ordinals& ordinals, int group, float& centre, float& half) {
-  const int first = group * ordinals.per_group, last = min(first + ordinals.per_group, ordinals.count) - 1;
-  const float a = fminf(ordinals.centre[first] - ordinals.half[first], ordinals.centre[last] - ordinals.half[last]);
-  const float b = fmaxf(ordinals.centre[first] + ordinals.half[first], ordinals.centre[last] + ordinals.half[last]);
-  centre = 0.5f * (a + b), half = 0.5f * (b - a);
 }
 
 // How many lanes share a splat: groups of ordinals give it more runs of tiles.

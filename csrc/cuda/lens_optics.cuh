@@ -24,6 +24,14 @@ __device__ inline int lens_start(const LensOptics& lens, int row, int number) {
   return phase < lens.phase_x ? m : phase >> 63 ? m + 1 : m - 1;
 }
 
+// Offsets that a group of ordinals sees.
+__device__ inline void group_offsets(const Ordinals& ordinals, int group, float& centre, float& half) {
+  const int first = group * ordinals.per_group, last = min(first + ordinals.per_group, ordinals.count) - 1;
+  const float a = fminf(ordinals.centre[first] - ordinals.half[first], ordinals.centre[last] - ordinals.half[last]);
+  const float b = fmaxf(ordinals.centre[first] + ordinals.half[first], ordinals.centre[last] + ordinals.half[last]);
+  centre = 0.5f * (a + b), half = 0.5f * (b - a);
+}
+
 // Place of a sub-pixel within its pixel.
 __device__ inline int place_of(int subpixel) { return (subpixel % 3 + 3) % 3; }
 

@@ -40,12 +40,25 @@ struct LatticePlan {
 // offsets from which they are seen.
 class LatticeCurvature {
  public:
+  static constexpr int kBins = 16;
+  // What a splat adds to the bins from first to last.
+  struct Term {
+    float weight, x, y, x_du, x_du2;
+    int first, last;
+  };
+  struct Sums {
+    float weight = 0, x = 0, y = 0, x_du = 0, x_du2 = 0;
+    LFGS_HD void add(const Term& t) { weight += t.weight, x += t.x, y += t.y, x_du += t.x_du, x_du2 += t.x_du2; }
+    LFGS_HD float shear() const { return x > 0 ? x_du / x : 0; }
+    LFGS_HD float spread() const { return x_du2 - shear() * x_du; }
+  };
+
   LFGS_HD explicit LatticeCurvature(const LatticePart& part)
       : part_(part), middle_((part.x_low + part.x_high) / 2), half_((part.x_high - part.x_low) / 2),
         bins_per_s_(part.s_high > part.s_low ? kBins / (part.s_high - part.s_low) : 0) {}
 
   // A splat with its centre at u, from the part's origin.
-  LFGS_HD void add(const Splat<float>& s, float u) {
+  LFGS_HD Term term(const Splat<float>& s, float u) const {
     const float opacity = std::exp2(s.log2_opacity), inverse = opacity / s.S0;
     const float y = opacity * s.tau + s.c0 * s.c0 * inverse, x_du = inverse * s.du, x_du2 = x_du * s.du;
     const float reach = half_ + std::sqrt(s.log2_opacity - float(kLog2MinAlpha)) * std::sqrt(s.S0);
@@ -54,27 +67,28 @@ class LatticeCurvature {
     const float high = (std::fmax(near, far) - part_.s_low) * bins_per_s_;
     // Without disparity: seen from everywhere or nowhere, and then not in the list
     const int first = low > 0 ? int(std::fmin(low, float(kBins))) : 0, last = high < kBins ? int(high) : kBins - 1;
-    for (int b = first; b <= last; ++b) {
-      Sums& sums = bins_[b];
-      sums.weight += opacity, sums.x += inverse, sums.y += y, sums.x_du += x_du, sums.x_du2 += x_du2;
-    }
+    return {opacity, inverse, y, x_du, x_du2, first, last};
   }
+  LFGS_HD void add(const Splat<float>& s, float u) {
+    const Term t = term(s, u);
+    for (int b = t.first; b <= t.last; ++b) bins_[b].add(t);
+  }
+  LFGS_HD void set(int bin, const Sums& sums) { bins_[bin] = sums; }
 
-  // Steps of `fineness` standard deviations, about.
-  LFGS_HD LatticePlan plan(float fineness) const {
+  // Steps of `fineness` standard deviations, about. Planes as needed, but no more than most_planes.
+  LFGS_HD void plan(float fineness, LatticePlan& out, int most_planes = kMostPlanes) const {
     float weight = 0, x = 0, y = 0, spread = 0;
     for (const Sums& b : bins_) weight += b.weight, x += b.x, y += b.y, spread += b.spread();
-    const float unit = fineness * std::sqrt(weight);
-    LatticePlan out;
+    const float unit = weight > 0 ? fineness * std::sqrt(weight) : 1e20f;  // of nothing the corners say all
     const int rows = steps(part_.y_high - part_.y_low, unit / std::sqrt(y));
     const int views = steps(part_.s_high - part_.s_low, unit / std::sqrt(std::fmax(spread, 1e-20f)));
-    out.down = rows + 1, out.planes = views < kMostPlanes ? views + 1 : kMostPlanes;
+    out.down = rows + 1, out.planes = views < most_planes ? views + 1 : most_planes;
     out.y0 = part_.y_low, out.s0 = part_.s_low;
     out.step_y = (part_.y_high - part_.y_low) / float(rows);
     out.step_s = (part_.s_high - part_.s_low) / float(out.planes - 1);
     if (!(out.step_y > 0)) out.step_y = 1;
     if (!(out.step_s > 0)) out.step_s = 1;
-    out.step_x = unit / std::sqrt(x);
+    out.step_x = std::fmin(unit / std::sqrt(x), 1e9f);
 
     // A sample between two planes lies up to `lean` nodes aside on each
     float margin = 0;
@@ -87,17 +101,9 @@ class LatticeCurvature {
     out.margin = int(margin);
     out.across = steps(part_.x_high - part_.x_low, out.step_x) + 1 + 2 * out.margin;
     out.x0 = part_.x_low - margin * out.step_x;
-    return out;
   }
 
  private:
-  static constexpr int kBins = 16;
-  struct Sums {
-    float weight = 0, x = 0, y = 0, x_du = 0, x_du2 = 0;
-    LFGS_HD float shear() const { return x > 0 ? x_du / x : 0; }
-    LFGS_HD float spread() const { return x_du2 - shear() * x_du; }
-  };
-
   LFGS_HD static int steps(float length, float step) {
     const float n = std::ceil(length / step);
     return n >= 1 ? n < 1e4f ? int(n) : 10000 : 1;

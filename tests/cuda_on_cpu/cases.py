@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import Gaussians, Panel, Rig
-from lightfield_gs.bench.scenes import cloud, sheet, with_harmonics
+from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
 
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
 PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
@@ -35,6 +36,30 @@ def rig_of(panel: Panel) -> Rig:
 
 def panel_of(name: str) -> Panel:
     return Panel(**{**LENS, **PANELS[name]})
+
+
+# Kernel that draws what is not smooth, quality, views, panel: see lattice_frame
+LATTICE_FRAMES = [("pixel", "high", "integer", dict(cone_deg=1.0)),
+                  ("pixel-quadratic", "fast", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18)),
+                  ("ordinal", "high", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18, line_number=16.013)),
+                  ("ordinal", "fast", "integer", dict(invert_views=True))]
+
+
+def lattice_frame(changes: dict[str, Any], degree: int) -> tuple[Gaussians, Panel, Rig]:
+    """A piece of an 8K panel, odd in width and height, and a sheet before it, smooth but for small Gaussians on the
+    right."""
+    panel = Panel(**{**LENS, "width_px": 205, "height_px": 71, "cone_deg": 12.0, **changes})
+    rig = replace(benchmark_rig("sheet:1", None, replace(panel, width_px=7680, height_px=4320), panel.cone_deg),
+                  principal_point_px=(102.5, 35.5))
+    smooth, random, count = sheet(128), torch.Generator().manual_seed(2), 60
+    where = torch.rand(count, 3, generator=random) * torch.tensor([0.012, 0.018, 0.02])
+    rough = Gaussians(where + torch.tensor([0.014, -0.009, 1.95]), torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
+                      torch.full((count, 3), 4e-4), torch.full((count,), 0.9),
+                      3 * torch.rand(count, 1, 3, generator=random) - 1.5)
+    near = (smooth.means[:, :2].abs() < 0.3).all(1)
+    parts = [{name: field[near] for name, field in smooth.fields().items()}, rough.fields()]
+    scene = Gaussians(*(torch.cat([part[name] for part in parts]) for name in parts[0]))
+    return (with_harmonics(scene, degree) if degree else scene), panel, rig
 
 
 def dense_step(dtype: torch.dtype) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""python draw.py MODULE KERNEL|dense OUT: the cases as drawn by the CUDA stages in a native module made by build.py.
+"""python draw.py MODULE KERNEL|dense|lattice OUT: the cases, drawn by the CUDA stages in a native module of build.py.
 
 OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense.
 """
@@ -23,7 +23,7 @@ torch.cuda.current_stream = lambda *device: types.SimpleNamespace(cuda_stream=0)
 import cases  # noqa: E402
 
 from lightfield_gs import frame_cuda, ops  # noqa: E402
-from lightfield_gs.quality import EXACT  # noqa: E402
+from lightfield_gs.quality import EXACT, Quality  # noqa: E402
 from lightfield_gs.rendering import lens_arguments  # noqa: E402
 from lightfield_gs.workspace_cuda import CudaWorkspace  # noqa: E402
 
@@ -34,19 +34,30 @@ def workspace(scene, images, width, height, colour_order, stats, threads, **opti
 
 def frame(kernel: str, name: str, degree: int, views: str) -> dict[str, object]:
     """Continuous views: with half the places that the pairs need."""
-    panel, scene, continuous = cases.panel_of(name), cases.scene_of(degree), views == "continuous"
+    panel, continuous = cases.panel_of(name), views == "continuous"
+    return drawn(cases.scene_of(degree), panel, cases.rig_of(panel), views, kernel, EXACT, 0.5 if continuous else 1.01)
+
+
+def lattice_frame(kernel: str, quality: str, views: str, changes: dict, degree: int, share: float = 1.0,
+                  dtype: torch.dtype = torch.float32) -> dict[str, object]:
+    return drawn(*cases.lattice_frame(changes, degree), views, kernel, Quality.of(quality), share, dtype)
+
+
+def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32) -> dict[str, object]:
+    """share: of the places that the pairs need."""
     job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND),
-                            *lens_arguments(panel, cases.rig_of(panel), continuous))
+                            *lens_arguments(panel, rig, views == "continuous"))
 
     def with_places(places: int) -> frame_cuda.Frame:
-        return frame_cuda.Frame(job.scene, job.rig, job.lens, 8 if degree else 0, EXACT, places, kernel)
+        order = 8 if job.scene.degree else 0
+        return frame_cuda.Frame(job.scene, job.rig, job.lens, order, quality, places, kernel)
 
     probe = with_places(0)
     probe.project(), probe.order(), probe.count(), probe.fill()
-    pairs, image = probe.state()["pairs"], torch.full((job.height, job.width, 3), 7.0)
-    drawn = with_places(pairs // 2 if continuous else pairs + 5)
-    drawn.draw(job.background, image)
-    return {"image": image, **drawn.state()}
+    image = torch.full((job.height, job.width, 3), 7, dtype=dtype)
+    frame = with_places(int(share * probe.state()["pairs"]))
+    frame.draw(job.background, image)
+    return {"image": image, **frame.state()}
 
 
 def main(what: str) -> object:
@@ -54,6 +65,11 @@ def main(what: str) -> object:
     ops._workspace = workspace
     if what == "dense":
         return cases.dense_step(torch.float32)
+    if what == "lattice":
+        found = [lattice_frame(*case, degree=0) for case in cases.LATTICE_FRAMES]
+        first = cases.LATTICE_FRAMES[0]
+        return [*found, lattice_frame(*first, degree=1), lattice_frame(*first, degree=0, share=0.5),
+                lattice_frame(*first, degree=0, dtype=torch.uint8)]
     return [frame(what, *case) for case in cases.frames_of(what)]
 
 

@@ -1,0 +1,289 @@
+// Composite of a light-field frame where the light field is smooth: twin of cpu/lens_lattice-inl.h on the device.
+//
+// A block takes a tile of the kernel that the frame chose, with that kernel's lists. It lays a coarse lattice in
+// (x, y, view) through every section of the tile, draws its nodes, all channels at once, and the middles of its cells;
+// where they show that it is as good as asked for, it interpolates the tile's sub-pixels. Tiles that are refused are
+// left to the kernel chosen.
+#include <new>
+
+#include "cuda/check.h"
+#include "cuda/lattice_tile.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kBlocks = 5;      // on a multiprocessor; loops that are short or rare are not unrolled for its registers
+constexpr int kAttempts = 2;
+constexpr int kMeasured = 256;  // splats of a list, about; enough for averages
+constexpr float kMeanShare = 5;  // the root mean square of the errors must be so many times smaller
+constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // those of cpu/lens_lattice-inl.h
+
+// A node of a section's lattice, or the middle of a cell.
+struct Point {
+  bool node, middle;
+  int i, j, k, half_plane;
+  float x, y, s;
+
+  __device__ Point(const LatticePlan& plan, int number) {
+    const int nodes = plan.nodes(), cells = plan.across - 1 - 2 * plan.margin, rows = plan.down - 1;
+    node = number < nodes, middle = !node && number < nodes + cells * rows * (plan.planes - 1);
+    const int n = node ? number : number - nodes, across = node ? plan.across : cells, down = node ? plan.down : rows;
+    i = n % across, j = n / across % down, k = n / (across * down);
+    half_plane = node || middle ? 2 * k + !node : 0;
+    const float half = node ? 0.f : 0.5f;
+    if (!node) i += plan.margin;
+    x = fmaf(float(i) + half, plan.step_x, plan.x0), y = fmaf(float(j) + half, plan.step_y, plan.y0);
+    s = fmaf(float(k) + half, plan.step_s, plan.s0);
+  }
+};
+
+// The list of a section.
+struct List {
+  const Splats<float>& splats;
+  const uint32_t* ids;
+  unsigned count;
+  float2 origin;
+
+  __device__ Splat<float> splat(unsigned i) const { return splat_about(splats, ids[i], origin); }
+  // At the offset s, no channel below zero; w: 1 / S.
+  __device__ float4 shape(unsigned i, float s) const {
+    const uint32_t id = ids[i];
+    const float4 S = reinterpret_cast<const float4*>(splats.splats + id)[1];
+    const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
+    const int order = splats.orders ? splats.orders[id] : 0;
+    float4 c = powers[order];
+    for (int p = order - 1; p >= 0; --p) {
+      const float4 power = powers[p];
+      c.x = fmaf(c.x, s, power.x), c.y = fmaf(c.y, s, power.y), c.z = fmaf(c.z, s, power.z);
+    }
+    return make_float4(fmaxf(c.x, 0.f), fmaxf(c.y, 0.f), fmaxf(c.z, 0.f), 1 / fmaf(s, fmaf(s, S.z, S.y), S.x));
+  }
+};
+
+// Measures how fast the light field of a part varies, by some of its splats. A thread takes every eighth for one bin.
+__device__ void measure(const List& list, const LatticePart& part, Memory& memory) {
+  constexpr int kShare = kThreads / LatticeCurvature::kBins;
+  LatticeCurvature& curvature = *reinterpret_cast<LatticeCurvature*>(memory.curvature);
+  if (threadIdx.x == 0) new (&curvature) LatticeCurvature(part);
+  __syncthreads();
+  const int bin = threadIdx.x / kShare;
+  const unsigned stride = list.count / kMeasured + 1, measured = list.count / stride;
+  LatticeCurvature::Sums sums;
+#pragma unroll 1
+  for (unsigned begin = 0; begin < measured; begin += kThreads) {
+    const unsigned i = begin + threadIdx.x, count = min(unsigned(kThreads), measured - begin);
+    if (i < measured) {
+      const Splat<float> splat = list.splat(i * stride);
+      memory.terms[threadIdx.x] = curvature.term(splat, splat.u0);
+    }
+    __syncthreads();
+#pragma unroll 1
+    for (unsigned t = threadIdx.x % kShare; t < count; t += kShare) {
+      const LatticeCurvature::Term& term = memory.terms[t];
+      if (term.first <= bin && bin <= term.last) sums.add(term);
+    }
+    __syncthreads();
+  }
+  for (int step = kShare / 2; step > 0; step /= 2)
+    for (float* sum : {&sums.weight, &sums.x, &sums.y, &sums.x_du, &sums.x_du2})
+      *sum += __shfl_xor_sync(~0u, *sum, step);
+  if (threadIdx.x % kShare == 0) curvature.set(bin, sums);
+}
+
+__device__ void stage(const List& list, unsigned begin, int count, const LatticePlan& plan, Staged& staged) {
+  const int half_planes = 2 * plan.planes - 1;
+#pragma unroll 1
+  for (int i = threadIdx.x; i < count; i += kThreads) {
+    const Splat<float> s = list.splat(begin + i);
+    staged.place[i] = make_float4(s.u0, s.du, s.v0, s.log2_opacity);
+    staged.form[i] = make_float4(s.tau, s.c0, s.c1, 0);
+  }
+#pragma unroll 1
+  for (int n = threadIdx.x; n < count * half_planes; n += kThreads)
+    staged.shapes[n] = list.shape(begin + n / half_planes, fmaf(0.5f * float(n % half_planes), plan.step_s, plan.s0));
+}
+
+// The colour of every thread's point, 0..1. A splat at which a point ends takes what light is left.
+__device__ float3 draw(const List& list, const LatticePlan& plan, const Point& point, float stop, float4 background,
+                       Staged& staged) {
+  const int half_planes = 2 * plan.planes - 1, batch = min(kBatch, kShapes / half_planes);
+  float3 colour = make_float3(0, 0, 0);
+  float transmittance = point.node || point.middle ? 1.f : 0.f;
+  for (unsigned begin = 0; begin < list.count; begin += batch) {
+    if (__syncthreads_and(transmittance == 0)) break;
+    const int count = min(unsigned(batch), list.count - begin);
+    stage(list, begin, count, plan, staged);
+    __syncthreads();
+    const float4* shape = staged.shapes + point.half_plane;
+#pragma unroll 2
+    for (int i = 0; i < count; ++i, shape += half_planes) {
+      const float4 place = staged.place[i], form = staged.form[i], here = *shape;
+      const float dy = point.y - place.z, A = fmaf(-form.x * dy, dy, place.w);
+      const float dx = point.x - place.x - form.y * dy - point.s * fmaf(form.z, dy, place.y);
+      const float weight = alpha_of(fmaf(-here.w * dx, dx, A)) * transmittance, after = transmittance - weight;
+      const float light = after < stop ? transmittance : weight;
+      transmittance = after < stop ? 0.f : after;
+      colour.x = fmaf(light, here.x, colour.x), colour.y = fmaf(light, here.y, colour.y);
+      colour.z = fmaf(light, here.z, colour.z);
+    }
+  }
+  return make_float3(__saturatef(fmaf(transmittance, background.x, colour.x)),
+                     __saturatef(fmaf(transmittance, background.y, colour.y)),
+                     __saturatef(fmaf(transmittance, background.z, colour.z)));
+}
+
+__device__ void store_node(const LatticePlan& plan, const Point& point, float3 colour, int first, Memory& memory) {
+  const int at = first + (point.k * plan.down + point.j) * plan.across + point.i;
+  const float values[3] = {colour.x, colour.y, colour.z};
+#pragma unroll
+  for (int c = 0; c < 3; ++c) {
+    const __half value = __float2half_rn(values[c]);
+    memory.pairs[c][at].x = value;
+    if (point.i > 0) memory.pairs[c][at - 1].y = value;
+  }
+}
+
+// How many points cost as much as half of what they spare. Every point meets the whole list; of what draws the tile
+// otherwise, a piece of a quarter of its width and height meets those splats that reach it (2.3 `deviations`).
+__device__ float points_worth(const LatticePlan& plan, float fineness) {
+  const float across = 4.6f * plan.step_x / fineness, down = 4.6f * plan.step_y / fineness;
+  const float w = float(kPixelTileWidth), h = float(kMostRows);
+  return 1250 * (w / 4 + across) / (w + across) * (h / 4 + down) / (h + down);
+}
+
+// Draws a section's nodes and the middles of its cells. The error there, as a share of what is allowed.
+__device__ float draw_lattice(const LensFrame& frame, const List& list, int section, int points, float4 background,
+                              Memory& memory) {
+  const LatticePlan& plan = memory.plans[section];
+  const float stop = fminf(frame.stop, fmaxf(0.1f * frame.lattice, float(kMinTransmittance)));
+  float largest = 0, squares = 0;
+  for (int first = 0; first < points; first += kThreads) {
+    const Point point(plan, first + int(threadIdx.x));
+    const float3 is = draw(list, plan, point, stop, background, memory.staged);
+    if (point.node) store_node(plan, point, is, memory.first_node[section], memory);
+    __syncthreads();
+    if (!point.middle) continue;
+    const Nodes nodes(memory, section);
+    for (int c = 0; c < 3; ++c) {
+      const float made = nodes.at(c, point.j, __float2half2_rn(0.5f), float(point.i) + 0.5f, float(point.k) + 0.5f);
+      const float error = made - (c == 0 ? is.x : c == 1 ? is.y : is.z);
+      largest = fmaxf(largest, fabsf(error)), squares = fmaf(error, error, squares);
+    }
+  }
+  for (int step = 16; step > 0; step /= 2) largest = fmaxf(largest, __shfl_xor_sync(~0u, largest, step));
+  squares = warp_sum(squares);
+  if (threadIdx.x % 32 == 0) memory.errors[threadIdx.x / 32] = largest, memory.squares[threadIdx.x / 32] = squares;
+  __syncthreads();
+  largest = squares = 0;
+  for (int w = 0; w < kWarps; ++w) largest = fmaxf(largest, memory.errors[w]), squares += memory.squares[w];
+  const float mean = sqrtf(squares / float(3 * (points - plan.nodes())));
+  return fmaxf(largest, kMeanShare * mean) / frame.lattice;
+}
+
+// Lays a lattice through a section and judges it, by all threads of the block.
+__device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, int section, float4 background,
+                     Memory& memory) {
+  measure(list, part, memory);
+  float fineness = fminf(3.5f * sqrtf(frame.lattice), kMostFineness);
+  for (int attempt = 0; attempt < kAttempts; ++attempt) {
+    __syncthreads();
+    LatticePlan& plan = memory.plans[section];
+    if (threadIdx.x == 0)
+      reinterpret_cast<const LatticeCurvature*>(memory.curvature)->plan(fineness, plan, kPlanes + 1);
+    __syncthreads();
+    if (plan.planes > kPlanes || plan.across > kMostNodes || plan.down > kMostNodes) return false;
+    const int nodes = plan.nodes();
+    const int points = nodes + (plan.across - 1 - 2 * plan.margin) * (plan.down - 1) * (plan.planes - 1);
+    if (float(points) > points_worth(plan, fineness) || memory.first_node[section] + nodes > kMostNodes) return false;
+    const float error = draw_lattice(frame, list, section, points, background, memory);
+    if (error <= 1) return true;
+    fineness *= fmaxf(kBackOff * rsqrtf(error), 0.4f);
+  }
+  return false;
+}
+
+// Interpolates the sub-pixels of a warp's rows, two at a time, and stores them.
+template <class Out>
+__device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
+  const LensOptics& lens = tile.lens;
+  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, runs = tile.runs(), width = 3 * lens.width_px;
+  for (int top = 2 * warp; top < tile.rows; top += 2 * kWarps) {
+    for (int section = 0; section < tile.sections; ++section) {
+      const Nodes nodes(memory, section);
+      for (int n = lane; n < 2 * runs; n += 32) {
+        const int lower = n >= runs, r = top + lower;
+        if (r >= tile.rows) break;
+        const int2 ends = tile.run(memory, r, section, n - lower * runs);
+        __half2 down;
+        const int row = nodes.row(float(r) + 0.5f, down);
+        int pixel = ends.x / 3, place = ends.x - 3 * pixel;
+        uint64_t phase = phase_at(lens, tile.top + r, ends.x);
+        for (int m = ends.x; m < ends.y; ++m, phase += lens.phase_x) {
+          const float x = float(pixel) + 0.5f - tile.origin.x;
+          const float s = fmaf(lens.s_step, camera_of(lens, phase), lens.s_start);
+          const float value = nodes.at(lens.bgr ? 2 - place : place, row, down, nodes.along(x), nodes.up(s));
+          if constexpr (sizeof(Out) == 1)
+            memory.bytes[warp][lower][m - memory.rows[r].x] = stored(value, out);
+          else
+            out[int64_t(tile.top + r) * width + in_image(lens, m)] = value;
+          if (++place == 3) place = 0, ++pixel;
+        }
+      }
+    }
+    if constexpr (sizeof(Out) == 1) {
+      __syncwarp();
+      for (int r = top; r < min(top + 2, tile.rows); ++r) {
+        const int first = memory.rows[r].x, end = min(memory.rows[r].y, width);
+        for (int m = first + lane; m < end; m += 32)
+          if (m >= 0) out[int64_t(tile.top + r) * width + in_image(lens, m)] = memory.bytes[warp][r - top][m - first];
+      }
+      __syncwarp();
+    }
+  }
+}
+
+template <class Out>
+__global__ void __launch_bounds__(kThreads, kBlocks)
+    composite_lattice_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
+  __shared__ Memory memory;
+  FrameState& state = *frame.state;
+  const bool by_lens = state.kernel == int(LensKernel::kOrdinal);
+  const Tiling& tiling = by_lens ? frame.ordinal : frame.pixel;
+  if (blockIdx.x >= unsigned(tiling.across * tiling.down)) return;
+  Tile tile(frame, tiling, by_lens);
+  if (!tile.lay_rows(tiling, memory)) return;
+  const Lists lists(frame);
+  const float4 behind = make_float4(background[0], background[1], background[2], 0);
+
+  bool good = lists.ranges != nullptr;  // a list of all splats is for nobody
+  for (int section = 0, first = 0; good && section < tile.sections; ++section) {
+    const uint2 range = lists.range(int64_t(tile.number) * tile.sections + section);
+    if (threadIdx.x == 0) memory.first_node[section] = first;
+    good = fits(frame, {frame.splats, lists.ids + range.x, range.y - range.x, tile.origin},
+                tile.part(section, memory), section, behind, memory);
+    first += good ? memory.plans[section].nodes() : 0;
+  }
+  if (threadIdx.x == 0) {
+    if (good)
+      atomicAdd(&state.lattice_tiles, 1u);
+    else
+      frame.refused[atomicAdd(&state.refused_tiles, 1u)] = unsigned(tile.number);
+  }
+  if (!good) return;
+  __syncthreads();
+  interpolate(tile, memory, out);
+}
+
+}  // namespace
+
+void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
+  int tiles = frame.pixel.across * frame.pixel.down;
+  if (frame.has_ordinal) tiles = std::max(tiles, frame.ordinal.across * frame.ordinal.down);
+  auto draw = [&](auto* image) {
+    composite_lattice_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(frame, background, image);
+  };
+  out8 ? draw(out8) : draw(out);
+  check_launch("composite_lattice");
+}
+
+}  // namespace lfgs::cuda

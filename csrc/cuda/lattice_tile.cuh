@@ -1,0 +1,139 @@
+// A tile of composite_lattice: which sub-pixels are its own, and the nodes from which they are interpolated.
+//
+// A tile of pixels is one section, the whole rig; one of lenses has a section for each group of ordinals, since every
+// group has a list of its own. A section has a lattice of its own.
+#pragma once
+
+#include <cuda_fp16.h>
+
+#include "cuda/composite_lens.cuh"
+#include "cuda/lens_optics.cuh"
+#include "math/lattice_plan.h"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kWarps = 4, kThreads = 32 * kWarps;
+constexpr int kMostRows = 32, kRowBytes = kTileLenses * kMostOrdinals, kRun = kGroupOrdinals;
+constexpr int kMostSections = (kMostOrdinals + kGroupOrdinals - 1) / kGroupOrdinals;
+constexpr int kMostNodes = 1024;  // of a tile; nodes and middles of a section likewise: a sixth of its sub-pixels
+constexpr int kPlanes = 16;       // of a section, at most
+constexpr int kBatch = 32, kShapes = 512;
+
+// Splats for all points of a lattice.
+struct Staged {
+  float4 place[kBatch];    // u0, du, v0, log2 of the opacity
+  float4 form[kBatch];     // tau, c0, c1
+  float4 shapes[kShapes];  // a splat's colour and 1 / S on planes and half-way between: [splats, 2 planes - 1]
+};
+
+struct Memory {
+  __half2 pairs[3][kMostNodes];  // a node's colour, 0..1, and that of the next along x: sections, planes, rows, nodes
+  LatticePlan plans[kMostSections];
+  int first_node[kMostSections];
+  int2 rows[kMostRows];          // sub-pixels, from x to before y; beyond the panel too
+  int low, high;                 // columns of pixels
+  float errors[kWarps], squares[kWarps];
+  union {
+    LatticeCurvature::Term terms[kThreads];
+    Staged staged;
+    uint8_t bytes[kWarps][2][kRowBytes];
+  };
+  alignas(8) char curvature[sizeof(LatticeCurvature)];
+};
+
+struct Tile {
+  const LensOptics& lens;
+  bool by_lens;
+  int number, top, rows, sections, first_lens;
+  float2 origin;  // of the lattice's x and y, in pixels
+
+  __device__ Tile(const LensFrame& frame, const Tiling& tiling, bool by_lens_)
+      : lens(frame.optics), by_lens(by_lens_), number(int(blockIdx.x)), top(number / tiling.across * tiling.height),
+        rows(min(tiling.height, lens.height_px - top)), sections(tiling.groups),
+        first_lens(lens.ordinals.first_lens + number % tiling.across * kTileLenses) {}
+
+  // Finds the sub-pixels of its rows; false where none is on the panel.
+  __device__ bool lay_rows(const Tiling& tiling, Memory& memory) {
+    const int width = 3 * lens.width_px;
+    if (threadIdx.x < 32) {
+      const int r = threadIdx.x, pixel = number % tiling.across * int(tiling.width);
+      int2 ends = make_int2(3 * pixel, 3 * pixel + 3 * int(tiling.width));
+      if (by_lens)
+        ends = make_int2(lens_start(lens, top + r, first_lens), lens_start(lens, top + r, first_lens + kTileLenses));
+      memory.rows[r] = ends;
+      const bool shown = r < rows && ends.y > 0 && ends.x < width;
+      int low = shown ? max(ends.x, 0) / 3 : lens.width_px, high = shown ? (min(ends.y, width) - 1) / 3 : -1;
+      for (int step = 16; step > 0; step /= 2)
+        low = min(low, __shfl_xor_sync(~0u, low, step)), high = max(high, __shfl_xor_sync(~0u, high, step));
+      if (r == 0) memory.low = low, memory.high = high;
+    }
+    __syncthreads();
+    origin = make_float2(float(memory.low), float(top));
+    return memory.high >= memory.low;
+  }
+
+  __device__ LatticePart part(int section, const Memory& memory) const {
+    float centre, half;
+    if (by_lens)
+      group_offsets(lens.ordinals, section, centre, half);
+    else
+      half = 0.5f * float(lens.views) * lens.s_step, centre = lens.s_start + half, half = fabsf(half);
+    return {0.5f, float(memory.high - memory.low) + 0.5f, 0.5f, float(rows) - 0.5f, centre - half, centre + half};
+  }
+
+  // Runs of neighbouring sub-pixels of a row that one section serves.
+  __device__ int runs() const { return by_lens ? kTileLenses : (3 * kPixelTileWidth + kRun - 1) / kRun; }
+  // First and end on the panel.
+  __device__ int2 run(const Memory& memory, int r, int section, int number_) const {
+    int begin = memory.rows[r].x + kRun * number_, end = begin + kRun;
+    if (by_lens) {
+      begin = lens_start(lens, top + r, first_lens + number_) + kRun * section, end = begin + kRun;
+      if (section == sections - 1) end = lens_start(lens, top + r, first_lens + number_ + 1);
+    }
+    return make_int2(max(begin, 0), min(end, 3 * lens.width_px));
+  }
+};
+
+// The nodes of a section: colours between them. What is read again and again is in registers.
+struct Nodes {
+  const __half2* pairs;
+  const float* lean;
+  int across, down, per_plane;
+  float x0, y0, s0, per_x, per_y, per_s, last_along, last_up;
+
+  __device__ Nodes(const Memory& memory, int section)
+      : Nodes(memory.plans[section], memory.pairs[0] + memory.first_node[section]) {}
+  __device__ Nodes(const LatticePlan& plan, const __half2* pairs_)
+      : pairs(pairs_), lean(plan.lean), across(plan.across), down(plan.down), per_plane(plan.per_plane()), x0(plan.x0),
+        y0(plan.y0), s0(plan.s0), per_x(1 / plan.step_x), per_y(1 / plan.step_y), per_s(1 / plan.step_s),
+        last_along(float(plan.across - 1 - plan.margin) - 1e-3f), last_up(float(plan.planes - 1) - 1e-4f) {}
+
+  // At x0 + along step_x and s0 + up step_s, `part` (twice) of the way from a row of nodes to the next: straight along
+  // x and y on the planes on both sides, and between them.
+  __device__ float at(int channel, int row, __half2 part, float along, float up) const {
+    const int plane = int(up);
+    const float between = up - float(plane), aside = lean[plane];
+    const float place = fmaf(-aside, between, along), node = floorf(place);
+    const __half2* low = pairs + channel * kMostNodes + (plane * down + row) * across + int(node);
+    const __half2* high = low + per_plane + int(aside);
+    const __half2 near = mixed(low[0], low[across], part), far = mixed(high[0], high[across], part);
+    const __half2 pair = mixed(near, far, __float2half2_rn(between));
+    return fmaf(place - node, __high2float(pair) - __low2float(pair), __low2float(pair));
+  }
+  // As `along`, `up` and a row of nodes: within the lattice.
+  __device__ float along(float x) const { return fminf((x - x0) * per_x, last_along); }
+  __device__ float up(float s) const { return fminf(fmaxf((s - s0) * per_s, 0.f), last_up); }
+  __device__ int row(float y, __half2& part) const {
+    const float place = (y - y0) * per_y;
+    const int row = min(int(place), down - 2);
+    part = __float2half2_rn(place - float(row));
+    return row;
+  }
+
+ private:
+  static __device__ __half2 mixed(__half2 a, __half2 b, __half2 part) { return __hfma2(part, __hsub2(b, a), a); }
+};
+
+}  // namespace
+}  // namespace lfgs::cuda
