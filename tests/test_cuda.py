@@ -112,7 +112,7 @@ def test_what_is_smooth_is_drawn_from_a_lattice(kernel, quality, views, changes,
     again = encode(on_gpu(scene), panel, fan, quality=quality, **options)
     assert torch.equal(found, again)
     bytes_ = encode(on_gpu(scene), panel, fan, quality=quality, **{**options, "output": "uint8"})
-    assert torch.equal(bytes_, (255 * found.clamp(0, 1)).round().to(torch.uint8))
+    assert ((255 * found.clamp(0, 1)).round() - bytes_).abs().sum() <= 3  # ties
     assert torch.equal(bytes_, Encoder(panel, fan, views=views, background=BACKGROUND, quality=quality)(on_gpu(scene)))
 
 

@@ -139,6 +139,7 @@ __device__ void store_node(const LatticePlan& plan, const Point& point, float3 c
   for (int c = 0; c < 3; ++c) {
     const __half value = __float2half_rn(values[c]);
     memory.pairs[c][at].x = value;
+    if (point.i == plan.across - 1) memory.pairs[c][at].y = value;
     if (point.i > 0) memory.pairs[c][at - 1].y = value;
   }
 }
@@ -165,7 +166,8 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
     if (!point.middle) continue;
     const Nodes nodes(memory, section);
     for (int c = 0; c < 3; ++c) {
-      const float made = nodes.at(c, point.j, __float2half2_rn(0.5f), float(point.i) + 0.5f, float(point.k) + 0.5f);
+      const float made = nodes.at(nodes.row_of(c, point.j), __float2half2_rn(0.5f), float(point.i) + 0.5f,
+                                  float(point.k) + 0.5f);
       const float error = made - (c == 0 ? is.x : c == 1 ? is.y : is.z);
       largest = fmaxf(largest, fabsf(error)), squares = fmaf(error, error, squares);
     }
@@ -195,11 +197,43 @@ __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart
     const int nodes = plan.nodes();
     const int points = nodes + (plan.across - 1 - 2 * plan.margin) * (plan.down - 1) * (plan.planes - 1);
     if (float(points) > points_worth(plan, fineness) || memory.first_node[section] + nodes > kMostNodes) return false;
+    if (int(threadIdx.x) < plan.planes) {
+      const float aside = plan.lean[threadIdx.x];
+      memory.steps[section][threadIdx.x] = {aside, plan.per_plane() + int(aside)};
+    }
+    __syncthreads();
     const float error = draw_lattice(frame, list, section, points, background, memory);
     if (error <= 1) return true;
     fineness *= fmaxf(kBackOff * rsqrtf(error), 0.4f);
   }
   return false;
+}
+
+// A colour in 0..1 -> stored(), without a conversion.
+__device__ inline uint8_t byte_of(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, Place::kMagic))); }
+
+// Interpolates a run of sub-pixels of row r: put(m, colour).
+template <class Put>
+__device__ void interpolate_run(const Tile& tile, const Nodes& nodes, Offsets& offsets, int r, int2 ends,
+                                const Put& put) {
+  const LensOptics& lens = tile.lens;
+  __half2 part;
+  const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3;
+  int place = ends.x - 3 * pixel;
+  float x = (float(pixel) + 0.5f - tile.origin.x - nodes.x0) * nodes.per_x;
+  int channels[3];
+#pragma unroll
+  for (int i = 0; i < 3; ++i) {  // in the order in which the sub-pixels follow
+    const int at = place + i < 3 ? place + i : place + i - 3;
+    channels[i] = nodes.row_of(lens.bgr ? 2 - at : at, row);
+  }
+  offsets.move_to(phase_at(lens, tile.top + r, ends.x));
+#pragma unroll
+  for (int i = 0; i < kRun; ++i) {
+    if (ends.x + i >= ends.y) return;
+    put(ends.x + i, nodes.at(channels[i % 3], part, nodes.within(x), nodes.within_planes(offsets.next())));
+    if (++place == 3) place = 0, x += nodes.per_x;
+  }
 }
 
 // Interpolates the sub-pixels of a warp's rows, two at a time, and stores them.
@@ -210,24 +244,18 @@ __device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
   for (int top = 2 * warp; top < tile.rows; top += 2 * kWarps) {
     for (int section = 0; section < tile.sections; ++section) {
       const Nodes nodes(memory, section);
+      Offsets offsets(lens, nodes);
       for (int n = lane; n < 2 * runs; n += 32) {
         const int lower = n >= runs, r = top + lower;
         if (r >= tile.rows) break;
-        const int2 ends = tile.run(memory, r, section, n - lower * runs);
-        __half2 down;
-        const int row = nodes.row(float(r) + 0.5f, down);
-        int pixel = ends.x / 3, place = ends.x - 3 * pixel;
-        uint64_t phase = phase_at(lens, tile.top + r, ends.x);
-        for (int m = ends.x; m < ends.y; ++m, phase += lens.phase_x) {
-          const float x = float(pixel) + 0.5f - tile.origin.x;
-          const float s = fmaf(lens.s_step, camera_of(lens, phase), lens.s_start);
-          const float value = nodes.at(lens.bgr ? 2 - place : place, row, down, nodes.along(x), nodes.up(s));
+        const int first = memory.rows[r].x;
+        Out* line = out + int64_t(tile.top + r) * width;
+        interpolate_run(tile, nodes, offsets, r, tile.run(memory, r, section, n - lower * runs), [&](int m, float c) {
           if constexpr (sizeof(Out) == 1)
-            memory.bytes[warp][lower][m - memory.rows[r].x] = stored(value, out);
+            memory.bytes[warp][lower][m - first] = byte_of(c);
           else
-            out[int64_t(tile.top + r) * width + in_image(lens, m)] = value;
-          if (++place == 3) place = 0, ++pixel;
-        }
+            line[in_image(lens, m)] = __saturatef(c);
+        });
       }
     }
     if constexpr (sizeof(Out) == 1) {

@@ -27,9 +27,16 @@ struct Staged {
   float4 shapes[kShapes];  // a splat's colour and 1 / S on planes and half-way between: [splats, 2 planes - 1]
 };
 
+// From a plane of nodes to the next: what is seen there at a node lies `aside` nodes on; so many are stored between.
+struct Step {
+  float aside;
+  int nodes;
+};
+
 struct Memory {
   __half2 pairs[3][kMostNodes];  // a node's colour, 0..1, and that of the next along x: sections, planes, rows, nodes
   LatticePlan plans[kMostSections];
+  Step steps[kMostSections][kPlanes];
   int first_node[kMostSections];
   int2 rows[kMostRows];          // sub-pixels, from x to before y; beyond the panel too
   int low, high;                 // columns of pixels
@@ -95,35 +102,50 @@ struct Tile {
   }
 };
 
+// x >= 0 as n + part, n whole and part in 0..1, or -1e-4, so that an x that should be whole counts as such; without a
+// conversion, which are slow: 2^23 + 2^22 leaves n in the bits.
+struct Place {
+  static constexpr float kMagic = 12582912.f;
+  int n;
+  float part;
+
+  __device__ explicit Place(float x) {
+    const float shifted = (x - 0.4999f) + kMagic;
+    n = int(__float_as_uint(shifted) - __float_as_uint(kMagic)), part = x - (shifted - kMagic);
+  }
+};
+
 // The nodes of a section: colours between them. What is read again and again is in registers.
 struct Nodes {
   const __half2* pairs;
-  const float* lean;
+  const Step* steps;
   int across, down, per_plane;
   float x0, y0, s0, per_x, per_y, per_s, last_along, last_up;
 
   __device__ Nodes(const Memory& memory, int section)
-      : Nodes(memory.plans[section], memory.pairs[0] + memory.first_node[section]) {}
-  __device__ Nodes(const LatticePlan& plan, const __half2* pairs_)
-      : pairs(pairs_), lean(plan.lean), across(plan.across), down(plan.down), per_plane(plan.per_plane()), x0(plan.x0),
+      : Nodes(memory.plans[section], memory.pairs[0] + memory.first_node[section], memory.steps[section]) {}
+  __device__ Nodes(const LatticePlan& plan, const __half2* pairs_, const Step* steps_)
+      : pairs(pairs_), steps(steps_), across(plan.across), down(plan.down), per_plane(plan.per_plane()), x0(plan.x0),
         y0(plan.y0), s0(plan.s0), per_x(1 / plan.step_x), per_y(1 / plan.step_y), per_s(1 / plan.step_s),
-        last_along(float(plan.across - 1 - plan.margin) - 1e-3f), last_up(float(plan.planes - 1) - 1e-4f) {}
+        last_along(float(plan.across - 1 - plan.margin) - 0.02f), last_up(float(plan.planes - 1) - 1e-3f) {}
 
-  // At x0 + along step_x and s0 + up step_s, `part` (twice) of the way from a row of nodes to the next: straight along
-  // x and y on the planes on both sides, and between them.
-  __device__ float at(int channel, int row, __half2 part, float along, float up) const {
-    const int plane = int(up);
-    const float between = up - float(plane), aside = lean[plane];
-    const float place = fmaf(-aside, between, along), node = floorf(place);
-    const __half2* low = pairs + channel * kMostNodes + (plane * down + row) * across + int(node);
-    const __half2* high = low + per_plane + int(aside);
-    const __half2 near = mixed(low[0], low[across], part), far = mixed(high[0], high[across], part);
-    const __half2 pair = mixed(near, far, __float2half2_rn(between));
-    return fmaf(place - node, __high2float(pair) - __low2float(pair), __low2float(pair));
+  // Where a row of nodes of a channel begins.
+  __device__ int row_of(int channel, int row) const { return channel * kMostNodes + row * across; }
+  // At x0 + along step_x and s0 + up step_s, `part` (twice) of the way from the row of nodes to the next: straight
+  // along x and y on the planes on both sides, and between them.
+  __device__ float at(int row, __half2 part, float along, float up) const {
+    const Place plane(up);
+    const Step step = steps[plane.n];
+    const Place node(fmaf(-step.aside, plane.part, along));
+    const int low = row + plane.n * per_plane + node.n, high = low + step.nodes;
+    const __half2 near = mixed(pairs[low], pairs[low + across], part);
+    const __half2 far = mixed(pairs[high], pairs[high + across], part);
+    const __half2 pair = mixed(near, far, __float2half2_rn(plane.part));
+    return fmaf(node.part, __high2float(pair) - __low2float(pair), __low2float(pair));
   }
-  // As `along`, `up` and a row of nodes: within the lattice.
-  __device__ float along(float x) const { return fminf((x - x0) * per_x, last_along); }
-  __device__ float up(float s) const { return fminf(fmaxf((s - s0) * per_s, 0.f), last_up); }
+  // As `along` and `up`: within the lattice.
+  __device__ float within(float along) const { return fminf(along, last_along); }
+  __device__ float within_planes(float up) const { return fminf(fmaxf(up, 0.f), last_up); }
   __device__ int row(float y, __half2& part) const {
     const float place = (y - y0) * per_y;
     const int row = min(int(place), down - 2);
@@ -133,6 +155,25 @@ struct Nodes {
 
  private:
   static __device__ __half2 mixed(__half2 a, __half2 b, __half2 part) { return __hfma2(part, __hsub2(b, a), a); }
+};
+
+// The offsets of sub-pixels side by side, in planes of a section. The last 32 bits of their phases are left out: that
+// matters to a view now and then at its border.
+struct Offsets {
+  unsigned phase, step, whole;  // so many offsets in a lens: views, or enough to be continuous
+  float slope, base;
+
+  __device__ Offsets(const LensOptics& lens, const Nodes& nodes)
+      : phase(0), step(unsigned(lens.phase_x >> 32)), whole(lens.continuous ? 1u << 24 : unsigned(lens.views)),
+        slope(lens.s_step * nodes.per_s * float(lens.views) / float(whole)),
+        base(fmaf(lens.continuous ? 0.f : 0.5f, slope, (lens.s_start - nodes.s0) * nodes.per_s)) {}
+  __device__ void move_to(uint64_t phase_) { phase = unsigned(phase_ >> 32); }
+  // Of the sub-pixel at hand; goes on to the next.
+  __device__ float next() {
+    const float number = float(__umulhi(phase, whole));
+    phase += step;
+    return fmaf(number, slope, base);
+  }
 };
 
 }  // namespace
