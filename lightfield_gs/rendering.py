@@ -88,13 +88,10 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     "direct" are differentiable. quality: "exact", "high", "fast", "draft" or a Quality, of "direct" without gradients:
     how much error is allowed for less time. threads: CPU threads (default: torch's). stats: a dict to fill with
     stages_ms (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
-    CUDA), work_bytes, gaussians_culled, colour_error; for "direct" also skipped: Gaussians not drawn by reason and, on
-    the CPU, tiles, lattices, samples that ended early and orders of colours, while on CUDA kernel, lattice_tiles, drawn
-    from a lattice, and refused_tiles, which a lattice left to the kernel; for "sorted" also memory_bytes and
-    memory_bytes_unchunked, by stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views,
-    and of all views at once.
-    memory_bytes_unchunked, by stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views,
-    and of all views at once.
+    CUDA), work_bytes, gaussians_culled, colour_error; for "direct" also skipped: Gaussians not drawn by reason, tiles
+    from lattices and, on the CPU, lattices, samples that ended early and orders of colours, while on CUDA the kernel
+    that the frame chose; for "sorted" also memory_bytes and memory_bytes_unchunked, by stage: geometry, image (the
+    sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
     Raises InputError.
     """
     check_options(method, views, output)
@@ -284,6 +281,6 @@ def _report(counters: Stats, gaussians: Gaussians, panel: Panel, out: dict[str, 
                evaluations_per_subpixel=per_subpixel, work_bytes=counters.work_bytes, gaussians_culled=culled,
                colour_error=counters.colour_error)
     if counters.kernel is not None:
-        out.update(kernel=counters.kernel, lattice_tiles=counters.lattice_tiles, refused_tiles=counters.refused_tiles)
+        out["kernel"] = counters.kernel
     if counters.memory_bytes:
         out.update(memory_bytes=counters.memory_bytes, memory_bytes_unchunked=counters.memory_bytes_unchunked)

@@ -37,6 +37,13 @@ def of_lens(counters: Any, orders: Tensor, splats: Tensor, most: int) -> dict[st
             "samples_stopped": counters.stopped_samples}
 
 
+def of_frame(state: dict[str, Any]) -> dict[str, Any]:
+    """Tiles of a frame on CUDA that were drawn from a lattice, and by the frame's kernel; {} for a frame without
+    lattices, which counts none."""
+    lattice, drawn = state["lattice_tiles"], state["refused_tiles"]
+    return {"tiles": {"lattice": lattice, "drawn": drawn}} if lattice + drawn else {}
+
+
 def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
     """What `encode` puts in stats["skipped"], a line each."""
     out = []
@@ -46,7 +53,8 @@ def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
         out.append("colours by polynomial order over the views: " + ", ".join(
             f"{order}: {n}" for order, n in enumerate(orders) if n))
     if tiles := skipped.get("tiles"):
-        out.append(f"tiles: {tiles['empty']} empty, {tiles['lattice']} from lattices, {tiles['drawn']} drawn")
+        how = {"empty": "empty", "lattice": "from lattices", "drawn": "drawn"}
+        out.append("tiles: " + ", ".join(f"{count} {how[kind]}" for kind, count in tiles.items()))
     if lattices := skipped.get("lattices"):
         out.append(f"lattices: {lattices['fit']} good enough, {lattices['split']} split, {lattices['refused']} refused")
     if "samples_stopped" in skipped:

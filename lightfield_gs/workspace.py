@@ -34,9 +34,7 @@ class Stats:
     gaussians_drawn: int = 0  # in all images
     colour_error: float = 0.0
     kernel: str | None = None  # that drew a light field on CUDA
-    skipped: dict[str, Any] = field(default_factory=dict)  # of a light field on the CPU, see skips.lines
-    lattice_tiles: int = 0     # on CUDA, drawn from a lattice
-    refused_tiles: int = 0     # those that the lattice left to the kernel
+    skipped: dict[str, Any] = field(default_factory=dict)  # of a light field, see skips.lines
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -69,7 +67,7 @@ class Stats:
         self.images += 1
         self.gaussians_drawn += state["drawn"]
         self.colour_error, self.kernel = state["colour_error"], state["kernel"]
-        self.lattice_tiles, self.refused_tiles = state["lattice_tiles"], state["refused_tiles"]
+        self.skipped = skips.of_frame(state)
         self.add_buffers(work)
 
     def count(self, counters: Any) -> None:
