@@ -57,11 +57,20 @@ def test_loss_is_the_weighted_sum_of_its_terms():
     scene = torch.ones(2, 16 * 16, 3), torch.rand(2, 4, 16, 16)
     zero, _ = total_loss(wanted, targets[:, :, 3], targets, backgrounds, *scene, LossWeights())
     assert float(zero) == pytest.approx(0, abs=1e-5)
-    weights = LossWeights(2.0, 0.5, 3.0)
+    weights = LossWeights(2.0, ssim=0.5, alpha=3.0)
     total, terms = total_loss(wanted + 0.1, targets[:, :, 3] - 0.2, targets, backgrounds, *scene, weights)
     assert float(terms["colour"]) == pytest.approx(0.01, abs=1e-6)
     assert float(terms["alpha"]) == pytest.approx(0.04, abs=1e-6)
     assert float(total) == pytest.approx(2 * 0.01 + 0.5 * float(terms["ssim"]) + 3 * 0.04, abs=1e-6)
+
+
+def test_the_logarithm_of_errors_is_that_of_each_image():
+    targets, backgrounds = torch.zeros(2, 1, 4, 16, 16), torch.zeros(2, 1, 3)
+    images = torch.tensor([0.1, 0.3]).view(2, 1, 1, 1, 1).expand(2, 1, 3, 16, 16)
+    scene = torch.ones(2, 16 * 16, 3), torch.zeros(2, 4, 16, 16)
+    weights = LossWeights(colour=0, log_colour=0.5, ssim=0, alpha=0)
+    total, _ = total_loss(images, targets[:, :, 3], targets, backgrounds, *scene, weights)
+    assert float(total) == pytest.approx(0.5 * (math.log(0.01 + 1e-4) + math.log(0.09 + 1e-4)) / 2, rel=1e-5)
 
 
 def test_roughness_counts_steps_of_disparity_on_the_object():
