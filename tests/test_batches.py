@@ -15,6 +15,7 @@ from training.data.objects import find_objects, read_object
 from training.data.plan import Augmentation, BatchPlanner, mirrored, relative_cameras
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
+from training.data.transfer import packed
 
 AZIMUTHS = (0, -25, -10, 10, 25, 100)
 
@@ -159,3 +160,42 @@ def test_crops_are_those_of_photos(small_set, source_px, target_px, zoom):
         torch.testing.assert_close(plan.intrinsics[example, image], torch.tensor(camera), check_dtype=False)
         reached.add(square.left < 0 or square.top < 0)
     assert zoom[1] < 1.5 or True in reached
+
+
+def test_compiled_batches_are_the_same_and_compiled_once(small_set):
+    """Windows and filters have the sizes of a stage, not of a step; a plan that was copied in one piece does as well."""
+    planner = _planner(small_set, blur_px=0.5, noise=0.02, outline_px=1.0)
+    with torch._dynamo.config.patch(error_on_recompile=True):
+        for step in range(3):
+            plan = planner.plan(step, 3 * step, 3, 16, 8)
+            expected = make_batch(plan, planner.views)
+            found = make_batch(packed(plan, torch.device("cpu")), planner.views, compiled=True)
+            for a, b in zip(vars(found).values(), vars(expected).values()):
+                torch.testing.assert_close(a, b, atol=1e-5, rtol=0)
+
+
+def test_a_plan_is_copied_in_one_piece(small_set):
+    plan = _planner(small_set, noise=0.02).plan(1, 3, 3, 16)
+    copy = packed(plan, torch.device("cpu"))
+    for record, copied in ((plan, copy), (plan.photo, copy.photo)):
+        for expected, found in zip(vars(record).values(), vars(copied).values()):
+            if isinstance(expected, torch.Tensor):
+                assert torch.equal(found, expected) and found.dtype == expected.dtype and found.is_contiguous()
+                assert found.untyped_storage().data_ptr() == copy.origins.untyped_storage().data_ptr()
+                assert found.data_ptr() % 16 == 0
+    assert (copy.window_px, copy.taps, copy.procedural) == (plan.window_px, plan.taps, None)
+
+
+def test_targets_are_drawn_without_replacement_where_there_are_enough():
+    sampler = ViewSampler([fan()], azimuth_deg=180, elevation_deg=90, targets=5, seed=0)
+    for step in range(50):
+        (choice,) = sampler.draw(step, step, 1)
+        assert sorted((choice.source, *choice.targets)) == list(range(6))
+    few = ViewSampler([fan()], azimuth_deg=30, elevation_deg=12, targets=5, seed=0)
+    assert all(len(choice.targets) == 5 for choice in few.draw(0, 0, 20))
+
+
+def test_a_part_of_a_step_is_drawn_alike():
+    sampler = ViewSampler([fan()] * 7, 30, 12, 3, seed=5)
+    whole = sampler.draw(9, 36, 12)
+    assert sampler.draw(9, 36, 12, np.array([2, 5, 11])) == [whole[i] for i in (2, 5, 11)]

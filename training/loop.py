@@ -100,7 +100,7 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     _validate(trainer, log, decoded)  # owed by a run that ended between a checkpoint and its scores
     log.resume_clock()
     for plan in _plans(planner, config, trainer.step, team):
-        ahead = trainer.advance(make_batch(plan, planner.views), stop=bool(signals))
+        ahead = trainer.advance(make_batch(plan, planner.views, config.compile), stop=bool(signals))
         # A step is read while the next one runs, so that the device always has work. All processes read the same.
         stop = behind is not None and _record(behind, log)
         last = trainer.step == config.total_steps

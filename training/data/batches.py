@@ -1,7 +1,9 @@
 """Training batches: the images of a plan, cut out of the resident views and resized on their device."""
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -29,22 +31,37 @@ class Batch:
     backgrounds: Tensor
 
 
-def make_batch(plan: BatchPlan, views: ResidentViews) -> Batch:
+def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) -> Batch:
     """The batch that a plan describes, on the device of the views: stored views first, then procedural objects.
 
+    compiled: by a few kernels that torch.compile makes for these sizes, in place of hundreds of operations.
     The host waits for nothing, but for procedural objects (see training/data/procedural.py).
     """
+    fused = _fused if compiled else _unchanged
     plan = on_device(plan, views.device)
-    source = _images(plan, views, slice(0, 1), plan.source_px)[:, 0]
-    targets = _images(plan, views, slice(1, None), plan.target_px)
-    batch = Batch(source, plan.intrinsics[:, 0], targets, plan.intrinsics[:, 1:], plan.world_to_camera,
-                  plan.backgrounds)
+    batch = Batch(*fused(_stored_pictures)(plan, views), plan.world_to_camera, plan.backgrounds)
     if plan.procedural is not None:
         made = Batch(*draw_pictures(plan.procedural), plan.procedural.world_to_camera, plan.procedural.backgrounds)
         batch = Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), vars(made).values())))
     if plan.photo is not None:
-        batch.source = photographed(batch.source, plan.photo)
+        batch.source = fused(photographed)(batch.source, plan.photo)
     return batch
+
+
+@cache
+def _fused(function: Callable) -> Callable:
+    return torch.compile(function, dynamic=False)
+
+
+def _unchanged(function: Callable) -> Callable:
+    return function
+
+
+def _stored_pictures(plan: BatchPlan, views: ResidentViews) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Input pictures [B,4,S,S] and their intrinsics [B,4], targets [B,V,4,T,T] and theirs [B,V,4], as in Batch."""
+    source = _images(plan, views, slice(0, 1), plan.source_px)[:, 0]
+    targets = _images(plan, views, slice(1, None), plan.target_px)
+    return source, plan.intrinsics[:, 0], targets, plan.intrinsics[:, 1:]
 
 
 def _images(plan: BatchPlan, views: ResidentViews, chosen: slice, size: int) -> Tensor:

@@ -47,14 +47,15 @@ class Augmentation:
 class BatchPlan:
     """B examples of I = 1 + V images: the input picture, then the V target views, the first of which is the source too.
 
-    rectangles: int64 [B,I,5], as ResidentViews takes them; all fit windows of window_px (height, width).
+    rectangles: int64 [B,I,5], as ResidentViews takes them; all views of the run fit windows of window_px (height,
+    width), so that all steps of a stage have the same shapes.
     origins: [B,I,2], x and y of a window's first pixel in its frame; directions: [B], -1 where columns run to the left
     (mirrored frames), else 1. crops: [B,I,3], left, top and side of the squares cut out of the frames.
     recoloured: bool [B]; permutations: int64 [B,3]; gains: [B,3]; gammas: [B]: see training/data/batches.py.
     intrinsics: [B,I,4], (fx, fy, cx, cy) in pixels of the images. world_to_camera: [B,V,4,4], the world being the
     source camera's axes. backgrounds: [B,V,3]. source_px, target_px: side of the input pictures and of the targets.
-    taps: pixels of a frame that one pixel of an image is made of along an axis, at most. procedural: the examples after
-    these, if any. photo: the faults of the input pictures of both, if any. Tensors are float32 unless said.
+    taps: pixels of a frame that one pixel of an image is made of along an axis, at most, in any step of these sizes.
+    procedural: the examples after these, if any. photo: the faults of the input pictures of both, if any. Tensors are float32 unless said.
     """
     rectangles: Tensor
     origins: Tensor
@@ -106,6 +107,8 @@ class BatchPlanner:
             raise InputError(f"procedural: expected a share of the examples, 0..1, got {procedural:g}")
         self.views, self.sampler, self.augmentation, self.procedural = views, sampler, augmentation, procedural
         self._first_target = views.first_view if partners is None else views.first_view[partners]
+        self._window_px = tuple(int(views.rectangles[:, side].max(initial=1)) for side in (4, 3))
+        self._largest = views.squares[:, 2].max(initial=1)
 
     def plan(self, step: int, start: int, count: int, source_px: int, target_px: int = 0,
              share: slice = slice(None)) -> BatchPlan:
@@ -153,9 +156,13 @@ class BatchPlanner:
             intrinsics=_floats(np.stack(intrinsics, -1)),
             world_to_camera=_floats(np.where(mirror[..., None, None], mirrored(cameras), cameras)),
             backgrounds=_floats(self._backgrounds(drawn)),
-            window_px=tuple(int(rectangles[..., side].max(initial=1)) for side in (4, 3)),
-            source_px=sizes[0], target_px=sizes[1],
-            taps=2 * math.ceil((crops.side / sides).max(initial=1)) + 2, **others)
+            window_px=self._window_px, source_px=sizes[0], target_px=sizes[1], taps=self._taps(sizes), **others)
+
+    def _taps(self, sizes: tuple[int, int]) -> int:
+        """Of a BatchPlan: a filter's two sides are as wide as a pixel of the image that shrinks most."""
+        zooms = (1 + self.augmentation.source_jitter, max(self.augmentation.target_zoom))
+        shrunk = [max(2, np.rint(self._largest * zoom)) / size for zoom, size in zip(zooms, sizes)]
+        return 2 * math.ceil(max(1, *shrunk)) + 2
 
     def _draw(self, step: int, count: int) -> dict[str, np.ndarray]:
         """Uniform numbers in [0, 1) for each purpose, [count, ...]."""

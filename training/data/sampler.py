@@ -68,10 +68,10 @@ class ViewSampler:
                  neighbour_deg: float = 180.0, target_poses: list[np.ndarray] | None = None) -> None:
         self.targets, self.seed, self.cone_deg = targets, seed, (azimuth_deg, elevation_deg)
         self._epoch = lru_cache(maxsize=2)(self._shuffled)
-        self.candidates = []
+        self.candidates = []  # of each object: its sources, each with the views that may be targets
         for index, (views, pool) in enumerate(zip(poses, target_poses or poses)):
-            near = {int(source): found for source in np.flatnonzero(has_neighbour(views, neighbour_deg))
-                    if len(found := views_in_cone(pool, views[source], azimuth_deg, elevation_deg))}
+            near = [(int(source), found.tolist()) for source in np.flatnonzero(has_neighbour(views, neighbour_deg))
+                    if len(found := views_in_cone(pool, views[source], azimuth_deg, elevation_deg))]
             if not near:
                 cone = f"+-{azimuth_deg:g} degrees of azimuth and +-{elevation_deg:g} of elevation"
                 raise InputError(f"object number {index}: none of its {len(views)} views has a target within {cone} "
@@ -82,10 +82,15 @@ class ViewSampler:
         """The random numbers of a step; further streams serve further purposes (augmentation, backgrounds)."""
         return np.random.default_rng((self.seed, step, stream))
 
-    def draw(self, step: int, start: int, count: int) -> list[Choice]:
-        """The `count` examples of a step. start: examples drawn by all steps before it."""
-        sources, targets = self.rng(step), self.rng(step, 2)
-        return [self._choose(self._object(start + offset), sources, targets) for offset in range(count)]
+    def draw(self, step: int, start: int, count: int, wanted: np.ndarray | None = None) -> list[Choice]:
+        """The `count` examples of a step, or of these the ones with numbers `wanted`; each is the same whatever is.
+
+        start: examples drawn by all steps before it.
+        """
+        numbers = np.arange(count) if wanted is None else wanted
+        sources, targets = self.rng(step).random(count), self.rng(step, 2).random((count, self.targets))
+        return [self._choose(self._object(start + number), source, shares) for number, source, shares
+                in zip(numbers.tolist(), sources[numbers].tolist(), targets[numbers].tolist())]
 
     def _object(self, position: int) -> int:
         """The object at a place of the endless sequence of shuffled epochs."""
@@ -95,9 +100,14 @@ class ViewSampler:
     def _shuffled(self, epoch: int) -> np.ndarray:
         return np.random.default_rng((self.seed, epoch, 1 << 20)).permutation(len(self.candidates))
 
-    def _choose(self, index: int, sources: np.random.Generator, targets: np.random.Generator) -> Choice:
-        """A source view and its targets; targets repeat only when the cone holds too few."""
+    def _choose(self, index: int, source_share: float, target_shares: list[float]) -> Choice:
+        """A source view and its targets, from numbers in [0, 1); targets repeat only when the cone holds too few.
+
+        Plain lists: for a few numbers numpy would take ten times as long, of a thread that shares its interpreter.
+        """
         near = self.candidates[index]
-        source = int(sources.choice(list(near)))
-        chosen = targets.choice(near[source], self.targets, replace=len(near[source]) < self.targets)
-        return Choice(index, source, tuple(int(target) for target in chosen))
+        source, pool = near[int(source_share * len(near))]
+        if len(pool) < self.targets:
+            return Choice(index, source, tuple(pool[int(share * len(pool))] for share in target_shares))
+        pool = list(pool)
+        return Choice(index, source, tuple(pool.pop(int(share * len(pool))) for share in target_shares))
