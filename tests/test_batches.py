@@ -163,8 +163,9 @@ def test_crops_are_those_of_photos(small_set, source_px, target_px, zoom):
 
 
 def test_compiled_batches_are_the_same_and_compiled_once(small_set):
-    """Windows and filters have the sizes of a stage, not of a step; a plan that was copied in one piece does as well."""
+    """Windows and filters have the sizes of a stage, not of a step; and plans may come in one piece."""
     planner = _planner(small_set, blur_px=0.5, noise=0.02, outline_px=1.0)
+    torch.compiler.reset()
     with torch._dynamo.config.patch(error_on_recompile=True):
         for step in range(3):
             plan = planner.plan(step, 3 * step, 3, 16, 8)

@@ -50,11 +50,12 @@ class TrainingConfig:
     drawn from these alone, sources from data. []: both from data. neighbour_deg: only views of data of which another
     one looks within this angle are sources.
     targets: target views per object, beside the source view itself. stages: run one after the other under one schedule.
-    procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of data.
+    procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of data;
+    they are drawn about 32 at once, for as many steps as that makes.
     bfloat16: run the U-Net in bfloat16. checkpoint_every: steps between resumable checkpoints.
     validation: folder scored every validate_every steps (first validation_objects objects only); "": none.
-    device: cpu, cuda, or auto (cuda where there is one). compile: let torch.compile make kernels for the network, which
-    takes a minute or two at the start of every stage and process.
+    device: cpu, cuda, or auto (cuda where there is one). compile: let torch.compile make kernels for the network, its
+    loss and its batches, which takes a minute or two at the start of every stage and process.
     threads: of torch; 0 leaves the default. Resuming gives the same losses to the last digit on a CPU, with the same
     number of threads and of processes. On a machine that is busy with other work, 1 can be several times faster than
     more: threads wait for the slowest of them.

@@ -1,16 +1,14 @@
 """Training batches: the images of a plan, cut out of the resident views and resized on their device."""
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import torch
 from torch import Tensor
 
+from training.data.fusing import fused
 from training.data.photographs import photographed
 from training.data.plan import BatchPlan
-from training.data.procedural import draw_pictures
 from training.data.resident import ResidentViews
 from training.data.transfer import on_device
 
@@ -35,26 +33,16 @@ def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) ->
     """The batch that a plan describes, on the device of the views: stored views first, then procedural objects.
 
     compiled: by a few kernels that torch.compile makes for these sizes, in place of hundreds of operations.
-    The host waits for nothing, but for procedural objects (see training/data/procedural.py).
+    The host waits for nothing, but where a block of procedural objects begins (see training/data/procedural.py).
     """
-    fused = _fused if compiled else _unchanged
     plan = on_device(plan, views.device)
-    batch = Batch(*fused(_stored_pictures)(plan, views), plan.world_to_camera, plan.backgrounds)
+    batch = Batch(*fused(_stored_pictures, compiled)(plan, views), plan.world_to_camera, plan.backgrounds)
     if plan.procedural is not None:
-        made = Batch(*draw_pictures(plan.procedural), plan.procedural.world_to_camera, plan.procedural.backgrounds)
-        batch = Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), vars(made).values())))
+        made = plan.procedural.drawn(views.device, compiled)
+        batch = Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), made)))
     if plan.photo is not None:
-        batch.source = fused(photographed)(batch.source, plan.photo)
+        batch.source = fused(photographed, compiled)(batch.source, plan.photo)
     return batch
-
-
-@cache
-def _fused(function: Callable) -> Callable:
-    return torch.compile(function, dynamic=False)
-
-
-def _unchanged(function: Callable) -> Callable:
-    return function
 
 
 def _stored_pictures(plan: BatchPlan, views: ResidentViews) -> tuple[Tensor, Tensor, Tensor, Tensor]:

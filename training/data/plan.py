@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from torch import Tensor
 from lightfield_gs.errors import InputError
 from lightfield_gs.models.crop import Square
 from training.data.photographs import PhotoPlan, draw_faults
-from training.data.procedural_plan import NUMBERS, ProceduralPlan, draw_objects, rotation
+from training.data.procedural import ProceduralBlock, ProceduralExamples, steps_of_block
+from training.data.procedural_plan import NUMBERS, draw_objects, rotation
 from training.data.resident import ResidentViews
 from training.data.sampler import Choice, ViewSampler
 
@@ -55,7 +57,8 @@ class BatchPlan:
     intrinsics: [B,I,4], (fx, fy, cx, cy) in pixels of the images. world_to_camera: [B,V,4,4], the world being the
     source camera's axes. backgrounds: [B,V,3]. source_px, target_px: side of the input pictures and of the targets.
     taps: pixels of a frame that one pixel of an image is made of along an axis, at most, in any step of these sizes.
-    procedural: the examples after these, if any. photo: the faults of the input pictures of both, if any. Tensors are float32 unless said.
+    procedural: the examples after these, if any. photo: the faults of the input pictures of both, if any. Tensors are
+    float32 unless said.
     """
     rectangles: Tensor
     origins: Tensor
@@ -73,7 +76,7 @@ class BatchPlan:
     target_px: int
     taps: int
 
-    procedural: ProceduralPlan | None
+    procedural: ProceduralExamples | None
     photo: PhotoPlan | None
 
 
@@ -108,6 +111,7 @@ class BatchPlanner:
         self.views, self.sampler, self.augmentation, self.procedural = views, sampler, augmentation, procedural
         self._first_target = views.first_view if partners is None else views.first_view[partners]
         self._window_px = tuple(int(views.rectangles[:, side].max(initial=1)) for side in (4, 3))
+        self._block = lru_cache(maxsize=1)(self._new_block)
         self._largest = views.squares[:, 2].max(initial=1)
 
     def plan(self, step: int, start: int, count: int, source_px: int, target_px: int = 0,
@@ -117,19 +121,32 @@ class BatchPlanner:
         source_px, target_px: side of the input pictures and of the targets (0: the same).
         share: the examples that are wanted; whatever it is, example i of the step is the same.
         """
-        sizes = (source_px, target_px or source_px)
-        made, wanted = made_up(count, self.procedural), np.zeros(count, bool)
-        wanted[share] = True
-        choices, drawn = self.sampler.draw(step, start, count), self._draw(step, count)
-        made, stored = wanted & made, wanted & ~made
-        new, old = ({name: rows[chosen] for name, rows in drawn.items()} for chosen in (made, stored))
-        objects = None
-        if made.any():
-            seeds = self.sampler.rng(step, 3).random((count, NUMBERS))[made]
-            objects = draw_objects(seeds, self.sampler.cone_deg, sizes, self._framing(new), self._backgrounds(new))
-        order = np.concatenate([np.flatnonzero(stored), np.flatnonzero(made)])
-        return self._plan_views([choices[i] for i in np.flatnonzero(stored)], old, sizes, procedural=objects,
-                                photo=self._faults(step, count, order))
+        sizes, made = (source_px, target_px or source_px), made_up(count, self.procedural)
+        new, old = (np.arange(count)[share][chosen[share]] for chosen in (made, ~made))
+        drawn = self._draw(step, count, old)
+        return self._plan_views(self.sampler.draw(step, start, count, old), drawn, sizes,
+                                procedural=self._made(step, count, new, sizes),
+                                photo=self._faults(step, count, np.concatenate([old, new])))
+
+    def _made(self, step: int, count: int, wanted: np.ndarray, sizes: tuple[int, int]) -> ProceduralExamples | None:
+        """The examples `wanted` of a step's `count`, of the block that they are drawn with."""
+        if not len(wanted):
+            return None
+        steps = steps_of_block(len(wanted))
+        first = step % steps * len(wanted)
+        return ProceduralExamples(self._block(step - step % steps, steps, count, tuple(wanted), sizes),
+                                  slice(first, first + len(wanted)))
+
+    def _new_block(self, first: int, steps: int, count: int, wanted: tuple[int, ...],
+                   sizes: tuple[int, int]) -> ProceduralBlock:
+        """The examples `wanted` of each of some steps, whichever of them is asked for."""
+        made, wanted, numbers = made_up(count, self.procedural), np.array(wanted), range(first, first + steps)
+        rows = np.searchsorted(np.flatnonzero(made), wanted)
+        seeds = np.concatenate([self.sampler.rng(step, 3).random((made.sum(), NUMBERS))[rows] for step in numbers])
+        steps_drawn = [self._draw(step, count, wanted) for step in numbers]
+        drawn = {name: np.concatenate([one[name] for one in steps_drawn]) for name in steps_drawn[0]}
+        return ProceduralBlock(draw_objects(seeds, self.sampler.cone_deg, sizes, self._framing(drawn),
+                                            self._backgrounds(drawn)))
 
     def _plan_views(self, choices: list[Choice], drawn: dict[str, np.ndarray], sizes: tuple[int, int],
                     **others: Any) -> BatchPlan:
@@ -164,12 +181,12 @@ class BatchPlanner:
         shrunk = [max(2, np.rint(self._largest * zoom)) / size for zoom, size in zip(zooms, sizes)]
         return 2 * math.ceil(max(1, *shrunk)) + 2
 
-    def _draw(self, step: int, count: int) -> dict[str, np.ndarray]:
-        """Uniform numbers in [0, 1) for each purpose, [count, ...]."""
+    def _draw(self, step: int, count: int, wanted: np.ndarray) -> dict[str, np.ndarray]:
+        """Uniform numbers in [0, 1) for each purpose, [B,...], of the examples `wanted` of a step's `count`."""
         views = 1 + self.sampler.targets
         widths = {"mirror": 1, "jitter": 3, "zoom": views, "place": 2 * views, "white": views, "background": 3 * views,
                   "recolour": 1, "permutation": 3, "gain": 3, "gamma": 1, "turn": 3 * self.sampler.targets}
-        rows = self.sampler.rng(step, 1).random((count, sum(widths.values())))
+        rows = self.sampler.rng(step, 1).random((count, sum(widths.values())))[wanted]
         return dict(zip(widths, np.split(rows, np.cumsum(list(widths.values()))[:-1], axis=1)))
 
     def _turned(self, cameras: np.ndarray, drawn: np.ndarray) -> np.ndarray:

@@ -1,10 +1,11 @@
 """Pictures of random objects: surfels on superquadrics, coloured, lit, and rendered by the project's rasterizer.
 
-Everything is one set of tensor operations for all objects of a batch. The host waits for the device to leave out
-what no camera sees, and in the rasterizer.
+Everything is one set of tensor operations for all objects. These are hundreds, and the host waits for the device to
+leave out what no camera sees, and in the rasterizer: so the objects of several steps are drawn in one go.
 """
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import torch
@@ -13,19 +14,55 @@ from torch import Tensor
 
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.models.crop import MARGIN
+from training.data.fusing import fused
 from training.data.procedural_plan import CELLS, LOOK, ProceduralPlan
 from training.data.superquadrics import SHAPE, lies_inside, named
+from training.data.transfer import on_device
 from training.rendering import render_views
 
 # Standard deviation of a surfel in cells: with its neighbours it leaves less than 2 % of what is behind.
 _SPREAD, _OPACITY = 0.7, 0.98
 _SUPERSAMPLING = 2
+_OBJECTS_AT_ONCE = 32  # enough work for a GPU to keep up with the host; some 150 MB each for a moment, at 256 px
+
+
+def steps_of_block(objects: int) -> int:
+    """How many steps of so many objects each are drawn in one go."""
+    return max(1, _OBJECTS_AT_ONCE // objects)
+
+
+class ProceduralBlock:
+    """The objects of some steps in a row, drawn in one go when the first of them is asked for."""
+
+    def __init__(self, plan: ProceduralPlan) -> None:
+        self._plan, self._drawn = plan, ()
+
+    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor, ...]:
+        """The fields of a Batch of all objects, drawn as the first call says."""
+        if not self._drawn:
+            plan = on_device(self._plan, device)
+            self._drawn = *draw_pictures(plan, compiled), plan.world_to_camera, plan.backgrounds
+        return self._drawn
+
+
+@dataclass(frozen=True)
+class ProceduralExamples:
+    """The objects of one step. chosen: which ones of the block they are."""
+    block: ProceduralBlock
+    chosen: slice
+
+    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor, ...]:
+        """The fields of a Batch, on a device. compiled: see make_batch."""
+        return tuple(values[self.chosen] for values in self.block.drawn(device, compiled))
 
 
 @torch.no_grad()
-def draw_pictures(plan: ProceduralPlan) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Input pictures [B,4,S,S] and their intrinsics [B,4], targets [B,V,4,T,T] and theirs [B,V,4], as in Batch."""
-    surfels = _visible(_surfels(plan), plan)
+def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Input pictures [B,4,S,S] and their intrinsics [B,4], targets [B,V,4,T,T] and theirs [B,V,4], as in Batch.
+
+    compiled: see make_batch; of what has the same shapes in all blocks.
+    """
+    surfels = _visible(_surfels(plan), plan, compiled)
     gaussians = _gaussians(surfels, _lit(*_coloured(surfels, plan), surfels["normal"], plan.light))
     focal, centre = _squares(surfels, plan)
     source, targets = slice(0, 1), slice(1, None)
@@ -79,21 +116,26 @@ def _gathered(table: Tensor, index: Tensor) -> Tensor:
     return table.gather(1, index[..., None].expand(-1, -1, table.shape[-1]))
 
 
-def _visible(surfels: dict[str, Tensor], plan: ProceduralPlan) -> dict[str, Tensor]:
-    """The surfels that face a camera and lie in no other part, [B,N,...], N as the fullest object needs.
+def _seen(point: Tensor, normal: Tensor, part: Tensor, shapes: Tensor, world_to_camera: Tensor) -> Tensor:
+    """Which surfels face a camera and lie in no other part, bool [B,M]. Arguments: of _surfels, and of the plan."""
+    parts = shapes.shape[1]
+    rotation, translation = world_to_camera[..., :3, :3], world_to_camera[..., :3, 3:]
+    positions = -(rotation.mT @ translation)[..., 0]  # of the cameras
+    facing = (normal @ positions.mT).amax(-1) > (normal * point).sum(-1)
+    shape = named(shapes[:, :, None], SHAPE)
+    local = (point[:, None] - shape["centre"]) @ shape["matrix"].squeeze(2).unflatten(-1, (3, 3))
+    others = torch.arange(parts, device=part.device)[:, None] != part[:, None]
+    hidden = (lies_inside(shape, local) & others).any(1)
+    return facing & ~hidden & (part < parts)
+
+
+def _visible(surfels: dict[str, Tensor], plan: ProceduralPlan, compiled: bool = False) -> dict[str, Tensor]:
+    """The surfels that may be seen, [B,N,...], N as the fullest object needs.
 
     filled: 1, or 0 at the end of objects that need fewer, which repeat one of theirs.
     """
-    point, part, parts = surfels["point"], surfels["part"], plan.ends.shape[1]
-    rotation, translation = plan.world_to_camera[..., :3, :3], plan.world_to_camera[..., :3, 3:]
-    positions = -(rotation.mT @ translation)[..., 0]  # of the cameras
-    normal = surfels["normal"]
-    facing = (normal @ positions.mT).amax(-1) > (normal * point).sum(-1)
-    shapes = named(plan.shapes[:, :, None], SHAPE)
-    local = (point[:, None] - shapes["centre"]) @ shapes["matrix"].squeeze(2).unflatten(-1, (3, 3))
-    others = torch.arange(parts, device=part.device)[:, None] != part[:, None]
-    hidden = (lies_inside(shapes, local) & others).any(1)
-    kept = facing & ~hidden & (part < parts)
+    part = surfels["part"]
+    kept = fused(_seen, compiled)(surfels["point"], surfels["normal"], part, plan.shapes, plan.world_to_camera)
     places = kept.cumsum(1)
     count = int(places[:, -1].max())
     chosen = part.new_zeros(len(part), count + 1)
@@ -102,7 +144,7 @@ def _visible(surfels: dict[str, Tensor], plan: ProceduralPlan) -> dict[str, Tens
     index = chosen[:, :count]
     out = {name: _gathered(values, index) for name, values in surfels.items() if name != "part"}
     filled = torch.arange(count, device=part.device) < places[:, -1:]
-    return out | {"part": part.gather(1, index), "filled": filled.to(point.dtype)}
+    return out | {"part": part.gather(1, index), "filled": filled.to(out["point"].dtype)}
 
 
 def _coloured(surfels: dict[str, Tensor], plan: ProceduralPlan) -> tuple[Tensor, Tensor]:

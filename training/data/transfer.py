@@ -33,7 +33,7 @@ def packed(record: Record, device: torch.device) -> Record:
 
 
 def _parts(buffer: Tensor, like: list[Tensor], starts: list[int]) -> Iterator[Tensor]:
-    """Contiguous tensors in a buffer from these bytes on; no views of it, which would tie a compiled function to its size."""
+    """Contiguous tensors in a buffer from these bytes on; views of it would tie a compiled function to its size."""
     for tensor, start in zip(like, starts):
         part = torch.empty(0, dtype=tensor.dtype, device=buffer.device)
         place = start // tensor.element_size(), tensor.shape, tensor.stride()
