@@ -1,5 +1,6 @@
 """Training on CUDA against training on the CPU: the same samples, nearly the same losses. Needs a GPU."""
 import json
+import time
 
 import pytest
 import torch
@@ -8,6 +9,7 @@ from lightfield_gs import _core
 from training.data.batches import make_batch
 from training.distributed import join_team
 from training.loop import make_planner, train
+from training.profile import profile
 from training.train import read_config
 from training.trainer import Trainer
 from training_runs import losses, run_config
@@ -28,25 +30,30 @@ def _trained(folder, name, **changes) -> list[dict]:
     return [json.loads(line) for line in losses(folder / name)]
 
 
-def test_batches_are_those_of_the_cpu(small_set):
+FAULTS = {"blur_px": 0.8, "noise": 0.02, "outline_px": 1.0}
+
+
+def _batches(folder, size_px, compiled=False, **changes):
+    """The fields of a batch on the CPU and, maybe compiled, on CUDA."""
     batches = []
     for device in ("cpu", "cuda"):
         with join_team(device) as team:
-            planner = make_planner(_config(small_set, "unused"), team)
-            batches.append(make_batch(planner.plan(3, 9, 4, 32), planner.views))
-    for expected, found in zip(*(vars(batch).values() for batch in batches)):
-        assert found.is_cuda
-        torch.testing.assert_close(found.cpu(), expected, atol=1e-5, rtol=1e-6)
+            planner = make_planner(_config(folder, "unused", **changes), team)
+            plan = planner.plan(3, 9, 4, size_px)
+            batches.append(make_batch(plan, planner.views, compiled and device == "cuda"))
+    assert all(found.is_cuda for found in vars(batches[1]).values())
+    return list(zip(*(vars(batch).values() for batch in batches)))
 
 
-def test_procedural_objects_are_those_of_the_cpu(small_set):
-    batches = []
-    for device in ("cpu", "cuda"):
-        with join_team(device) as team:
-            planner = make_planner(_config(small_set, "unused", procedural=1.0), team)
-            batches.append(make_batch(planner.plan(3, 9, 4, 64), planner.views))
-    for expected, found in zip(*(vars(batch).values() for batch in batches)):
-        assert found.is_cuda
+@pytest.mark.parametrize("compiled", [False, True])
+def test_batches_are_those_of_the_cpu(small_set, compiled):
+    for expected, found in _batches(small_set, 32, compiled, augmentation=FAULTS):
+        torch.testing.assert_close(found.cpu(), expected, atol=1e-4, rtol=1e-6)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_procedural_objects_are_those_of_the_cpu(small_set, compiled):
+    for expected, found in _batches(small_set, 64, compiled, procedural=0.5):
         difference = (found.cpu() - expected).abs()  # a surfel at the border of seen and unseen may fall to either side
         assert difference.mean() < 1e-4 and difference.quantile(0.99) < 1e-3
 
@@ -81,14 +88,30 @@ def test_resumed_trainer_goes_on_alike(small_set, tmp_path):
             assert found == pytest.approx(expected, rel=1e-3, abs=1e-7)
 
 
-def test_a_batch_waits_for_nothing(small_set):
-    """Images are resident: what goes to the device are the numbers of a plan, and the host does not wait for them."""
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_batch_waits_for_nothing(small_set, compiled):
+    """Images are resident: what goes to the device are the numbers of a plan, and the host does not wait for them.
+    Procedural objects are there from the first step of their block on."""
     with join_team("cuda") as team:
-        planner = make_planner(_config(small_set, "unused"), team)
-        plan = planner.plan(0, 0, 4, 32)
+        planner = make_planner(_config(small_set, "unused", procedural=0.25, augmentation=FAULTS), team)
+        make_batch(planner.plan(0, 0, 4, 32), planner.views, compiled)
+        plan = planner.plan(1, 4, 4, 32)
         torch.cuda.set_sync_debug_mode("error")
         try:
-            make_batch(plan, planner.views)
+            make_batch(plan, planner.views, compiled)
         finally:
             torch.cuda.set_sync_debug_mode("default")
     assert sum(value.nbytes for value in vars(plan).values() if isinstance(value, torch.Tensor)) < 20_000
+
+
+def test_a_profile_times_the_device(small_set):
+    """Parts of a step add up to it, with and without a compiled network; the backward's come in their order."""
+    for flag in (False, True):
+        stages = [{"steps": 16, "image_size_px": 32, "objects": 4}]
+        began = time.perf_counter()
+        parts = profile(_config(small_set, "unused", device="cuda", compile=flag, stages=stages), steps=10, warm_up=6)
+        seconds = time.perf_counter() - began
+        assert [part.part for part in parts] == ["batch", "network", "rasterizer", "loss", "loss backward",
+                                                 "rasterizer backward", "network backward", "update"]
+        assert all(part.device_ms > 0 and part.host_ms > 0 for part in parts)
+        assert sum(part.device_ms for part in parts) < 1e3 * seconds

@@ -53,7 +53,7 @@ def _termination_noticed() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _plans(planner: BatchPlanner, config: TrainingConfig, start: int, team: Team) -> Iterator[BatchPlan]:
+def plans(planner: BatchPlanner, config: TrainingConfig, start: int, team: Team) -> Iterator[BatchPlan]:
     """This process's plans from step `start` on, each made while the step before it runs."""
     def plan(step: int) -> BatchPlan:
         stage, drawn = config.stage_at(step)
@@ -99,7 +99,7 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     decoded: dict[Path, Tensor] = {}
     _validate(trainer, log, decoded)  # owed by a run that ended between a checkpoint and its scores
     log.resume_clock()
-    for plan in _plans(planner, config, trainer.step, team):
+    for plan in plans(planner, config, trainer.step, team):
         ahead = trainer.advance(make_batch(plan, planner.views, config.compile), stop=bool(signals))
         # A step is read while the next one runs, so that the device always has work. All processes read the same.
         stop = behind is not None and _record(behind, log)

@@ -10,8 +10,9 @@ from torch import Tensor
 from lightfield_gs.models import ModelConfig, SplatterNet
 from training.config import TrainingConfig
 from training.data.batches import Batch
-from training.distributed import Team
+from training.distributed import MeanGradients, Team
 from training.losses import total_loss
+from training.marks import NoMarks
 from training.rendering import render_views
 from training.schedule import WeightAverage, learning_rate, make_optimizer
 
@@ -43,10 +44,13 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
 
 
 class Trainer:
-    """Network, averaged weights and optimizer of one run, and the step that advances them."""
+    """Network, averaged weights and optimizer of one run, and the step that advances them.
+
+    marks: told where the parts of a step end.
+    """
 
     def __init__(self, config: TrainingConfig, team: Team) -> None:
-        self.config, self.team, self.step = config, team, 0
+        self.config, self.team, self.step, self.marks = config, team, 0, NoMarks()
         torch.manual_seed(config.seed)
         net = _initial_net(config).to(team.device, memory_format=torch.channels_last)
         self.net = net.train()
@@ -56,29 +60,38 @@ class Trainer:
         if config.compile:  # sizes change between stages only
             self.net.compile(dynamic=False, mode="reduce-overhead" if team.device.type == "cuda" else None)
             self._loss = torch.compile(total_loss, dynamic=False)
-        self._replica = team.replicated(self.net)
+        self._gradients = MeanGradients(self._weights, team)
 
     def advance(self, batch: Batch, stop: bool = False) -> StepValues:
         """One optimizer step on this process's share of a batch. stop: whether this process has been told to end.
 
         On CUDA the step is queued, not finished, when this returns, but for what the rasterizer waits for.
         """
-        config, size, device = self.config, batch.targets.shape[-1], self.team.device
+        config, size, device, marks = self.config, batch.targets.shape[-1], self.team.device, self.marks
+        marks.mark("batch")
         # Dropout must not depend on how often the run was resumed.
         torch.manual_seed((config.seed << 32) + self.step * self.team.size + self.team.rank)
         rate = learning_rate(self.step, config.total_steps, config.optimizer)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         with torch.autocast(device.type, torch.bfloat16, enabled=config.bfloat16):
-            gaussians = self._replica(batch.source, batch.source_intrinsics)
+            gaussians = self.net(batch.source, batch.source_intrinsics)
+        marks.mark("network")
         images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
+        marks.mark("rasterizer")
         loss, terms = self._loss(images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source,
                                  config.loss)
+        marks.mark("loss")
+        marks.mark_at_gradient(images, "loss backward")
+        marks.mark_at_gradient(gaussians.means, "rasterizer backward")
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        marks.mark("network backward")
+        self._gradients.update()
         norm = torch.nn.utils.clip_grad_norm_(self._weights, config.optimizer.clip)
         self.optimizer.step()
         self.average.update(self.step)
+        marks.mark("update")
         self.step += 1
         told = torch.full((), float(stop), device=device)
         values = {"loss": loss.detach(), "gradient_norm": norm, **terms, "stop": told}
