@@ -1,6 +1,7 @@
 """Training batches: the images of a plan, cut out of the resident views and resized on their device."""
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import torch
@@ -36,7 +37,8 @@ def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) ->
     The host waits for nothing, but where a block of procedural objects begins (see training/data/procedural.py).
     """
     plan = on_device(plan, views.device)
-    batch = Batch(*fused(_stored_pictures, compiled)(plan, views), plan.world_to_camera, plan.backgrounds)
+    stored = dataclasses.replace(plan, procedural=None, photo=None)  # what else it has must not be compiled for
+    batch = Batch(*fused(_stored_pictures, compiled)(stored, views), plan.world_to_camera, plan.backgrounds)
     if plan.procedural is not None:
         made = plan.procedural.drawn(views.device, compiled)
         batch = Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), made)))
