@@ -9,7 +9,7 @@ from datetime import timedelta
 
 import torch
 import torch.distributed as dist
-from torch import Tensor
+from torch import Tensor, nn
 
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.errors import InputError
@@ -38,6 +38,10 @@ class Team:
         part = count // self.size
         return slice(self.rank * part, (self.rank + 1) * part)
 
+    def replicated(self, net: nn.Module) -> nn.Module:
+        """The network whose backward averages gradients over all processes; the same parameters."""
+        return net if self.size == 1 else nn.parallel.DistributedDataParallel(net)
+
     def mean(self, values: Tensor) -> Tensor:
         """The mean of each number over all processes."""
         if self.size > 1:
@@ -53,36 +57,6 @@ class Team:
         yield
         if self.size > 1 and self.leads:
             dist.barrier()
-
-
-class MeanGradients:
-    """Averages the gradients of parameters over a team, all in one message; as it begins all have the leader's values.
-
-    The whole backward of a compiled network ends at once, so there is nothing to send meanwhile.
-    """
-
-    def __init__(self, parameters: list[Tensor], team: Team) -> None:
-        self._parameters, self._team = parameters, team
-        if team.size == 1:
-            return
-        self._message = torch.zeros(sum(parameter.numel() for parameter in parameters), device=team.device)
-        parts = self._message.split([parameter.numel() for parameter in parameters])
-        # In the parameters' own layout, so that all are copied by a few kernels.
-        self._parts = [part.as_strided(parameter.shape, parameter.stride(), part.storage_offset())
-                       for part, parameter in zip(parts, parameters)]
-        torch._foreach_copy_(self._parts, [parameter.detach() for parameter in parameters])
-        dist.broadcast(self._message, 0)
-        torch._foreach_copy_([parameter.detach() for parameter in parameters], self._parts)
-
-    def update(self) -> None:
-        """Replaces the gradients, which this process's backward has made, by their means."""
-        if self._team.size == 1:
-            return
-        torch._foreach_copy_(self._parts, [parameter.grad for parameter in self._parameters])
-        self._message.div_(self._team.size)
-        dist.all_reduce(self._message)
-        for parameter, part in zip(self._parameters, self._parts):
-            parameter.grad = part
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from torch import Tensor
 from lightfield_gs.models import ModelConfig, SplatterNet
 from training.config import TrainingConfig
 from training.data.batches import Batch
-from training.distributed import MeanGradients, Team
+from training.distributed import Team
 from training.losses import total_loss
 from training.marks import NoMarks
 from training.rendering import render_views
@@ -60,7 +60,7 @@ class Trainer:
         if config.compile:  # sizes change between stages only
             self.net.compile(dynamic=False, mode="reduce-overhead" if team.device.type == "cuda" else None)
             self._loss = torch.compile(total_loss, dynamic=False)
-        self._gradients = MeanGradients(self._weights, team)
+        self._replica = team.replicated(self.net)
 
     def advance(self, batch: Batch, stop: bool = False) -> StepValues:
         """One optimizer step on this process's share of a batch. stop: whether this process has been told to end.
@@ -75,7 +75,7 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         with torch.autocast(device.type, torch.bfloat16, enabled=config.bfloat16):
-            gaussians = self.net(batch.source, batch.source_intrinsics)
+            gaussians = self._replica(batch.source, batch.source_intrinsics)
         marks.mark("network")
         images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
         marks.mark("rasterizer")
@@ -87,7 +87,6 @@ class Trainer:
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         marks.mark("network backward")
-        self._gradients.update()
         norm = torch.nn.utils.clip_grad_norm_(self._weights, config.optimizer.clip)
         self.optimizer.step()
         self.average.update(self.step)
