@@ -12,6 +12,7 @@ from torch import Tensor
 from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
+from lightfield_gs.quality import OPACITY_CUT
 from lightfield_gs.rig import Rig
 
 _FILL = 0.92  # share of the panel that the content fills
@@ -86,8 +87,13 @@ def _sizes(gaussians: Gaussians) -> Tensor:
 
 
 def _weights(gaussians: Gaussians) -> Tensor:
-    """Opacities [N] of the Gaussians that make up the scene, 0 of haze; what is usual depends on how it was made."""
+    """Opacities [N] of the Gaussians that make up the scene, 0 of haze; what is usual depends on how it was made.
+
+    Those too faint to be drawn do not count, unless all are: whoever left them out must find the same.
+    """
     opacities = gaussians.opacities.clamp_min(_LEAST_WEIGHT)
+    drawn = opacities >= OPACITY_CUT
+    opacities = torch.where(drawn | ~drawn.any(), opacities, 0)
     usual = opacities.double().square().sum() / opacities.double().sum()
     return torch.where(opacities >= _HAZE * usual, opacities, 0)
 

@@ -147,6 +147,15 @@ def test_framing_ignores_stray_and_invisible_gaussians():
     assert with_stray.zero_depth == pytest.approx(without.zero_depth, rel=0.2)
 
 
+def test_framing_is_the_same_without_what_is_never_drawn():
+    """However much of it there is, and although haze is measured by what is usual."""
+    places = np.concatenate([RNG.uniform(-1, 1, (500, 3)), RNG.uniform(-6, 6, (60, 3)), RNG.uniform(-6, 6, (4000, 3))])
+    opacities = np.concatenate([np.full(500, 0.9), RNG.uniform(0.07, 0.1, 60), np.full(4000, 0.003)])
+    frames = [Rig.frame(scene((places[:count] + [0, 0, 7]).tolist(), opacities=opacities[:count]), PANEL)
+              for count in (560, 4560)]
+    assert frames[0].to_dict() == frames[1].to_dict()
+
+
 def test_framing_keeps_small_parts():
     """A thin stalk, a two-hundredth of the scene, high on top of a box is shown whole."""
     stalk = RNG.uniform(-1, 1, (20, 3)) * [0.01, 0.05, 0.01] + [3, -2.8, 7]

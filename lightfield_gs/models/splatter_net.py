@@ -22,10 +22,9 @@ from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
 from lightfield_gs.models.initializer import describe_pixels, network_input
 from lightfield_gs.models.unet import UNet
 from lightfield_gs.paths import checked_path
+from lightfield_gs.quality import OPACITY_CUT
 
 PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"
-# Gaussians fainter than this are never drawn (the rasterizer's own threshold).
-_FAINTEST = 1 / 255
 
 
 class SplatterNet(nn.Module):
@@ -89,7 +88,7 @@ class SplatterNet(nn.Module):
     def seen_gaussians(self, cropped: Tensor) -> Gaussians:
         """Gaussians of a cropped picture, but for those too faint to be drawn. Waits for the device."""
         gaussians = self.all_gaussians(cropped, self.photo_intrinsics())
-        seen = gaussians.opacities >= _FAINTEST
+        seen = gaussians.opacities >= OPACITY_CUT
         return Gaussians(*(field[seen].contiguous() for field in gaussians.fields().values()))
 
     @property
