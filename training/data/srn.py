@@ -36,7 +36,7 @@ def _numbers(path: Path) -> list[list[float]]:
     try:
         return [[float(word) for word in line.split()] for line in path.read_text().splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise InputError(f"{path}: expected lines of numbers, but {error}") from None
+        raise InputError(f"{path}: expected lines of numbers, but {str(error)[:100]}") from None
 
 
 def read_intrinsics(path: Path) -> Intrinsics:

@@ -69,6 +69,13 @@ def _image_path(field: str, folder: Path, name: Any) -> Path:
     """The image file of a frame, with or without its extension in the file."""
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise InputError(f"{field}.file_path: expected the name of an image, got {_shown(name)}")
+    try:
+        return _found(field, folder, name)
+    except OSError as error:  # a name that no file can have
+        raise InputError(f"{field}.file_path: {_shown(name)}: {error.strerror}") from None
+
+
+def _found(field: str, folder: Path, name: str) -> Path:
     base = (folder / name).resolve()
     if not base.is_relative_to(folder.resolve()):
         raise InputError(f"{field}.file_path: {_shown(name)} leads out of {folder}; put the images into that folder")
