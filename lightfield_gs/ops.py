@@ -189,15 +189,21 @@ class LensArguments:
         return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
 
 
+def projected_lens(job: LensArguments, stats: Stats, threads: int, quality: Quality) -> Any:
+    """The workspace of a light field after its projection."""
+    with job.scene.guard, stats.stage("project"):
+        for order in job.colour_orders:
+            work = _workspace(job.scene, 1, job.width, job.height, order, stats, threads, lens=True)
+            stats.colour_error = work.project_lens(job.rig, job.lens, quality)
+            if stats.colour_error <= quality.colour_error:
+                break
+    return work
+
+
 def _lens_workspace(job: LensArguments, stats: Stats, threads: int, quality: Quality = EXACT) -> Any:
     """The workspace of a light field after all stages up to the composite."""
     with job.scene.guard:
-        with stats.stage("project"):
-            for order in job.colour_orders:
-                work = _workspace(job.scene, 1, job.width, job.height, order, stats, threads, lens=True)
-                stats.colour_error = work.project_lens(job.rig, job.lens, quality)
-                if stats.colour_error <= quality.colour_error:
-                    break
+        work = projected_lens(job, stats, threads, quality)
         work.order_and_bin()
     return work
 

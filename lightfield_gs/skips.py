@@ -45,7 +45,7 @@ def of_frame(state: dict[str, Any]) -> dict[str, Any]:
 
 
 def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
-    """What `encode` puts in stats["skipped"], a line each."""
+    """What `encode` puts in stats["skipped"], and an Encoder in its stats, a line each."""
     out = []
     if reasons := skipped.get("gaussians"):
         out.append(f"of {gaussians} Gaussians not drawn: " + ", ".join(f"{n} {why}" for why, n in reasons.items()))
@@ -59,4 +59,7 @@ def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
         out.append(f"lattices: {lattices['fit']} good enough, {lattices['split']} split, {lattices['refused']} refused")
     if "samples_stopped" in skipped:
         out.append(f"sub-pixels that ended early: {skipped['samples_stopped']}")
+    if reused := skipped.get("reused"):
+        out.append(f"of {skipped['frames']} frames drawn without a stage anew: " + ", ".join(
+            f"{stage} {n}" for stage, n in reused.items()))
     return out

@@ -193,12 +193,20 @@ class Workspace:
                                             self.native, self.threads)
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        """admit: see bin."""
+        return self.bin(*self.order(), admit)
+
+    def order(self) -> tuple[Tensor, Tensor]:
+        """Splats [I, N] int32, of which the first `drawn` [I] int64 are drawn, nearest first; and drawn."""
+        with self.stats.stage("order"):
+            order = self.scene.new(self.images, self.scene.count, dtype=torch.int32)
+            drawn = self.scene.new(self.images, dtype=torch.int64)
+            self.scene.core.order(self.native, order.data_ptr(), drawn.data_ptr(), self.threads)
+        return order, drawn
+
+    def bin(self, order: Tensor, drawn: Tensor, admit: Callable[[], bool] = lambda: True) -> bool:
         """admit: asked once `pairs` are counted, whether to go on; returns its answer."""
         scene, core, threads = self.scene, self.scene.core, self.threads
-        with self.stats.stage("order"):
-            order = scene.new(self.images, scene.count, dtype=torch.int32)
-            drawn = scene.new(self.images, dtype=torch.int64)
-            core.order(self.native, order.data_ptr(), drawn.data_ptr(), threads)
         with self.stats.stage("bin"):
             self.band_offsets = scene.new(self.offsets, dtype=torch.int64)
             bins = _core.Bins(self.band_offsets.data_ptr(), 0)
@@ -212,6 +220,10 @@ class Workspace:
         self.stats.gaussians_drawn += int(drawn.sum())
         self.stats.add_buffers(self.splats, self.colours, self.orders, order, drawn, self.lists)
         return True
+
+    def bin_as(self, other: Workspace) -> None:
+        """Takes over what `bin` made of the same splats."""
+        self._use_lists(other.lists)
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
         self.stats.count(self.scene.core.composite_dense(self.native, self.bins, cameras, background.data_ptr(), out,

@@ -86,6 +86,12 @@ def test_a_lattice_is_within_its_bound_of_the_oracle(lattice_frames):
     assert error.max() <= 2 * QUALITIES[quality].lattice_error
 
 
+def test_a_frame_takes_other_colours_into_the_lists_it_has(module, tmp_path):
+    for frames in drawn(module, "recoloured", tmp_path):
+        image, expected = frames["found"].pop("image"), frames["expected"].pop("image")
+        assert torch.equal(image, expected) and frames["found"] == frames["expected"]
+
+
 def test_images_and_gradients_are_those_of_float64(module, tmp_path):
     found = drawn(module, "dense", tmp_path)
     for name, expected in cases.dense_step(torch.float64).items():

@@ -15,7 +15,8 @@ namespace lfgs::cuda {
 // (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
 enum class LensKernel : int { kPixel, kPixelQuadratic, kOrdinal, kCount };
 
-// What one frame found out: written on the device, read by the host when it likes.
+// What one frame found out: written on the device, read by the host when it likes. pairs and drawn come from bin, the
+// rest from project and composite.
 struct FrameState {
   unsigned long long pairs;      // (tile, splat) pairs; when more than the capacity, composite walks all splats
   unsigned drawn;                // splats
@@ -94,7 +95,8 @@ struct LensFrame {
 };
 
 // The stages, in this order. gaussians: the frame's count and degree. Colours at order > 0: sh_degree > 0.
-void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, Stream stream);
+// keep_lists: order and bin will not follow, for only colours have changed since they last did.
+void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream);
 void frame_order(const LensFrame& frame, Stream stream);
 void frame_count(const LensFrame& frame, Stream stream);
 void frame_fill(const LensFrame& frame, Stream stream);  // after it state->pairs is known

@@ -8,6 +8,7 @@
 #include "math/footprint.h"
 #include "math/harmonics.h"
 
+#include <cstddef>
 #include <type_traits>
 
 namespace lfgs::cuda {
@@ -137,12 +138,14 @@ void project_lens(const Gaussians<const float>& gaussians, const View<double>& r
   check_launch("project_lens");
 }
 
-void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, Stream stream) {
+void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream) {
   require(gaussians.count == frame.splats.count && gaussians.sh_degree == frame.sh_degree,
           "a frame for " + std::to_string(frame.splats.count) + " Gaussians of degree " +
               std::to_string(frame.sh_degree) + " got " + std::to_string(gaussians.count) + " of degree " +
               std::to_string(gaussians.sh_degree));
-  check(cudaMemsetAsync(frame.state, 0, sizeof(FrameState), cudaStream_t(stream)), "project: clear the state");
+  const size_t kept = keep_lists ? offsetof(FrameState, colour_error) : 0;
+  char* state = reinterpret_cast<char*>(frame.state);
+  check(cudaMemsetAsync(state + kept, 0, sizeof(FrameState) - kept, cudaStream_t(stream)), "project: clear the state");
   if (gaussians.count) {
     const BasisTable basis{ColourBasis(frame.splats.colour_order)};
     with_order(frame.splats.colour_order, [&](auto order) {
