@@ -32,6 +32,7 @@ class Stats:
     memory_bytes_unchunked: dict[str, int] = field(default_factory=dict)
     images: int = 0
     gaussians_drawn: int = 0  # in all images
+    pruned: int = 0           # of a light field, see Quality
     colour_error: float = 0.0
     kernel: str | None = None  # that drew a light field on CUDA
     skipped: dict[str, Any] = field(default_factory=dict)  # of a light field, see skips.lines
@@ -66,7 +67,7 @@ class Stats:
         self.pairs += state["pairs"]
         self.images += 1
         self.gaussians_drawn += state["drawn"]
-        self.colour_error, self.kernel = state["colour_error"], state["kernel"]
+        self.colour_error, self.kernel, self.pruned = state["colour_error"], state["kernel"], state["pruned"]
         self.skipped = skips.of_frame(state)
         self.add_buffers(work)
 
@@ -236,6 +237,7 @@ class Workspace:
                                                   floats, bytes_, self.threads)
         self.stats.count(counters)
         if self.stats.device is not None:
+            self.stats.pruned = int((self.splats[..., _core.SPLAT_FIELDS - 2] == _core.PRUNED).sum())
             self.stats.skipped = skips.of_lens(counters, self.orders, self.splats, self.colour_order)
 
     def dense_backward(self, cameras: Any, background: Tensor, images: Any, gradients: Any,

@@ -42,6 +42,7 @@ void bind_lens_frame(py::module_ m) {
     out["exact"] = bool(state.exact);
     out["lattice_tiles"] = state.lattice_tiles;
     out["refused_tiles"] = state.refused_tiles;
+    out["pruned"] = state.pruned;
     return out;
   });
   m.def("frame_project", [](const LensFrame& frame, const G& g, bool keep_lists, Address stream) {

@@ -26,6 +26,7 @@ struct FrameState {
   unsigned next_tile[4];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
+  unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
   unsigned long long sums[8];    // see FrameSum, fixed point
 };
@@ -71,6 +72,7 @@ struct LensFrame {
   int key_bytes = 4;
   float tolerance = 0;       // of colour polynomials
   float cut = 0, stop = 0;   // of Quality: log2 of the opacity cut, transmittance at which a sample may end
+  float least_light = 0;     // see light_of: what has less is pruned
   float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
 
   // Parts of the work buffer

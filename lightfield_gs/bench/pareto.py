@@ -30,8 +30,9 @@ from lightfield_gs.rendering import encode
 from lightfield_gs.rig import Rig
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
-KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error")
-STOPS = (1e-2, 5e-2)  # no name has them: they pay in few scenes
+KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut")
+# Of no name: they pay in few scenes
+STOPS, CONTRIBUTIONS = (1e-2, 5e-2), (1e-2, 5e-2)
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,9 @@ class Subject:
 
 def settings() -> dict[str, Quality]:
     """Exact first, the other names, each knob alone at the values that the names give it, names without one knob."""
-    found = dict(QUALITIES) | {f"transmittance_stop {_value(stop)}": Quality(transmittance_stop=stop) for stop in STOPS}
+    found = dict(QUALITIES)
+    for knob, values in (("transmittance_stop", STOPS), ("contribution_cut", CONTRIBUTIONS)):
+        found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
     for knob in KNOBS:
         for name, quality in QUALITIES.items():
             value, without = getattr(quality, knob), getattr(EXACT, knob)

@@ -1,4 +1,4 @@
-"""python draw.py MODULE KERNEL|dense|lattice|recoloured OUT: the cases, drawn by the CUDA stages in a native module of build.py.
+"""python draw.py MODULE WHAT OUT: the cases, drawn by the CUDA stages in a native module of build.py.
 
 OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense.
 """
