@@ -234,6 +234,11 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, quality: Quality = EXA
         job = LensArguments(*arguments)
     if job.scene.tensors[0].is_cuda:
         return draw_frame(job, frame_kind(job, quality), as_bytes, stats)
+    return draw_lens(job, as_bytes, quality, stats, threads)
+
+
+def draw_lens(job: LensArguments, as_bytes: bool, quality: Quality, stats: Stats, threads: int) -> Tensor:
+    """The image of a light field on the CPU."""
     work = _lens_workspace(job, stats, threads, quality)
     with stats.stage("composite"):
         out = job.image(as_bytes)

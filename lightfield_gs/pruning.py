@@ -18,9 +18,9 @@ def prune(gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float)
     A Gaussian contributes its weights, alpha times the transmittance of what stands before it, in all sub-pixels. Those
     of the smallest sums are left out, as many as together stay within contribution_cut (0..1) of the sum that an opaque
     image has. For colours in 0..1 and any background the mean of |image - image of the whole scene| is then at most
-    contribution_cut (and 1e-4, at which samples end), and a sample's error at most the sum of the weights left out there.
-    Proof: take them away one by one, the farthest first. Each still has its weight w in a sample, and what it hid shows
-    in its stead: the sample changes by w (behind - own colour).
+    contribution_cut (and 1e-4, at which samples end), and a sample errs by the sum of the weights left out there at
+    most. Proof: take them away one by one, the farthest first. Each still has its weight w in a sample, and what it hid
+    shows in its stead: the sample changes by w (behind - own colour).
 
     Takes time and memory like a training step on one image of the panel, once for a scene. Other viewpoints than the
     rig's may show what was left out. gaussians: [N, ...], float32 or float64, CPU or CUDA. Raises InputError.

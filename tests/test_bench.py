@@ -296,6 +296,7 @@ def test_every_knob_stands_alone_and_is_left_out_once():
 
 @pytest.mark.parametrize("words", ["pareto --methods direct", "pareto --plot rows.txt", "--plot rows.png",
                                    "pareto --photo none.png", "pareto --threads 1,2", "pareto --model default",
+                                   "skips --threads 1,2", "skips --methods direct", "skips --photo a.png", "skips --plot rows.png",
                                    "--photo a.png", "--model default", "photo --photo none.png", "photo --model none",
                                    "photo --cone 5", "photo --scene sheet:4",
                                    "--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",
