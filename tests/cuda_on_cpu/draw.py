@@ -87,6 +87,9 @@ def main(what: str) -> object:
         first = cases.LATTICE_FRAMES[0]
         return [*found, lattice_frame(*first, degree=1), lattice_frame(*first, degree=0, share=0.5),
                 lattice_frame(*first, degree=0, dtype=torch.uint8)]
+    if what == "pruned":
+        panel = cases.panel_of("default")
+        return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
     if what == "recoloured":
         return [recoloured(*case, share) for case, share in zip(cases.LATTICE_FRAMES[1:], (1.0, 0.5, 1.0))]
     return [frame(what, *case) for case in cases.frames_of(what)]
