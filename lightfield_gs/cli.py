@@ -147,7 +147,7 @@ def _add_prune(commands: argparse._SubParsersAction) -> None:
     add("input", type=Path, metavar="INPUT", help="a standard 3DGS .ply")
     add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene without them")
     add("--contribution-cut", type=share, default=3e-4, metavar="SHARE",
-        help="0..1, mean error that colours of 0..1 may have for it (default 3e-4, about 50 dB)")
+        help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)")
     add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
         help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
     add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
