@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panel import Panel
     from lightfield_gs.photo_encoder import PhotoEncoder
+    from lightfield_gs.pruning import prune
     from lightfield_gs.quality import Quality
     from lightfield_gs.rendering import encode, interlace, render
     from lightfield_gs.rgbd import from_depth
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 _HOMES = {"Cameras": "cameras", "Encoder": "encoder", "Gaussians": "gaussians", "InputError": "errors",
           "Panel": "panel", "PhotoEncoder": "photo_encoder", "Quality": "quality", "Rig": "rig",
           "SortedPlan": "sorted_plan", "SplatterNet": "models", "encode": "rendering", "from_depth": "rgbd",
-          "interlace": "rendering", "load_photo": "io.photo", "render": "rendering"}
+          "interlace": "rendering", "load_photo": "io.photo", "prune": "pruning", "render": "rendering"}
 __all__ = [*_HOMES, "build_info"]
 __version__ = "0.1.0"
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from lightfield_gs.commands.values import background, byte_size, numbers, threads
+from lightfield_gs.commands.values import background, byte_size, numbers, share, threads
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL
 
@@ -63,6 +63,7 @@ def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=_Parser)
     _add_encode(commands)
+    _add_prune(commands)
     _add_simulate(commands)
     info = commands.add_parser("info", help="say what a file holds", allow_abbrev=False)
     info.add_argument("file", type=Path, metavar="FILE",
@@ -134,6 +135,25 @@ def _add_depth(encode: argparse.ArgumentParser) -> None:
     add("--fov", type=float, metavar="DEG", help="angle that the photo's longer side takes, degrees (default 60)")
     add("--intrinsics", type=numbers(4), metavar="FX,FY,CX,CY", help="in place of --fov: focal lengths and principal "
         "point of the photo, in its pixels, from the outer corner of the first")
+
+
+def _add_prune(commands: argparse._SubParsersAction) -> None:
+    prune = commands.add_parser(
+        "prune", help="leave out of a scene what hardly shows on a panel", allow_abbrev=False,
+        description="Writes a scene without the Gaussians that contribute least to its image on a panel, from all "
+        "viewpoints of the panel: it is drawn faster from then on.")
+    prune.set_defaults(module="lightfield_gs.commands.prune")
+    add = prune.add_argument
+    add("input", type=Path, metavar="INPUT", help="a standard 3DGS .ply")
+    add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene without them")
+    add("--contribution-cut", type=share, default=3e-4, metavar="SHARE",
+        help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)")
+    add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
+        help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
+    add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
+    add("--save-rig", type=Path, metavar="YAML",
+        help="write the rig that was used: automatic framing may see a pruned scene otherwise")
+    add("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where the scene is drawn (default auto)")
 
 
 def _add_simulate(commands: argparse._SubParsersAction) -> None:

@@ -3,91 +3,85 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from lightfield_gs import ops, rendering
+from lightfield_gs import rendering
 from lightfield_gs.errors import InputError, expect
+from lightfield_gs.encoder_cpu import STAGES, CpuFrames
+from lightfield_gs.encoder_cuda import CudaFrames
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
 
-if TYPE_CHECKING:
-    from lightfield_gs.frame_cuda import Frame, FrameKind
-
 
 class Encoder:
     """Draws the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
 
-    panel, rig, views, background, output ("uint8" or "float32") and quality are those of `encode`. On CUDA the whole
-    frame, from the Gaussians to the image, is one CUDA graph, captured for the tensors of the first call and replayed
-    as long as the same tensors come, whose values may change: nothing waits for the device then, and values are checked
-    at the capture only. Other tensors make another capture. On the CPU every call is an `encode`. No gradients. Raises
-    InputError.
+    panel, rig, views, background, output ("uint8" or "float32") and quality are those of `encode`. `rig` may be set
+    between frames, or altered: a moving zero plane, another cone, another pose. No gradients. Raises InputError.
+
+    Stages whose input is what it was in the frame before are not repeated, and the image is the same to the bit:
+    nothing changed: the image is there already; other colours: no order, no bins; another rig with the same pose: no
+    order. `stats` tells: {"frames": n, "reused": {stage: frames that did without it}}.
+
+    On the CPU values are compared with copies, so any change is seen. Each image is a tensor of its own. From frame to
+    frame it keeps projected Gaussians, bins and, where nothing changes, an image.
+
+    On CUDA a comparison would wait for the device. The whole frame, from the Gaussians to the image, is one CUDA graph,
+    captured for the tensors of the first call and replayed in full as long as the same tensors come, whose values may
+    change: nothing waits for the device then, and values are checked at the capture only. Other tensors make another
+    capture, and so does another rig the second time that it is seen; the first time the same kernels are launched one
+    by one. versioned=True promises that values change by torch's own in-place operations alone, which count them: then
+    the same tensors, or the same but for sh, count as unchanged; order and bins are kept for other colours, but not for
+    another rig. What torch does not count are changes through .data, DLPack, CUDA graphs and kernels of one's own: call
+    `forget` after those. Inference tensors count nothing and are always drawn.
     """
 
     def __init__(self, panel: Panel, rig: Rig, *, views: str = "integer",
                  background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8",
-                 quality: str | Quality = "exact"):
+                 quality: str | Quality = "exact", versioned: bool = False):
         rendering.check_options("direct", views, output)
         expect("panel", panel, Panel)
         expect("rig", rig, Rig)
+        expect("versioned", versioned, bool)
         rendering.background_tensor(background, torch.empty(0))
         self.quality = Quality.of(quality)
         if output == "float64" and not self.quality.is_exact:
             raise InputError("quality is for output 'uint8' or 'float32': 'float64' is exact only")
         self.panel, self.rig, self.views, self.background, self.output = panel, rig, views, background, output
-        self._arguments = rendering.lens_arguments(panel, rig, views == "continuous")
-        self._captured: _Capture | None = None
+        self.versioned = versioned
+        self.stats: dict[str, Any] = {"frames": 0, "reused": dict.fromkeys(STAGES, 0)}
+        self.forget()
+
+    def forget(self) -> None:
+        """Has the next frame drawn in full, and gives back the memory that was kept for it."""
+        self._frames: CpuFrames | CudaFrames | None = None
 
     @torch.no_grad()
     def __call__(self, gaussians: Gaussians) -> Tensor:
         """The image [H, W, 3]. On CUDA it is the same tensor every time: the next call draws over it."""
         expect("gaussians", gaussians, Gaussians)
+        expect("rig", self.rig, Rig)
         gaussians.validate_layout()
-        fields = list(gaussians.fields().values())
-        if not (gaussians.means.is_cuda and self.output != "float64"
-                and all(t.dtype == torch.float32 and t.is_contiguous() for t in fields)):
+        if gaussians.is_batched:
+            raise InputError(f"an Encoder takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
+        on_cuda, as_bytes = gaussians.means.is_cuda, self.output == "uint8"
+        if on_cuda and not (self.output != "float64" and all(t.dtype == torch.float32 and t.is_contiguous()
+                                                             for t in gaussians.fields().values())):
+            self.stats["frames"] += 1
             return rendering.encode(gaussians, self.panel, self.rig, views=self.views, background=self.background,
                                     output=self.output, quality=self.quality)
-        if self._captured is None or not self._captured.reads(fields):
-            gaussians.validate()
-            background = rendering.background_tensor(self.background, gaussians.means).reshape(-1)
-            self._captured = _Capture(fields, background, self._arguments, self.output == "uint8",
-                                      self.quality)
-        return self._captured.replay()
-
-
-class _Capture:
-    """One frame as a CUDA graph."""
-
-    def __init__(self, fields: list[Tensor], background: Tensor, arguments: tuple, as_bytes: bool,
-                 quality: Quality):
-        self.fields = fields
-        self.job = ops.LensArguments(*fields, background, *arguments)
-        self.kind: FrameKind = ops.frame_kind(self.job, quality)
-        with self.job.scene.guard:
-            self.image = self.job.image(as_bytes)
-            self._capture()
-
-    def reads(self, fields: list[Tensor]) -> bool:
-        return all(a.data_ptr() == b.data_ptr() and a.shape == b.shape for a, b in zip(self.fields, fields))
-
-    def replay(self) -> Tensor:
-        with self.job.scene.guard:
-            if self.kind.adapt():
-                self._capture()
-            self.graph.replay()
-            self.kind.mark()
-        return self.image
-
-    def _capture(self) -> None:
-        self.frame: Frame = self.kind.frame(self.job.scene)
-        torch.cuda.synchronize()
-        self.graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(self.graph):
-            self.frame.draw(self.job.background, self.image)
-            self.kind.note(self.frame)
+        if not isinstance(self._frames, CudaFrames if on_cuda else CpuFrames):
+            precision = torch.float64 if self.output == "float64" else torch.float32
+            self._frames = (CudaFrames(as_bytes, self.quality, self.versioned) if on_cuda
+                            else CpuFrames(precision, as_bytes, self.quality))
+        arguments = rendering.lens_arguments(self.panel, self.rig, self.views == "continuous")
+        image, kept = self._frames.draw(gaussians, self.background, arguments)
+        self.stats["frames"] += 1
+        for stage in kept:
+            self.stats["reused"][stage] += 1
+        return image

@@ -48,8 +48,9 @@ class Frame:
     def stream(self) -> int:
         return torch.cuda.current_stream(self.work.device).cuda_stream
 
-    def project(self) -> None:
-        _core.cuda.frame_project(self.native, self.scene.native(), self.stream)
+    def project(self, keep_lists: bool = False) -> None:
+        """keep_lists: only colours are others than when these splats were ordered and binned."""
+        _core.cuda.frame_project(self.native, self.scene.native(), keep_lists, self.stream)
 
     def order(self) -> None:
         _core.cuda.frame_order(self.native, self.stream)
@@ -64,16 +65,17 @@ class Frame:
         floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
         _core.cuda.frame_composite(self.native, background.data_ptr(), floats, bytes_, self.stream)
 
-    def draw(self, background: Tensor, out: Tensor, stats: Stats | None = None) -> None:
-        """All stages, in order."""
+    def draw(self, background: Tensor, out: Tensor, stats: Stats | None = None, keep_lists: bool = False) -> None:
+        """All stages, in order; keep_lists: see project, without order and bin."""
         stats = stats or Stats()
         with stats.stage("project"):
-            self.project()
-        with stats.stage("order"):
-            self.order()
-        with stats.stage("bin"):
-            self.count()
-            self.fill()
+            self.project(keep_lists)
+        if not keep_lists:
+            with stats.stage("order"):
+                self.order()
+            with stats.stage("bin"):
+                self.count()
+                self.fill()
         with stats.stage("composite"):
             self.composite(background, out)
 
@@ -106,6 +108,10 @@ class FrameKind:
         self.colour_order = colour_orders[0]
         self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
         self.noted: torch.cuda.Event | None = None  # after it `host` holds the state of a frame
+
+    def draws(self, scene: Scene) -> bool:
+        """Whether it may draw such a scene; of any number of Gaussians, if it is one's own."""
+        return scene.tensors[0].device == self.device and (scene.degree == 0) == (self.orders == (0,))
 
     def frame(self, scene: Scene) -> Frame:
         """A frame that is large enough, as far as known. The first waits for the device, later ones do not."""

@@ -189,15 +189,21 @@ class LensArguments:
         return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
 
 
+def projected_lens(job: LensArguments, stats: Stats, threads: int, quality: Quality) -> Any:
+    """The workspace of a light field after its projection."""
+    with job.scene.guard, stats.stage("project"):
+        for order in job.colour_orders:
+            work = _workspace(job.scene, 1, job.width, job.height, order, stats, threads, lens=True)
+            stats.colour_error = work.project_lens(job.rig, job.lens, quality)
+            if stats.colour_error <= quality.colour_error:
+                break
+    return work
+
+
 def _lens_workspace(job: LensArguments, stats: Stats, threads: int, quality: Quality = EXACT) -> Any:
     """The workspace of a light field after all stages up to the composite."""
     with job.scene.guard:
-        with stats.stage("project"):
-            for order in job.colour_orders:
-                work = _workspace(job.scene, 1, job.width, job.height, order, stats, threads, lens=True)
-                stats.colour_error = work.project_lens(job.rig, job.lens, quality)
-                if stats.colour_error <= quality.colour_error:
-                    break
+        work = projected_lens(job, stats, threads, quality)
         work.order_and_bin()
     return work
 
@@ -228,6 +234,11 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, quality: Quality = EXA
         job = LensArguments(*arguments)
     if job.scene.tensors[0].is_cuda:
         return draw_frame(job, frame_kind(job, quality), as_bytes, stats)
+    return draw_lens(job, as_bytes, quality, stats, threads)
+
+
+def draw_lens(job: LensArguments, as_bytes: bool, quality: Quality, stats: Stats, threads: int) -> Tensor:
+    """The image of a light field on the CPU."""
     work = _lens_workspace(job, stats, threads, quality)
     with stats.stage("composite"):
         out = job.image(as_bytes)

@@ -28,6 +28,11 @@ class Quality:
         root mean square over a run of tiles (on CUDA: a tile) larger than a fifth; else the lattice is refined, split
         or given up. Between corners and middles it is what a smooth field leaves it, not bounded. Colours on a lattice
         end at 0 and 1. 0: no lattice.
+    contribution_cut: 0..1; a Gaussian is left out whose alphas, summed over all sub-pixels of the panel as if nothing
+        hid it, are less than its even share of this: contribution_cut * sub-pixels / Gaussians. A sample changes by at
+        most the sum of the alphas left out there, and the mean of all samples by at most this; for the sums are taken
+        as integrals, where Gaussians are not few. Pays in captures of many small Gaussians, not where all are alike.
+        `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
     Raises InputError for numbers out of their ranges.
     """
 
@@ -35,10 +40,12 @@ class Quality:
     transmittance_stop: float = TRANSMITTANCE_STOP
     colour_error: float = COLOUR_ERROR
     lattice_error: float = 0.0
+    contribution_cut: float = 0.0
 
     def __post_init__(self) -> None:
         for name, low, high in (("opacity_cut", OPACITY_CUT, 0.5), ("transmittance_stop", TRANSMITTANCE_STOP, 0.5),
-                                ("colour_error", 0.0, 1.0), ("lattice_error", 0.0, 1.0)):
+                                ("colour_error", 0.0, 1.0), ("lattice_error", 0.0, 1.0),
+                                ("contribution_cut", 0.0, 1.0)):
             real_number(f"quality: {name}", getattr(self, name), low, high)
 
     @staticmethod
@@ -58,7 +65,7 @@ class Quality:
     @cached_property
     def native(self) -> Any:
         return _core.Quality(opacity_cut=self.opacity_cut, transmittance_stop=self.transmittance_stop,
-                             lattice=self.lattice_error)
+                             lattice=self.lattice_error, contribution=self.contribution_cut)
 
 
 EXACT = Quality()

@@ -128,7 +128,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
         _report(counters, gaussians, panel, stats)
         if method == "direct":
             drawn = gaussians.count - stats["gaussians_culled"]
-            stats["skipped"] = {"gaussians": skips.culled(gaussians, rig, drawn), **counters.skipped}
+            stats["skipped"] = {"gaussians": skips.culled(gaussians, rig, drawn, counters.pruned), **counters.skipped}
     return image
 
 

@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 NEAR_DEPTH = 0.01  # scene units
 
 
-def culled(gaussians: Gaussians, rig: Rig, drawn: int) -> dict[str, int]:
+def culled(gaussians: Gaussians, rig: Rig, drawn: int, pruned: int) -> dict[str, int]:
     """Gaussians that are not drawn, by the first reason that holds: behind (or nearer than the near plane), faint
-    (opacity below 1/255), outside the panel from every camera of the rig (or of no shape: a quaternion of zeros)."""
+    (opacity below 1/255), outside the panel from every camera of the rig (or of no shape: a quaternion of zeros; or
+    nowhere above a raised opacity cut), pruned (Quality.contribution_cut)."""
     pose = torch.as_tensor(rig.world_to_camera, dtype=torch.float64, device=gaussians.means.device)
     behind = gaussians.means.double() @ pose[2, :3] + pose[2, 3] < NEAR_DEPTH
     faint = ~behind & (gaussians.opacities.double() * 255 < 1)
-    counts = {"behind": int(behind.sum()), "faint": int(faint.sum())}
+    counts = {"behind": int(behind.sum()), "faint": int(faint.sum()), "pruned": pruned}
     return {**counts, "outside": gaussians.count - drawn - sum(counts.values())}
 
 
@@ -45,7 +46,7 @@ def of_frame(state: dict[str, Any]) -> dict[str, Any]:
 
 
 def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
-    """What `encode` puts in stats["skipped"], a line each."""
+    """What `encode` puts in stats["skipped"], and an Encoder in its stats, a line each."""
     out = []
     if reasons := skipped.get("gaussians"):
         out.append(f"of {gaussians} Gaussians not drawn: " + ", ".join(f"{n} {why}" for why, n in reasons.items()))
@@ -59,4 +60,7 @@ def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
         out.append(f"lattices: {lattices['fit']} good enough, {lattices['split']} split, {lattices['refused']} refused")
     if "samples_stopped" in skipped:
         out.append(f"sub-pixels that ended early: {skipped['samples_stopped']}")
+    if reused := skipped.get("reused"):
+        out.append(f"of {skipped['frames']} frames drawn without a stage anew: " + ", ".join(
+            f"{stage} {n}" for stage, n in reused.items()))
     return out

@@ -32,6 +32,7 @@ class Stats:
     memory_bytes_unchunked: dict[str, int] = field(default_factory=dict)
     images: int = 0
     gaussians_drawn: int = 0  # in all images
+    pruned: int = 0           # of a light field, see Quality
     colour_error: float = 0.0
     kernel: str | None = None  # that drew a light field on CUDA
     skipped: dict[str, Any] = field(default_factory=dict)  # of a light field, see skips.lines
@@ -66,7 +67,7 @@ class Stats:
         self.pairs += state["pairs"]
         self.images += 1
         self.gaussians_drawn += state["drawn"]
-        self.colour_error, self.kernel = state["colour_error"], state["kernel"]
+        self.colour_error, self.kernel, self.pruned = state["colour_error"], state["kernel"], state["pruned"]
         self.skipped = skips.of_frame(state)
         self.add_buffers(work)
 
@@ -193,12 +194,20 @@ class Workspace:
                                             self.native, self.threads)
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        """admit: see bin."""
+        return self.bin(*self.order(), admit)
+
+    def order(self) -> tuple[Tensor, Tensor]:
+        """Splats [I, N] int32, of which the first `drawn` [I] int64 are drawn, nearest first; and drawn."""
+        with self.stats.stage("order"):
+            order = self.scene.new(self.images, self.scene.count, dtype=torch.int32)
+            drawn = self.scene.new(self.images, dtype=torch.int64)
+            self.scene.core.order(self.native, order.data_ptr(), drawn.data_ptr(), self.threads)
+        return order, drawn
+
+    def bin(self, order: Tensor, drawn: Tensor, admit: Callable[[], bool] = lambda: True) -> bool:
         """admit: asked once `pairs` are counted, whether to go on; returns its answer."""
         scene, core, threads = self.scene, self.scene.core, self.threads
-        with self.stats.stage("order"):
-            order = scene.new(self.images, scene.count, dtype=torch.int32)
-            drawn = scene.new(self.images, dtype=torch.int64)
-            core.order(self.native, order.data_ptr(), drawn.data_ptr(), threads)
         with self.stats.stage("bin"):
             self.band_offsets = scene.new(self.offsets, dtype=torch.int64)
             bins = _core.Bins(self.band_offsets.data_ptr(), 0)
@@ -213,6 +222,10 @@ class Workspace:
         self.stats.add_buffers(self.splats, self.colours, self.orders, order, drawn, self.lists)
         return True
 
+    def bin_as(self, other: Workspace) -> None:
+        """Takes over what `bin` made of the same splats."""
+        self._use_lists(other.lists)
+
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
         self.stats.count(self.scene.core.composite_dense(self.native, self.bins, cameras, background.data_ptr(), out,
                                                          self.threads))
@@ -224,6 +237,7 @@ class Workspace:
                                                   floats, bytes_, self.threads)
         self.stats.count(counters)
         if self.stats.device is not None:
+            self.stats.pruned = int((self.splats[..., _core.SPLAT_FIELDS - 2] == _core.PRUNED).sum())
             self.stats.skipped = skips.of_lens(counters, self.orders, self.splats, self.colour_order)
 
     def dense_backward(self, cameras: Any, background: Tensor, images: Any, gradients: Any,

@@ -289,13 +289,17 @@ def test_pareto_front_is_what_nothing_beats():
 
 def test_every_knob_stands_alone_and_is_left_out_once():
     chosen = pareto.settings()
-    alone = [name for name, quality in chosen.items() if sum(
+    alone = [name for name, (quality, _) in chosen.items() if sum(
         getattr(quality, knob) != getattr(EXACT, knob) for knob in pareto.KNOBS) == 1]
+    pruned = {name: setting for name, setting in chosen.items() if setting.pruned}
+    assert {setting.quality for setting in pruned.values()} == {EXACT, QUALITIES["fast"]} and len(pruned) == 4
     assert {name.split()[0] for name in alone} == {field.name for field in fields(Quality)}
 
 
 @pytest.mark.parametrize("words", ["pareto --methods direct", "pareto --plot rows.txt", "--plot rows.png",
                                    "pareto --photo none.png", "pareto --threads 1,2", "pareto --model default",
+                                   "skips --threads 1,2", "skips --methods direct", "skips --photo a.png",
+                                   "skips --plot rows.png",
                                    "--photo a.png", "--model default", "photo --photo none.png", "photo --model none",
                                    "photo --cone 5", "photo --scene sheet:4",
                                    "--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",

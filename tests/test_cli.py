@@ -72,7 +72,7 @@ def test_encode_prints_what_was_skipped(folder, capsys):
     plain = run(capsys, "encode s.ply -o o.png --panel p.yaml")
     shown = run(capsys, "encode s.ply -o o.png --panel p.yaml --stats").splitlines()
     assert len(plain.splitlines()) == 2 and shown[2].startswith("pairs of tile and Gaussian: ")
-    assert re.fullmatch(r"of 60 Gaussians not drawn: \d+ behind, \d+ faint, \d+ outside", shown[3])
+    assert re.fullmatch(r"of 60 Gaussians not drawn: \d+ behind, \d+ faint, \d+ pruned, \d+ outside", shown[3])
     for start in ("colours by polynomial order", "tiles: ", "lattices: 0 good enough", "sub-pixels that ended early: ",
                   "evaluations per sub-pixel: "):
         assert any(line.startswith(start) for line in shown)

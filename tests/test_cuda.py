@@ -8,7 +8,7 @@ import torch
 
 from cuda_on_cpu.cases import LATTICE_FRAMES, lattice_frame
 
-from lightfield_gs import Encoder, Gaussians, InputError, Panel, Rig, _core, encode, frame_cuda, render
+from lightfield_gs import Encoder, Gaussians, InputError, Panel, Quality, Rig, _core, encode, frame_cuda, prune, render
 from lightfield_gs.bench.scenes import cloud, sheet
 from lightfield_gs.quality import QUALITIES
 
@@ -122,6 +122,27 @@ def test_an_exact_frame_has_no_lattice(scene):
     assert "tiles" not in stats["skipped"]
 
 
+@pytest.mark.parametrize("kernel", _core.cuda.FRAME_KERNELS if hasattr(_core, "cuda") else [])
+def test_a_frame_is_pruned_as_on_the_cpu(scene, kernel, monkeypatch):
+    monkeypatch.setattr(frame_cuda, "forced_kernel", kernel)
+    panel, stats = Panel(**LENS), ({}, {})
+    scene.scales.mul_(0.4)
+    options = dict(quality=Quality(contribution_cut=0.4), output="float32")
+    expected, found = (encode(s, panel, rig(panel), stats=counted, **options)
+                       for s, counted in zip((scene, on_gpu(scene)), stats))
+    pruned = [counted["skipped"]["gaussians"]["pruned"] for counted in stats]
+    assert 0 < pruned[0] == pruned[1] < scene.count
+    assert far_apart(expected, found) <= 3
+
+
+def test_a_scene_is_pruned_as_on_the_cpu(scene):
+    panel, cut = Panel(**LENS), 0.01
+    expected, found = (prune(s, panel, rig(panel), cut) for s in (scene, on_gpu(scene)))
+    assert found.means.is_cuda and abs(found.count - expected.count) <= 2 + scene.count // 1000
+    whole, fewer = (encode(s, panel, rig(panel), output="float32") for s in (on_gpu(scene), found))
+    assert 0 < (whole.clamp(0, 1) - fewer.clamp(0, 1)).abs().mean() <= cut + 1e-4
+
+
 @pytest.mark.parametrize("quality", ["high", "fast", "draft"])
 def test_an_empty_light_field_of_any_quality(quality):
     panel = Panel(**LENS)
@@ -134,33 +155,6 @@ def test_bytes_are_the_rounded_floats(scene):
     panel = Panel(**LENS)
     floats, bytes_ = (encode(on_gpu(scene), panel, rig(panel), output=output) for output in ("float32", "uint8"))
     assert torch.equal(bytes_, (255 * floats.clamp(0, 1) + 0.5).to(torch.uint8))
-
-
-@pytest.mark.parametrize("views", ["integer", "continuous"])
-def test_an_encoder_replays_frames(scene, views):
-    panel, scene = Panel(**LENS), on_gpu(scene)
-    encoder = Encoder(panel, rig(panel), views=views, background=BACKGROUND)
-    options = dict(views=views, background=BACKGROUND)
-    assert torch.equal(encoder(scene), encode(scene, panel, rig(panel), **options))
-    graph = encoder._captured.graph
-    scene.means[:, 2] += 0.3  # the same tensors with other values: replayed
-    assert torch.equal(encoder(scene), encode(scene, panel, rig(panel), **options))
-    assert encoder._captured.graph is graph
-    fewer = Gaussians(*(t[::2].contiguous() for t in scene.fields().values()))
-    assert torch.equal(encoder(fewer), encode(fewer, panel, rig(panel), **options))
-
-
-def test_an_encoder_makes_room_when_a_scene_grows(scene):
-    panel, scene = Panel(**LENS), on_gpu(scene)
-    encoder = Encoder(panel, rig(panel))
-    scene.scales.mul_(0.1)
-    encoder(scene)
-    scene.scales.mul_(30)
-    expected = encode(Gaussians(*(t.clone() for t in scene.fields().values())), panel, rig(panel))
-    for _ in range(3):
-        assert most_apart(encoder(scene), expected) <= 1
-        torch.cuda.synchronize()
-    assert encoder._captured.kind.capacity >= encoder._captured.frame.state()["pairs"]
 
 
 def test_more_pairs_than_31_bits_number(monkeypatch):

@@ -86,6 +86,21 @@ def test_a_lattice_is_within_its_bound_of_the_oracle(lattice_frames):
     assert error.max() <= 2 * QUALITIES[quality].lattice_error
 
 
+def test_a_frame_is_pruned_as_on_the_cpu(module, tmp_path):
+    found, panel, stats = drawn(module, "pruned", tmp_path), cases.panel_of("default"), {}
+    scene = cases.scene_of(3)
+    expected = encode(scene, panel, cases.rig_of(panel), background=cases.BACKGROUND, output="float32",
+                      quality=cases.PRUNING, stats=stats)
+    assert 0 < found["pruned"] == stats["skipped"]["gaussians"]["pruned"] < scene.count
+    assert found["drawn"] == scene.count - stats["gaussians_culled"] and ((found["image"] - expected)**2).mean() < 1e-7
+
+
+def test_a_frame_takes_other_colours_into_the_lists_it_has(module, tmp_path):
+    for frames in drawn(module, "recoloured", tmp_path):
+        image, expected = frames["found"].pop("image"), frames["expected"].pop("image")
+        assert torch.equal(image, expected) and frames["found"] == frames["expected"]
+
+
 def test_images_and_gradients_are_those_of_float64(module, tmp_path):
     found = drawn(module, "dense", tmp_path)
     for name, expected in cases.dense_step(torch.float64).items():

@@ -148,7 +148,7 @@ def test_nothing_to_draw_leaves_the_background(method, views, kind):
     assert torch.equal(image, torch.tensor(BACKGROUND, dtype=torch.float64).expand_as(image))
     assert stats["pairs"] == 0 and stats["evaluations"] == 0 and stats["gaussians_culled"] == scene.count
     if method == "direct":
-        reasons = {"behind": 0, "faint": 0, "outside": 0} | ({kind: 30} if kind != "none" else {})
+        reasons = {"behind": 0, "faint": 0, "pruned": 0, "outside": 0} | ({kind: 30} if kind != "none" else {})
         assert stats["skipped"]["gaussians"] == reasons and stats["skipped"]["tiles"]["drawn"] == 0
         assert stats["skipped"]["tiles"]["empty"] > 0 and stats["skipped"]["samples_stopped"] == 0
 
@@ -184,7 +184,8 @@ def test_stats_tell_what_was_done(method):
     if method == "direct":
         assert 7 <= stats["gaussians_culled"] < 2000
         skipped = stats["skipped"]
-        assert skipped["gaussians"] == {"behind": 7, "faint": 0, "outside": stats["gaussians_culled"] - 7}
+        assert skipped["gaussians"] == {"behind": 7, "faint": 0, "pruned": 0,
+                                        "outside": stats["gaussians_culled"] - 7}
         assert skipped["colour_orders"] == [2000 - stats["gaussians_culled"]]
         assert skipped["tiles"]["drawn"] > 0 and skipped["lattices"] == {"fit": 0, "split": 0, "refused": 0}
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from rasterizer_cases import PANELS, all_subpixels, panel, random_scene, rig
 
-from lightfield_gs import Encoder, InputError, Quality, encode, reference
+from lightfield_gs import Encoder, Gaussians, InputError, Quality, encode, reference
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import QUALITIES
@@ -46,6 +46,49 @@ def test_opacity_cut(name):
     for cut in (0.02, 0.1):
         error, margins = errors(scene, shown, fan, Quality(opacity_cut=cut))
         assert np.all((error <= cut * reached(scene, shown, fan) + FLOAT_ERROR)[margins > 1e-3])
+
+
+def alphas(scene, shown, fan) -> np.ndarray:
+    """Of every sub-pixel, the sum of the alphas of all Gaussians of 1/255 and more."""
+    rows, columns, channels = all_subpixels(shown)
+    offsets = reference.lens_offsets(shown, fan, reference.lens_views(shown, rows, columns, channels))
+    samples = Samples(*(torch.as_tensor(a, dtype=torch.float64) for a in (columns + 0.5, rows + 0.5, offsets)))
+    projection = Projection(Scene.of(scene), reference.rig_eye(shown, fan))
+    sample, gaussian = projection.pairs(samples)
+    alpha = projection.alpha(gaussian, samples=Samples(samples.columns[sample], samples.rows[sample],
+                                                       samples.offsets[sample]))
+    return torch.bincount(sample, torch.where(alpha >= ALPHA_MIN * (1 - 1e-6), alpha, 0), minlength=len(rows)).numpy()
+
+
+@pytest.mark.parametrize("name", [name for name in LENSES if not name.startswith("one ") or name == "one view"])
+@pytest.mark.parametrize("other", [{}, dict(opacity_cut=1 / 50), dict(opacity_cut=1 / 50, lattice_error=1e-9)])
+def test_contribution_cut(name, other):
+    """Specks are left out, what is large is not; a sample errs by the alphas of its specks at most."""
+    shown, large, specks = panel(name), random_scene(20, size=0.3), random_scene(300, seed=1, size=1e-3)
+    fan, pixels = rig(shown), shown.width_px * shown.height_px
+    cut = 2.2 * 320 / pixels  # for each 2.2 pixels; a speck is one of a variance of 0.3 px^2
+    scene = Gaussians(*(torch.cat(pair).float() for pair in zip(specks.fields().values(), large.fields().values())))
+    stats = {}
+    images = [encode(scene, shown, fan, quality=Quality(**other, **knob), background=(0.1, 0.5, 0.9), output="float32",
+                     stats=stats).numpy().ravel() for knob in ({}, dict(contribution_cut=cut))]
+    error, allowed = np.abs(images[1] - images[0]), alphas(specks, shown, fan)
+    raised = other.get("opacity_cut", ALPHA_MIN) - ALPHA_MIN
+    assert np.all(error <= allowed + raised * reached(specks, shown, fan) + FLOAT_ERROR)
+    assert error.mean() <= cut and error.max() > 0.1
+    assert 100 < stats["skipped"]["gaussians"]["pruned"] <= 300
+
+
+def test_a_contribution_cut_is_the_mean_error_at_most():
+    scene, place = cloud(1000), part_of_panel(40.0)
+    scene.means[:, 1] *= 0.01  # all before the piece
+    scene.scales *= 0.02
+    exact, pruned = encode(scene, *place, output="float32"), 0
+    for cut in (0.003, 0.03, 0.3):
+        stats = {}
+        image = encode(scene, *place, output="float32", quality=Quality(contribution_cut=cut), stats=stats)
+        assert (image - exact).abs().mean() <= cut and stats["skipped"]["gaussians"]["pruned"] >= pruned
+        pruned = stats["skipped"]["gaussians"]["pruned"]
+    assert pruned > 100
 
 
 @pytest.mark.parametrize("lattice_error", [0.0, 1e-9])  # the cut is raised in two places; this lattice never fits
@@ -112,6 +155,16 @@ def test_lattice_on_every_panel(name, views):
     assert error.max() <= 0.2
 
 
+@pytest.mark.parametrize("allowed", [1e-30, 1e-9, 1e-6])
+def test_a_lattice_that_would_be_endlessly_fine_is_refused(allowed):
+    parts = [random_scene(20, size=0.3, dtype=torch.float32), random_scene(300, size=1e-3, dtype=torch.float32)]
+    scene = Gaussians(*(torch.cat(pair) for pair in zip(*(part.fields().values() for part in parts))))
+    shown, stats = panel("default lens"), {}
+    images = [encode(scene, shown, rig(shown), quality=quality, output="float32", stats=stats).clamp(0, 1)
+              for quality in (Quality(), Quality(lattice_error=allowed))]
+    assert stats["skipped"]["lattices"]["refused"] > 0 and (images[0] - images[1]).abs().max() < FLOAT_ERROR
+
+
 def test_lattice_spares_evaluations():
     counted = {}
     for quality in ("exact", "high"):
@@ -145,7 +198,8 @@ def test_nothing_to_draw(name):
 
 
 @pytest.mark.parametrize("bad", [dict(opacity_cut=0.001), dict(opacity_cut=float("nan")), dict(transmittance_stop=0.9),
-                                 dict(transmittance_stop=True), dict(colour_error=-1), dict(lattice_error="coarse")])
+                                 dict(transmittance_stop=True), dict(colour_error=-1), dict(lattice_error="coarse"),
+                                 dict(contribution_cut=2)])
 def test_numbers_out_of_range_are_refused(bad):
     with pytest.raises(InputError, match=next(iter(bad))):
         Quality(**bad)

@@ -29,7 +29,7 @@ CALLS = {
     "Cameras": (Cameras, {name: getattr(CAMERAS, name) for name in (
         "world_to_camera", "focal_px", "principal_point_px", "width_px", "height_px", "jacobian_limits")}),
     "Encoder": (Encoder, dict(panel=PANEL, rig=RIG, views="integer", background=(1, 1, 1), output="uint8",
-                              quality="fast")),
+                              quality="fast", versioned=False)),
     "Encoder.__call__": (Encoder(PANEL, RIG), dict(gaussians=SCENE)),
     "Gaussians": (lambda **fields: Gaussians(**fields).validate(), SCENE.fields()),
     "Gaussians.load": (Gaussians.load, dict(path="nowhere.ply")),
@@ -57,6 +57,7 @@ CALLS = {
     "from_depth": (lf.from_depth, dict(image=PHOTO, depth=DEPTH, focal_px=(4.0, 4.0), principal_point_px=(2.0, 1.5))),
     "interlace": (lf.interlace, dict(views=VIEWS, panel=PANEL)),
     "load_photo": (lf.load_photo, dict(path="nowhere.png", mask="nowhere.png", remove_background=False, whole=True)),
+    "prune": (lf.prune, dict(gaussians=SCENE, panel=PANEL, rig=RIG, contribution_cut=0.01)),
     "render": (render, dict(gaussians=SCENE, cameras=CAMERAS.to(torch.float32), background=(1, 1, 1), alpha=True,
                             depth=True)),
 }

@@ -42,10 +42,11 @@ void bind_lens_frame(py::module_ m) {
     out["exact"] = bool(state.exact);
     out["lattice_tiles"] = state.lattice_tiles;
     out["refused_tiles"] = state.refused_tiles;
+    out["pruned"] = state.pruned;
     return out;
   });
-  m.def("frame_project", [](const LensFrame& frame, const G& g, Address stream) {
-    cuda::frame_project(frame, {g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh},
+  m.def("frame_project", [](const LensFrame& frame, const G& g, bool keep_lists, Address stream) {
+    cuda::frame_project(frame, {g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh}, keep_lists,
                         at<void>(stream));
   }, NoGil());
   m.def("frame_order", [](const LensFrame& frame, Address stream) { cuda::frame_order(frame, at<void>(stream)); },

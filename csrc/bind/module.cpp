@@ -7,6 +7,7 @@
 #include "bind/addresses.h"
 #include "hwy/highway.h"
 #include "hwy/targets.h"
+#include "math/footprint.h"
 #include "pipeline/stages.h"
 #ifdef LFGS_WITH_CUDA
 #include "cuda/architectures.h"
@@ -259,6 +260,7 @@ PYBIND11_MODULE(_core, m) {
   m.attr("version") = LFGS_VERSION;
   m.attr("BAND_ROWS") = kBandRows;
   m.attr("SPLAT_FIELDS") = kSplatFields;
+  m.attr("PRUNED") = kPruned;
   m.attr("COLOUR_STRIDE") = kColourStride;
   m.def("band_count", &band_count);
   m.def("pair_gradient_size", &pair_gradient_size);
@@ -283,11 +285,12 @@ PYBIND11_MODULE(_core, m) {
                                          py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),
                                          py::arg("lens"));
   py::class_<Quality>(m, "Quality")
-      .def(py::init([](double opacity_cut, double transmittance_stop, double lattice) {
+      .def(py::init([](double opacity_cut, double transmittance_stop, double lattice, double contribution) {
              return Quality{opacity_cut * 255 > 1 ? std::log2(opacity_cut) : kLog2MinAlpha,
-                            std::max(transmittance_stop, kMinTransmittance), lattice};
+                            std::max(transmittance_stop, kMinTransmittance), lattice, contribution};
            }),
-           py::kw_only(), py::arg("opacity_cut"), py::arg("transmittance_stop"), py::arg("lattice"));
+           py::kw_only(), py::arg("opacity_cut"), py::arg("transmittance_stop"), py::arg("lattice"),
+           py::arg("contribution"));
   py::class_<Bins>(m, "Bins").def(py::init([](Address offsets, Address splats) {
     return Bins{at<int64_t>(offsets), at<int32_t>(splats)};
   }), py::arg("band_offsets"), py::arg("band_splats"));

@@ -147,14 +147,17 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
   const int64_t n = gaussians.count;
   const int order = out.colour_order, nodes = order + 1;
   const ColourBasis basis(order);
+  const double least_light = quality.least_light(lens.width_px, lens.height_px, n);
   std::vector<double> worst(std::max(threads, 1), 0.0);
   parallel_for_chunks(n, kGrain, threads, [&](int64_t begin, int64_t end, int worker) {
     std::vector<dvec3> value(nodes), chebyshev(nodes);
     for (int64_t i = begin; i < end; ++i) {
       const Shape<double> shape = shape_of(gaussians, i);
       Splat<double> splat = Projection<double>(rig, shape).splat(rig, shape.opacity);
+      const bool pruned = least_light > 0 && light_of(splat) < least_light;
       if (quality.log2_cut > kLog2MinAlpha && !(quality.lattice > 0)) raise_cut(splat, quality.log2_cut);
       cull_outside(splat, lens.width_px, lens.height_px);
+      if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
       out.splats[i] = rounded<T>(splat);
       out.orders[i] = 0;
       if (splat.reach_y < 0) continue;

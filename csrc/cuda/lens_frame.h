@@ -15,7 +15,8 @@ namespace lfgs::cuda {
 // (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
 enum class LensKernel : int { kPixel, kPixelQuadratic, kOrdinal, kCount };
 
-// What one frame found out: written on the device, read by the host when it likes.
+// What one frame found out: written on the device, read by the host when it likes. pairs and drawn come from bin, the
+// rest from project and composite.
 struct FrameState {
   unsigned long long pairs;      // (tile, splat) pairs; when more than the capacity, composite walks all splats
   unsigned drawn;                // splats
@@ -25,6 +26,7 @@ struct FrameState {
   unsigned next_tile[4];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
+  unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
   unsigned long long sums[8];    // see FrameSum, fixed point
 };
@@ -70,6 +72,7 @@ struct LensFrame {
   int key_bytes = 4;
   float tolerance = 0;       // of colour polynomials
   float cut = 0, stop = 0;   // of Quality: log2 of the opacity cut, transmittance at which a sample may end
+  float least_light = 0;     // see light_of: what has less is pruned
   float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
 
   // Parts of the work buffer
@@ -94,7 +97,8 @@ struct LensFrame {
 };
 
 // The stages, in this order. gaussians: the frame's count and degree. Colours at order > 0: sh_degree > 0.
-void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, Stream stream);
+// keep_lists: order and bin will not follow, for only colours have changed since they last did.
+void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream);
 void frame_order(const LensFrame& frame, Stream stream);
 void frame_count(const LensFrame& frame, Stream stream);
 void frame_fill(const LensFrame& frame, Stream stream);  // after it state->pairs is known

@@ -8,6 +8,7 @@
 #include "math/footprint.h"
 #include "math/harmonics.h"
 
+#include <cstddef>
 #include <type_traits>
 
 namespace lfgs::cuda {
@@ -68,12 +69,14 @@ __device__ void store_colour(const Gaussians<const float>& gaussians, int64_t i,
 // Projects, culls and stores splat i; returns it (reach_y < 0: not drawn).
 template <int Order>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const View<float>& rig, int64_t width_px,
-                                    int64_t height_px, const BasisTable& basis, float tolerance, float cut, int64_t i,
-                                    const Splats<float>& out, unsigned* error) {
+                                    int64_t height_px, const BasisTable& basis, float tolerance, float cut,
+                                    float least_light, int64_t i, const Splats<float>& out, unsigned* error) {
   const Shape<float> shape = shape_of(gaussians, i);
   Splat<float> splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
+  const bool pruned = least_light > 0 && light_of(splat) < least_light;
   if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut);
   cull_outside(splat, width_px, height_px);
+  if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
   write_splat(splat, out.splats + i);
   if (out.orders) out.orders[i] = 0;
   if (splat.reach_y < 0) return splat;
@@ -91,7 +94,7 @@ __global__ void project_lens_kernel(Gaussians<const float> gaussians, View<float
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
   const Splat<float> splat = store_splat<Order>(gaussians, rig, width_px, height_px, basis, tolerance,
-                                                float(kLog2MinAlpha), i, out, error);
+                                                float(kLog2MinAlpha), 0, i, out, error);
   keys[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : ~uint64_t(0);
 }
 
@@ -103,7 +106,9 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   splat.reach_y = -1;
   if (i < gaussians.count) {
     splat = store_splat<Order>(gaussians, frame.rig, frame.optics.width_px, frame.optics.height_px, basis,
-                               frame.tolerance, frame.cut, i, frame.splats, &frame.state->colour_error);
+                               frame.tolerance, frame.cut, frame.least_light, i, frame.splats,
+                               &frame.state->colour_error);
+    if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
     frame.depths[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : kNotDrawn;
     frame.indices[i] = uint32_t(i);
   }
@@ -137,12 +142,14 @@ void project_lens(const Gaussians<const float>& gaussians, const View<double>& r
   check_launch("project_lens");
 }
 
-void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, Stream stream) {
+void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream) {
   require(gaussians.count == frame.splats.count && gaussians.sh_degree == frame.sh_degree,
           "a frame for " + std::to_string(frame.splats.count) + " Gaussians of degree " +
               std::to_string(frame.sh_degree) + " got " + std::to_string(gaussians.count) + " of degree " +
               std::to_string(gaussians.sh_degree));
-  check(cudaMemsetAsync(frame.state, 0, sizeof(FrameState), cudaStream_t(stream)), "project: clear the state");
+  const size_t kept = keep_lists ? offsetof(FrameState, colour_error) : 0;
+  char* state = reinterpret_cast<char*>(frame.state);
+  check(cudaMemsetAsync(state + kept, 0, sizeof(FrameState) - kept, cudaStream_t(stream)), "project: clear the state");
   if (gaussians.count) {
     const BasisTable basis{ColourBasis(frame.splats.colour_order)};
     with_order(frame.splats.colour_order, [&](auto order) {

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "base/error.h"
+#include "math/constants.h"
 
 namespace lfgs {
 
@@ -21,11 +22,10 @@ struct ColourBasis {
   explicit ColourBasis(int order_) : order(order_) {
     require(order >= 0 && order <= kMaxColourOrder, "colour order must be 0..16, not " + std::to_string(order));
     const int n = order + 1;
-    const double pi = 3.14159265358979323846;
     nodes.resize(n), to_chebyshev.assign(n * n, 0), to_powers.assign(n * n, 0);
-    for (int j = 0; j < n; ++j) nodes[j] = n == 1 ? 0 : std::cos(pi * (j + 0.5) / n);
+    for (int j = 0; j < n; ++j) nodes[j] = n == 1 ? 0 : std::cos(kPi * (j + 0.5) / n);
     for (int k = 0; k < n; ++k)
-      for (int j = 0; j < n; ++j) to_chebyshev[k * n + j] = (k ? 2.0 : 1.0) / n * std::cos(pi * k * (j + 0.5) / n);
+      for (int j = 0; j < n; ++j) to_chebyshev[k * n + j] = (k ? 2.0 : 1.0) / n * std::cos(kPi * k * (j + 0.5) / n);
 
     // T_0 = 1, T_1 = s, T_k = 2 s T_(k-1) - T_(k-2)
     auto power = [&](int p, int k) -> double& { return to_powers[p * n + k]; };

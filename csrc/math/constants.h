@@ -12,5 +12,6 @@ constexpr double kLog2MinAlpha = -7.994353436858858;  // log2(1/255)
 constexpr double kLog2MaxAlpha = -0.014499569695115;  // log2(0.99)
 constexpr double kHalfLog2e = 0.7213475204444817;     // exp(-q/2) = 2^(-kHalfLog2e q)
 constexpr double kLn2 = 0.6931471805599453;
+constexpr double kPi = 3.141592653589793;
 
 }  // namespace lfgs

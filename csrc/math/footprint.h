@@ -9,6 +9,9 @@
 
 namespace lfgs {
 
+// Reach of a splat that is not drawn: not seen, or left out for the little light that it is of.
+constexpr int kNotSeen = -1, kPruned = -2;
+
 struct Range {
   int64_t first, last;  // empty when last < first
 };
@@ -68,7 +71,15 @@ LFGS_HD void raise_cut(Splat<T>& s, T log2_cut) {
   const T raised = std::log2(std::exp2(s.log2_opacity) + std::exp2(log2_cut) - T(kMinAlpha));
   const T most = T(kLog2MaxAlpha) > s.log2_opacity ? T(kLog2MaxAlpha) : s.log2_opacity;
   s.log2_opacity = raised < most ? raised : most;
-  s.reach_y = s.log2_opacity >= log2_cut ? std::sqrt((s.log2_opacity - log2_cut) / s.tau) : T(-1);
+  s.reach_y = s.log2_opacity >= log2_cut ? std::sqrt((s.log2_opacity - log2_cut) / s.tau) : T(kNotSeen);
+}
+
+// Sum of a splat's alphas over the pixels, no edges, cuts or limits in the way, for the camera that sees it widest:
+// the integral of 2^(log2_opacity - tau dy^2 - dx^2 / S).
+template <class T>
+LFGS_HD T light_of(const Splat<T>& s) {
+  const T left = s.S0 - s.S1 + s.S2, right = s.S0 + s.S1 + s.S2;
+  return std::exp2(s.log2_opacity) * T(kPi / kLn2) * std::sqrt((left > right ? left : right) / s.tau);
 }
 
 // Gives a splat that touches no pixel of the image, from no camera of the rig, no rows at all; likewise one whose
@@ -80,7 +91,7 @@ LFGS_HD void cull_outside(Splat<T>& s, int64_t width_px, int64_t height_px) {
   bool finite = sum - sum == 0;
   if (!finite || rows_of(s, height_px).last < 0 ||
       !columns_of(s, T(0.5), T(height_px) - T(0.5), T(0), low, high) || high < 0 || low > T(width_px))
-    s.reach_y = -1;
+    s.reach_y = kNotSeen;
 }
 
 }  // namespace lfgs

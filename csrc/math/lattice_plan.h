@@ -15,7 +15,8 @@ struct LatticePart {
   float x_low, x_high, y_low, y_high, s_low, s_high;
 };
 
-constexpr int kMostPlanes = 128;
+// However fine a lattice is wanted, its nodes and middles can be counted in an int: (30001 x 257 + 9999 x 256) x 128.
+constexpr int kMostPlanes = 128, kMostRows = 256, kMostColumns = 10000;
 
 // Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. What is at node i of plane k is seen at about node
 // i + lean[k] of the next; margin: the largest of these.
@@ -80,8 +81,8 @@ class LatticeCurvature {
     float weight = 0, x = 0, y = 0, spread = 0;
     for (const Sums& b : bins_) weight += b.weight, x += b.x, y += b.y, spread += b.spread();
     const float unit = weight > 0 ? fineness * std::sqrt(weight) : 1e20f;  // of nothing the corners say all
-    const int rows = steps(part_.y_high - part_.y_low, unit / std::sqrt(y));
-    const int views = steps(part_.s_high - part_.s_low, unit / std::sqrt(std::fmax(spread, 1e-20f)));
+    const int rows = steps(part_.y_high - part_.y_low, unit / std::sqrt(y), kMostRows);
+    const int views = steps(part_.s_high - part_.s_low, unit / std::sqrt(std::fmax(spread, 1e-20f)), kMostPlanes);
     out.down = rows + 1, out.planes = views < most_planes ? views + 1 : most_planes;
     out.y0 = part_.y_low, out.s0 = part_.s_low;
     out.step_y = (part_.y_high - part_.y_low) / float(rows);
@@ -93,20 +94,20 @@ class LatticeCurvature {
     // A sample between two planes lies up to `lean` nodes aside on each
     float margin = 0;
     for (int k = 0; k + 1 < out.planes; ++k) {
-      out.lean[k] = std::fmin(std::fmax(std::round(shear_at((float(k) + 0.5f) / float(out.planes - 1)) * out.step_s /
-                                                   out.step_x), -1e4f), 1e4f);
+      const float nodes = std::round(shear_at((float(k) + 0.5f) / float(out.planes - 1)) * out.step_s / out.step_x);
+      out.lean[k] = std::fmin(std::fmax(nodes, float(-kMostColumns)), float(kMostColumns));
       margin = std::fmax(margin, std::fabs(out.lean[k]));
     }
     out.lean[out.planes - 1] = 0;
     out.margin = int(margin);
-    out.across = steps(part_.x_high - part_.x_low, out.step_x) + 1 + 2 * out.margin;
+    out.across = steps(part_.x_high - part_.x_low, out.step_x, kMostColumns) + 1 + 2 * out.margin;
     out.x0 = part_.x_low - margin * out.step_x;
   }
 
  private:
-  LFGS_HD static int steps(float length, float step) {
+  LFGS_HD static int steps(float length, float step, int most) {
     const float n = std::ceil(length / step);
-    return n >= 1 ? n < 1e4f ? int(n) : 10000 : 1;
+    return n >= 1 ? n < float(most) ? int(n) : most : 1;
   }
 
   // Mean disparity at a share of the offsets, straight between the bins beside that see something.

@@ -1,6 +1,8 @@
 // Knobs of run time against error; as they stand here nothing is given up.
 #pragma once
 
+#include <cstdint>
+
 #include "math/constants.h"
 
 namespace lfgs {
@@ -9,9 +11,15 @@ struct Quality {
   double log2_cut = kLog2MinAlpha;    // of the opacity cut: splats below it leave a sample as it is
   double stop = kMinTransmittance;    // a sample ends before its transmittance falls below
   double lattice = 0;                 // error allowed at the checks of a coarse lattice; 0: no lattice
+  double contribution = 0;            // mean over an image of the alphas that may be left out with whole splats
 
   // A sample that ends early belongs to the splat at which it does; at the field's own limit, to the background.
   bool ends_early() const { return stop > kMinTransmittance; }
+
+  // A splat's even share of what may be left out: alphas, summed over the pixels.
+  double least_light(int64_t width_px, int64_t height_px, int64_t splats) const {
+    return splats > 0 ? contribution * double(width_px) * double(height_px) / double(splats) : 0;
+  }
 };
 
 }  // namespace lfgs

@@ -15,7 +15,7 @@ from typing import Any
 
 import torch
 
-from lightfield_gs.bench import paper, pareto, peers, photo, training
+from lightfield_gs.bench import paper, pareto, peers, photo, skips, training
 from lightfield_gs.bench.measure import measure
 from lightfield_gs.bench.oracle import ORACLE_SAMPLES, oracle_samples
 from lightfield_gs.bench.pareto_plot import check_plot, plot
@@ -108,12 +108,13 @@ def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs bench`."""
     parser.add_argument("what", nargs="?", default="light-field",
-                        choices=("light-field", "paper", "training-step", "photo", "pareto"),
+                        choices=("light-field", "paper", "training-step", "photo", "pareto", "skips"),
                         help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
                              "methods), forward and backward of the rasterizer in a training step, a photo through "
-                             "the network to the image, or run time against error over the settings of quality")
+                             "the network to the image, run time against error over the settings of quality, or what "
+                             "each skip of what a scene does not need saves")
     parser.add_argument("--scene", help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128; of "
-                                        f"pareto: {', '.join(pareto.SCENES)})")
+                                        f"pareto: {', '.join(pareto.SCENES)}; of skips: {', '.join(skips.SCENES)})")
     parser.add_argument("--photo", help="of photo and pareto: files, several with commas (default: the one inside, "
                                         f"{photo.EXAMPLE.name})")
     parser.add_argument("--model", help="of photo: a checkpoint (.safetensors), or the configuration of an untrained "
@@ -154,6 +155,8 @@ def run(args: argparse.Namespace) -> int:
         result, text = _photo(args, threads)
     elif args.what == "pareto":
         result, text = _pareto(args, threads)
+    elif args.what == "skips":
+        result, text = _skips(args, threads)
     else:
         result, text = _light_field(args, threads, args.what == "paper")
     result["machine"] = machine(args.device)
@@ -206,6 +209,22 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
     if args.plot is not None:
         plot(rows, args.plot)
     return {"rows": rows}, pareto.table(rows)
+
+
+def _skips(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
+    """Rows of every skip, for every scene and cone, and their text."""
+    _refuse(args, "methods", "memory_budget")
+    scenes, panel = skips.SCENES if args.scene is None else args.scene.split(","), Panel.load(args.panel)
+    cones, count, rows = _cones(args.cone), _one_thread_count(args, threads), []
+    for scene in scenes:
+        for degree in _sh_degrees(args.sh_degree):
+            gaussians = load_scene(scene, degree).to(args.device)
+            for cone in cones:
+                subject = pareto.Subject(Path(scene).name, gaussians, panel,
+                                         benchmark_rig(scene, gaussians, panel, cone))
+                _progress(f"{subject.name}, {subject.rig.cone_deg:g} degrees: with and without every skip by turns")
+                rows += skips.rows(subject, args.repeats, count)
+    return {"rows": rows}, skips.table(rows)
 
 
 def _one_thread_count(args: argparse.Namespace, threads: list[int | None]) -> int | None:

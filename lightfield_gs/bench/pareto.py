@@ -1,4 +1,4 @@
-"""Run time against error: the named qualities, and every knob of Quality by itself, on the same scenes.
+"""Run time against error: the named qualities, every knob of Quality by itself, and pruned scenes, on the same scenes.
 
 All settings are run by turns, the exact one first in every round, so that what else the machine does meets them alike;
 times are the shortest of the rounds. Errors are those of the 8-bit image against the float64 oracle.
@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -25,13 +25,16 @@ from lightfield_gs.encoder import Encoder
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.photo import load_photo
 from lightfield_gs.panel import Panel
+from lightfield_gs.pruning import prune
 from lightfield_gs.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.rendering import encode
 from lightfield_gs.rig import Rig
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
-KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error")
-STOPS = (1e-2, 5e-2)  # no name has them: they pay in few scenes
+KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut")
+# Of no name: they pay in few scenes
+STOPS, CONTRIBUTIONS = (1e-2, 5e-2), (1e-2, 5e-2)
+PRUNED = (3e-4, 1e-3)
 
 
 @dataclass(frozen=True)
@@ -44,9 +47,27 @@ class Subject:
     rig: Rig
 
 
-def settings() -> dict[str, Quality]:
-    """Exact first, the other names, each knob alone at the values that the names give it, names without one knob."""
-    found = dict(QUALITIES) | {f"transmittance_stop {_value(stop)}": Quality(transmittance_stop=stop) for stop in STOPS}
+class Setting(NamedTuple):
+    """A quality, and how much of the scene's light was pruned before (see prune)."""
+
+    quality: Quality
+    pruned: float = 0.0
+
+
+def settings() -> dict[str, Setting]:
+    """Exact first, the other names, each knob alone at the values that the names give it, names without one knob; then
+    pruned scenes, drawn exactly and by a name."""
+    found = {name: Setting(quality) for name, quality in _qualities().items()}
+    for cut in PRUNED:
+        found[f"pruned {_value(cut)}"] = Setting(EXACT, cut)
+        found[f"fast, pruned {_value(cut)}"] = Setting(QUALITIES["fast"], cut)
+    return found
+
+
+def _qualities() -> dict[str, Quality]:
+    found = dict(QUALITIES)
+    for knob, values in (("transmittance_stop", STOPS), ("contribution_cut", CONTRIBUTIONS)):
+        found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
     for knob in KNOBS:
         for name, quality in QUALITIES.items():
             value, without = getattr(quality, knob), getattr(EXACT, knob)
@@ -83,20 +104,23 @@ def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
 
 
 @torch.no_grad()
-def rows(subject: Subject, chosen: dict[str, Quality], repeats: int | None,
+def rows(subject: Subject, chosen: dict[str, Setting], repeats: int | None,
          threads: int | None) -> list[dict[str, Any]]:
     """A row for each setting, the exact one first. Raises InputError."""
     oracle = oracle_samples(subject.gaussians, subject.panel, subject.rig)
-    what = {"scene": subject.name, "gaussians": subject.gaussians.count, "panel": subject.panel.name,
+    what = {"scene": subject.name, "panel": subject.panel.name,
             "cone_deg": subject.rig.cone_deg, "device": subject.gaussians.means.device.type}
-    found, calls = [], []
-    for name, quality in chosen.items():
-        stats: dict[str, Any] = {}
-        image = encode(subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads, stats=stats)
-        found.append({**what, "setting": name, "named": name in QUALITIES, **oracle.errors(image),
+    found, calls, scenes = [], [], {0.0: subject}
+    for name, (quality, cut) in chosen.items():
+        if cut not in scenes:
+            scenes[cut] = replace(subject, gaussians=prune(subject.gaussians, subject.panel, subject.rig, cut))
+        drawn, stats = scenes[cut], {}
+        image = encode(drawn.gaussians, drawn.panel, drawn.rig, quality=quality, threads=threads, stats=stats)
+        found.append({**what, "setting": name, "gaussians": drawn.gaussians.count,
+                      "named": name in QUALITIES, **oracle.errors(image),
                       "pairs": stats["pairs"], "evaluations_per_subpixel": stats["evaluations_per_subpixel"],
                       "skipped": stats["skipped"]})
-        calls.append(_call(subject, quality, threads))
+        calls.append(_call(drawn, quality, threads))
     _, times = timed_in_turn(calls, subject.gaussians.means.is_cuda, repeats)
     for row, taken in zip(found, zip(*times)):
         row |= {"ms": min(taken), "runs": len(taken)}

@@ -30,6 +30,14 @@ def background(text: str) -> tuple[float, ...]:
     return values
 
 
+def share(text: str) -> float:
+    """"0.01" -> 0.01, in 0..1."""
+    value = numbers(1)(text)[0]
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"expected a number in 0..1, got '{text}'")
+    return value
+
+
 def threads(text: str) -> int:
     """"8" -> 8."""
     if not text.isdecimal() or not 1 <= int(text[:9]) <= 1024:

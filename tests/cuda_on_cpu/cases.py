@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import Gaussians, Panel, Rig
+from lightfield_gs import Gaussians, Panel, Quality, Rig
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
 
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
@@ -17,6 +17,7 @@ PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, sub
           "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6),
           "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0)}
 BACKGROUND = (0.1, 0.6, 0.3)
+PRUNING = Quality(contribution_cut=0.6, opacity_cut=0.02)
 
 
 def frames_of(kernel: str) -> list[tuple[str, int, str]]:

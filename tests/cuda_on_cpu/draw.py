@@ -1,4 +1,4 @@
-"""python draw.py MODULE KERNEL|dense|lattice OUT: the cases, drawn by the CUDA stages in a native module of build.py.
+"""python draw.py MODULE WHAT OUT: the cases, drawn by the CUDA stages in a native module of build.py.
 
 OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense.
 """
@@ -60,6 +60,23 @@ def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32)
     return {"image": image, **frame.state()}
 
 
+def recoloured(kernel: str, quality: str, views: str, changes: dict, share: float) -> dict[str, object]:
+    """An image with other harmonics than the frame was binned with, and that of a frame that begins with them."""
+    scene, panel, rig = cases.lattice_frame(changes, 1)
+    expected = drawn(scene, panel, rig, views, kernel, Quality.of(quality), share)
+    right = scene.sh.clone()
+    scene.sh.neg_()
+    job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND),
+                            *lens_arguments(panel, rig, views == "continuous"))
+    frame = frame_cuda.Frame(job.scene, job.rig, job.lens, 8, Quality.of(quality), int(share * expected["pairs"]),
+                             kernel)
+    image = torch.full((job.height, job.width, 3), 7.0)
+    frame.draw(job.background, image)
+    scene.sh.copy_(right)
+    frame.draw(job.background, image, keep_lists=True)
+    return {"expected": expected, "found": {"image": image, **frame.state()}}
+
+
 def main(what: str) -> object:
     torch.set_num_threads(1)
     ops._workspace = workspace
@@ -70,6 +87,11 @@ def main(what: str) -> object:
         first = cases.LATTICE_FRAMES[0]
         return [*found, lattice_frame(*first, degree=1), lattice_frame(*first, degree=0, share=0.5),
                 lattice_frame(*first, degree=0, dtype=torch.uint8)]
+    if what == "pruned":
+        panel = cases.panel_of("default")
+        return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
+    if what == "recoloured":
+        return [recoloured(*case, share) for case, share in zip(cases.LATTICE_FRAMES[1:], (1.0, 0.5, 1.0))]
     return [frame(what, *case) for case in cases.frames_of(what)]
 
 

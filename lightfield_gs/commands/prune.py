@@ -1,0 +1,43 @@
+"""`lightfield-gs prune`: a scene without the Gaussians that hardly show on a panel."""
+
+from __future__ import annotations
+
+import argparse
+
+from lightfield_gs.commands.device import choose_device
+from lightfield_gs.commands.stopwatch import Stopwatch
+from lightfield_gs.errors import InputError
+from lightfield_gs.io.atomic import check_output_path
+from lightfield_gs.panel import Panel
+
+
+def run(args: argparse.Namespace) -> None:
+    """Prunes args.input into args.output. Raises InputError."""
+    watch = Stopwatch(args.began)
+    for path in (args.output, args.save_rig):
+        if path is not None:
+            check_output_path(path)
+    if args.output.suffix.lower() != ".ply":
+        raise InputError(f"{args.output}: expected a name that ends in .ply")
+    panel = Panel.load(args.panel)
+    device = choose_device(args.device)
+
+    from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.pruning import prune
+    from lightfield_gs.rig import Rig
+
+    rig = None if args.rig is None else Rig.from_yaml(args.rig)
+    watch.lap("start")
+    scene = Gaussians.load(args.input)
+    watch.lap("load")
+    on_device = scene.to(device)
+    rig = rig or Rig.frame(on_device, panel)
+    kept = prune(on_device, panel, rig, args.contribution_cut)
+    watch.lap("prune")
+    kept.to("cpu").save(args.output)
+    if args.save_rig is not None:
+        rig.to_yaml(args.save_rig)
+    watch.lap("write")
+    print(f"{args.output}: {kept.count} of {scene.count} Gaussians, the others within {args.contribution_cut:g} of the "
+          f"light of {panel.width_px} x {panel.height_px}, {panel.views} views")
+    print(watch.line())

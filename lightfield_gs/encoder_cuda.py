@@ -1,0 +1,150 @@
+"""Light-field images on CUDA, frame after frame: CUDA graphs, and stages that are not repeated where torch can tell
+that their input is what it was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from lightfield_gs import ops, rendering
+from lightfield_gs.encoder_cpu import STAGES
+from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.quality import Quality
+
+if TYPE_CHECKING:
+    from lightfield_gs.frame_cuda import Frame, FrameKind
+
+Arguments = tuple[list[float], list[int], list[float]]  # of rendering.lens_arguments
+_SH, _BACKGROUND = 4, 5  # among the tensors of a frame
+
+
+class _Input:
+    """What a frame is drawn from: tensors (the five fields, the background), by their versions, and arguments of a
+    rig."""
+
+    def __init__(self, tensors: list[Tensor], arguments: Arguments):
+        self.tensors, self.arguments = tensors, arguments
+        self.versions = [_version(t) for t in tensors]
+        self.stream = torch.cuda.current_stream(tensors[0].device).cuda_stream
+
+    def reads(self, other: _Input) -> bool:
+        """Whether the tensors are the same memory."""
+        return all(a.data_ptr() == b.data_ptr() and a.shape == b.shape for a, b in zip(self.tensors, other.tensors))
+
+    def changed_since(self, before: _Input | None) -> set[int]:
+        """Which tensors may be others than before; all of them on another stream, where work is not in order."""
+        if before is None or before.stream != self.stream:
+            return set(range(len(self.tensors)))
+        pairs = zip(self.tensors, before.tensors, self.versions, before.versions)
+        return {k for k, (a, b, version, was) in enumerate(pairs) if a is not b or version is None or version != was}
+
+
+def _version(tensor: Tensor) -> int | None:
+    """How often torch has written into it; None where torch does not count."""
+    return None if tensor.is_inference() else tensor._version
+
+
+class CudaFrames:
+    """Frames of one lens and quality. as_bytes: images are uint8; versioned: see Encoder."""
+
+    def __init__(self, as_bytes: bool, quality: Quality, versioned: bool):
+        self.as_bytes, self.quality, self.versioned = as_bytes, quality, versioned
+        self.background: tuple[Any, Tensor] | None = None  # as given, and on the device
+        self.captured: _Capture | None = None
+        self.moving: FrameKind | None = None  # of frames whose rig is new
+        self.kind: FrameKind | None = None    # of the last frame
+        self.image: Tensor | None = None
+        self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
+        self.last_arguments: Arguments | None = None
+
+    def draw(self, gaussians: Gaussians, background: Sequence[float] | Tensor,
+             arguments: Arguments) -> tuple[Tensor, set[str]]:
+        """The image, drawn over by the next call, and the stages that were not repeated.
+
+        gaussians: float32, contiguous; arguments: as rendering.lens_arguments makes them. Raises InputError.
+        """
+        given = _Input([*gaussians.fields().values(), self._on_device(background, gaussians.means)], arguments)
+        shown, self.shown = self.shown, None
+        moved, self.last_arguments = self.last_arguments not in (None, arguments), arguments
+        if self.kind is not None and self.kind.adapt():  # the last frame had not enough of something
+            self.captured = None
+        elif shown and self._still_shows(given, *shown):
+            self.shown = shown
+            return self.image, set(STAGES)
+        if shown is None or not given.reads(shown[0]):
+            gaussians.validate()
+        kept = self._draw(given, moved)
+        self.shown = given, _version(self.image)
+        return self.image, kept
+
+    def _on_device(self, background: Any, like: Tensor) -> Tensor:
+        """The same tensor as long as the same background comes."""
+        if isinstance(background, (tuple, list)):
+            return rendering.background_tensor(background, like)
+        if self.background is None or self.background[0] is not background or self.background[1].device != like.device:
+            self.background = background, rendering.background_tensor(background, like)
+        return self.background[1]
+
+    def _still_shows(self, given: _Input, before: _Input, image_version: int | None) -> bool:
+        untouched = image_version is not None and image_version == _version(self.image)
+        return (self.versioned and untouched and given.arguments == before.arguments
+                and not given.changed_since(before))
+
+    def _draw(self, given: _Input, moved: bool) -> set[str]:
+        if self.captured is None or not self.captured.draws(given):
+            *fields, background = given.tensors
+            job = ops.LensArguments(*fields, background.reshape(-1), *given.arguments)
+            with job.scene.guard:
+                if self.image is None or self.image.device != background.device:
+                    self.image = job.image(self.as_bytes)
+                if moved:
+                    self._launch(job)
+                    return set()
+                self.captured = _Capture(given, job, self.image, self.quality)
+        self.kind = self.captured.kind
+        return self.captured.replay(given, self.versioned)
+
+    def _launch(self, job: ops.LensArguments) -> None:
+        """The kernels of a frame one by one: its rig, which is part of their arguments, may not come again."""
+        if self.moving is None or not self.moving.draws(job.scene):
+            self.moving = ops.frame_kind(job, self.quality, moving=True)
+        self.kind, self.moving.rig, self.moving.lens = self.moving, job.rig, job.lens
+        frame = self.moving.frame(job.scene)
+        frame.draw(job.background, self.image)
+        self.moving.note(frame)
+
+
+class _Capture:
+    """A frame as CUDA graphs: as a whole and, when first wanted, without order and bin."""
+
+    def __init__(self, given: _Input, job: ops.LensArguments, image: Tensor, quality: Quality):
+        self.given, self.job, self.image = given, job, image
+        self.drawn: _Input | None = None  # last time, whose lists the frame still has
+        self.kind: FrameKind = ops.frame_kind(job, quality)
+        self.frame: Frame = self.kind.frame(job.scene)
+        self.graph, self.recolour = self._graph(False), None
+
+    def draws(self, given: _Input) -> bool:
+        return self.given.reads(given) and self.given.arguments == given.arguments
+
+    def replay(self, given: _Input, versioned: bool) -> set[str]:
+        """Draws; returns the stages that were not repeated."""
+        kept = versioned and given.changed_since(self.drawn) <= {_SH, _BACKGROUND}
+        with self.job.scene.guard:
+            if kept and self.recolour is None:
+                self.recolour = self._graph(True)
+            (self.recolour if kept else self.graph).replay()
+            self.kind.mark()
+        self.drawn = given
+        return {"order", "bin"} if kept else set()
+
+    def _graph(self, keep_lists: bool) -> torch.cuda.CUDAGraph:
+        torch.cuda.synchronize()
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self.frame.draw(self.job.background, self.image, keep_lists=keep_lists)
+            self.kind.note(self.frame)
+        return graph

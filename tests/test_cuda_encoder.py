@@ -1,0 +1,105 @@
+"""An Encoder on CUDA: graphs that are replayed, and stages that are not repeated. Needs a GPU."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from test_cuda import BACKGROUND, LENS, most_apart, on_gpu, rig, scene  # noqa: F401 (a fixture)
+
+from lightfield_gs import Encoder, Gaussians, Panel, encode
+
+
+@pytest.mark.parametrize("views", ["integer", "continuous"])
+def test_an_encoder_replays_frames(scene, views):
+    panel, scene = Panel(**LENS), on_gpu(scene)
+    encoder = Encoder(panel, rig(panel), views=views, background=BACKGROUND)
+    options = dict(views=views, background=BACKGROUND)
+    assert torch.equal(encoder(scene), encode(scene, panel, rig(panel), **options))
+    graph = encoder._frames.captured.graph
+    scene.means[:, 2] += 0.3  # the same tensors with other values: replayed
+    assert torch.equal(encoder(scene), encode(scene, panel, rig(panel), **options))
+    assert encoder._frames.captured.graph is graph
+    fewer = Gaussians(*(t[::2].contiguous() for t in scene.fields().values()))
+    assert torch.equal(encoder(fewer), encode(fewer, panel, rig(panel), **options))
+
+
+def test_an_encoder_makes_room_when_a_scene_grows(scene):
+    panel, scene = Panel(**LENS), on_gpu(scene)
+    encoder = Encoder(panel, rig(panel))
+    scene.scales.mul_(0.1)
+    encoder(scene)
+    scene.scales.mul_(30)
+    expected = encode(Gaussians(*(t.clone() for t in scene.fields().values())), panel, rig(panel))
+    for _ in range(3):
+        assert most_apart(encoder(scene), expected) <= 1
+        torch.cuda.synchronize()
+    captured = encoder._frames.captured
+    assert captured.kind.capacity >= captured.frame.state()["pairs"]
+
+
+@pytest.mark.parametrize("versioned", [False, True])
+def test_an_encoder_repeats_what_may_have_changed(scene, versioned):
+    panel, scene = Panel(**LENS), on_gpu(scene)
+    encoder = Encoder(panel, rig(panel), background=BACKGROUND, versioned=versioned)
+    lists, everything = {"order", "bin"}, {"project", "order", "bin", "composite"}
+
+    def spared() -> set[str]:
+        before = dict(encoder.stats["reused"])
+        image = encoder(scene)
+        torch.cuda.synchronize()
+        assert torch.equal(image, encode(scene, panel, encoder.rig, background=BACKGROUND))
+        return {stage for stage, n in encoder.stats["reused"].items() if n > before[stage]}
+
+    def expect(stages: set[str]) -> None:
+        assert spared() == (stages if versioned else set())
+
+    assert spared() == set()
+    expect(everything)
+    scene.sh.mul_(0.5)
+    expect(lists)
+    scene.sh[:, :, 0].mul_(0.9)
+    expect(lists)
+    scene.means[:, 2].add_(0.1)
+    expect(set())
+    encoder._frames.image[0].fill_(7)  # drawn over by the user
+    expect(lists)
+    for depth in (1.9, 1.8, 1.7):  # a moving zero plane, by launches
+        encoder.rig = replace(encoder.rig, zero_depth=depth)
+        expect(set())
+    graph = encoder._frames.captured.graph
+    scene.sh.mul_(1.5)
+    expect(set())  # captured, now that the rig has come again
+    assert encoder._frames.captured.graph is not graph
+    expect(everything)
+    scene.scales.data.mul_(0.9)  # not counted
+    encoder.forget()
+    expect(set())
+
+
+def test_lists_of_another_geometry_are_not_kept(scene):
+    panel, scene = Panel(**LENS), on_gpu(scene)
+    encoder = Encoder(panel, rig(panel), versioned=True)
+    encoder(scene)
+    first = encoder.rig
+    encoder.rig = replace(first, zero_depth=1.9)
+    scene.means[:, 0].add_(0.05)
+    encoder(scene)  # by launches; the captured frame knows nothing of the means
+    encoder.rig = first
+    scene.sh.mul_(0.5)
+    assert torch.equal(encoder(scene), encode(scene, panel, first))
+
+
+def test_what_torch_does_not_count_is_drawn_again(scene):
+    panel = Panel(**LENS)
+    with torch.inference_mode():
+        uncounted = Gaussians(*(t.clone() for t in on_gpu(scene).fields().values()))
+    encoder = Encoder(panel, rig(panel), versioned=True)
+    for _ in range(2):
+        encoder(uncounted)
+    with torch.inference_mode():
+        uncounted.means[:, 2].add_(0.2)
+    assert torch.equal(encoder(uncounted), encode(uncounted, panel, rig(panel)))
+    assert not any(encoder.stats["reused"].values())
