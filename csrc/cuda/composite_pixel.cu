@@ -29,10 +29,10 @@ struct Config {
 };
 
 // What a warp keeps in shared memory.
-template <class C>
+template <bool Harmonics>
 struct Staged {
   float4 fit[4][32];  // of 32 hits, see polynomial()
-  float4 slope[C::Harmonics ? 32 : 1];
+  float4 slope[Harmonics ? 32 : 1];
   uint32_t ids[64];   // hits that wait: fewer than 32, and those of one cull
 };
 
@@ -123,7 +123,7 @@ struct Samples {
 
   __device__ static float part(float4 c, int k) { return k == 0 ? c.x : k == 1 ? c.y : c.z; }
 
-  __device__ void add(const Staged<C>& staged, int i, float cut) {
+  __device__ void add(const Staged<C::Harmonics>& staged, int i, float cut) {
     const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i];
     const float4 f3 = C::Quadratic ? staged.fit[3][i] : make_float4(staged.fit[3][i].x, 0, 0, 0);
     const float4 colour_now = make_float4(f2.z, f2.w, f3.x, 0);
@@ -212,7 +212,7 @@ struct Samples {
 
 // Makes the polynomials of the first `count` <= 32 waiting hits; returns which are to be evaluated carefully.
 template <class C>
-__device__ unsigned specialise(const LensFrame& frame, int count, float2 centre, bool exact, Staged<C>& staged) {
+__device__ unsigned specialise(const LensFrame& frame, int count, float2 centre, bool exact, Staged<C::Harmonics>& staged) {
   const int lane = threadIdx.x % 32;
   bool careful = false;
   if (lane < count) {
@@ -237,7 +237,7 @@ __device__ unsigned specialise(const LensFrame& frame, int count, float2 centre,
 
 template <class C, class Out>
 __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exact, unsigned unit, float4 background,
-                           Out* out, Staged<C>& staged) {
+                           Out* out, Staged<C::Harmonics>& staged) {
   constexpr unsigned kAcross = 4, kDown = 32 / kPatchHeight;  // patches of a list's tile
   const int lane = threadIdx.x % 32, lane_x = 2 * (lane % 8), lane_y = lane / 8;
   const unsigned tile = tile_to_draw(frame, unit / (kAcross * kDown)), part = unit % (kAcross * kDown);
@@ -292,10 +292,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exac
 }
 
 template <class C, class Out>
-__global__ void __launch_bounds__(kThreads, kBlocks)
-    composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
-  if (frame.state->kernel != int(C::kernel)) return;
-  __shared__ Staged<C> staged[kWarps];
+__device__ void draw_patches(const LensFrame& frame, const float* background, Out* out, Staged<C::Harmonics> (&staged)[kWarps]) {
   const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
   const bool exact = frame.state->exact;
@@ -308,17 +305,24 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   }
 }
 
-template <class C, class Out>
-void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  const auto kernel = composite_pixel_kernel<C, Out>;
-  kernel<<<resident_blocks(kernel, kThreads, 0), kThreads, 0, stream>>>(frame, background, out);
-  check_launch("composite_pixel");
+// One kernel for both polynomials: a launch that finds nothing to do takes its time, too.
+template <bool Harmonics, class Out>
+__global__ void __launch_bounds__(kThreads, kBlocks)
+    composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
+  using Linear = Config<false, Harmonics>;
+  using Quadratic = Config<true, Harmonics>;
+  __shared__ Staged<Harmonics> staged[kWarps];
+  if (frame.state->kernel == int(Linear::kernel))
+    draw_patches<Linear>(frame, background, out, staged);
+  else if (frame.state->kernel == int(Quadratic::kernel))
+    draw_patches<Quadratic>(frame, background, out, staged);
 }
 
 template <bool Harmonics, class Out>
-void launch_all(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  launch<Config<false, Harmonics>>(frame, background, out, stream);
-  launch<Config<true, Harmonics>>(frame, background, out, stream);
+void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
+  const auto kernel = composite_pixel_kernel<Harmonics, Out>;
+  kernel<<<resident_blocks(kernel, kThreads, 0), kThreads, 0, stream>>>(frame, background, out);
+  check_launch("composite_pixel");
 }
 
 }  // namespace
@@ -326,9 +330,9 @@ void launch_all(const LensFrame& frame, const float* background, Out* out, cudaS
 void composite_pixel(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
   auto draw = [&](auto* image) {
     if (frame.splats.orders)
-      launch_all<true>(frame, background, image, cudaStream_t(stream));
+      launch<true>(frame, background, image, cudaStream_t(stream));
     else
-      launch_all<false>(frame, background, image, cudaStream_t(stream));
+      launch<false>(frame, background, image, cudaStream_t(stream));
   };
   out8 ? draw(out8) : draw(out);
 }
