@@ -11,9 +11,9 @@
 
 namespace lfgs::cuda {
 
-// How composite goes about it. kPixel...: patches of pixels, the inverse standard deviation linear or quadratic in s
-// (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
-enum class LensKernel : int { kPixel, kPixelQuadratic, kOrdinal, kCount };
+// How composite goes about it. kPixel...: patches of pixels, large or small, the inverse standard deviation linear or
+// quadratic in s (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
+enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadraticSmall, kOrdinal, kCount };
 
 // What one frame found out: written on the device, read by the host when it likes.
 struct FrameState {
@@ -22,7 +22,7 @@ struct FrameState {
   unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
   int kernel;                    // LensKernel chosen
   int exact;                     // every splat of a pixel kernel is evaluated with a division
-  unsigned next_tile[4];         // of each composite kernel
+  unsigned next_tile[5];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
