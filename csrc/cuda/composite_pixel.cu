@@ -56,7 +56,8 @@ __device__ void polynomial(const Splat<float>& s, float4 colour, float4 fit[4]) 
     const float right = root(0.5f), left = root(-0.5f);
     r0 = 0.5f * (right + left), r1 = right - left;
   }
-  const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du), t = sqrtf(s.tau);
+  const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du);
+  const float t = s.tau * fast_rsqrt(fmaxf(s.tau, 1e-37f));
   fit[0] = make_float4(r0 * E, -r0 * s.c0, fmaf(r1, E, -r0 * sweep), -fmaf(r1, s.c0, r0 * s.c1));
   fit[1] = make_float4(fmaf(r2, E, -r1 * sweep), r0, r1, s.log2_opacity);
   fit[2] = make_float4(-t * s.v0, t, colour.x, colour.y);
