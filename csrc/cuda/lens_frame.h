@@ -40,6 +40,7 @@ struct Ordinals {
   float centre[kMostOrdinals], half[kMostOrdinals];  // of s
   float view[kMostOrdinals];                         // of the camera coordinate, at the centre
   float view_unit;                                   // a power of 2 that scales its distance from there to about 1
+  LFGS_HD int columns() const { return groups * per_group; }  // count, and what fills the last group
 };
 
 // The lens for kernels, in float.
@@ -79,6 +80,10 @@ struct LensFrame {
   int64_t* ends = nullptr;                                                                     // [N]
   void *keys = nullptr, *sorted_keys = nullptr;                                                // [capacity]
   uint32_t *values = nullptr, *sorted_values = nullptr;                                        // [capacity]
+  // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
+  // first place in the fourth number of a colour)
+  float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
+  uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
   uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
   uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order; null: all, there is no lattice
   void* temporary = nullptr;
