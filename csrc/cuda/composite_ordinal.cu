@@ -76,26 +76,18 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
 }
 
 #if __CUDA_ARCH__ >= 800
-// Copies splats and, with harmonics, their colours at all ordinals of a group.
 template <bool Harmonics>
-__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, Memory<Harmonics>& memory) {
-  constexpr int kColours = Harmonics ? kGroupOrdinals : 1, kSlopes = Harmonics ? kGroupOrdinals / 2 : 0;
-  constexpr int kParts = 3 + kColours + kSlopes;  // 16 bytes each
-  const int columns = frame.optics.ordinals.columns();
+__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, Memory<Harmonics>& memory) {
+  constexpr int kParts = Harmonics ? 3 : 4;
   for (int j = threadIdx.x; j < count * kParts; j += kThreads) {
     const int i = j / kParts, k = j % kParts;
     const uint32_t id = ids[i];
-    const int64_t at = int64_t(id) * columns + first;
     if (k < 3) {
-      memory.splat[k][i] = reinterpret_cast<const float4*>(frame.splats.splats + id)[k];
-    } else if (!Harmonics) {
-      memory.colour[0][i] = by_place(frame.optics, reinterpret_cast<const float4*>(frame.splats.colours)[id]);
-    } else if (k < 3 + kColours) {
-      memory.colour[k - 3][i] = reinterpret_cast<const float4*>(frame.ordinal_colours)[at + k - 3];
+      float4 part = reinterpret_cast<const float4*>(frame.splats.splats + id)[k];
+      if (k == 2) part.w = __uint_as_float(id);
+      memory.splat[k][i] = part;
     } else {
-      const int t = 2 * (k - 3 - kColours);
-      const uint4 two = *reinterpret_cast<const uint4*>(frame.ordinal_slopes + 2 * (at + t));
-      memory.slopes[t][i] = make_uint2(two.x, two.y), memory.slopes[t + 1][i] = make_uint2(two.z, two.w);
+      memory.colour[i] = by_place(frame.optics, reinterpret_cast<const float4*>(frame.splats.colours)[id]);
     }
   }
 }
@@ -135,7 +127,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
       const int count = min(unsigned(kBatch<Harmonics>), range.y - begin);
       const bool opaque = task.all_opaque(last - first + 1);
       if (__syncthreads_and(opaque)) break;
-      stage<Harmonics>(frame, lists.ids + begin, count, first, memory);
+      stage<Harmonics>(frame, lists.ids + begin, count, memory);
       __syncthreads();
       if (opaque) continue;
       const int hits = task.cull(count, first, last);
@@ -175,10 +167,7 @@ __global__ void __launch_bounds__(kThreads, 2)
   const Lists lists(frame);
   const unsigned tiles = tiles_to_draw(frame, frame.ordinal);
   WorkQueue work(frame, LensKernel::kOrdinal);
-  if (threadIdx.x < (Harmonics ? kGroupOrdinals : 1)) {
-    memory.colour[threadIdx.x][kBatch<Harmonics>] = make_float4(0, 0, 0, 0);
-    if (Harmonics) memory.slopes[threadIdx.x][kBatch<Harmonics>] = make_uint2(0, 0);
-  }
+  if (!Harmonics && threadIdx.x == 0) memory.colour[Harmonics ? 0 : kBatch<Harmonics>] = make_float4(0, 0, 0, 0);
   for (unsigned tile = blockIdx.x; tile < tiles; tile = memory.next_tile) {
     if (threadIdx.x == 0) work.claim(gridDim.x);
     draw_tile<Harmonics>(frame, lists, tile_to_draw(frame, tile), row_bytes, behind, out, memory);

@@ -86,12 +86,13 @@ struct Parts {
 LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const View<double>& rig_, const Lens& lens,
                      int64_t capacity_, const Quality& quality, double tolerance_)
     : rig(rounded(rig_)), optics(optics_of(lens)), pixel(pixel_tiling(lens)), ordinal(ordinal_tiling(lens, optics)),
-      has_ordinal(can_composite_ordinal(lens)), sh_degree(sh_degree_), capacity(capacity_),
-      tolerance(float(tolerance_)), cut(float(quality.log2_cut)), stop(float(quality.stop)),
-      lattice(float(quality.lattice)) {
+      sh_degree(sh_degree_), capacity(capacity_), tolerance(float(tolerance_)), cut(float(quality.log2_cut)),
+      stop(float(quality.stop)), lattice(float(quality.lattice)) {
   require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),
           "a frame takes fewer than 2^31 Gaussians and 2^32 pairs, got " + std::to_string(gaussians) + " and " +
               std::to_string(capacity));
+  // Colours at ordinals are numbered with 32 bits
+  has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
   require(most_tiles() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_tiles()));
   splats.images = 1, splats.count = gaussians, splats.colour_order = colour_order;
   key_bytes = most_tiles() < (1 << 16) ? 2 : 4;
