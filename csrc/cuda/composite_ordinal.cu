@@ -77,14 +77,15 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
 
 #if __CUDA_ARCH__ >= 800
 template <bool Harmonics>
-__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, Memory<Harmonics>& memory) {
+__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, Memory<Harmonics>& memory) {
   constexpr int kParts = Harmonics ? 3 : 4;
+  const unsigned columns = frame.optics.ordinals.columns();
   for (int j = threadIdx.x; j < count * kParts; j += kThreads) {
     const int i = j / kParts, k = j % kParts;
     const uint32_t id = ids[i];
     if (k < 3) {
       float4 part = reinterpret_cast<const float4*>(frame.splats.splats + id)[k];
-      if (k == 2) part.w = __uint_as_float(id);
+      if (Harmonics && k == 2) part.w = __uint_as_float(id * columns + first);
       memory.splat[k][i] = part;
     } else {
       memory.colour[i] = by_place(frame.optics, reinterpret_cast<const float4*>(frame.splats.colours)[id]);
@@ -127,7 +128,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
       const int count = min(unsigned(kBatch<Harmonics>), range.y - begin);
       const bool opaque = task.all_opaque(last - first + 1);
       if (__syncthreads_and(opaque)) break;
-      stage<Harmonics>(frame, lists.ids + begin, count, memory);
+      stage<Harmonics>(frame, lists.ids + begin, count, first, memory);
       __syncthreads();
       if (opaque) continue;
       const int hits = task.cull(count, first, last);

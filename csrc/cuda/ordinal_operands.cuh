@@ -49,7 +49,7 @@ static_assert(kBatch<false> * sizeof(uint16_t) <= sizeof(WarpMemory<false>::oper
 
 template <bool Harmonics>
 struct Memory {
-  float4 splat[3][kBatch<Harmonics>];                // its number where the depth was
+  float4 splat[3][kBatch<Harmonics>];  // where the depth was: of its colours, the first of the group
   float4 colour[Harmonics ? 1 : kBatch<false> + 1];  // with harmonics they are read when a hit is drawn
   WarpMemory<Harmonics> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile

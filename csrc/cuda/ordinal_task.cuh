@@ -221,18 +221,18 @@ struct Task {
     if (Harmonics) keep(32 + lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
     for (; begin < quarter; begin += 8) {
       // 32 hits, one a lane: 8 of each quarter, columns 2 q and 2 q + 1 of four batches
-      __syncwarp();
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
       const bool valid = j < min(quarter, n - q * quarter);
       const int i = queued(t, valid ? q * quarter + j : 0);
       const Splat<float> splat = staged(i);
       float4 c = make_float4(0, 0, 0, 0);
       uint2 slopes = make_uint2(0, 0);
-      if (Harmonics && valid) {  // early: they take a while
-        const unsigned at = __float_as_uint(splat.depth) * frame.optics.ordinals.columns() + ordinal;
+      if (Harmonics && valid) {  // before anything else, and kept there by __syncwarp: they take a while
+        const unsigned at = __float_as_uint(splat.depth) + t;
         c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
         slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
       }
+      __syncwarp();
       bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       uint4 low, high, exponent;
       coefficients(splat, centre, unit, x_centre, low, high, exponent);
