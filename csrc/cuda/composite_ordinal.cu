@@ -76,20 +76,20 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
 }
 
 #if __CUDA_ARCH__ >= 800
+// No branch: several reads are under way at a time.
 template <bool Harmonics>
 __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, Memory<Harmonics>& memory) {
   constexpr int kParts = Harmonics ? 3 : 4;
   const unsigned columns = frame.optics.ordinals.columns();
+  const float4* splats = reinterpret_cast<const float4*>(frame.splats.splats);
+  const float4* colours = reinterpret_cast<const float4*>(frame.splats.colours);
   for (int j = threadIdx.x; j < count * kParts; j += kThreads) {
     const int i = j / kParts, k = j % kParts;
     const uint32_t id = ids[i];
-    if (k < 3) {
-      float4 part = reinterpret_cast<const float4*>(frame.splats.splats + id)[k];
-      if (Harmonics && k == 2) part.w = __uint_as_float(id * columns + first);
-      memory.splat[k][i] = part;
-    } else {
-      memory.colour[i] = by_place(frame.optics, reinterpret_cast<const float4*>(frame.splats.colours)[id]);
-    }
+    float4 part = k < 3 ? splats[3 * int64_t(id) + k] : colours[id];
+    if (Harmonics && k == 2) part.w = __uint_as_float(id * columns + first);
+    if (!Harmonics && k == 3) part = by_place(frame.optics, part);
+    *(k < 3 ? &memory.splat[k][i] : &memory.colour[Harmonics ? 0 : i]) = part;
   }
 }
 
