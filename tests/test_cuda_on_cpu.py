@@ -42,7 +42,8 @@ def drawn(module: str, what: str, folder: Path) -> Any:
     return torch.load(folder / "out.pt", weights_only=True)
 
 
-@pytest.mark.parametrize("kernel, mean_square", [("pixel", 1e-7), ("pixel-quadratic", 1e-8), ("ordinal", 1e-8)])
+@pytest.mark.parametrize("kernel, mean_square", [("pixel", 1e-7), ("pixel-quadratic", 1e-8), ("pixel-small", 1e-7),
+                                                 ("pixel-quadratic-small", 1e-8), ("ordinal", 1e-8)])
 def test_frames_are_those_of_the_cpu(module, kernel, mean_square, tmp_path):
     for (name, degree, views), found in zip(cases.frames_of(kernel), drawn(module, kernel, tmp_path), strict=True):
         panel = cases.panel_of(name)

@@ -17,7 +17,8 @@ void bind_lens_frame(py::module_ m) {
   using cuda::LensFrame;
   using G = Gaussians<float>;
   m.attr("FRAME_STATE_BYTES") = sizeof(FrameState);
-  m.attr("FRAME_KERNELS") = std::vector<std::string>{"pixel", "pixel-quadratic", "ordinal"};
+  m.attr("FRAME_KERNELS") = std::vector<std::string>{"pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small",
+                                                        "ordinal"};
   py::class_<LensFrame>(m, "LensFrame")
       .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, const Quality&, double>(),
            py::kw_only(),

@@ -16,23 +16,26 @@
 namespace lfgs::cuda {
 namespace {
 
+// The colours of every splat at every ordinal: parabolas through the ends and the middle of what the ordinal sees, none
+// below zero. A list of a group would read them several times; a thread has kShare ordinals of a splat.
+constexpr int kShare = 3, kColourThreads = 128;
+__global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const __grid_constant__ LensFrame frame) {
 #if __CUDA_ARCH__ >= 800
-// The colours of staged splat i about kShare ordinals of the group from number t: parabolas through the ends and the
-// middle of each, none below zero.
-constexpr int kShare = 3;  // fewer read the polynomial more often, more leave threads without work
-__device__ inline void stage_colours(const LensFrame& frame, uint32_t id, int i, int t, int first, int last,
-                                     Memory<true>& memory) {
+  if (frame.state->kernel != int(LensKernel::kOrdinal)) return;
   const Ordinals& ordinals = frame.optics.ordinals;
   const Splats<float>& splats = frame.splats;
-  const int order = splats.orders[id];
-  const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
+  const int columns = ordinals.columns(), items = columns / kShare;
+  const int64_t thread = int64_t(blockIdx.x) * kColourThreads + threadIdx.x, id = thread / items;
+  if (id >= splats.count || splats.splats[id].reach_y < 0) return;
+  const int first = int(thread % items) * kShare, order = splats.orders[id];
+  const float4* powers = reinterpret_cast<const float4*>(splats.colours) + id * (splats.colour_order + 1);
   constexpr int kAhead = 4;  // loads under way at a time
   float s[kShare][3], values[kShare][3][3] = {};  // ordinals; low, middle, high; places
 #pragma unroll
   for (int o = 0; o < kShare; ++o)
 #pragma unroll
     for (int n = 0; n < 3; ++n) {
-      const int ordinal = min(first + t + o, last);
+      const int ordinal = min(first + o, ordinals.count - 1);
       s[o][n] = fmaf(float(n - 1), ordinals.half[ordinal], ordinals.centre[ordinal]);
     }
   for (int high = order; high >= 0; high -= kAhead) {
@@ -54,8 +57,7 @@ __device__ inline void stage_colours(const LensFrame& frame, uint32_t id, int i,
   }
 #pragma unroll
   for (int o = 0; o < kShare; ++o) {
-    if (first + t + o > last) break;
-    const float half = ordinals.half[first + t + o];
+    const float half = ordinals.half[min(first + o, ordinals.count - 1)];
     const float inverse = half > 0 ? 0.5f * offset_unit(frame.optics) / half : 0.5f;  // of v there, with its sign
     float middle[3];
     __half2 slope[3];
@@ -65,27 +67,29 @@ __device__ inline void stage_colours(const LensFrame& frame, uint32_t id, int i,
       middle[c] = fmaxf(values[o][1][c], 0.f);
       slope[c] = __floats2half2_rn((high - low) * inverse, (high + low - 2 * middle[c]) * 2 * inverse * inverse);
     }
-    memory.colour[t + o][i] = make_float4(middle[0], middle[1], middle[2], __uint_as_float(bits(slope[0])));
-    memory.slopes[t + o][i] = make_uint2(bits(slope[1]), bits(slope[2]));
+    const int64_t at = id * columns + first + o;
+    reinterpret_cast<float4*>(frame.ordinal_colours)[at] =
+        make_float4(middle[0], middle[1], middle[2], __uint_as_float(bits(slope[0])));
+    reinterpret_cast<uint2*>(frame.ordinal_slopes)[at] = make_uint2(bits(slope[1]), bits(slope[2]));
   }
+#endif
 }
 
+#if __CUDA_ARCH__ >= 800
+// No branch: several reads are under way at a time.
 template <bool Harmonics>
-__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, int last,
-                      Memory<Harmonics>& memory) {
+__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, Memory<Harmonics>& memory) {
   constexpr int kParts = Harmonics ? 3 : 4;
+  const unsigned columns = frame.optics.ordinals.columns();
+  const float4* splats = reinterpret_cast<const float4*>(frame.splats.splats);
+  const float4* colours = reinterpret_cast<const float4*>(frame.splats.colours);
   for (int j = threadIdx.x; j < count * kParts; j += kThreads) {
     const int i = j / kParts, k = j % kParts;
     const uint32_t id = ids[i];
-    if (k < 3)
-      memory.splat[k][i] = reinterpret_cast<const float4*>(frame.splats.splats + id)[k];
-    else
-      memory.colour[0][i] = by_place(frame.optics, reinterpret_cast<const float4*>(frame.splats.colours)[id]);
-  }
-  if constexpr (Harmonics) {
-    constexpr int kItems = kGroupOrdinals / kShare;
-    for (int j = threadIdx.x; j < count * kItems; j += kThreads)
-      stage_colours(frame, ids[j / kItems], j / kItems, j % kItems * kShare, first, last, memory);
+    float4 part = k < 3 ? splats[3 * int64_t(id) + k] : colours[id];
+    if (Harmonics && k == 2) part.w = __uint_as_float(id * columns + first);
+    if (!Harmonics && k == 3) part = by_place(frame.optics, part);
+    *(k < 3 ? &memory.splat[k][i] : &memory.colour[Harmonics ? 0 : i]) = part;
   }
 }
 
@@ -124,7 +128,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
       const int count = min(unsigned(kBatch<Harmonics>), range.y - begin);
       const bool opaque = task.all_opaque(last - first + 1);
       if (__syncthreads_and(opaque)) break;
-      stage<Harmonics>(frame, lists.ids + begin, count, first, last, memory);
+      stage<Harmonics>(frame, lists.ids + begin, count, first, memory);
       __syncthreads();
       if (opaque) continue;
       const int hits = task.cull(count, first, last);
@@ -164,10 +168,7 @@ __global__ void __launch_bounds__(kThreads, 2)
   const Lists lists(frame);
   const unsigned tiles = tiles_to_draw(frame, frame.ordinal);
   WorkQueue work(frame, LensKernel::kOrdinal);
-  if (threadIdx.x < (Harmonics ? kGroupOrdinals : 1)) {
-    memory.colour[threadIdx.x][kBatch<Harmonics>] = make_float4(0, 0, 0, 0);
-    if (Harmonics) memory.slopes[threadIdx.x][kBatch<Harmonics>] = make_uint2(0, 0);
-  }
+  if (!Harmonics && threadIdx.x == 0) memory.colour[Harmonics ? 0 : kBatch<Harmonics>] = make_float4(0, 0, 0, 0);
   for (unsigned tile = blockIdx.x; tile < tiles; tile = memory.next_tile) {
     if (threadIdx.x == 0) work.claim(gridDim.x);
     draw_tile<Harmonics>(frame, lists, tile_to_draw(frame, tile), row_bytes, behind, out, memory);
@@ -180,6 +181,11 @@ __global__ void __launch_bounds__(kThreads, 2)
 
 template <bool Harmonics, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
+  if (Harmonics && frame.splats.count) {
+    const int64_t items = frame.splats.count * (frame.optics.ordinals.columns() / kShare);
+    ordinal_colours_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
+    check_launch("composite_ordinal: colours");
+  }
   const auto kernel = composite_ordinal_kernel<Harmonics, Out>;
   const int row = row_bytes(frame.optics.line_number);
   const size_t bytes = sizeof(Memory<Harmonics>) + kTileRows * row;

@@ -1,6 +1,7 @@
 // Composite of a light-field frame by tiles of pixels, for rigs of small disparity.
 //
-// A warp has 16 x 8 pixels, a lane two neighbours in each of two rows: 12 sub-pixels. Warps do not wait for each other.
+// A warp has 16 x 8 pixels, a lane two neighbours in each of two rows: 12 sub-pixels; 16 x 4 and one row for small
+// Gaussians, of which a larger patch has many that touch only a part of it. Warps do not wait for each other.
 // A warp culls its tile's list 32 splats at a time against its own pixels; of every 32 that stay each lane turns one
 // into a polynomial about the patch's centre,
 //   exponent = log2 o - (t (y - v0))^2 - d^2,   d = r(s) (x - m(y, s)),   r = S^(-1/2) about linear or quadratic in s,
@@ -17,22 +18,27 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kWarps = 4, kThreads = 32 * kWarps, kBlocks = 5;  // blocks on a multiprocessor: with more registers spill
-constexpr int kLaneRows = 2, kPatchHeight = 4 * kLaneRows, kPatchWidth = 16;
+constexpr int kWarps = 4, kThreads = 32 * kWarps, kPatchWidth = 16;
+constexpr int kUnitHeight = 8;  // rows that a warp takes at a time: one patch or two
+// On a multiprocessor; with more, loops hold numbers in memory.
+constexpr int blocks_of(int lane_rows, bool harmonics) { return (lane_rows == 1 ? 8 : 6) - harmonics; }
 constexpr float kCarefulOpacity = -0.0291f;      // log2(0.98): what an opaque splat stops is less than 2/255
 constexpr float kMostColourCurvature = 2.5e-4f;  // dropped s^2 of a colour: half of it is the error
 
-template <bool Quadratic_, bool Harmonics_>
+template <bool Quadratic_, bool Harmonics_, int lane_rows_>
 struct Config {
   static constexpr bool Quadratic = Quadratic_, Harmonics = Harmonics_;
-  static constexpr LensKernel kernel = Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel;
+  static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
+  static constexpr LensKernel kernel =
+      lane_rows == 1 ? (Quadratic ? LensKernel::kPixelQuadraticSmall : LensKernel::kPixelSmall)
+                     : (Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel);
 };
 
 // What a warp keeps in shared memory.
-template <class C>
+template <bool Harmonics>
 struct Staged {
   float4 fit[4][32];  // of 32 hits, see polynomial()
-  float4 slope[C::Harmonics ? 32 : 1];
+  float4 slope[Harmonics ? 32 : 1];
   uint32_t ids[64];   // hits that wait: fewer than 32, and those of one cull
 };
 
@@ -51,7 +57,8 @@ __device__ void polynomial(const Splat<float>& s, float4 colour, float4 fit[4]) 
     const float right = root(0.5f), left = root(-0.5f);
     r0 = 0.5f * (right + left), r1 = right - left;
   }
-  const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du), t = sqrtf(s.tau);
+  const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du);
+  const float t = s.tau * fast_rsqrt(fmaxf(s.tau, 1e-37f));
   fit[0] = make_float4(r0 * E, -r0 * s.c0, fmaf(r1, E, -r0 * sweep), -fmaf(r1, s.c0, r0 * s.c1));
   fit[1] = make_float4(fmaf(r2, E, -r1 * sweep), r0, r1, s.log2_opacity);
   fit[2] = make_float4(-t * s.v0, t, colour.x, colour.y);
@@ -79,17 +86,17 @@ __device__ inline bool straight_colour(const Splats<float>& splats, uint32_t id,
 
 template <class C>
 struct Samples {
-  float x[2], y[kLaneRows];  // about the patch's centre
-  float s[kLaneRows][2][3], colour[kLaneRows][2][3], transmittance[kLaneRows][2][3];
+  float x[2], y[C::lane_rows];  // about the patch's centre
+  float s[C::lane_rows][2][3], colour[C::lane_rows][2][3], transmittance[C::lane_rows][2][3];
   float4 last, last_slope;  // colour of the last splat
 
   __device__ Samples(const LensFrame& frame, int left, int top, int lane_x, int lane_y)
       : last(make_float4(0, 0, 0, 0)), last_slope(last) {
     const LensOptics& lens = frame.optics;
 #pragma unroll
-    for (int r = 0; r < kLaneRows; ++r) {
+    for (int r = 0; r < C::lane_rows; ++r) {
       const int row = top + lane_y + 4 * r;
-      y[r] = lane_y + 4 * r + 0.5f - 0.5f * kPatchHeight;
+      y[r] = lane_y + 4 * r + 0.5f - 0.5f * C::patch_height;
 #pragma unroll
       for (int p = 0; p < 2; ++p) {
         const int column = left + lane_x + p;
@@ -108,7 +115,7 @@ struct Samples {
   template <class Visit>
   __device__ void for_each(const Visit& visit) {
 #pragma unroll
-    for (int r = 0; r < kLaneRows; ++r)
+    for (int r = 0; r < C::lane_rows; ++r)
 #pragma unroll
       for (int p = 0; p < 2; ++p)
 #pragma unroll
@@ -123,7 +130,7 @@ struct Samples {
 
   __device__ static float part(float4 c, int k) { return k == 0 ? c.x : k == 1 ? c.y : c.z; }
 
-  __device__ void add(const Staged<C>& staged, int i, float cut) {
+  __device__ void add(const Staged<C::Harmonics>& staged, int i, float cut) {
     const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i];
     const float4 f3 = C::Quadratic ? staged.fit[3][i] : make_float4(staged.fit[3][i].x, 0, 0, 0);
     const float4 colour_now = make_float4(f2.z, f2.w, f3.x, 0);
@@ -136,7 +143,7 @@ struct Samples {
     }
     last = colour_now;
 #pragma unroll
-    for (int r = 0; r < kLaneRows; ++r) {
+    for (int r = 0; r < C::lane_rows; ++r) {
       const float t = fmaf(f2.y, y[r], f2.x), A = fmaf(-t, t, f1.w);
       const float p0 = fmaf(f0.y, y[r], f0.x), p1 = fmaf(f0.w, y[r], f0.z);
       const float p2 = C::Quadratic ? fmaf(f3.z, y[r], f1.x) : f1.x;
@@ -171,7 +178,7 @@ struct Samples {
   template <class Out>
   __device__ void store(const LensOptics& lens, int column, int row, float4 background, Out* out) {
 #pragma unroll
-    for (int r = 0; r < kLaneRows; ++r) {
+    for (int r = 0; r < C::lane_rows; ++r) {
       float values[6];
 #pragma unroll
       for (int p = 0; p < 2; ++p)
@@ -212,7 +219,7 @@ struct Samples {
 
 // Makes the polynomials of the first `count` <= 32 waiting hits; returns which are to be evaluated carefully.
 template <class C>
-__device__ unsigned specialise(const LensFrame& frame, int count, float2 centre, bool exact, Staged<C>& staged) {
+__device__ unsigned specialise(const LensFrame& frame, int count, float2 centre, bool exact, Staged<C::Harmonics>& staged) {
   const int lane = threadIdx.x % 32;
   bool careful = false;
   if (lane < count) {
@@ -236,18 +243,11 @@ __device__ unsigned specialise(const LensFrame& frame, int count, float2 centre,
 }
 
 template <class C, class Out>
-__device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exact, unsigned unit, float4 background,
-                           Out* out, Staged<C>& staged) {
-  constexpr unsigned kAcross = 4, kDown = 32 / kPatchHeight;  // patches of a list's tile
+__device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 range, bool exact, int left, int top,
+                           float4 background, Out* out, Staged<C::Harmonics>& staged) {
   const int lane = threadIdx.x % 32, lane_x = 2 * (lane % 8), lane_y = lane / 8;
-  const unsigned tile = tile_to_draw(frame, unit / (kAcross * kDown)), part = unit % (kAcross * kDown);
-  const unsigned across = unsigned(frame.pixel.across);
-  const uint2 range = lists.range(tile);
-  const int left = int(tile % across * kAcross + part % kAcross) * kPatchWidth;
-  const int top = int(tile / across * kDown + part / kAcross) * kPatchHeight;
-  if (left >= frame.optics.width_px || top >= frame.optics.height_px) return;
-  const float2 centre = make_float2(left + 0.5f * kPatchWidth, top + 0.5f * kPatchHeight);
-  const float half_height = 0.5f * kPatchHeight - 0.5f;
+  const float2 centre = make_float2(left + 0.5f * kPatchWidth, top + 0.5f * C::patch_height);
+  const float half_height = 0.5f * C::patch_height - 0.5f;
   Samples<C> samples(frame, left, top, lane_x, lane_y);
 
   int waiting = 0;
@@ -292,33 +292,54 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, bool exac
 }
 
 template <class C, class Out>
-__global__ void __launch_bounds__(kThreads, kBlocks)
-    composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
-  if (frame.state->kernel != int(C::kernel)) return;
-  __shared__ Staged<C> staged[kWarps];
+__device__ void draw_patches(const LensFrame& frame, const float* background, Out* out,
+                             Staged<C::Harmonics> (&staged)[kWarps]) {
+  constexpr unsigned kAcross = kPixelTileWidth / kPatchWidth, kDown = kPixelTileHeight / kUnitHeight;
   const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
   const bool exact = frame.state->exact;
-  const unsigned units = tiles_to_draw(frame, frame.pixel) * (4 * 32 / kPatchHeight);
+  const unsigned units = tiles_to_draw(frame, frame.pixel) * kAcross * kDown, across = unsigned(frame.pixel.across);
   WorkQueue work(frame, C::kernel);
   for (unsigned unit = blockIdx.x * kWarps + threadIdx.x / 32; unit < units;
        unit = __shfl_sync(~0u, work.claimed, 0)) {
     if (threadIdx.x % 32 == 0) work.claim(gridDim.x * kWarps);
-    draw_patch<C>(frame, lists, exact, unit, behind, out, staged[threadIdx.x / 32]);
+    const unsigned tile = tile_to_draw(frame, unit / (kAcross * kDown)), part = unit % (kAcross * kDown);
+    const int left = int(tile % across * kAcross + part % kAcross) * kPatchWidth;
+    const int top = int(tile / across * kDown + part / kAcross) * kUnitHeight;
+    if (left >= frame.optics.width_px) continue;
+#pragma unroll 1
+    for (int k = 0; k < kUnitHeight / C::patch_height; ++k) {
+      const int y = top + k * C::patch_height;
+      if (y < frame.optics.height_px)
+        draw_patch<C>(frame, lists, lists.range(tile), exact, left, y, behind, out, staged[threadIdx.x / 32]);
+    }
   }
 }
 
-template <class C, class Out>
+// One kernel for both polynomials: a launch that finds nothing to do takes its time, too.
+template <int lane_rows, bool Harmonics, class Out>
+__global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
+    composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
+  using Linear = Config<false, Harmonics, lane_rows>;
+  using Quadratic = Config<true, Harmonics, lane_rows>;
+  __shared__ Staged<Harmonics> staged[kWarps];
+  if (frame.state->kernel == int(Linear::kernel))
+    draw_patches<Linear>(frame, background, out, staged);
+  else if (frame.state->kernel == int(Quadratic::kernel))
+    draw_patches<Quadratic>(frame, background, out, staged);
+}
+
+template <int lane_rows, bool Harmonics, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  const auto kernel = composite_pixel_kernel<C, Out>;
+  const auto kernel = composite_pixel_kernel<lane_rows, Harmonics, Out>;
   kernel<<<resident_blocks(kernel, kThreads, 0), kThreads, 0, stream>>>(frame, background, out);
   check_launch("composite_pixel");
 }
 
 template <bool Harmonics, class Out>
 void launch_all(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  launch<Config<false, Harmonics>>(frame, background, out, stream);
-  launch<Config<true, Harmonics>>(frame, background, out, stream);
+  launch<1, Harmonics>(frame, background, out, stream);
+  launch<2, Harmonics>(frame, background, out, stream);
 }
 
 }  // namespace

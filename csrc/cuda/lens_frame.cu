@@ -86,13 +86,14 @@ struct Parts {
 LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const View<double>& rig_, const Lens& lens,
                      int64_t capacity_, const Quality& quality, double tolerance_)
     : rig(rounded(rig_)), optics(optics_of(lens)), pixel(pixel_tiling(lens)), ordinal(ordinal_tiling(lens, optics)),
-      has_ordinal(can_composite_ordinal(lens)), sh_degree(sh_degree_), capacity(capacity_),
-      tolerance(float(tolerance_)), cut(float(quality.log2_cut)), stop(float(quality.stop)),
-      least_light(float(quality.least_light(lens.width_px, lens.height_px, gaussians))),
+      sh_degree(sh_degree_), capacity(capacity_), tolerance(float(tolerance_)), cut(float(quality.log2_cut)),
+      stop(float(quality.stop)), least_light(float(quality.least_light(lens.width_px, lens.height_px, gaussians))),
       lattice(float(quality.lattice)) {
   require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),
           "a frame takes fewer than 2^31 Gaussians and 2^32 pairs, got " + std::to_string(gaussians) + " and " +
               std::to_string(capacity));
+  // Colours at ordinals are numbered with 32 bits
+  has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
   require(most_tiles() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_tiles()));
   splats.images = 1, splats.count = gaussians, splats.colour_order = colour_order;
   key_bytes = most_tiles() < (1 << 16) ? 2 : 4;
@@ -105,7 +106,11 @@ size_t LensFrame::place(void* work) {
   parts.take(splats.splats, n);
   parts.take(splats.colours, n * (splats.colour_order + 1) * kColourStride);
   splats.orders = nullptr;
-  if (splats.colour_order > 0) parts.take(splats.orders, n);
+  if (splats.colour_order > 0) {
+    parts.take(splats.orders, n);
+    const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
+    parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
+  }
   parts.take(depths, n), parts.take(sorted_depths, n), parts.take(indices, n), parts.take(order, n);
   parts.take(ends, n);
   char *unsorted = nullptr, *sorted = nullptr;

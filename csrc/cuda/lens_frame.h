@@ -11,9 +11,9 @@
 
 namespace lfgs::cuda {
 
-// How composite goes about it. kPixel...: patches of pixels, the inverse standard deviation linear or quadratic in s
-// (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
-enum class LensKernel : int { kPixel, kPixelQuadratic, kOrdinal, kCount };
+// How composite goes about it. kPixel...: patches of pixels, large or small, the inverse standard deviation linear or
+// quadratic in s (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
+enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadraticSmall, kOrdinal, kCount };
 
 // What one frame found out: written on the device, read by the host when it likes. pairs and drawn come from bin, the
 // rest from project and composite.
@@ -23,7 +23,7 @@ struct FrameState {
   unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
   int kernel;                    // LensKernel chosen
   int exact;                     // every splat of a pixel kernel is evaluated with a division
-  unsigned next_tile[4];         // of each composite kernel
+  unsigned next_tile[5];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
   unsigned pruned;               // splats, see Quality
@@ -42,6 +42,7 @@ struct Ordinals {
   float centre[kMostOrdinals], half[kMostOrdinals];  // of s
   float view[kMostOrdinals];                         // of the camera coordinate, at the centre
   float view_unit;                                   // a power of 2 that scales its distance from there to about 1
+  LFGS_HD int columns() const { return groups * per_group; }  // count, and what fills the last group
 };
 
 // The lens for kernels, in float.
@@ -82,6 +83,10 @@ struct LensFrame {
   int64_t* ends = nullptr;                                                                     // [N]
   void *keys = nullptr, *sorted_keys = nullptr;                                                // [capacity]
   uint32_t *values = nullptr, *sorted_values = nullptr;                                        // [capacity]
+  // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
+  // first place in the fourth number of a colour)
+  float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
+  uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
   uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
   uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order; null: all, there is no lattice
   void* temporary = nullptr;

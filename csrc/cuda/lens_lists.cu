@@ -17,13 +17,16 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 128, kMostLanes = 4;
+constexpr int64_t kCrowd = 1 << 18;  // splats that fill the device with a lane each
 
 __device__ bool ordinal_chosen(const LensFrame& frame) {
   return frame.state->kernel == int(LensKernel::kOrdinal);
 }
 
-// How many lanes share a splat: groups of ordinals give it more runs of tiles.
-__device__ int lanes_of(const LensFrame& frame) { return ordinal_chosen(frame) ? kMostLanes : 2; }
+// How many lanes share a splat: groups of ordinals give it more runs of tiles, small splats have one or two.
+__device__ int lanes_of(const LensFrame& frame) {
+  return ordinal_chosen(frame) ? kMostLanes : frame.splats.count < kCrowd ? 2 : 1;
+}
 
 // Calls visit(first, last, stride) for the runs of tiles, tile row by tile row and group by group, that a splat may
 // touch: for every `lanes`-th of them from number `lane`.
@@ -88,8 +91,9 @@ __global__ void fill_kernel(const __grid_constant__ LensFrame frame) {
 
   // Places of this lane's pairs: after those of the lanes before it
   int64_t mine = 0;
-  for_each_run(splat, frame, lane, lanes,
-               [&](int first, int last, int stride) { mine += (last - first) / stride + 1; });
+  if (lanes > 1)
+    for_each_run(splat, frame, lane, lanes,
+                 [&](int first, int last, int stride) { mine += (last - first) / stride + 1; });
   int64_t sum = mine;
   for (int step = 1; step < lanes; step *= 2) {
     const int64_t other = __shfl_up_sync(~0u, sum, step, lanes);

@@ -21,11 +21,14 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   auto mean = [&](int k) { return state.sampled ? float(state.sums[k]) / kErrorUnit / float(state.sampled) : 0.f; };
   const bool linear = mean(kLinearError) <= kMeanShapeError, quadratic = mean(kQuadraticError) <= kMeanShapeError;
 
-  const float patch = hits(15, 7, 1);
+  const float large = hits(15, 7, 1), small = hits(15, 3, 1);
   float cost[int(LensKernel::kCount)];
-  cost[int(LensKernel::kPixel)] = linear ? pixels / 128 * (181 * patch + 115) / rate : INFINITY;
+  auto pixel_cost = [&](float each, float of_patch) { return pixels / 128 * (each + of_patch) / rate; };
+  cost[int(LensKernel::kPixel)] = linear ? pixel_cost(181 * large, 115) : INFINITY;
+  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(198 * small, 230) : INFINITY;
   // Without a good polynomial every splat costs a division a sample
-  cost[int(LensKernel::kPixelQuadratic)] = pixels / 128 * ((quadratic ? 208 : 416) * patch + 115) / rate;
+  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 208 : 416) * large, 115);
+  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost(228 * small, 230) : INFINITY;
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
@@ -36,7 +39,8 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   for (int k = 0; k < int(LensKernel::kCount); ++k)
     if (cost[k] < cost[best]) best = k;
   state.kernel = frame.forced >= 0 ? frame.forced : best;
-  state.exact = state.kernel == int(LensKernel::kPixelQuadratic) && !quadratic;
+  state.exact = !quadratic && (state.kernel == int(LensKernel::kPixelQuadratic) ||
+                               state.kernel == int(LensKernel::kPixelQuadraticSmall));
 }
 
 }  // namespace

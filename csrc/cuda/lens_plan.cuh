@@ -5,6 +5,7 @@
 // 3/4 p2 with a straight line through -+ 1/2, p3 / 2 with a parabola through 0 and -+ sqrt(1/2); a third on average.
 #pragma once
 
+#include "cuda/blend.cuh"
 #include "cuda/lens_frame.h"
 #include "math/footprint.h"
 #include "math/constants.h"
@@ -23,7 +24,7 @@ struct ShapeError {
   float linear, quadratic;
 
   __device__ explicit ShapeError(const Splat<float>& s) {
-    const float a1 = s.S1 / s.S0, a2 = s.S2 / s.S0;
+    const float inverse = fast_reciprocal(s.S0), a1 = s.S1 * inverse, a2 = s.S2 * inverse;
     linear = fabsf(0.375f * a1 * a1 - 0.5f * a2) * 0.75f;
     quadratic = fabsf(a1 * (-0.3125f * a1 * a1 + 0.75f * a2)) * 0.5f;
     // Series of what varies much say little

@@ -20,7 +20,7 @@ constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 // Splats staged at a time: what leaves room for two blocks on a multiprocessor. Queues hold the places of a *page* of
 // them, a byte each.
 template <bool Harmonics>
-constexpr int kBatch = Harmonics ? 208 : 416;
+constexpr int kBatch = Harmonics ? 400 : 416;
 constexpr int kPage = 256;
 
 // Offset that v = 1 stands for.
@@ -33,6 +33,9 @@ struct WarpMemory {
   // two parts, exponent.
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[Harmonics ? 32 : 1];
+  // Of these 32 hits and of the 32 before, in turn: as they are in LensFrame
+  float4 whole_colour[Harmonics ? 64 : 1];
+  uint2 whole_slope[Harmonics ? 64 : 1];
   uint8_t queue[kGroupOrdinals][kBatch<Harmonics>];
   int first_page[kGroupOrdinals];              // how many of a queue lie in the first page, the others in the second
   float2 state[kGroupOrdinals * kHalves][32];  // colour and transmittance of each sample of the group
@@ -46,10 +49,8 @@ static_assert(kBatch<false> * sizeof(uint16_t) <= sizeof(WarpMemory<false>::oper
 
 template <bool Harmonics>
 struct Memory {
-  float4 splat[3][kBatch<Harmonics>];
-  // Colours; harmonics: at each ordinal of the group, and as halves the first and second power of v
-  float4 colour[Harmonics ? kGroupOrdinals : 1][kBatch<Harmonics> + 1];  // .w: of the first place
-  uint2 slopes[Harmonics ? kGroupOrdinals : 1][Harmonics ? kBatch<Harmonics> + 1 : 1];  // of the others
+  float4 splat[3][kBatch<Harmonics>];  // where the depth was: of its colours, the first of the group
+  float4 colour[Harmonics ? 1 : kBatch<false> + 1];  // with harmonics they are read when a hit is drawn
   WarpMemory<Harmonics> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
   unsigned next_tile;

@@ -105,7 +105,7 @@ struct Task {
   // The staged splat at place k of the queue of ordinal t.
   __device__ int queued(int t, int k) const {
     const int i = own.queue[t][k];
-    return kBatch<Harmonics> > kPage && k >= own.first_page[t] ? i + kPage : i;
+    return k >= own.first_page[t] ? i + kPage : i;
   }
 
   // Features of the samples at an ordinal as operands of the tensor cores.
@@ -161,17 +161,25 @@ struct Task {
     exponent = make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0);
   }
 
-  // The colour of a staged splat at ordinal t of the group; number kBatch is black.
-  __device__ Colour colour(int i, int t) const {
+  // The colour of a staged splat, for all cameras; number kBatch is black.
+  __device__ Colour colour(int i) const {
     Colour out;
-    const float4 c = memory.colour[Harmonics ? t : 0][i];
+    const float4 c = memory.colour[Harmonics ? 0 : i];
     out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
-    if (Harmonics) {
-      const uint2 slopes = memory.slopes[Harmonics ? t : 0][Harmonics ? i : 0];
-      out.slope[0] = as_half2(__float_as_uint(c.w));
-      out.slope[1] = as_half2(slopes.x), out.slope[2] = as_half2(slopes.y);
-    }
     return out;
+  }
+  static __device__ Colour whole(const float4& c, const uint2& slopes) {
+    Colour out;
+    out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
+    out.slope[0] = as_half2(__float_as_uint(c.w)), out.slope[1] = as_half2(slopes.x), out.slope[2] = as_half2(slopes.y);
+    return out;
+  }
+  // With harmonics: stores one in the warp's memory; reads it.
+  __device__ void keep(int place, const float4& c, const uint2& slopes) {
+    own.whole_colour[Harmonics ? place : 0] = c, own.whole_slope[Harmonics ? place : 0] = slopes;
+  }
+  __device__ Colour kept_colour(int place) const {
+    return whole(own.whole_colour[Harmonics ? place : 0], own.whole_slope[Harmonics ? place : 0]);
   }
 
   // The samples, a bit each, of which this lane of a quad multiplies the colours: those of place `quad` at an ordinal.
@@ -209,21 +217,36 @@ struct Task {
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) transmittances[s] = 1;
     const int quarter = (n + 3) / 4;
-    constexpr int kNone = kBatch<Harmonics>;
-    int hit = kNone, kept = kNone, begin = 0;  // this lane's hit of 32; and of the 32 before
+    int begin = 0, hit = kBatch<Harmonics>, kept = hit;  // this lane's hit of 32; and of the 32 before. kBatch: none
+    if (Harmonics) keep(32 + lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
     for (; begin < quarter; begin += 8) {
       // 32 hits, one a lane: 8 of each quarter, columns 2 q and 2 q + 1 of four batches
-      __syncwarp();
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
       const bool valid = j < min(quarter, n - q * quarter);
       const int i = queued(t, valid ? q * quarter + j : 0);
       const Splat<float> splat = staged(i);
+      float4 c = make_float4(0, 0, 0, 0);
+      uint2 slopes = make_uint2(0, 0);
+      if (Harmonics && valid) {  // before anything else, and kept there by __syncwarp: they take a while
+        const unsigned at = __float_as_uint(splat.depth) + t;
+        c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
+        slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
+      }
+      __syncwarp();
       bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       uint4 low, high, exponent;
       coefficients(splat, centre, unit, x_centre, low, high, exponent);
       if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
-      kept = hit, hit = valid ? i : kNone;
-      store_operands(low, high, exponent, colour(hit, t), colour(before(hit, kept), t));
+      if constexpr (Harmonics) {
+        const int turn = begin / 8 % 2 * 32;
+        keep(turn + lane, c, slopes);
+        __syncwarp();
+        const Colour last = kept_colour((first_of_quarter() ? 32 - turn : turn) + lane_before());
+        store_operands(low, high, exponent, whole(c, slopes), last);
+      } else {
+        kept = hit, hit = valid ? i : kBatch<Harmonics>;
+        store_operands(low, high, exponent, colour(hit), colour(before(hit, kept)));
+      }
       __syncwarp();
       limit = __any_sync(~0u, limit);
       const int batches = min(4, (quarter - begin + 1) / 2);
@@ -265,16 +288,20 @@ struct Task {
       }
     }
     if (quarter % 2 == 0) {
-      const int j = quarter - 1 - (begin - 8), last = __shfl_sync(~0u, hit, j / 2 * 8 + quad * 2 + j % 2);
-      close(colour(last, t), ordinal % 3, A_features, colours, transmittances);
+      const int j = quarter - 1 - (begin - 8), last = j / 2 * 8 + quad * 2 + j % 2;
+      const Colour end = Harmonics ? kept_colour((begin / 8 - 1) % 2 * 32 + last) : colour(__shfl_sync(~0u, hit, last));
+      close(end, ordinal % 3, A_features, colours, transmittances);
     }
     join(t, colours, transmittances);
   }
 
-  // Which hit comes before a lane's in its quarter: of the column before, the first after the last of the 32 before.
+  // Which lane has the hit before this one's in its quarter: that of the column before, the first of the 32 the last of
+  // the 32 before.
+  __device__ bool first_of_quarter() const { return lane / 8 == 0 && lane % 2 == 0; }
+  __device__ int lane_before() const { return lane % 2 ? lane - 1 : first_of_quarter() ? lane + 25 : lane - 7; }
   __device__ int before(int hit, int kept) const {
-    const bool first = lane / 8 == 0 && lane % 2 == 0, last = lane / 8 == 3 && lane % 2 == 1;
-    return __shfl_sync(~0u, last ? kept : hit, lane % 2 ? lane - 1 : first ? lane + 25 : lane - 7);
+    const bool last = lane / 8 == 3 && lane % 2 == 1;
+    return __shfl_sync(~0u, last ? kept : hit, lane_before());
   }
 
   // One hit's operands; its colour as the difference to the hit before it in its quarter.
