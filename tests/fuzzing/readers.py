@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import shutil
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -25,6 +26,14 @@ CORPUS = Path(__file__).parent / "corpus"
 SMALL_PANEL = Panel(width_px=4, height_px=2, views=3, line_number=4.0, slant_tan=0.1)
 SECONDS_PER_INPUT = 10
 BYTES_PER_INPUT = 1 << 30  # of address space, beside what the process had before
+
+
+def _read_transforms(path: Path) -> Any:
+    """With an image beside that the frames may name."""
+    image = path.with_name("view.png")
+    if not image.exists():
+        shutil.copyfile(CORPUS / "image" / "rgba.png", image)
+    return read_transforms(path)
 
 
 @dataclass(frozen=True)
@@ -55,7 +64,7 @@ READERS = {
     "model": Reader(".yaml", ModelConfig.from_yaml, "model"),
     "srn-intrinsics": Reader(".txt", read_intrinsics, "srn-intrinsics"),
     "srn-pose": Reader(".txt", read_pose, "srn-pose"),
-    "transforms": Reader(".json", read_transforms, "transforms"),
+    "transforms": Reader(".json", _read_transforms, "transforms"),
     "object": Reader(".json", lambda path: read_object(path, 1 << 16), "object"),
     "checkpoint": Reader(".safetensors", SplatterNet.from_pretrained, "checkpoint"),
 }

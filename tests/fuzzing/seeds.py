@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,12 @@ def _images(folder: Path, metadata: dict[str, str] | None = None) -> None:
         pass
 
 
+def _looking_at_the_origin(azimuth_rad: float) -> list[list[float]]:
+    """A camera's pose as transforms.json has it."""
+    sine, cosine = round(math.sin(azimuth_rad), 6), round(math.cos(azimuth_rad), 6)
+    return [[cosine, 0, sine, 1.3 * sine], [0, 1, 0, 0], [-sine, 0, cosine, 1.3 * cosine], [0, 0, 0, 1]]
+
+
 def main() -> None:
     folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
     for folder in folders.values():
@@ -60,11 +67,9 @@ def main() -> None:
     net.save(folders["checkpoint"] / "small.safetensors")
     yaml = "input: rgb\nlayers: 1\nnear: 0.75\nunet: {base_channels: 8, multipliers: [1, 2], heads: 2}\n"
     (folders["model"] / "small.yaml").write_text(yaml)
-    pose = np.diag([1.0, -1, -1, 1])
-    pose[2, 3] = 1.3
-    frames = [{"file_path": "view", "transform_matrix": pose.tolist()}]
-    camera = {"camera_angle_x": 0.7, "w": 12, "h": 16, "frames": frames}
-    (folders["transforms"] / "one.json").write_text(json.dumps(camera))
+    frames = [{"file_path": "view", "transform_matrix": _looking_at_the_origin(angle)} for angle in (-0.3, 0.2)]
+    camera = {"camera_angle_x": 0.7, "frames": frames}
+    (folders["transforms"] / "two.json").write_text(json.dumps(camera))
     (folders["object"] / "nested.json").write_text('{"a": [1, 2.5e-3, null, true, {"b": "\\u00e4"}]}')
     (folders["srn-intrinsics"] / "intrinsics.txt").write_text("131.25 64. 64. 0.\n0. 0. 0.\n1.\n128 128\n")
     (folders["srn-pose"] / "pose.txt").write_text(" ".join(map(str, np.diag([1.0, 1, 1, 1]).ravel())))
