@@ -43,4 +43,6 @@ class ResidentViews:
         columns = torch.arange(width_px, device=self.device)
         stored = (rows < height) & (columns < width)
         values = self._pixels[torch.where(stored, offset + rows * width + columns, 0)]
-        return torch.where(stored, values, 0)[..., None].view(torch.uint8)
+        # The bytes of a pixel by shifts: not every version of torch.compile takes a view as bytes
+        shifts = torch.arange(0, 32, 8, dtype=torch.int32, device=self.device)
+        return (torch.where(stored, values, 0)[..., None] >> shifts).bitwise_and_(255).to(torch.uint8)
