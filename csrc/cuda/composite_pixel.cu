@@ -20,8 +20,7 @@ namespace {
 
 constexpr int kWarps = 4, kThreads = 32 * kWarps, kPatchWidth = 16;
 constexpr int kUnitHeight = 8;  // rows that a warp takes at a time: one patch or two
-// On a multiprocessor; with more, loops hold numbers in memory.
-constexpr int blocks_of(int lane_rows, bool harmonics) { return (lane_rows == 1 ? 8 : 6) - harmonics; }
+constexpr int blocks_of(int lane_rows) { return lane_rows == 1 ? 7 : 5; }  // on a multiprocessor; more would spill
 constexpr float kCarefulOpacity = -0.0291f;      // log2(0.98): what an opaque splat stops is less than 2/255
 constexpr float kMostColourCurvature = 2.5e-4f;  // dropped s^2 of a colour: half of it is the error
 
@@ -318,7 +317,7 @@ __device__ void draw_patches(const LensFrame& frame, const float* background, Ou
 
 // One kernel for both polynomials: a launch that finds nothing to do takes its time, too.
 template <int lane_rows, bool Harmonics, class Out>
-__global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
+__global__ void __launch_bounds__(kThreads, blocks_of(lane_rows))
     composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   using Linear = Config<false, Harmonics, lane_rows>;
   using Quadratic = Config<true, Harmonics, lane_rows>;
