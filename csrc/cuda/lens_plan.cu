@@ -25,10 +25,10 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   float cost[int(LensKernel::kCount)];
   auto pixel_cost = [&](float each, float of_patch) { return pixels / 128 * (each + of_patch) / rate; };
   cost[int(LensKernel::kPixel)] = linear ? pixel_cost(181 * large, 115) : INFINITY;
-  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(198 * small, 230) : INFINITY;
+  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(196 * small, 235) : INFINITY;
   // Without a good polynomial every splat costs a division a sample
   cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 208 : 416) * large, 115);
-  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost(228 * small, 230) : INFINITY;
+  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost(226 * small, 235) : INFINITY;
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
