@@ -7,9 +7,11 @@ import math
 import numpy as np
 import torch
 
+from lightfield_gs import reference
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.reference import frustum_limits
+from lightfield_gs.reference_blend import ALPHA_MIN, Projection, Samples, Scene
 from lightfield_gs.rig import Rig
 
 
@@ -118,3 +120,15 @@ def hard_scene(kind: str, count: int, seed: int) -> Gaussians:
     else:
         raise ValueError(f"no kind of hard scene {kind!r}")
     return scene
+
+
+def reached(scene, shown, fan) -> np.ndarray:
+    """How many Gaussians of every sub-pixel have an alpha of 1/255 or more."""
+    rows, columns, channels = all_subpixels(shown)
+    offsets = reference.lens_offsets(shown, fan, reference.lens_views(shown, rows, columns, channels))
+    samples = Samples(*(torch.as_tensor(a, dtype=torch.float64) for a in (columns + 0.5, rows + 0.5, offsets)))
+    projection = Projection(Scene.of(scene), reference.rig_eye(shown, fan))
+    sample, gaussian = projection.pairs(samples)
+    alpha = projection.alpha(gaussian, samples=Samples(samples.columns[sample], samples.rows[sample],
+                                                       samples.offsets[sample]))
+    return torch.bincount(sample[alpha >= ALPHA_MIN * (1 - 1e-6)], minlength=len(rows)).numpy()

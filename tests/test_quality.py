@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rasterizer_cases import PANELS, all_subpixels, panel, random_scene, rig
+from rasterizer_cases import PANELS, all_subpixels, panel, random_scene, reached, rig
 
 from lightfield_gs import Encoder, Gaussians, InputError, Quality, encode, reference
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet
@@ -25,18 +25,6 @@ def errors(scene, shown, fan, quality, views="integer", **stats) -> tuple[np.nda
     colours, margins = reference.subpixel_colours(scene, shown, fan, *all_subpixels(shown), background=(0.1, 0.5, 0.9),
                                                   continuous=views == "continuous", return_margin=True)
     return np.abs(image.numpy().ravel() - colours), margins
-
-
-def reached(scene, shown, fan) -> np.ndarray:
-    """How many Gaussians of every sub-pixel have an alpha of 1/255 or more."""
-    rows, columns, channels = all_subpixels(shown)
-    offsets = reference.lens_offsets(shown, fan, reference.lens_views(shown, rows, columns, channels))
-    samples = Samples(*(torch.as_tensor(a, dtype=torch.float64) for a in (columns + 0.5, rows + 0.5, offsets)))
-    projection = Projection(Scene.of(scene), reference.rig_eye(shown, fan))
-    sample, gaussian = projection.pairs(samples)
-    alpha = projection.alpha(gaussian, samples=Samples(samples.columns[sample], samples.rows[sample],
-                                                       samples.offsets[sample]))
-    return torch.bincount(sample[alpha >= ALPHA_MIN * (1 - 1e-6)], minlength=len(rows)).numpy()
 
 
 @pytest.mark.parametrize("name", LENSES)

@@ -5,10 +5,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import torch
-from rasterizer_cases import all_subpixels
+from rasterizer_cases import all_subpixels, reached
 from stress_cases import (BACKENDS, BACKGROUND, CASES, EXACT, METHODS, SETTLED, check_gradients, one_thread,
                           use_backend)
-from test_quality import reached
 
 from lightfield_gs import Gaussians, encode, reference
 from lightfield_gs.quality import QUALITIES
