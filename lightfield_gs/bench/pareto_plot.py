@@ -37,11 +37,11 @@ def plot(found: list[dict[str, Any]], path: Path) -> None:
     columns = min(COLUMNS, len(cases))
     down = math.ceil(len(cases) / columns)
     figure = _figure()(figsize=(3.4 * columns, 3 * down), layout="constrained")
-    axes = figure.subplots(down, columns, squeeze=False).flat
+    axes = list(figure.subplots(down, columns, squeeze=False).flat)
     for axis, ((scene, cone, device), rows) in zip(axes, cases.items()):
         _draw(axis, rows)
         axis.set_title(f"{scene}, {cone:.3g} degrees, {device}", fontsize=9)
-    for axis in list(axes)[len(cases):]:
+    for axis in axes[len(cases):]:
         axis.set_visible(False)
     figure.supxlabel("ms", fontsize=9)
     figure.supylabel("PSNR, dB", fontsize=9)
