@@ -54,6 +54,13 @@ def test_frames_are_those_of_the_cpu(module, kernel, mean_square, tmp_path):
         assert (error**2).mean() < mean_square, (name, degree, views)
 
 
+def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(module, tmp_path):
+    for (kernel, case), found in zip(cases.SHAPES_THAT_VARY, drawn(module, "shapes", tmp_path), strict=True):
+        expected = encode(*case(), background=cases.BACKGROUND, output="float32")
+        assert found["kernel"] == kernel and not found["exact"]  # of the frame: single splats are
+        assert (found["image"] - expected).abs().max() < 0.4 / 255, kernel
+
+
 @pytest.fixture(scope="module")
 def lattice_frames(module, tmp_path_factory) -> list[dict[str, Any]]:
     return drawn(module, "lattice", tmp_path_factory.mktemp("lattice"))

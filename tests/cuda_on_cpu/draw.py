@@ -92,6 +92,8 @@ def main(what: str) -> object:
         return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
     if what == "recoloured":
         return [recoloured(*case, share) for case, share in zip(cases.LATTICE_FRAMES[1:], (1.0, 0.5, 1.0))]
+    if what == "shapes":
+        return [drawn(*case(), "integer", kernel, EXACT, 1.0) for kernel, case in cases.SHAPES_THAT_VARY]
     return [frame(what, *case) for case in cases.frames_of(what)]
 
 
