@@ -14,7 +14,7 @@ import pytest
 import torch
 from cuda_on_cpu import cases
 
-from lightfield_gs import encode, reference
+from lightfield_gs import encode, frame_cuda, reference
 from lightfield_gs.quality import QUALITIES
 
 FOLDER = Path(__file__).parent / "cuda_on_cpu"
@@ -59,6 +59,15 @@ def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(module, tmp_
         expected = encode(*case(), background=cases.BACKGROUND, output="float32")
         assert found["kernel"] == kernel and not found["exact"]  # of the frame: single splats are
         assert (found["image"] - expected).abs().max() < 0.4 / 255, kernel
+
+
+def test_a_frame_with_other_places_type_or_colour_order(module, tmp_path):
+    for frame, roomier, bytes_, finer in drawn(module, "settings", tmp_path):
+        assert torch.equal(roomier["image"], frame["image"])
+        assert torch.equal(bytes_["image"], (255 * frame["image"].clamp(0, 1)).round().to(torch.uint8))
+        # What a polynomial errs by at most: the estimate of the frame, and the powers left out
+        allowed = sum(f["colour_error"] + frame_cuda._COLOUR_TOLERANCE for f in (frame, finer))
+        assert 0 < (finer["image"] - frame["image"]).abs().max() <= allowed < 1 / 1000
 
 
 @pytest.fixture(scope="module")
