@@ -35,10 +35,11 @@ class Encoder:
     captured for the tensors of the first call and replayed in full as long as the same tensors come, whose values may
     change: nothing waits for the device then, and values are checked at the capture only. Other tensors make another
     capture, and so does another rig the second time that it is seen; the first time the same kernels are launched one
-    by one. versioned=True promises that values change by torch's own in-place operations alone, which count them: then
-    the same tensors, or the same but for sh, count as unchanged; order and bins are kept for other colours, but not for
-    another rig. What torch does not count are changes through .data, DLPack, CUDA graphs and kernels of one's own: call
-    `forget` after those. Inference tensors count nothing and are always drawn.
+    by one, with colours as fine as the rigs so far needed: bytes may be rounded otherwise than by `encode`, which goes
+    by its own rig. versioned=True promises that values change by torch's own in-place operations alone, which count
+    them: then the same tensors, or the same but for sh, count as unchanged; order and bins are kept for other colours,
+    but not for another rig. What torch does not count are changes through .data, DLPack, CUDA graphs and kernels of
+    one's own: call `forget` after those. Inference tensors count nothing and are always drawn.
     """
 
     def __init__(self, panel: Panel, rig: Rig, *, views: str = "integer",

@@ -186,5 +186,11 @@ def kind_of(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tu
 
 def moving_kind(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...],
                 quality: Quality) -> FrameKind:
-    """A kind to be kept by who draws scenes of one size, each with a rig of its own: it reserves generously."""
+    """A kind to be kept by who draws scenes of one size, each with a rig of its own: it reserves generously.
+
+    Its colour polynomials have the highest order that a frame before needed; those of kind_of the one that their own
+    rig needs. Where both are high enough, colours of the two differ by the errors of both, each at most twice the
+    tolerance: once what the order leaves, once the powers left out. A frame that needs a higher one than those before
+    is drawn with theirs, and the next with its own.
+    """
     return FrameKind(scene.tensors[0].device, rig, lens, colour_orders, quality, forced_kernel, _MOVING_SLACK)

@@ -9,7 +9,7 @@ import torch
 
 from test_cuda import BACKGROUND, LENS, most_apart, on_gpu, rig, scene  # noqa: F401 (a fixture)
 
-from lightfield_gs import Encoder, Gaussians, Panel, encode
+from lightfield_gs import Encoder, Gaussians, Panel, encode, frame_cuda
 
 
 @pytest.mark.parametrize("views", ["integer", "continuous"])
@@ -50,7 +50,13 @@ def test_an_encoder_repeats_what_may_have_changed(scene, versioned):
         before = dict(encoder.stats["reused"])
         image = encoder(scene)
         torch.cuda.synchronize()
-        assert torch.equal(image, encode(scene, panel, encoder.rig, background=BACKGROUND))
+        expected = encode(scene, panel, encoder.rig, background=BACKGROUND)
+        orders = [kind.colour_order for kind in (encoder._frames.kind, next(reversed(frame_cuda._kinds.values())))]
+        if orders[0] > orders[1]:  # frames of a moving zero plane keep the highest so far: other roundings, no more
+            assert most_apart(image, expected) <= 1
+            assert (image != expected).float().mean() < 255 * 4 * frame_cuda._COLOUR_TOLERANCE
+        else:
+            assert torch.equal(image, expected)
         return {stage for stage, n in encoder.stats["reused"].items() if n > before[stage]}
 
     def expect(stages: set[str]) -> None:

@@ -14,7 +14,7 @@ import pytest
 import torch
 from cuda_on_cpu import cases
 
-from lightfield_gs import encode, reference
+from lightfield_gs import encode, frame_cuda, reference
 from lightfield_gs.quality import QUALITIES
 
 FOLDER = Path(__file__).parent / "cuda_on_cpu"
@@ -52,6 +52,22 @@ def test_frames_are_those_of_the_cpu(module, kernel, mean_square, tmp_path):
         error = (found["image"] - expected).abs()
         assert found["kernel"] == kernel and (error > 1 / 255).sum() <= 1, name
         assert (error**2).mean() < mean_square, (name, degree, views)
+
+
+def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(module, tmp_path):
+    for (kernel, case), found in zip(cases.SHAPES_THAT_VARY, drawn(module, "shapes", tmp_path), strict=True):
+        expected = encode(*case(), background=cases.BACKGROUND, output="float32")
+        assert found["kernel"] == kernel and not found["exact"]  # of the frame: single splats are
+        assert (found["image"] - expected).abs().max() < 0.4 / 255, kernel
+
+
+def test_a_frame_with_other_places_type_or_colour_order(module, tmp_path):
+    for frame, roomier, bytes_, finer in drawn(module, "settings", tmp_path):
+        assert torch.equal(roomier["image"], frame["image"])
+        assert torch.equal(bytes_["image"], (255 * frame["image"].clamp(0, 1)).round().to(torch.uint8))
+        # What a polynomial errs by at most: the estimate of the frame, and the powers left out
+        allowed = sum(f["colour_error"] + frame_cuda._COLOUR_TOLERANCE for f in (frame, finer))
+        assert 0 < (finer["image"] - frame["image"]).abs().max() <= allowed < 1 / 1000
 
 
 @pytest.fixture(scope="module")

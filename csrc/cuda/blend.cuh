@@ -1,5 +1,7 @@
-// What happens at one sample on the device: alpha, over, the early stop. Twin of math/blend-inl.h.
+// What happens at one sample on the device: alpha, over, the early stop, storing. Twin of math/blend-inl.h.
 #pragma once
+
+#include <cstdint>
 
 #include "math/constants.h"
 
@@ -43,6 +45,12 @@ __device__ inline void over(float alpha, float& transmittance, float& rest, floa
 }
 
 __device__ inline float remaining(float transmittance, float rest) { return transmittance > 0 ? transmittance : rest; }
+
+// A colour as it stands in an image of floats or of bytes; ties go to even.
+__device__ inline float stored(float c, float*) { return c; }
+__device__ inline uint8_t stored(float c, uint8_t*) {
+  return uint8_t(__float2uint_rn(fminf(fmaxf(c, 0.f), 1.f) * 255.f));
+}
 
 // Sum over the lanes of a warp, in a fixed order; every lane receives it.
 __device__ inline float warp_sum(float v) {

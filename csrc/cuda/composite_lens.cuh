@@ -1,4 +1,4 @@
-// What the kernels that composite a light-field frame share: their lists, the hand-out of tiles, storing.
+// What the kernels that composite a light-field frame share: their lists, the hand-out of tiles, storing of pixels.
 #pragma once
 
 #include "cuda/blend.cuh"
@@ -61,11 +61,6 @@ unsigned resident_blocks(Kernel kernel, int threads, size_t shared_bytes) {
   check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device), "composite: multiprocessors");
   check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kernel, threads, shared_bytes), "composite: occupancy");
   return unsigned(processors * (blocks > 0 ? blocks : 1));
-}
-
-__device__ inline float stored(float c, float*) { return c; }
-__device__ inline uint8_t stored(float c, uint8_t*) {
-  return uint8_t(__float2uint_rn(fminf(fmaxf(c, 0.f), 1.f) * 255.f));
 }
 
 // Two neighbouring pixels, the first in an even column; values by place.

@@ -218,7 +218,8 @@ struct Samples {
 
 // Makes the polynomials of the first `count` <= 32 waiting hits; returns which are to be evaluated carefully.
 template <class C>
-__device__ unsigned specialise(const LensFrame& frame, int count, float2 centre, bool exact, Staged<C::Harmonics>& staged) {
+__device__ unsigned specialise(const LensFrame& frame, int count, float2 centre, bool exact,
+                               Staged<C::Harmonics>& staged) {
   const int lane = threadIdx.x % 32;
   bool careful = false;
   if (lane < count) {

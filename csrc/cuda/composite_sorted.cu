@@ -109,9 +109,9 @@ __global__ void __launch_bounds__(kThreads)
     if (!sample.some) continue;
     const float colour = value + remaining(transmittance, rest) * background[sample.channel];
     if (out8)
-      out8[sample.place] = uint8_t(__saturatef(colour) * 255.f + 0.5f);
+      out8[sample.place] = stored(colour, out8);
     else
-      out[sample.place] = colour;
+      out[sample.place] = stored(colour, out);
   }
 }
 

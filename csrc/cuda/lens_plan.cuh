@@ -1,8 +1,9 @@
 // How composite goes about a frame: errors and costs of its kernels, averaged over splats.
 //
 // A kernel evaluates r = S^(-1/2) as a polynomial in s; with relative error e of r, alpha is wrong by less than 0.74 e.
-// From S = S0 (1 + a1 s + a2 s^2): r = S0^(-1/2) (1 + p1 s + p2 s^2 + p3 s^3 ...). Interpolation leaves at most about
-// 3/4 p2 with a straight line through -+ 1/2, p3 / 2 with a parabola through 0 and -+ sqrt(1/2); a third on average.
+// From S = S0 (1 + a1 s + a2 s^2): r = S0^(-1/2) (1 + p1 s + p2 s^2 + p3 s^3 + p4 s^4 ...). Interpolation leaves at
+// most about 3/4 (p2 + p3) with a straight line through -+ 1/2, 1/2 (p3 + p4) with a parabola through 0 and
+// -+ sqrt(1/2); a third on average. One term alone says little: p2 is zero where a2 = 3/4 a1^2, p3 where a1 = 0.
 #pragma once
 
 #include "cuda/blend.cuh"
@@ -24,9 +25,11 @@ struct ShapeError {
   float linear, quadratic;
 
   __device__ explicit ShapeError(const Splat<float>& s) {
-    const float inverse = fast_reciprocal(s.S0), a1 = s.S1 * inverse, a2 = s.S2 * inverse;
-    linear = fabsf(0.375f * a1 * a1 - 0.5f * a2) * 0.75f;
-    quadratic = fabsf(a1 * (-0.3125f * a1 * a1 + 0.75f * a2)) * 0.5f;
+    const float inverse = fast_reciprocal(s.S0), a1 = s.S1 * inverse, a2 = s.S2 * inverse, square = a1 * a1;
+    const float p2 = fabsf(0.375f * square - 0.5f * a2), p3 = fabsf(a1 * (-0.3125f * square + 0.75f * a2));
+    const float p4 = fabsf(a2 * (0.375f * a2 - 0.9375f * square) + 0.2734375f * square * square);
+    linear = 0.75f * (p2 + p3);
+    quadratic = 0.5f * (p3 + p4);
     // Series of what varies much say little
     if (fabsf(a1) + fabsf(a2) > 0.5f) linear = quadratic = 1;
   }

@@ -63,6 +63,30 @@ def lattice_frame(changes: dict[str, Any], degree: int) -> tuple[Gaussians, Pane
     return (with_harmonics(scene, degree) if degree else scene), panel, rig
 
 
+def needles() -> tuple[Gaussians, Panel, Rig]:
+    """A sheet of flat Gaussians, and four that point at a narrow rig: their S is about 1 + s^2 / 3."""
+    panel, flat = panel_of("narrow cone"), sheet(48)
+    flat.scales[:, 2] = 1e-4
+    means = torch.tensor([[-0.5, -0.3, 1.9], [0.2, -0.2, 1.9], [-0.3, 0.3, 1.9], [0.4, 0.25, 1.9]])
+    x, y, z = torch.nn.functional.normalize(means).unbind(1)
+    towards = torch.stack([1 + z, -y, x, 0 * x], 1)  # turns the z axis to the mean
+    parts = [(flat.means, means), (flat.quaternions, towards), (flat.scales, torch.tensor([[0.02, 0.02, 0.44]] * 4)),
+             (flat.opacities, torch.full((4,), 0.9)), (flat.sh, torch.full((4, 1, 3), -1.5))]
+    return Gaussians(*(torch.cat(part) for part in parts)), panel, rig_of(panel)
+
+
+def wide_rig() -> tuple[Gaussians, Panel, Rig]:
+    """Small Gaussians, S of which varies much over the rig: of some about like 1 + a s + 3/4 a^2 s^2."""
+    panel, scene = Panel(**{**LENS, "width_px": 397, "height_px": 131}), sheet(48, 11)
+    scene.scales.mul_(0.4)
+    return scene, panel, rig_of(panel)
+
+
+# Kernel, and a scene of which a part has no good polynomial, though the leading term of its error is nothing
+SHAPES_THAT_VARY = [("pixel", wide_rig), ("pixel-small", wide_rig), ("pixel-quadratic", needles),
+                    ("pixel-quadratic-small", needles)]
+
+
 def dense_step(dtype: torch.dtype) -> dict[str, Tensor]:
     """Images of two scenes before three cameras, and the gradients of a loss on them."""
     panel = Panel(**{**LENS, "width_px": 45, "height_px": 21, "views": 3})

@@ -43,13 +43,13 @@ def lattice_frame(kernel: str, quality: str, views: str, changes: dict, degree: 
     return drawn(*cases.lattice_frame(changes, degree), views, kernel, Quality.of(quality), share, dtype)
 
 
-def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32) -> dict[str, object]:
+def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32, colour_order=8) -> dict[str, object]:
     """share: of the places that the pairs need."""
     job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND),
                             *lens_arguments(panel, rig, views == "continuous"))
 
     def with_places(places: int) -> frame_cuda.Frame:
-        order = 8 if job.scene.degree else 0
+        order = colour_order if job.scene.degree else 0
         return frame_cuda.Frame(job.scene, job.rig, job.lens, order, quality, places, kernel)
 
     probe = with_places(0)
@@ -58,6 +58,13 @@ def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32)
     frame = with_places(int(share * probe.state()["pairs"]))
     frame.draw(job.background, image)
     return {"image": image, **frame.state()}
+
+
+def settings(kernel: str) -> list[dict[str, object]]:
+    """A frame with harmonics: as it is, with more places, as bytes, with polynomials of another order."""
+    panel, scene = cases.panel_of("default"), cases.scene_of(3)
+    options = (1.0, torch.float32, 8), (2.0, torch.float32, 8), (1.0, torch.uint8, 8), (1.0, torch.float32, 12)
+    return [drawn(scene, panel, cases.rig_of(panel), "integer", kernel, EXACT, *option) for option in options]
 
 
 def recoloured(kernel: str, quality: str, views: str, changes: dict, share: float) -> dict[str, object]:
@@ -92,6 +99,10 @@ def main(what: str) -> object:
         return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
     if what == "recoloured":
         return [recoloured(*case, share) for case, share in zip(cases.LATTICE_FRAMES[1:], (1.0, 0.5, 1.0))]
+    if what == "settings":
+        return [settings(kernel) for kernel in ("pixel-quadratic", "ordinal")]
+    if what == "shapes":
+        return [drawn(*case(), "integer", kernel, EXACT, 1.0) for kernel, case in cases.SHAPES_THAT_VARY]
     return [frame(what, *case) for case in cases.frames_of(what)]
 
 
