@@ -39,10 +39,12 @@ def of_lens(counters: Any, orders: Tensor, splats: Tensor, most: int) -> dict[st
 
 
 def of_frame(state: dict[str, Any]) -> dict[str, Any]:
-    """Tiles of a frame on CUDA that were drawn from a lattice, and by the frame's kernel; {} for a frame without
-    lattices, which counts none."""
+    """Tiles of a frame on CUDA that were drawn from a lattice, empty ones among them, and by the frame's kernel, and how
+    many lattices were tried; {} for a frame without lattices, which counts none."""
     lattice, drawn = state["lattice_tiles"], state["refused_tiles"]
-    return {"tiles": {"lattice": lattice, "drawn": drawn}} if lattice + drawn else {}
+    if not lattice + drawn:
+        return {}
+    return {"tiles": {"lattice": lattice, "drawn": drawn}, "lattices": {"tried": state["tried_tiles"]}}
 
 
 def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
@@ -57,7 +59,8 @@ def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
         how = {"empty": "empty", "lattice": "from lattices", "drawn": "drawn"}
         out.append("tiles: " + ", ".join(f"{count} {how[kind]}" for kind, count in tiles.items()))
     if lattices := skipped.get("lattices"):
-        out.append(f"lattices: {lattices['fit']} good enough, {lattices['split']} split, {lattices['refused']} refused")
+        how = {"fit": "good enough", "split": "split", "refused": "refused", "tried": "tried"}
+        out.append("lattices: " + ", ".join(f"{count} {how[kind]}" for kind, count in lattices.items()))
     if "samples_stopped" in skipped:
         out.append(f"sub-pixels that ended early: {skipped['samples_stopped']}")
     if reused := skipped.get("reused"):

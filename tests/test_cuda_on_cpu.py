@@ -14,7 +14,7 @@ import pytest
 import torch
 from cuda_on_cpu import cases
 
-from lightfield_gs import encode, frame_cuda, reference
+from lightfield_gs import Quality, encode, frame_cuda, reference
 from lightfield_gs.quality import QUALITIES
 
 FOLDER = Path(__file__).parent / "cuda_on_cpu"
@@ -76,7 +76,7 @@ def lattice_frames(module, tmp_path_factory) -> list[dict[str, Any]]:
 
 
 def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
-    *found, harmonic, crowded, bytes_ = lattice_frames
+    *found, harmonic, crowded, bytes_, _ = lattice_frames
     cases_ = [*((case, 0) for case in cases.LATTICE_FRAMES), (cases.LATTICE_FRAMES[0], 1)]
     for ((kernel, quality, views, changes), degree), frame in zip(cases_, [*found, harmonic], strict=True):
         scene, panel, rig = cases.lattice_frame(changes, degree)
@@ -84,6 +84,7 @@ def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
         exact = encode(scene, panel, rig, output="float32", **options).clamp(0, 1)
         error = (frame["image"].clamp(0, 1) - exact).abs()
         assert frame["kernel"] == kernel and min(frame["lattice_tiles"], frame["refused_tiles"]) >= 2
+        assert frame["tried_tiles"] == frame["lattice_tiles"] + frame["refused_tiles"]  # worth it, and none is empty
         assert (error**2).mean() < {"high": 1e-5, "fast": 1e-4}[quality], (kernel, quality)  # 50 and 40 dB
         # Smooth on the left, where nothing but the lattice and the stop err
         left, allowed = error[:, :64].max(), QUALITIES[quality].lattice_error
@@ -91,6 +92,16 @@ def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
     # Without lists everything is left to the kernel; bytes are the rounded floats, but for how ties are rounded
     assert crowded["lattice_tiles"] == 0 and crowded["refused_tiles"] > 0
     assert ((255 * found[0]["image"].clamp(0, 1)).round() - bytes_["image"]).abs().sum() <= 3
+
+
+def test_where_no_lattice_fits_few_are_tried(lattice_frames):
+    rough, (scene, panel, rig) = lattice_frames[-1], cases.wide_rig()
+    across, down = (-(-size // side) for size, side in ((panel.width_px, 64), (panel.height_px, 32)))
+    assert rough["tried_tiles"] <= across < rough["refused_tiles"] <= across * down  # of the first row of tiles alone
+    exact = encode(scene, panel, rig, background=cases.BACKGROUND, quality=Quality(opacity_cut=1 / 112),
+                   output="float32")
+    error = (rough["image"] - exact).abs()
+    assert (error**2).mean() < 1e-7 and error.max() <= 1 / 112  # what an alpha on the cut adds or leaves
 
 
 def test_a_lattice_is_within_its_bound_of_the_oracle(lattice_frames):

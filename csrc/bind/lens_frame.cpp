@@ -43,6 +43,7 @@ void bind_lens_frame(py::module_ m) {
     out["exact"] = bool(state.exact);
     out["lattice_tiles"] = state.lattice_tiles;
     out["refused_tiles"] = state.refused_tiles;
+    out["tried_tiles"] = state.tried_tiles;
     out["pruned"] = state.pruned;
     return out;
   });

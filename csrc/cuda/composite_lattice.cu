@@ -3,7 +3,7 @@
 // A block takes a tile of the kernel that the frame chose, with that kernel's lists. It lays a coarse lattice in
 // (x, y, view) through every section of the tile, draws its nodes, all channels at once, and the middles of its cells;
 // where they show that it is as good as asked for, it interpolates the tile's sub-pixels. Tiles that are refused are
-// left to the kernel chosen.
+// left to the kernel chosen. Some rows of tiles go first: where few of theirs fit, the rows between do without trying.
 #include <new>
 
 #include "cuda/check.h"
@@ -16,6 +16,7 @@ constexpr int kBlocks = 5;      // on a multiprocessor; loops that are short or 
 constexpr int kAttempts = 2;
 constexpr int kMeasured = 256;  // splats of a list, about; enough for averages
 constexpr float kMeanShare = 5;  // the root mean square of the errors must be so many times smaller
+constexpr unsigned kLeastFitting = 3;  // one in so many tiles of a probed row, as in cpu/composite_lens.cpp
 constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // those of cpu/lens_lattice-inl.h
 
 // A node of a section's lattice, or the middle of a cell.
@@ -270,20 +271,51 @@ __device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
   }
 }
 
-template <class Out>
+// The rows of tiles that are drawn first, to learn where lattices are worth trying; and those between.
+enum class Rows { kProbe, kBetween };
+
+template <Rows rows>
+__device__ int row_of(int i) {
+  return rows == Rows::kProbe ? i * kProbeRows : i / (kProbeRows - 1) * kProbeRows + i % (kProbeRows - 1) + 1;
+}
+
+// Whether enough tiles of a row that was probed, above or below this one, have a lattice that fits.
+__device__ bool worth_trying(const FrameState& state, const Tiling& tiling, int row) {
+  const int above = row / kProbeRows, below = min(above + 1, (tiling.down - 1) / kProbeRows);
+  auto fits = [&](int probe) { return kLeastFitting * state.probed[1][probe] >= state.probed[0][probe]; };
+  return fits(above) || fits(below);
+}
+
+// By one thread: what became of a tile.
+__device__ void note(const LensFrame& frame, int tile, bool good) {
+  FrameState& state = *frame.state;
+  if (good)
+    atomicAdd(&state.lattice_tiles, 1u);
+  else
+    frame.refused[atomicAdd(&state.refused_tiles, 1u)] = unsigned(tile);
+}
+
+template <Rows rows, class Out>
 __global__ void __launch_bounds__(kThreads, kBlocks)
     composite_lattice_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   __shared__ Memory memory;
   FrameState& state = *frame.state;
   const bool by_lens = state.kernel == int(LensKernel::kOrdinal);
   const Tiling& tiling = by_lens ? frame.ordinal : frame.pixel;
-  if (blockIdx.x >= unsigned(tiling.across * tiling.down)) return;
-  Tile tile(frame, tiling, by_lens);
+  const int row = row_of<rows>(int(blockIdx.x) / tiling.across);
+  if (row >= tiling.down) return;
+  Tile tile(frame, tiling, by_lens, row * tiling.across + int(blockIdx.x) % tiling.across);
   if (!tile.lay_rows(tiling, memory)) return;
   const Lists lists(frame);
   const float4 behind = make_float4(background[0], background[1], background[2], 0);
 
-  bool good = lists.ranges != nullptr;  // a list of all splats is for nobody
+  bool empty = true, good = lists.ranges != nullptr;  // a list of all splats is for nobody
+  for (int section = 0; good && section < tile.sections; ++section) {
+    const uint2 range = lists.range(int64_t(tile.number) * tile.sections + section);
+    empty = empty && range.x == range.y;
+  }
+  if (rows == Rows::kBetween && !empty) good = good && worth_trying(state, tiling, row);
+  const bool tried = good && !empty;
   for (int section = 0, first = 0; good && section < tile.sections; ++section) {
     const uint2 range = lists.range(int64_t(tile.number) * tile.sections + section);
     if (threadIdx.x == 0) memory.first_node[section] = first;
@@ -292,26 +324,36 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     first += good ? memory.plans[section].nodes() : 0;
   }
   if (threadIdx.x == 0) {
-    if (good)
-      atomicAdd(&state.lattice_tiles, 1u);
-    else
-      frame.refused[atomicAdd(&state.refused_tiles, 1u)] = unsigned(tile.number);
+    note(frame, tile.number, good);
+    if (tried) atomicAdd(&state.tried_tiles, 1u);
+    if (rows == Rows::kProbe && tried) atomicAdd(&state.probed[0][row / kProbeRows], 1u);
+    if (rows == Rows::kProbe && tried && good) atomicAdd(&state.probed[1][row / kProbeRows], 1u);
   }
   if (!good) return;
   __syncthreads();
   interpolate(tile, memory, out);
 }
 
+template <Rows rows, class Out>
+void launch(const LensFrame& frame, const float* background, Out* out, Stream stream) {
+  auto tiles = [](const Tiling& tiling) {
+    const int probes = (tiling.down + kProbeRows - 1) / kProbeRows;
+    return tiling.across * (rows == Rows::kProbe ? probes : tiling.down - probes);
+  };
+  const int most = std::max(tiles(frame.pixel), frame.has_ordinal ? tiles(frame.ordinal) : 0);
+  if (most == 0) return;
+  composite_lattice_kernel<rows><<<unsigned(most), kThreads, 0, cudaStream_t(stream)>>>(frame, background, out);
+  check_launch("composite_lattice");
+}
+
 }  // namespace
 
 void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
-  int tiles = frame.pixel.across * frame.pixel.down;
-  if (frame.has_ordinal) tiles = std::max(tiles, frame.ordinal.across * frame.ordinal.down);
   auto draw = [&](auto* image) {
-    composite_lattice_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(frame, background, image);
+    launch<Rows::kProbe>(frame, background, image, stream);
+    launch<Rows::kBetween>(frame, background, image, stream);
   };
   out8 ? draw(out8) : draw(out);
-  check_launch("composite_lattice");
 }
 
 }  // namespace lfgs::cuda

@@ -55,8 +55,8 @@ struct Tile {
   int number, top, rows, sections, first_lens;
   float2 origin;  // of the lattice's x and y, in pixels
 
-  __device__ Tile(const LensFrame& frame, const Tiling& tiling, bool by_lens_)
-      : lens(frame.optics), by_lens(by_lens_), number(int(blockIdx.x)), top(number / tiling.across * tiling.height),
+  __device__ Tile(const LensFrame& frame, const Tiling& tiling, bool by_lens_, int number_)
+      : lens(frame.optics), by_lens(by_lens_), number(number_), top(number / tiling.across * tiling.height),
         rows(min(tiling.height, lens.height_px - top)), sections(tiling.groups),
         first_lens(lens.ordinals.first_lens + number % tiling.across * kTileLenses) {}
 

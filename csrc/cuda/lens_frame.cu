@@ -94,6 +94,8 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
               std::to_string(capacity));
   // Colours at ordinals are numbered with 32 bits
   has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
+  require(std::max(pixel.down, ordinal.down) <= kProbeRows * kMostProbeRows,
+          "the panel has too many rows: " + std::to_string(lens.height_px));
   require(most_tiles() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_tiles()));
   splats.images = 1, splats.count = gaussians, splats.colour_order = colour_order;
   key_bytes = most_tiles() < (1 << 16) ? 2 : 4;

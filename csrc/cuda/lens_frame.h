@@ -15,6 +15,9 @@ namespace lfgs::cuda {
 // quadratic in s (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
 enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadraticSmall, kOrdinal, kCount };
 
+// Lattices are tried on every kProbeRows-th row of tiles first; at most so many, for 65,536 rows of pixels.
+constexpr int kProbeRows = 8, kMostProbeRows = 256;
+
 // What one frame found out: written on the device, read by the host when it likes. pairs and drawn come from bin, the
 // rest from project and composite.
 struct FrameState {
@@ -26,6 +29,8 @@ struct FrameState {
   unsigned next_tile[5];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
+  unsigned tried_tiles;          // with splats, on which a lattice was laid
+  unsigned probed[2][kMostProbeRows];  // tiles of a row on which lattices are tried first: with splats, and fitting
   unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
   unsigned long long sums[8];    // see FrameSum, fixed point
