@@ -122,13 +122,26 @@ def hard_scene(kind: str, count: int, seed: int) -> Gaussians:
     return scene
 
 
-def reached(scene, shown, fan) -> np.ndarray:
-    """How many Gaussians of every sub-pixel have an alpha of 1/255 or more."""
-    rows, columns, channels = all_subpixels(shown)
-    offsets = reference.lens_offsets(shown, fan, reference.lens_views(shown, rows, columns, channels))
+def _alphas(scene: Gaussians, panel: Panel, fan: Rig) -> tuple[torch.Tensor, torch.Tensor, int]:
+    """Alphas of 1/255 and more, the sub-pixels that they are of, and how many of these there are."""
+    rows, columns, channels = all_subpixels(panel)
+    offsets = reference.lens_offsets(panel, fan, reference.lens_views(panel, rows, columns, channels))
     samples = Samples(*(torch.as_tensor(a, dtype=torch.float64) for a in (columns + 0.5, rows + 0.5, offsets)))
-    projection = Projection(Scene.of(scene), reference.rig_eye(shown, fan))
+    projection = Projection(Scene.of(scene), reference.rig_eye(panel, fan))
     sample, gaussian = projection.pairs(samples)
     alpha = projection.alpha(gaussian, samples=Samples(samples.columns[sample], samples.rows[sample],
                                                        samples.offsets[sample]))
-    return torch.bincount(sample[alpha >= ALPHA_MIN * (1 - 1e-6)], minlength=len(rows)).numpy()
+    reaches = alpha >= ALPHA_MIN * (1 - 1e-6)
+    return alpha[reaches], sample[reaches], len(rows)
+
+
+def reached(scene: Gaussians, panel: Panel, fan: Rig) -> np.ndarray:
+    """How many Gaussians of every sub-pixel have an alpha of 1/255 or more."""
+    _, sample, count = _alphas(scene, panel, fan)
+    return torch.bincount(sample, minlength=count).numpy()
+
+
+def alphas(scene: Gaussians, panel: Panel, fan: Rig) -> np.ndarray:
+    """Of every sub-pixel, the sum of the alphas of all Gaussians of 1/255 and more."""
+    alpha, sample, count = _alphas(scene, panel, fan)
+    return torch.bincount(sample, alpha, minlength=count).numpy()

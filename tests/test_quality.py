@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rasterizer_cases import PANELS, all_subpixels, panel, random_scene, reached, rig
+from rasterizer_cases import PANELS, all_subpixels, alphas, panel, random_scene, reached, rig
 
 from lightfield_gs import Encoder, Gaussians, InputError, Quality, encode, reference
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import QUALITIES
-from lightfield_gs.reference_blend import ALPHA_MIN, Projection, Samples, Scene
+from lightfield_gs.reference_blend import ALPHA_MIN
 
 FLOAT_ERROR = 2e-4  # of exact float32 frames, and more where a sample sits on a threshold
 LENSES = ["default lens", "narrow cone", "leaning the other way, BGR", "narrower than a sub-pixel", "one view",
@@ -34,18 +34,6 @@ def test_opacity_cut(name):
     for cut in (0.02, 0.1):
         error, margins = errors(scene, shown, fan, Quality(opacity_cut=cut))
         assert np.all((error <= cut * reached(scene, shown, fan) + FLOAT_ERROR)[margins > 1e-3])
-
-
-def alphas(scene, shown, fan) -> np.ndarray:
-    """Of every sub-pixel, the sum of the alphas of all Gaussians of 1/255 and more."""
-    rows, columns, channels = all_subpixels(shown)
-    offsets = reference.lens_offsets(shown, fan, reference.lens_views(shown, rows, columns, channels))
-    samples = Samples(*(torch.as_tensor(a, dtype=torch.float64) for a in (columns + 0.5, rows + 0.5, offsets)))
-    projection = Projection(Scene.of(scene), reference.rig_eye(shown, fan))
-    sample, gaussian = projection.pairs(samples)
-    alpha = projection.alpha(gaussian, samples=Samples(samples.columns[sample], samples.rows[sample],
-                                                       samples.offsets[sample]))
-    return torch.bincount(sample, torch.where(alpha >= ALPHA_MIN * (1 - 1e-6), alpha, 0), minlength=len(rows)).numpy()
 
 
 @pytest.mark.parametrize("name", [name for name in LENSES if not name.startswith("one ") or name == "one view"])
