@@ -139,9 +139,11 @@ __device__ void store_node(const LatticePlan& plan, const Point& point, float3 c
 #pragma unroll
   for (int c = 0; c < 3; ++c) {
     const __half value = __float2half_rn(values[c]);
-    memory.pairs[c][at].x = value;
-    if (point.i == plan.across - 1) memory.pairs[c][at].y = value;
-    if (point.i > 0) memory.pairs[c][at - 1].y = value;
+    Corners* corners = memory.corners[c] + at;
+    corners[0].low.x = value;
+    if (point.i > 0) corners[-1].low.y = value;
+    if (point.j > 0) corners[-plan.across].high.x = value;
+    if (point.i > 0 && point.j > 0) corners[-plan.across - 1].high.y = value;
   }
 }
 
@@ -222,7 +224,7 @@ __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, Offsets& o
   const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3;
   int place = ends.x - 3 * pixel;
   float x = (float(pixel) + 0.5f - tile.origin.x - nodes.x0) * nodes.per_x;
-  int channels[3];
+  unsigned channels[3];
 #pragma unroll
   for (int i = 0; i < 3; ++i) {  // in the order in which the sub-pixels follow
     const int at = place + i < 3 ? place + i : place + i - 3;

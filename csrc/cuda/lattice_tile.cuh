@@ -33,8 +33,13 @@ struct Step {
   int nodes;
 };
 
+// Colours, 0..1, of a node and of the next along x, in a row and in the next: what a place between needs, read at once.
+struct alignas(8) Corners {
+  __half2 low, high;
+};
+
 struct Memory {
-  __half2 pairs[3][kMostNodes];  // a node's colour, 0..1, and that of the next along x: sections, planes, rows, nodes
+  Corners corners[3][kMostNodes];  // from each node on: sections, planes, rows, nodes
   LatticePlan plans[kMostSections];
   Step steps[kMostSections][kPlanes];
   int first_node[kMostSections];
@@ -106,40 +111,43 @@ struct Tile {
 // conversion, which are slow: 2^23 + 2^22 leaves n in the bits.
 struct Place {
   static constexpr float kMagic = 12582912.f;
-  int n;
+  static constexpr unsigned kMagicBits = 0x4b400000u;
+  unsigned bits;  // n + kMagicBits: sums of many leave that out once
   float part;
 
   __device__ explicit Place(float x) {
     const float shifted = (x - 0.4999f) + kMagic;
-    n = int(__float_as_uint(shifted) - __float_as_uint(kMagic)), part = x - (shifted - kMagic);
+    bits = __float_as_uint(shifted), part = x - (shifted - kMagic);
   }
 };
 
 // The nodes of a section: colours between them. What is read again and again is in registers.
 struct Nodes {
-  const __half2* pairs;
+  const Corners* corners;
   const Step* steps;
   int across, down, per_plane;
   float x0, y0, s0, per_x, per_y, per_s, last_along, last_up;
 
   __device__ Nodes(const Memory& memory, int section)
-      : Nodes(memory.plans[section], memory.pairs[0] + memory.first_node[section], memory.steps[section]) {}
-  __device__ Nodes(const LatticePlan& plan, const __half2* pairs_, const Step* steps_)
-      : pairs(pairs_), steps(steps_), across(plan.across), down(plan.down), per_plane(plan.per_plane()), x0(plan.x0),
+      : Nodes(memory.plans[section], memory.corners[0] + memory.first_node[section], memory.steps[section]) {}
+  __device__ Nodes(const LatticePlan& plan, const Corners* corners_, const Step* steps_)
+      : corners(corners_), steps(steps_), across(plan.across), down(plan.down), per_plane(plan.per_plane()), x0(plan.x0),
         y0(plan.y0), s0(plan.s0), per_x(1 / plan.step_x), per_y(1 / plan.step_y), per_s(1 / plan.step_s),
         last_along(float(plan.across - 1 - plan.margin) - 0.02f), last_up(float(plan.planes - 1) - 1e-3f) {}
 
-  // Where a row of nodes of a channel begins.
-  __device__ int row_of(int channel, int row) const { return channel * kMostNodes + row * across; }
+  // Where a row of nodes of a channel begins, less what the bits of two places are too large by (modulo 2^32).
+  __device__ unsigned row_of(int channel, int row) const {
+    return unsigned(channel * kMostNodes + row * across) - Place::kMagicBits * unsigned(per_plane + 1);
+  }
   // At x0 + along step_x and s0 + up step_s, `part` (twice) of the way from the row of nodes to the next: straight
   // along x and y on the planes on both sides, and between them.
-  __device__ float at(int row, __half2 part, float along, float up) const {
+  __device__ float at(unsigned row, __half2 part, float along, float up) const {
     const Place plane(up);
-    const Step step = steps[plane.n];
+    const Step step = steps[plane.bits - Place::kMagicBits];
     const Place node(fmaf(-step.aside, plane.part, along));
-    const int low = row + plane.n * per_plane + node.n, high = low + step.nodes;
-    const __half2 near = mixed(pairs[low], pairs[low + across], part);
-    const __half2 far = mixed(pairs[high], pairs[high + across], part);
+    const unsigned first = plane.bits * unsigned(per_plane) + node.bits + row;
+    const Corners here = corners[first], next = corners[first + unsigned(step.nodes)];
+    const __half2 near = mixed(here.low, here.high, part), far = mixed(next.low, next.high, part);
     const __half2 pair = mixed(near, far, __float2half2_rn(plane.part));
     return fmaf(node.part, __high2float(pair) - __low2float(pair), __low2float(pair));
   }
