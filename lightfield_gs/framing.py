@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs import _core
 from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
@@ -22,7 +23,7 @@ _TAIL = 0.001  # share of the opacity that may lie outside on each side: stray G
 _WIDE_TAIL = 0.01  # ... and up to this share where that lies far out: in units of the extent of the rest, ...
 _FAR, _ROOM = 0.4, 0.15  # ... beyond the first of these, and then it gets the second as room
 _DEPTH_TAIL = 0.05
-_NEAR = 0.01  # near plane of the rasterizer, scene units
+_NEAR = _core.NEAR_DEPTH
 _FIELD_OF_VIEW_DEG = (20.0, 50.0)  # what the panel subtends at its viewing distance, kept within these
 _UNKNOWN_FIELD_OF_VIEW_DEG = 30.0
 

@@ -89,7 +89,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     how much error is allowed for less time. threads: CPU threads (default: torch's). stats: a dict to fill with
     stages_ms (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
     CUDA), work_bytes, gaussians_culled, colour_error; for "direct" also skipped: Gaussians not drawn by reason, tiles
-    from lattices and, on the CPU, lattices, samples that ended early and orders of colours, while on CUDA the kernel
+    from lattices, lattices and, on the CPU, samples that ended early and orders of colours, while on CUDA the kernel
     that the frame chose; for "sorted" also memory_bytes and memory_bytes_unchunked, by stage: geometry, image (the
     sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
     Raises InputError.

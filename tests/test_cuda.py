@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 
-from cuda_on_cpu.cases import LATTICE_FRAMES, lattice_frame
+from cuda_on_cpu.cases import BACKGROUND, LATTICE_FRAMES, lattice_frame
+from cuda_on_cpu.cases import rig_of as rig
 
-from lightfield_gs import Encoder, Gaussians, InputError, Panel, Quality, Rig, _core, encode, frame_cuda, prune, render
+from lightfield_gs import Encoder, Gaussians, InputError, Panel, Quality, _core, encode, frame_cuda, prune, render
 from lightfield_gs.bench.scenes import cloud, sheet
 from lightfield_gs.quality import QUALITIES
 
@@ -21,7 +21,6 @@ PANELS = {"default": {},
           "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
           "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6),
           "one view": dict(views=1)}
-BACKGROUND = (0.1, 0.6, 0.3)
 
 
 def with_harmonics(scene: Gaussians, degree: int) -> Gaussians:
@@ -33,13 +32,13 @@ def on_gpu(scene: Gaussians) -> Gaussians:
     return scene.to(device="cuda")
 
 
+def scene_of(degree: int) -> Gaussians:
+    return with_harmonics(cloud(4000, 11) if degree else sheet(48, 11), degree)
+
+
 @pytest.fixture(params=[0, 1, 3])
 def scene(request) -> Gaussians:
-    return with_harmonics(cloud(4000, 11) if request.param else sheet(48, 11), request.param)
-
-
-def rig(panel: Panel) -> Rig:
-    return Rig(np.eye(4), (panel.width_px,) * 2, (0.52 * panel.width_px, 0.47 * panel.height_px), 2.0)
+    return scene_of(request.param)
 
 
 def far_apart(a: torch.Tensor, b: torch.Tensor) -> int:

@@ -7,9 +7,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from test_cuda import BACKGROUND, LENS, most_apart, on_gpu, rig, scene  # noqa: F401 (a fixture)
+from test_cuda import BACKGROUND, LENS, most_apart, on_gpu, rig, scene_of
 
 from lightfield_gs import Encoder, Gaussians, Panel, encode, frame_cuda
+
+
+@pytest.fixture(params=[0, 1, 3])
+def scene(request) -> Gaussians:
+    return scene_of(request.param)
 
 
 @pytest.mark.parametrize("views", ["integer", "continuous"])

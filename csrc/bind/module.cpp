@@ -261,6 +261,7 @@ PYBIND11_MODULE(_core, m) {
   m.attr("BAND_ROWS") = kBandRows;
   m.attr("SPLAT_FIELDS") = kSplatFields;
   m.attr("PRUNED") = kPruned;
+  m.attr("NEAR_DEPTH") = kNearDepth;
   m.attr("COLOUR_STRIDE") = kColourStride;
   m.def("band_count", &band_count);
   m.def("pair_gradient_size", &pair_gradient_size);

@@ -35,9 +35,9 @@ void SwapRedBlue(U* rows, int64_t pixels) {
 }
 
 constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lattice; levels: the same, halves, quarters
-// Lattices are tried on every kProbeBands-th band first. Where on two in turn fewer than 1 / kLeastFitting of the tiles
-// were drawn so, the bands between do without
-constexpr int64_t kProbeBands = 8, kLeastFitting = 3;
+// A band is a row of tiles. Where of two probes in turn each drew so many times more tiles by themselves than from
+// lattices, the bands between do without
+constexpr int64_t kLeastFitting = 3;
 constexpr int64_t kAhead = 4;  // splats that are fetched before they are drawn
 
 // What a frame has in common for all its bands.
@@ -224,13 +224,13 @@ Counters CompositeLensImpl(const LensJob<T>& job) {
   };
   const int64_t bands = band_count(job.lens->height_px);
   if (job.quality.lattice > 0) {
-    std::vector<uint8_t> worth(size_t((bands - 1) / kProbeBands + 1));
+    std::vector<uint8_t> worth(size_t((bands - 1) / kProbeRows + 1));
     parallel_for(int64_t(worth.size()), job.threads, [&](int64_t probe, int worker) {
-      worth[size_t(probe)] = draw(probe * kProbeBands, worker, true);
+      worth[size_t(probe)] = draw(probe * kProbeRows, worker, true);
     });
     parallel_for(bands, job.threads, [&](int64_t band, int worker) {
-      const size_t above = size_t(band / kProbeBands), below = std::min(above + 1, worth.size() - 1);
-      if (band % kProbeBands != 0) draw(band, worker, worth[above] || worth[below]);
+      const size_t above = size_t(band / kProbeRows), below = std::min(above + 1, worth.size() - 1);
+      if (band % kProbeRows != 0) draw(band, worker, worth[above] || worth[below]);
     });
   } else {
     parallel_for(bands, job.threads, [&](int64_t band, int worker) { draw(band, worker, false); });

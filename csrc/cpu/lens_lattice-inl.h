@@ -42,7 +42,7 @@ class LensLattice {
     quality.stop = std::min(quality.stop, std::max(0.1 * quality.lattice, kMinTransmittance));
     return quality;
   }
-  void start_band() { fineness = first_fineness(), refused_ = 0; }
+  void start_band() { fineness = first_fineness(float(quality_.lattice)), refused_ = 0; }
 
   // Evaluates the lattice for a run with samples, and its middles. Refuses where one as good as asked for has too many
   // nodes to be worth it; would have a run split, unless it is the last, that needs one much finer than was tried.
@@ -96,9 +96,6 @@ class LensLattice {
   static constexpr int kLookOut = 64;  // splats from one look whether all is opaque to the next
   static constexpr float kSplitError = 2.5f;
   static constexpr float kMostNodes = 0.3f;  // of the samples; a node has three channels
-  static constexpr float kMeanShare = 5;     // the root mean square of the errors must be so many times smaller
-  static constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;
-  float first_fineness() const { return std::min(3.5f * std::sqrt(float(quality_.lattice)), kMostFineness); }
 
   void draw(LatticeNodes& nodes, const LatticePlan& plan, const Splats<float>& splats, const int32_t* begin,
             const int32_t* end, const float* background) {

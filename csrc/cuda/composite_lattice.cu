@@ -15,9 +15,7 @@ namespace {
 constexpr int kBlocks = 5;      // on a multiprocessor; loops that are short or rare are not unrolled for its registers
 constexpr int kAttempts = 2;
 constexpr int kMeasured = 256;  // splats of a list, about; enough for averages
-constexpr float kMeanShare = 5;  // the root mean square of the errors must be so many times smaller
-constexpr unsigned kLeastFitting = 3;  // one in so many tiles of a probed row, as in cpu/composite_lens.cpp
-constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // those of cpu/lens_lattice-inl.h
+constexpr unsigned kLeastFitting = 3;  // one in so many tiles with splats of a probed row
 
 // A node of a section's lattice, or the middle of a cell.
 struct Point {
@@ -151,7 +149,7 @@ __device__ void store_node(const LatticePlan& plan, const Point& point, float3 c
 // otherwise, a piece of a quarter of its width and height meets those splats that reach it (2.3 `deviations`).
 __device__ float points_worth(const LatticePlan& plan, float fineness) {
   const float across = 4.6f * plan.step_x / fineness, down = 4.6f * plan.step_y / fineness;
-  const float w = float(kPixelTileWidth), h = float(kMostRows);
+  const float w = float(kPixelTileWidth), h = float(kPixelTileHeight);
   return 1250 * (w / 4 + across) / (w + across) * (h / 4 + down) / (h + down);
 }
 
@@ -189,7 +187,7 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
 __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, int section, float4 background,
                      Memory& memory) {
   measure(list, part, memory);
-  float fineness = fminf(3.5f * sqrtf(frame.lattice), kMostFineness);
+  float fineness = first_fineness(frame.lattice);
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
     __syncthreads();
     LatticePlan& plan = memory.plans[section];

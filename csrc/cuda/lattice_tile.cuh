@@ -14,7 +14,7 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kWarps = 4, kThreads = 32 * kWarps;
-constexpr int kMostRows = 32, kRowBytes = kTileLenses * kMostOrdinals, kRun = kGroupOrdinals;
+constexpr int kTileRows = 32, kRowBytes = kTileLenses * kMostOrdinals, kRun = kGroupOrdinals;
 constexpr int kMostSections = (kMostOrdinals + kGroupOrdinals - 1) / kGroupOrdinals;
 constexpr int kMostNodes = 1024;  // of a tile; nodes and middles of a section likewise: a sixth of its sub-pixels
 constexpr int kPlanes = 16;       // of a section, at most
@@ -43,7 +43,7 @@ struct Memory {
   LatticePlan plans[kMostSections];
   Step steps[kMostSections][kPlanes];
   int first_node[kMostSections];
-  int2 rows[kMostRows];          // sub-pixels, from x to before y; beyond the panel too
+  int2 rows[kTileRows];          // sub-pixels, from x to before y; beyond the panel too
   int low, high;                 // columns of pixels
   float errors[kWarps], squares[kWarps];
   union {

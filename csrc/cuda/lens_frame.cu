@@ -7,6 +7,7 @@
 #include "base/error.h"
 #include "cuda/lens_lists.h"
 #include "cuda/lens_rig.cuh"
+#include "math/lattice_plan.h"
 
 namespace lfgs::cuda {
 namespace {

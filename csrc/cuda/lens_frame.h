@@ -15,8 +15,7 @@ namespace lfgs::cuda {
 // quadratic in s (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
 enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadraticSmall, kOrdinal, kCount };
 
-// Lattices are tried on every kProbeRows-th row of tiles first; at most so many, for 65,536 rows of pixels.
-constexpr int kProbeRows = 8, kMostProbeRows = 256;
+constexpr int kMostProbeRows = 256;  // see kProbeRows: of 65,536 rows of pixels
 
 // What one frame found out: written on the device, read by the host when it likes. pairs and drawn come from bin, the
 // rest from project and composite.

@@ -15,6 +15,12 @@ struct LatticePart {
   float x_low, x_high, y_low, y_high, s_low, s_high;
 };
 
+constexpr float kMeanShare = 5;  // the root mean square of a lattice's errors must be so many times smaller
+constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // steps in standard deviations; of the finer ones tried next
+LFGS_HD float first_fineness(float error) { return std::fmin(3.5f * std::sqrt(error), kMostFineness); }
+// Lattices are tried on every kProbeRows-th row of tiles first; where few of its tiles fit, the rows between do without.
+constexpr int kProbeRows = 8;
+
 // However fine a lattice is wanted, its nodes and middles can be counted in an int: (30001 x 257 + 9999 x 256) x 128.
 constexpr int kMostPlanes = 128, kMostRows = 256, kMostColumns = 10000;
 

@@ -120,7 +120,7 @@ def rows(subject: Subject, chosen: dict[str, Setting], repeats: int | None,
                       "named": name in QUALITIES, **oracle.errors(image),
                       "pairs": stats["pairs"], "evaluations_per_subpixel": stats["evaluations_per_subpixel"],
                       "skipped": stats["skipped"]})
-        calls.append(_call(drawn, quality, threads))
+        calls.append(drawing(drawn, quality, threads))
     _, times = timed_in_turn(calls, subject.gaussians.means.is_cuda, repeats)
     for row, taken in zip(found, zip(*times)):
         row |= {"ms": min(taken), "runs": len(taken)}
@@ -130,8 +130,8 @@ def rows(subject: Subject, chosen: dict[str, Setting], repeats: int | None,
     return found
 
 
-def _call(subject: Subject, quality: Quality, threads: int | None) -> Callable[[], Tensor]:
-    """On CUDA an Encoder's replayed frame."""
+def drawing(subject: Subject, quality: Quality = EXACT, threads: int | None = None) -> Callable[[], Tensor]:
+    """A call that draws a subject; on CUDA an Encoder's replayed frame."""
     if subject.gaussians.means.is_cuda:
         return partial(Encoder(subject.panel, subject.rig, quality=quality), subject.gaussians)
     return partial(encode, subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import ops
-from lightfield_gs.bench.pareto import Subject
+from lightfield_gs.bench.pareto import Subject, drawing
 from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.tables import aligned, in_ms, or_dash
 from lightfield_gs.bench.timing import timed_in_turn
@@ -76,7 +76,7 @@ def _rows(subject: Subject, repeats: int | None) -> list[dict[str, Any]]:
 
 def skips(subject: Subject) -> Iterator[Skip]:
     """Every skip, for a scene."""
-    exact, counted = _draw(subject), _counted(subject)
+    exact, counted = drawing(subject), _counted(subject)
     yield _culling(subject, counted["skipped"])
     yield Skip("rows and spans outside footprints", f"all but {counted['pairs']} pairs of tile and Gaussian",
                note="not separable: lists of what touches a tile are how an image is drawn")
@@ -89,9 +89,9 @@ def skips(subject: Subject) -> Iterator[Skip]:
             ("lattice", Quality(lattice_error=LATTICE_ERROR), f"of error {LATTICE_ERROR:g}"),
             ("pruning in a frame", Quality(contribution_cut=CONTRIBUTION_CUT), f"by less than {CONTRIBUTION_CUT:g}")):
         what = _what_it_skips(name, counted, _counted(subject, quality))
-        yield Skip(name, what, _draw(subject, quality), exact, note)
+        yield Skip(name, what, drawing(subject, quality), exact, note)
     fewer = replace(subject, gaussians=prune(subject.gaussians, subject.panel, subject.rig, PRUNED))
-    yield Skip("pruning of the scene", f"{subject.gaussians.count - fewer.gaussians.count} Gaussians", _draw(fewer),
+    yield Skip("pruning of the scene", f"{subject.gaussians.count - fewer.gaussians.count} Gaussians", drawing(fewer),
                exact, f"once, by `prune`, {PRUNED:g} of the light")
     yield from _reuse(subject)
 
@@ -120,13 +120,6 @@ def table(found: list[dict[str, Any]]) -> str:
     return "\n".join([*aligned([head, *lines]), *dict.fromkeys(f"{row['skip']}: {row['note']}" for row in found)])
 
 
-def _draw(subject: Subject, quality: Quality = EXACT) -> Draw:
-    """On CUDA an Encoder's replayed frame."""
-    if subject.gaussians.means.is_cuda:
-        return partial(Encoder(subject.panel, subject.rig, quality=quality), subject.gaussians)
-    return partial(encode, subject.gaussians, subject.panel, subject.rig, quality=quality)
-
-
 def _counted(subject: Subject, quality: Quality = EXACT) -> dict[str, Any]:
     stats: dict[str, Any] = {}
     encode(subject.gaussians, subject.panel, subject.rig, quality=quality, stats=stats)
@@ -142,7 +135,7 @@ def _culling(subject: Subject, skipped: dict[str, Any]) -> Skip:
     behind = replace(scene, means=scene.means - (depths + depths.abs() + 1)[:, None] * forward)
     both = Gaussians(*(torch.cat(pair) for pair in zip(scene.fields().values(), behind.fields().values())))
     return Skip("culling", ", ".join(f"{n} {why}" for why, n in skipped["gaussians"].items()),
-                _draw(replace(subject, gaussians=both)), _draw(subject),
+                drawing(replace(subject, gaussians=both)), drawing(subject),
                 "not separable: nothing unculled would touch a tile either; here what as many Gaussians again, all "
                 "behind the cameras, still cost")
 
@@ -159,8 +152,8 @@ def _empty_tiles(subject: Subject, skipped: dict[str, Any]) -> Skip:
             torch.full((1,), 1.1 / 255, **like), torch.zeros_like(scene.sh[:1]))
     veiled = Gaussians(*(torch.cat(pair) for pair in zip(scene.fields().values(), veil)))
     empty = skipped.get("tiles", {}).get("empty")
-    return Skip("empty tiles", f"{or_dash(empty, 'd')} tiles", _draw(subject),
-                _draw(replace(subject, gaussians=veiled)),
+    return Skip("empty tiles", f"{or_dash(empty, 'd')} tiles", drawing(subject),
+                drawing(replace(subject, gaussians=veiled)),
                 "without: a veil of alpha 0.004 behind all, one Gaussian, is in every tile")
 
 
