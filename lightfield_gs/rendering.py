@@ -198,7 +198,7 @@ def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, backgroun
         stats.add_render(one)
         with stats.stage("interlace"):
             if output == "uint8":
-                images = images.clamp_(0, 1).mul_(255).add_(0.5).to(torch.uint8)
+                images = images.clamp_(0, 1).mul_(255).round_().to(torch.uint8)
             _take_over(out, images.view(cameras.count, -1), places, first)
     return out.view(panel.height_px, panel.width_px, 3)
 

@@ -92,6 +92,24 @@ def test_any_prediction_is_a_valid_scene_with_ordered_layers(seed, scale):
     assert depth.min() > 0.749 and depth.max() < 1.851
 
 
+@pytest.mark.parametrize("changes", [{"sh_degree": 3}, {"patch_px": 2}, {"composer": "absolute", "layers": 1}],
+                         ids=["harmonics", "patches", "absolute"])
+def test_symmetric_network_sees_the_mirror_image_in_a_mirror(changes):
+    net = tiny_net(symmetric=True, **changes)
+    torch.nn.init.normal_(net.head.weight, std=0.1)
+    picture, intrinsics = disc(), torch.tensor([[44.0, 44.0, 17.5, 12.25]])
+    picture[..., :9, :] *= 0.5  # neither symmetric nor in the middle
+    mirror = torch.tensor([[44.0, 44.0, 32 - 17.5, 12.25]])
+    # From the left of the one and from the right of the other, far enough for harmonics and rotations to show.
+    seen = []
+    for image, k, side in ((picture, intrinsics, 0.3), (picture.flip(3), mirror, -0.3)):
+        pose = torch.eye(4)[None, None].clone()
+        pose[..., 0, 3] = side
+        seen.append(render(net(image, k), Cameras(pose, k[None, :, :2], k[None, :, 2:], 32, 32))[0, 0])
+    assert seen[0].amax() - seen[0].amin() > 0.2
+    torch.testing.assert_close(seen[0], seen[1].flip(1), atol=2e-3, rtol=0)
+
+
 def test_gradients_reach_every_parameter():
     net = tiny_net()
     torch.nn.init.normal_(net.head.weight, std=0.1)

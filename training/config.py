@@ -41,7 +41,8 @@ class TrainingConfig:
     """One run.
 
     model: name in configs/models, or a YAML file. initial_weights: checkpoint to start from, "pretrained" for the one
-    in the package; its network takes the place of model. data: folders of objects, SRN layout or transforms.json.
+    in the package; its network takes the place of model. symmetric: make the network symmetric (see ModelConfig), also
+    where model or initial_weights do not. data: folders of objects, SRN layout or transforms.json.
     cache_dir: where decoded views are kept. output_dir: checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs,
     final weights.
     cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source
@@ -66,6 +67,7 @@ class TrainingConfig:
     cache_dir: str = ".data/cache"
     model: str = "default"
     initial_weights: str = ""
+    symmetric: bool = False
     seed: int = 0
     cone_deg: float = 40.0
     cone_margin: float = 1.5

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 
 import torch
@@ -38,9 +39,14 @@ class StepValues:
 
 
 def _initial_net(config: TrainingConfig) -> SplatterNet:
-    if not config.initial_weights:
-        return SplatterNet(ModelConfig.from_yaml(config.model))
-    return SplatterNet.from_pretrained(None if config.initial_weights == "pretrained" else config.initial_weights)
+    if config.initial_weights:
+        path = None if config.initial_weights == "pretrained" else config.initial_weights
+        net = SplatterNet.from_pretrained(path)
+    else:
+        net = SplatterNet(ModelConfig.from_yaml(config.model))
+    if config.symmetric:  # has no weights of its own
+        net.config = dataclasses.replace(net.config, symmetric=True)
+    return net
 
 
 class Trainer:

@@ -13,6 +13,7 @@
 #include "cpu/tile_splats.h"
 #include "hwy/cache_control.h"
 #include "math/colour_polynomial.h"
+#include "math/image_byte.h"
 #include "pipeline/stages.h"
 
 #undef HWY_TARGET_INCLUDE
@@ -55,7 +56,7 @@ struct LensScene {
       : job(job_), layout(*job_.lens, LensTile<T>::kCellsPerPatch),
         background{job_.background[0], job_.background[1], job_.background[2], 0},
         backdrop(*job_.lens, [&](int c) { return background[c]; }),
-        backdrop8(*job_.lens, [&](int c) { return uint8_t(std::clamp(background[c], T(0), T(1)) * 255 + T(0.5)); }),
+        backdrop8(*job_.lens, [&](int c) { return byte_of(background[c]); }),
         splats(job_.splats, job_.quality, job_.quality.lattice > 0 && job_.quality.log2_cut > kLog2MinAlpha,
                job_.threads) {}
 };

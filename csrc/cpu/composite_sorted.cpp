@@ -8,6 +8,7 @@
 #include "base/error.h"
 #include "base/parallel.h"
 #include "cpu/tile_lists.h"
+#include "math/image_byte.h"
 #include "pipeline/stages.h"
 
 #undef HWY_TARGET_INCLUDE
@@ -101,7 +102,7 @@ struct SubpixelBatch {
       const T left = transmittance[i] > 0 ? transmittance[i] : rest[i];
       const T c = value[i] + left * job.background[channel[i]];
       if (job.out8)
-        job.out8[place[i]] = uint8_t(std::clamp(c, T(0), T(1)) * 255 + T(0.5));
+        job.out8[place[i]] = byte_of(c);
       else
         job.out[place[i]] = c;
     }

@@ -103,7 +103,7 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
     stopped += int64_t(hn::CountTrue(d, hn::Eq(left, hn::Zero(d))));
     if (job.out8) {
       const auto unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
-      const auto rounded = hn::ConvertTo(di, hn::MulAdd(unit, hn::Set(d, T(255)), hn::Set(d, T(0.5))));
+      const auto rounded = hn::ConvertTo(di, hn::Round(hn::Mul(unit, hn::Set(d, T(255)))));
       hn::Store(hn::TruncateTo(d8, hn::BitCast(du, rounded)), d8, bytes + i);
     } else {
       hn::Store(c, d, &tile.colour[i]);

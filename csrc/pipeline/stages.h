@@ -131,7 +131,7 @@ Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Came
                                   const int64_t* first_pair, T* pair_gradients, T* band_background, int threads);
 
 // One channel of one sample a sub-pixel, each view by its own camera: image i is the i-th view of the lists. Writes
-// to out, or where that is null to out8 as round(255 clamp(c, 0, 1)); background [3].
+// to out, or where that is null to out8 as round(255 clamp(c, 0, 1)), ties to even; background [3].
 template <class T>
 Counters composite_sorted(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const SubpixelLists& lists,
                           const T* background, T* out, uint8_t* out8, int threads);

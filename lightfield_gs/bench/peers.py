@@ -66,7 +66,7 @@ class GsplatClassic:
         for first, sources, places in zip(range(0, self._panel.views, self._views_a_call), self._sources,
                                           self._places):
             views = self._dense(slice(first, first + self._views_a_call))
-            out[places] = views.view(-1)[sources].clamp_(0, 1).mul_(255).add_(0.5).to(torch.uint8)
+            out[places] = views.view(-1)[sources].clamp_(0, 1).mul_(255).round_().to(torch.uint8)
         return out.view(height, width, 3)
 
     def _dense(self, views: slice) -> Tensor:

@@ -30,6 +30,8 @@ class ModelConfig:
     near, far: depth range in scene units (the camera is about 1.3 before the object's centre).
     base_depth: depth of the untrained first layer ("delta" only).
     photo_focal: focal length assumed for photos, in units of the side of the square round the object.
+    symmetric: predict from the picture and from its mirror image, and take the mean of what both say: then the mirror
+        image of a picture gives the mirror image of its Gaussians, for twice the work of the U-Net.
     unet: the backbone.
     """
     input: str = "rgb_mask_ray"
@@ -43,6 +45,7 @@ class ModelConfig:
     far: float = 1.85
     base_depth: float = 1.1
     photo_focal: float = 1.4
+    symmetric: bool = False
     unet: UNetConfig = UNetConfig()
 
     def __post_init__(self) -> None:

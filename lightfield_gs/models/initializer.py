@@ -46,3 +46,10 @@ def network_input(images: Tensor, pixels: Pixels, kind: str) -> Tensor:
         return images[:, :3] + 1 - pixels.mask
     # Premultiplied colour on mid-grey, less mid-grey: zero where nothing is.
     return torch.cat([images[:, :3] - 0.5 * pixels.mask, pixels.mask - 0.5, pixels.rays], dim=1)
+
+
+def with_mirror_images(images: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
+    """Images [B,4,H,W] and intrinsics [B,4], and after them (2B) their mirror images, left and right, with theirs."""
+    fx, fy, cx, cy = intrinsics.unbind(-1)
+    mirror = torch.stack([fx, fy, images.shape[3] - cx, cy], dim=-1)
+    return torch.cat([images, images.flip(3)]), torch.cat([intrinsics, mirror])

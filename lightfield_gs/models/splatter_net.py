@@ -17,9 +17,9 @@ from lightfield_gs.arrays import dense_tensor
 from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
-from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, parameter_groups
+from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
-from lightfield_gs.models.initializer import describe_pixels, network_input
+from lightfield_gs.models.initializer import Pixels, describe_pixels, network_input, with_mirror_images
 from lightfield_gs.models.unet import UNet
 from lightfield_gs.paths import checked_path
 from lightfield_gs.quality import OPACITY_CUT
@@ -57,12 +57,19 @@ class SplatterNet(nn.Module):
         float32 always.
         """
         pixels = describe_pixels(images, intrinsics)
+        if not self.config.symmetric:
+            return self.composer(self._raw(images, pixels), pixels)
+        both, their_intrinsics = with_mirror_images(images, intrinsics)
+        own, other = self._raw(both, describe_pixels(both, their_intrinsics)).chunk(2)
+        return self.composer((own + mirrored(other, self.config.layers, self.config.sh_degree)) / 2, pixels)
+
+    def _raw(self, images: Tensor, pixels: Pixels) -> Tensor:
+        """What the composer takes, [B,C,H,W] float32."""
         folded = F.pixel_unshuffle(network_input(images, pixels, self.config.input), self.config.patch_px)
         folded = folded.to(self.unet.stem.weight.dtype, memory_format=torch.channels_last)
         features = self.unet(folded)
         with torch.autocast(images.device.type, enabled=False):
-            raw = F.pixel_shuffle(self.head(features.float()), self.config.patch_px)
-            return self.composer(raw, pixels)
+            return F.pixel_shuffle(self.head(features.float()), self.config.patch_px)
 
     @torch.no_grad()
     def predict(self, rgba: np.ndarray | Tensor) -> Gaussians:
