@@ -40,21 +40,24 @@ def _scene() -> Gaussians:
                      torch.randn(count, 1, 3, generator=rng))
 
 
-def test_the_true_scene_scores_as_well_as_8_bits_allow(tmp_path):
+@pytest.mark.parametrize("fineness", [1, 2])
+def test_the_true_scene_scores_as_well_as_8_bits_allow(tmp_path, fineness):
     """Pictures of known Gaussians, drawn straight from the poses on disk; only the source camera's axes are shared."""
     write_object(tmp_path / "a", angles=ANGLES)
     views, scene = read_object(tmp_path / "a"), _scene()
     world_to_camera = torch.from_numpy(np.linalg.inv(views.camera_to_world) @ views.camera_to_world[0]).float()
-    intrinsics = torch.tensor([[140.0, 140.0, 64.0, 48.0]]).expand(len(ANGLES), 4)
+    intrinsics = fineness * torch.tensor([[140.0, 140.0, 64.0, 48.0]]).expand(len(ANGLES), 4)
     batched = Gaussians(*(field[None] for field in scene.fields().values()))
     black = torch.zeros(1, len(ANGLES), 3)
-    images, alpha = render_views(batched, world_to_camera[None], intrinsics[None], 128, 96, black)
+    images, alpha = render_views(batched, world_to_camera[None], intrinsics[None], 128 * fineness, 96 * fineness,
+                                 black)
     straight = images[0].permute(0, 2, 3, 1) / alpha[0, ..., None].clamp_min(1e-6)
     pixels = (torch.cat([straight, alpha[0, ..., None]], -1).clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     for index, picture in enumerate(pixels):
         Image.fromarray(picture).save(tmp_path / f"a/rgb/{index:06d}.png")
-    (tmp_path / "a/intrinsics.txt").write_text("140 64 48 0\n0 0 0\n1\n96 128\n")
-    report = score_folder(KnownScene(scene), tmp_path)
+    (tmp_path / "a/intrinsics.txt").write_text(f"{140 * fineness} {64 * fineness} {48 * fineness} 0\n0 0 0\n1\n"
+                                               f"{96 * fineness} {128 * fineness}\n")
+    report = score_folder(KnownScene(scene), tmp_path, supersampling=fineness)
     assert report["psnr_db"] > 50 and report["ssim"] > 0.999 and report["source"]["psnr_db"] > 50
     assert report["copy_psnr_db"] < 30
 

@@ -212,7 +212,30 @@ def test_a_run_can_start_from_a_checkpoint(small_set, tmp_path):
             assert found is not trainer.net or dict(trainer.net.named_parameters())[name].requires_grad
 
 
-@pytest.mark.parametrize("name", ["cpu", "finetune", "original", "release"])
+def test_a_trained_network_can_be_made_symmetric_and_its_head_trained_alone(small_set, tmp_path):
+    config = train.read_config(["--config", str(run_config(small_set, "unused"))])
+    SplatterNet(ModelConfig.from_yaml(config.model)).save(tmp_path / "weights.safetensors")
+    former = load_file(tmp_path / "weights.safetensors")
+    config = run_config(small_set, "head", initial_weights=str(tmp_path / "weights.safetensors"), symmetric=True,
+                        trained="head", threads=1)
+    _finish(config)
+    found = SplatterNet.from_pretrained(small_set / "head/model.safetensors")
+    assert found.config.symmetric
+    changed = {name for name, weights in found.half().state_dict().items() if not torch.equal(weights, former[name])}
+    assert changed == {"head.weight", "head.bias"}
+
+
+def test_a_run_that_was_stored_before_a_field_existed_has_its_default():
+    config = TrainingConfig("out", ["data"], [Stage(5, 16, 2)])
+    stored = json.loads(json.dumps(config.identity()))
+    del stored["symmetric"], stored["augmentation"]["noise"]
+    assert config.differences(stored) == []
+    stored["augmentation"]["mirror"] = 0.25
+    assert config.differences(stored | {"seed": 3}) == ["augmentation", "seed"]
+    assert "stages" in config.differences(None) and "unet" in config.differences(stored | {"unet": {}})
+
+
+@pytest.mark.parametrize("name", ["cpu", "finetune", "original", "release", "further", "symmetric", "scales"])
 def test_shipped_configurations_can_be_read(name):
     config = train.read_config(["--config", str(config_path("training", name))])
     assert config.total_steps > 0

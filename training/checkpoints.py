@@ -10,6 +10,7 @@ import torch
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
+from training.config import TrainingConfig
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -21,7 +22,7 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
             os.fsync(file.fileno())
 
 
-def load_checkpoint(path: Path, identity: dict[str, Any]) -> dict[str, Any]:
+def load_checkpoint(path: Path, config: TrainingConfig) -> dict[str, Any]:
     """Read a checkpoint. Raises InputError when it is damaged or belongs to a run with another configuration."""
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
@@ -29,9 +30,7 @@ def load_checkpoint(path: Path, identity: dict[str, Any]) -> dict[str, Any]:
     except Exception as error:  # torch.load raises many types on damaged files
         reason = type(error).__name__
         raise InputError(f"{path}: damaged checkpoint ({reason}): remove it to start the run anew") from None
-    wanted = json.loads(json.dumps(identity))
-    if stored != wanted:
-        changed = sorted(name for name in wanted.keys() | stored.keys() if wanted.get(name) != stored.get(name))
+    if changed := config.differences(stored):
         raise InputError(f"{path}: belongs to a run with another configuration ({', '.join(changed)} differ): choose "
                          "another output_dir, or remove the checkpoint")
     return state

@@ -37,9 +37,9 @@ def is_finished(run: TrainingConfig) -> bool:
             trained = json.loads((file.metadata() or {}).get("training", "null"))
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"{path}: expected weights of a run, but {' '.join(str(error).split())}") from None
-    if trained != json.loads(json.dumps(run.identity())):
-        raise InputError(f"{path}: was trained with another configuration: give the one of the run, or another "
-                         "output_dir")
+    if changed := run.differences(trained):
+        raise InputError(f"{path}: was trained with another configuration ({', '.join(changed)} differ): give the one "
+                         "of the run, or another output_dir")
     return True
 
 

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -42,7 +43,8 @@ class TrainingConfig:
 
     model: name in configs/models, or a YAML file. initial_weights: checkpoint to start from, "pretrained" for the one
     in the package; its network takes the place of model. symmetric: make the network symmetric (see ModelConfig), also
-    where model or initial_weights do not. data: folders of objects, SRN layout or transforms.json.
+    where model or initial_weights do not. trained: the whole network, or the head alone, which takes the U-Net's
+    features as they are: quick, also on a CPU, to suit a trained network to other targets. data: folders of objects, SRN layout or transforms.json.
     cache_dir: where decoded views are kept. output_dir: checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs,
     final weights.
     cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source
@@ -68,6 +70,7 @@ class TrainingConfig:
     model: str = "default"
     initial_weights: str = ""
     symmetric: bool = False
+    trained: Literal["network", "head"] = "network"
     seed: int = 0
     cone_deg: float = 40.0
     cone_margin: float = 1.5
@@ -118,3 +121,21 @@ class TrainingConfig:
                      "validation_objects", "checkpoint_every", "device", "compile"):
             del fields[name]
         return fields
+
+    def differences(self, stored: object) -> list[str]:
+        """Names of the fields in which this run differs from the one whose identity() was stored as JSON.
+
+        A field that did not exist when it was stored had the value that is now its default.
+        """
+        if not isinstance(stored, dict):
+            return sorted(self.identity())
+        known = TrainingConfig("", [], []).identity()
+        stored, own = (json.loads(json.dumps(_filled(fields, known))) for fields in (stored, self.identity()))
+        return sorted(name for name in own.keys() | stored.keys() if own.get(name) != stored.get(name))
+
+
+def _filled(values: dict, defaults: dict) -> dict:
+    """values and what they lack of the defaults, also in dictionaries inside."""
+    inside = {name: _filled(value, defaults[name]) for name, value in values.items()
+              if isinstance(value, dict) and isinstance(defaults.get(name), dict)}
+    return defaults | values | inside

@@ -38,6 +38,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, required=True, help="file for the results")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"),
                         help="default: a GPU if there is one")
+    parser.add_argument("--supersampling", type=int, choices=range(1, 9), default=1, metavar="1..8",
+                        help="samples of a rendered pixel along each axis (default: 1, as published scores are made)")
     parser.add_argument("--limit", type=int, help="score only so many objects")
     options = parser.parse_args(arguments)
     from lightfield_gs.commands.device import choose_device
@@ -49,8 +51,9 @@ def main(arguments: list[str] | None = None) -> int:
         device = choose_device(options.device)
         net = SplatterNet.from_pretrained(options.checkpoint).to(device)
         report = score_folder(net, options.data, limit=options.limit, save_renders=options.save_renders,
-                              split=options.split, device=device)
-        report |= {"data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained")}
+                              split=options.split, device=device, supersampling=options.supersampling)
+        report |= {"data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained"),
+                   "supersampling": options.supersampling}
         with atomic_path(options.json) as temporary:
             temporary.write_text(json.dumps(report, indent=1) + "\n")
     except InputError as error:

@@ -134,7 +134,7 @@ def train(config: TrainingConfig) -> Path | None:
             team.share(stage.objects)
         trainer, planner = Trainer(config, team), make_planner(config, team)
         if (output / "last.pt").exists():
-            trainer.restore(load_checkpoint(output / "last.pt", config.identity()))
+            trainer.restore(load_checkpoint(output / "last.pt", config))
         if team.leads:
             cut_log(output / "losses.jsonl", trainer.step)
             cut_log(output / "scores.jsonl", trainer.step + 1)

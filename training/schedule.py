@@ -22,7 +22,8 @@ def make_optimizer(net: nn.Module, config: OptimizerConfig) -> torch.optim.AdamW
     """AdamW that decays the weights of convolutions only."""
     groups: dict[bool, list[Tensor]] = {True: [], False: []}
     for parameter in net.parameters():
-        groups[parameter.ndim > 1].append(parameter)
+        if parameter.requires_grad:
+            groups[parameter.ndim > 1].append(parameter)
     return torch.optim.AdamW([{"params": groups[True], "weight_decay": config.weight_decay},
                               {"params": groups[False], "weight_decay": 0.0}],
                              lr=config.learning_rate, betas=config.betas, fused=True)

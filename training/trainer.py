@@ -46,6 +46,8 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
         net = SplatterNet(ModelConfig.from_yaml(config.model))
     if config.symmetric:  # has no weights of its own
         net.config = dataclasses.replace(net.config, symmetric=True)
+    if config.trained == "head":
+        net.unet.requires_grad_(False)
     return net
 
 
@@ -61,7 +63,7 @@ class Trainer:
         net = _initial_net(config).to(team.device, memory_format=torch.channels_last)
         self.net = net.train()
         self.average = WeightAverage(copy.deepcopy(self.net), self.net, config.optimizer.ema_decay)
-        self.optimizer, self._weights = make_optimizer(self.net, config.optimizer), list(self.net.parameters())
+        self.optimizer, self._weights = make_optimizer(self.net, config.optimizer), [w for w in self.net.parameters() if w.requires_grad]
         self._loss = total_loss
         if config.compile:  # sizes change between stages only
             self.net.compile(dynamic=False, mode="reduce-overhead" if team.device.type == "cuda" else None)
