@@ -143,25 +143,27 @@ def test_an_arm_goes_on_where_it_broke_off(folder, monkeypatch):
         assert cut == whole and len(whole.splitlines()) == {"losses.jsonl": 4, "scores.jsonl": 2}[name]
 
 
-def _report(psnr_db: float, ssim: float) -> dict:
+def _report(psnr_db: float, ssim: float, *of_objects: float) -> dict:
     """What score_folder might return: 10 dB more for the source, a decibel less from bin to bin."""
     def row(psnr_db: float) -> dict:
         return {"views": 2, "psnr_db": psnr_db, "ssim": ssim, "copy_psnr_db": 20.25, "copy_ssim": 0.85,
                 "card_psnr_db": 19.5, "card_ssim": 0.845}
     return row(psnr_db - 0.5) | {"source": row(psnr_db + 10), "bins": [
-        {"angle_deg": angle} | row(psnr_db - step) for step, angle in enumerate((5, 10))]}
+        {"angle_deg": angle} | row(psnr_db - step) for step, angle in enumerate((5, 10))],
+        "object_psnr_db": {str(number): psnr for number, psnr in enumerate(of_objects)}}
 
 
 def test_report_of_known_numbers():
     run = TrainingConfig("out", ["data"], [Stage(10, 16, 4)])
-    scores = {"narrow": {"near": _report(28.0, 0.95)}, "round": {"near": _report(27.25, 0.94)}}
+    scores = {"narrow": {"near": _report(28.0, 0.95, 27, 28, 29)}, "round": {"near": _report(27.25, 0.94, 27, 27, 27)}}
     (lead,) = compare_report.leads(scores).values()
     assert {label: (row["psnr_db"], pytest.approx(row["ssim"])) for label, row in lead["near"].items()} == {
         label: (0.75, 0.01) for label in ("source", "5 deg", "10 deg", "all")}
     lines = compare_report.to_markdown({"narrow": run, "round": run, "late": run}, scores).splitlines()
     assert "| source | 2 | 38.00 / 0.950 | 37.25 / 0.940 | 20.25 / 0.850 | 19.50 / 0.845 |" in lines
     assert "| 10 deg | 2 | 27.00 / 0.950 | 26.25 / 0.940 | 20.25 / 0.850 | 19.50 / 0.845 |" in lines
-    assert "| angle | narrow - round |" in lines and lines.count("| all | +0.75 / +0.010 |") == 1
+    assert lead["near"]["all"]["psnr_standard_error"] == pytest.approx(1 / 3 ** 0.5)  # of 0, 1 and 2
+    assert "| angle | narrow - round |" in lines and lines.count("| all | +0.75 +- 0.58 / +0.010 |") == 1
     assert any("10 steps, 40 samples of 4 views" in line for line in lines)
     assert [line.endswith("not finished") for line in lines if line.startswith("- ")] == [False, False, True]
 

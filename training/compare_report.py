@@ -3,6 +3,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import statistics
 from pathlib import Path
 from typing import Any
 
@@ -69,13 +71,20 @@ def read_curve(run: TrainingConfig) -> list[dict[str, float]]:
 
 
 def leads(scores: Scores) -> Scores:
-    """How far the first finished arm is ahead of each other one: psnr_db and ssim for each label of each folder."""
+    """How far the first finished arm is ahead of each other one: psnr_db and ssim for each label of each folder.
+
+    That over all views has psnr_standard_error too: of the mean over objects, which are what the views depend on.
+    """
     first, *others = scores
 
     def lead(ours: dict[str, Any], theirs: dict[str, Any]) -> dict[str, dict[str, float]]:
         rows = dict(labelled(theirs))
-        return {label: {name: row[name] - rows[label][name] for name in ("psnr_db", "ssim")}
-                for label, row in labelled(ours)}
+        found = {label: {name: row[name] - rows[label][name] for name in ("psnr_db", "ssim")}
+                 for label, row in labelled(ours)}
+        of_objects = [psnr - theirs["object_psnr_db"][name] for name, psnr in ours["object_psnr_db"].items()]
+        if len(of_objects) > 1:
+            found["all"]["psnr_standard_error"] = statistics.stdev(of_objects) / math.sqrt(len(of_objects))
+        return found
 
     return {other: {folder: lead(scores[first][folder], theirs) for folder, theirs in scores[other].items()}
             for other in others}
@@ -85,13 +94,18 @@ def _markdown_table(head: list[str], rows: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows))
 
 
+def _lead_cell(lead: dict[str, float]) -> str:
+    error = f" +- {lead['psnr_standard_error']:.2f}" if "psnr_standard_error" in lead else ""
+    return f"{lead['psnr_db']:+.2f}{error} / {lead['ssim']:+.3f}"
+
+
 def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
     """The tables: PSNR / SSIM of every arm and floor by angle, and the leads of the first arm."""
     run = next(iter(runs.values()))
     samples = f"{sum(stage.steps * stage.objects for stage in run.stages):,} samples of {run.targets + 1} views"
     lines = ["# Targets inside the cone and all round", "",
              f"Network `{run.model}`, {run.total_steps:,} steps, {samples}. PSNR in dB / SSIM; \"all\" are the novel "
-             "views; 100 dB: equal.", ""]
+             "views, +- the standard error over objects; 100 dB: equal.", ""]
     lines += [f"- {name}: targets within {arm.azimuth_deg:g} degrees of azimuth and {arm.elevation_deg:g} of elevation "
               f"of the source{'' if name in scores else '; not finished'}" for name, arm in runs.items()]
     first, *others = scores
@@ -104,8 +118,8 @@ def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
                 for label, row in labelled(report)]
         lines += ["", f"## {folder}", "", _markdown_table(["angle", "views", *scores, *FLOORS.values()], rows)]
         if others:
-            rows = [[label, *(f"{lead[folder][label]['psnr_db']:+.2f} / {lead[folder][label]['ssim']:+.3f}"
-                              for lead in differences.values())] for label, _ in labelled(report)]
+            rows = [[label, *(_lead_cell(lead[folder][label]) for lead in differences.values())]
+                    for label, _ in labelled(report)]
             lines += ["", _markdown_table(["angle", *(f"{first} - {other}" for other in others)], rows)]
     return "\n".join(lines) + "\n"
 

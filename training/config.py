@@ -44,7 +44,8 @@ class TrainingConfig:
     model: name in configs/models, or a YAML file. initial_weights: checkpoint to start from, "pretrained" for the one
     in the package; its network takes the place of model. symmetric: make the network symmetric (see ModelConfig), also
     where model or initial_weights do not. trained: the whole network, or the head alone, which takes the U-Net's
-    features as they are: quick, also on a CPU, to suit a trained network to other targets. data: folders of objects, SRN layout or transforms.json.
+    features as they are: quick, also on a CPU, to suit a trained network to other targets.
+    data: folders of objects, SRN layout or transforms.json.
     cache_dir: where decoded views are kept. output_dir: checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs,
     final weights.
     cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source

@@ -6,9 +6,9 @@ SSIM are means over images; those of the source view itself stand apart. Beside 
 network: "copy", the source image itself offered as every other view, and "card", the source image as a flat card at
 OBJECT_DISTANCE, the depth of the object's middle.
 
-The rasterizer widens all Gaussians by 0.3 px^2 of variance (Kerbl et al. 2023), which objects of 50 px feel and those on
-a panel do not. Supersampling draws n times as finely and averages, as the stored images are averaged, and so leaves
-0.3 / n^2.
+The rasterizer widens all Gaussians by 0.3 px^2 of variance (Kerbl et al. 2023), which objects of 50 px feel and those
+on a panel do not. Supersampling draws n times as finely and averages, as the stored images are averaged, and so
+leaves 0.3 / n^2.
 """
 from __future__ import annotations
 
@@ -137,21 +137,26 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
 
     Returns objects, and psnr_db, ssim, copy_psnr_db, copy_ssim, card_psnr_db, card_ssim and views (their number) over
     all novel views; bins: the same for each angle_deg (azimuth to either side, rounded to 5 degrees) of novel views;
-    source: the same for the source views. save_renders: folder for one picture per object. device: where the network
-    is. decoded: keeps the images from call to call, for those who score the same objects again. supersampling: samples of
-    a rendered pixel along each axis. Raises InputError for data that cannot be used.
+    source: the same for the source views; object_psnr_db: of each object by its path, over its novel views. save_renders: folder for one picture per object. device: where the network
+    is. decoded: keeps the images from call to call, for those who score the same objects again. supersampling: samples
+    of a rendered pixel along each axis. Raises InputError for data that cannot be used.
     """
     bins: dict[int | None, list[dict[str, float]]] = defaultdict(list)
+    of_objects: dict[str, float] = {}
     objects = find_objects(data, split)[:limit]
     for path in tqdm(objects, desc=f"scoring {data}", unit="object", leave=False):
         comparison = compare_object(net, path, device=device, decoded=decoded, supersampling=supersampling)
-        for angle, row in _scores(comparison):
+        scores = list(_scores(comparison))
+        for angle, row in scores:
             bins[angle].append(row)
+        of_objects[str(path.relative_to(data))] = float(np.mean([row["psnr_db"] for angle, row in scores
+                                                                 if angle is not None]))
         if save_renders is not None:
             save_comparison(comparison, save_renders / f"{comparison.name}.png")
     source = bins.pop(None)
     return {"objects": len(objects)} | _means([row for rows in bins.values() for row in rows]) | {
-        "source": _means(source), "bins": [{"angle_deg": angle} | _means(bins[angle]) for angle in sorted(bins)]}
+        "source": _means(source), "bins": [{"angle_deg": angle} | _means(bins[angle]) for angle in sorted(bins)],
+        "object_psnr_db": of_objects}
 
 
 def labelled(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:

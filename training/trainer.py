@@ -63,7 +63,8 @@ class Trainer:
         net = _initial_net(config).to(team.device, memory_format=torch.channels_last)
         self.net = net.train()
         self.average = WeightAverage(copy.deepcopy(self.net), self.net, config.optimizer.ema_decay)
-        self.optimizer, self._weights = make_optimizer(self.net, config.optimizer), [w for w in self.net.parameters() if w.requires_grad]
+        self.optimizer = make_optimizer(self.net, config.optimizer)
+        self._weights = [weights for weights in self.net.parameters() if weights.requires_grad]
         self._loss = total_loss
         if config.compile:  # sizes change between stages only
             self.net.compile(dynamic=False, mode="reduce-overhead" if team.device.type == "cuda" else None)

@@ -31,8 +31,8 @@ def _mirror_signs(groups: dict[str, int]) -> list[int]:
     signs = {"offset": [-1, 1, 1], "rotation": [1, 1, -1, -1]}
     # A real harmonic goes with sin(|m| phi) where m < 0, else with cos(m phi), and the mirror takes phi to pi - phi.
     degree = math.isqrt(groups.get("harmonics", 0) // 3 + 1) - 1
-    signs["harmonics"] = [(-1) ** (m if m >= 0 else m + 1) for l in range(1, degree + 1) for m in range(-l, l + 1)
-                          for _ in range(3)]
+    signs["harmonics"] = [(-1) ** (m if m >= 0 else m + 1) for band in range(1, degree + 1)
+                          for m in range(-band, band + 1) for _ in range(3)]
     return [sign for group, channels in groups.items() for sign in signs.get(group, [1] * channels)]
 
 
