@@ -137,9 +137,10 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
 
     Returns objects, and psnr_db, ssim, copy_psnr_db, copy_ssim, card_psnr_db, card_ssim and views (their number) over
     all novel views; bins: the same for each angle_deg (azimuth to either side, rounded to 5 degrees) of novel views;
-    source: the same for the source views; object_psnr_db: of each object by its path, over its novel views. save_renders: folder for one picture per object. device: where the network
-    is. decoded: keeps the images from call to call, for those who score the same objects again. supersampling: samples
-    of a rendered pixel along each axis. Raises InputError for data that cannot be used.
+    source: the same for the source views; object_psnr_db: of each object by its path, over its novel views.
+    save_renders: folder for one picture per object. device: where the network is. decoded: keeps the images from call
+    to call, for those who score the same objects again. supersampling: samples of a rendered pixel along each axis.
+    Raises InputError for data that cannot be used.
     """
     bins: dict[int | None, list[dict[str, float]]] = defaultdict(list)
     of_objects: dict[str, float] = {}
