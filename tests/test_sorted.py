@@ -99,7 +99,7 @@ def test_what_shows_nothing_is_background(output):
     nothing = sorted_image(empty, shown, toe_in(shown, shown.views), output=output)
     assert torch.equal(hidden, nothing)
     want = torch.tensor(BACKGROUND, dtype=torch.float64)
-    want = (255 * want + 0.5).to(torch.uint8) if output == "uint8" else want.to(hidden.dtype)
+    want = (255 * want).round().to(torch.uint8) if output == "uint8" else want.to(hidden.dtype)
     assert torch.equal(hidden, want.expand_as(hidden))
 
 
