@@ -55,7 +55,7 @@ def main() -> None:
             tiles.append(tile(to_integers(simulate(image, panel, eye), 8), shape))
         for column, picture in enumerate(tiles):
             sheet.paste(picture, (column * TILE_PX, row * TILE_PX))
-    sheet.save(options.output, quality=85)
+    sheet.save(options.output, quality=93, method=6)
 
 
 if __name__ == "__main__":
