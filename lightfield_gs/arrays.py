@@ -1,4 +1,4 @@
-"""Arrays and tensors as they are given."""
+"""Arrays and tensors as they are given, and as they are stored."""
 
 from __future__ import annotations
 
@@ -20,3 +20,8 @@ def dense_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(value))
     except TypeError:
         raise InputError(f"{what}: expected numbers, got {value.dtype}") from None
+
+
+def bytes_of(colours: Tensor) -> Tensor:
+    """round(255 clamp(c, 0, 1)), ties to even, as uint8: byte_of of math/image_byte.h. Writes over `colours`."""
+    return colours.clamp_(0, 1).mul_(255).round_().to(torch.uint8)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import ops, skips
-from lightfield_gs.arrays import dense_tensor
+from lightfield_gs.arrays import bytes_of, dense_tensor
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.errors import InputError, expect
 from lightfield_gs.gaussians import Gaussians
@@ -198,7 +198,7 @@ def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, backgroun
         stats.add_render(one)
         with stats.stage("interlace"):
             if output == "uint8":
-                images = images.clamp_(0, 1).mul_(255).round_().to(torch.uint8)
+                images = bytes_of(images)
             _take_over(out, images.view(cameras.count, -1), places, first)
     return out.view(panel.height_px, panel.width_px, 3)
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.arrays import bytes_of
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
@@ -163,7 +164,7 @@ def encode_sorted(fields: list[Tensor], cameras: Cameras, plan: SortedPlan, budg
     background = check("background", background, (3,), scene.tensors[0])
     out = scene.new(plan.height_px, plan.width_px, 3, dtype=torch.uint8 if as_bytes else None)
     if plan.hidden:
-        out[:] = (255 * background.clamp(0, 1)).round().to(torch.uint8) if as_bytes else background
+        out[:] = bytes_of(background.clone()) if as_bytes else background
     with scene.guard:
         _Encoding(scene, cameras, plan, budget, background, threads, stats).run(out)
     return out

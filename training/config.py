@@ -130,8 +130,8 @@ class TrainingConfig:
         """
         if not isinstance(stored, dict):
             return sorted(self.identity())
-        known = TrainingConfig("", [], []).identity()
-        stored, own = (json.loads(json.dumps(_filled(fields, known))) for fields in (stored, self.identity()))
+        own, defaults = (json.loads(json.dumps(run.identity())) for run in (self, TrainingConfig("", [], [])))
+        stored = _filled(stored, defaults)
         return sorted(name for name in own.keys() | stored.keys() if own.get(name) != stored.get(name))
 
 

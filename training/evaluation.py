@@ -150,8 +150,8 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
         scores = list(_scores(comparison))
         for angle, row in scores:
             bins[angle].append(row)
-        of_objects[str(path.relative_to(data))] = float(np.mean([row["psnr_db"] for angle, row in scores
-                                                                 if angle is not None]))
+        novel = _means([row for angle, row in scores if angle is not None])
+        of_objects[str(path.relative_to(data))] = novel["psnr_db"]
         if save_renders is not None:
             save_comparison(comparison, save_renders / f"{comparison.name}.png")
     source = bins.pop(None)

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.arrays import bytes_of
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
@@ -66,7 +67,7 @@ class GsplatClassic:
         for first, sources, places in zip(range(0, self._panel.views, self._views_a_call), self._sources,
                                           self._places):
             views = self._dense(slice(first, first + self._views_a_call))
-            out[places] = views.view(-1)[sources].clamp_(0, 1).mul_(255).round_().to(torch.uint8)
+            out[places] = bytes_of(views.view(-1)[sources])
         return out.view(height, width, 3)
 
     def _dense(self, views: slice) -> Tensor:

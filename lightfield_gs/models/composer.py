@@ -26,19 +26,19 @@ def parameter_groups(sh_degree: int) -> dict[str, int]:
     return groups | ({"harmonics": 3 * ((sh_degree + 1) ** 2 - 1)} if sh_degree else {})
 
 
-def _mirror_signs(groups: dict[str, int]) -> list[int]:
+def _mirror_signs(sh_degree: int) -> list[int]:
     """Of each channel of one layer: -1 where the mirror image of a Gaussian in the plane x = 0 has the other sign."""
     signs = {"offset": [-1, 1, 1], "rotation": [1, 1, -1, -1]}
     # A real harmonic goes with sin(|m| phi) where m < 0, else with cos(m phi), and the mirror takes phi to pi - phi.
-    degree = math.isqrt(groups.get("harmonics", 0) // 3 + 1) - 1
-    signs["harmonics"] = [(-1) ** (m if m >= 0 else m + 1) for band in range(1, degree + 1)
+    signs["harmonics"] = [(-1) ** (m if m >= 0 else m + 1) for band in range(1, sh_degree + 1)
                           for m in range(-band, band + 1) for _ in range(3)]
-    return [sign for group, channels in groups.items() for sign in signs.get(group, [1] * channels)]
+    return [sign for group, channels in parameter_groups(sh_degree).items()
+            for sign in signs.get(group, [1] * channels)]
 
 
 def mirrored(raw: Tensor, layers: int, sh_degree: int) -> Tensor:
     """Raw head outputs [B,C,H,W] for the Gaussians that are the mirror image, left and right, of those of `raw`."""
-    signs = _mirror_signs(parameter_groups(sh_degree)) * layers
+    signs = _mirror_signs(sh_degree) * layers
     flipped, start, parts = raw.flip(3), 0, []
     for sign, run in itertools.groupby(signs):  # slices: a tensor of signs would have to be sent to the device
         channels = flipped[:, start:start + len(list(run))]

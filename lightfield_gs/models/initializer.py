@@ -48,8 +48,7 @@ def network_input(images: Tensor, pixels: Pixels, kind: str) -> Tensor:
     return torch.cat([images[:, :3] - 0.5 * pixels.mask, pixels.mask - 0.5, pixels.rays], dim=1)
 
 
-def with_mirror_images(images: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
-    """Images [B,4,H,W] and intrinsics [B,4], and after them (2B) their mirror images, left and right, with theirs."""
+def mirror_image(images: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
+    """What images [B,4,H,W] and their intrinsics [B,4] are in a mirror that exchanges left and right."""
     fx, fy, cx, cy = intrinsics.unbind(-1)
-    mirror = torch.stack([fx, fy, images.shape[3] - cx, cy], dim=-1)
-    return torch.cat([images, images.flip(3)]), torch.cat([intrinsics, mirror])
+    return images.flip(3), torch.stack([fx, fy, images.shape[3] - cx, cy], dim=-1)

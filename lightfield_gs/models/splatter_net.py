@@ -19,7 +19,7 @@ from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
-from lightfield_gs.models.initializer import Pixels, describe_pixels, network_input, with_mirror_images
+from lightfield_gs.models.initializer import describe_pixels, mirror_image, network_input
 from lightfield_gs.models.unet import UNet
 from lightfield_gs.paths import checked_path
 from lightfield_gs.quality import OPACITY_CUT
@@ -57,18 +57,20 @@ class SplatterNet(nn.Module):
         float32 always.
         """
         pixels = describe_pixels(images, intrinsics)
+        shown = network_input(images, pixels, self.config.input)
         if not self.config.symmetric:
-            return self.composer(self._raw(images, pixels), pixels)
-        both, their_intrinsics = with_mirror_images(images, intrinsics)
-        own, other = self._raw(both, describe_pixels(both, their_intrinsics)).chunk(2)
+            return self.composer(self._raw(shown), pixels)
+        mirror = mirror_image(images, intrinsics)
+        there = network_input(mirror[0], describe_pixels(*mirror), self.config.input)
+        own, other = self._raw(torch.cat([shown, there])).chunk(2)
         return self.composer((own + mirrored(other, self.config.layers, self.config.sh_degree)) / 2, pixels)
 
-    def _raw(self, images: Tensor, pixels: Pixels) -> Tensor:
-        """What the composer takes, [B,C,H,W] float32."""
-        folded = F.pixel_unshuffle(network_input(images, pixels, self.config.input), self.config.patch_px)
+    def _raw(self, shown: Tensor) -> Tensor:
+        """What the composer takes, [B,C,H,W] float32, from what network_input gives."""
+        folded = F.pixel_unshuffle(shown, self.config.patch_px)
         folded = folded.to(self.unet.stem.weight.dtype, memory_format=torch.channels_last)
         features = self.unet(folded)
-        with torch.autocast(images.device.type, enabled=False):
+        with torch.autocast(shown.device.type, enabled=False):
             return F.pixel_shuffle(self.head(features.float()), self.config.patch_px)
 
     @torch.no_grad()
