@@ -141,7 +141,7 @@ def _save_plots(output: Path, scores: Scores, curves: dict[str, list[dict[str, f
     _save(figure, output / "angles.png")
     figure = Figure(figsize=(6, 4.5), layout="constrained")
     axes = figure.subplots()
-    for arm, rows in curves.items():
+    for arm, rows in ((arm, rows) for arm, rows in curves.items() if rows):
         axes.plot([row["step"] for row in rows], [row["psnr_db"] for row in rows], ".-", label=arm)
     axes.set(title="validation during training", xlabel="steps", ylabel="PSNR, dB")
     axes.legend()
