@@ -17,11 +17,12 @@ enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadra
 
 constexpr int kMostProbeRows = 256;  // see kProbeRows: of 65,536 rows of pixels
 
-// What one frame found out: written on the device, read by the host when it likes. pairs and drawn come from bin, the
-// rest from project and composite.
+// What one frame found out: written on the device, read by the host when it likes. The first three come from bin,
+// the rest from project and composite.
 struct FrameState {
   unsigned long long pairs;      // (tile, splat) pairs; when more than the capacity, composite walks all splats
   unsigned drawn;                // splats
+  unsigned next_piece;           // of bin
   unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
   int kernel;                    // LensKernel chosen
   int exact;                     // every splat of a pixel kernel is evaluated with a division
@@ -80,18 +81,19 @@ struct LensFrame {
   float least_light = 0;     // see light_of: what has less is pruned
   float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
 
-  // Parts of the work buffer
-  Splats<float> splats;
+  // Parts of the work buffer. The state and the two after it project clears, with one launch
   FrameState* state = nullptr;
+  uint64_t* prefixes = nullptr;                                                                // [pieces]: see bin
+  uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
+  size_t cleared_bytes = 0;
+  Splats<float> splats;
   uint32_t *depths = nullptr, *sorted_depths = nullptr, *indices = nullptr, *order = nullptr;  // [N]
-  int64_t* ends = nullptr;                                                                     // [N]
   void *keys = nullptr, *sorted_keys = nullptr;                                                // [capacity]
   uint32_t *values = nullptr, *sorted_values = nullptr;                                        // [capacity]
   // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
   // first place in the fourth number of a colour)
   float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
   uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
-  uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
   uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order; null: all, there is no lattice
   void* temporary = nullptr;
   size_t temporary_bytes = 0;
@@ -109,8 +111,7 @@ struct LensFrame {
 // keep_lists: order and bin will not follow, for only colours have changed since they last did.
 void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream);
 void frame_order(const LensFrame& frame, Stream stream);
-void frame_count(const LensFrame& frame, Stream stream);
-void frame_fill(const LensFrame& frame, Stream stream);  // after it state->pairs is known
+void frame_bin(const LensFrame& frame, Stream stream);  // after it state->pairs is known
 void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 
 // Part of frame_project: chooses the kernel.

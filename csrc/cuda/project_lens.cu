@@ -147,9 +147,10 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
           "a frame for " + std::to_string(frame.splats.count) + " Gaussians of degree " +
               std::to_string(frame.sh_degree) + " got " + std::to_string(gaussians.count) + " of degree " +
               std::to_string(gaussians.sh_degree));
-  const size_t kept = keep_lists ? offsetof(FrameState, colour_error) : 0;
-  char* state = reinterpret_cast<char*>(frame.state);
-  check(cudaMemsetAsync(state + kept, 0, sizeof(FrameState) - kept, cudaStream_t(stream)), "project: clear the state");
+  const size_t first = keep_lists ? offsetof(FrameState, colour_error) : 0;
+  const size_t end = keep_lists ? sizeof(FrameState) : frame.cleared_bytes;
+  check(cudaMemsetAsync(reinterpret_cast<char*>(frame.state) + first, 0, end - first, cudaStream_t(stream)),
+        "project: clear the state");
   if (gaussians.count) {
     const BasisTable basis{ColourBasis(frame.splats.colour_order)};
     with_order(frame.splats.colour_order, [&](auto order) {
