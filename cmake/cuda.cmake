@@ -36,7 +36,6 @@ target_sources(_core PRIVATE
   csrc/cuda/project.cu
   csrc/cuda/project_lens.cu
   csrc/cuda/lens_frame.cu
-  csrc/cuda/lens_plan.cu
   csrc/cuda/lens_lists.cu
   csrc/cuda/composite_lattice.cu
   csrc/cuda/composite_pixel.cu

@@ -33,6 +33,7 @@ struct FrameState {
   unsigned probed[2][kMostProbeRows];  // tiles of a row on which lattices are tried first: with splats, and fitting
   unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
+  unsigned blocks_summed;        // of project
   unsigned long long sums[8];    // see FrameSum, fixed point
 };
 
@@ -114,8 +115,6 @@ void frame_order(const LensFrame& frame, Stream stream);
 void frame_bin(const LensFrame& frame, Stream stream);  // after it state->pairs is known
 void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 
-// Part of frame_project: chooses the kernel.
-void frame_plan(const LensFrame& frame, Stream stream);
 // Parts of frame_composite. The lattice first, if the frame has one; then each of the others draws what the lattice
 // refused, or all tiles, when the frame chose it.
 void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
