@@ -55,11 +55,8 @@ class Frame:
     def order(self) -> None:
         _core.cuda.frame_order(self.native, self.stream)
 
-    def count(self) -> None:
-        _core.cuda.frame_count(self.native, self.stream)
-
-    def fill(self) -> None:
-        _core.cuda.frame_fill(self.native, self.stream)
+    def bin(self) -> None:
+        _core.cuda.frame_bin(self.native, self.stream)
 
     def composite(self, background: Tensor, out: Tensor) -> None:
         floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
@@ -74,8 +71,7 @@ class Frame:
             with stats.stage("order"):
                 self.order()
             with stats.stage("bin"):
-                self.count()
-                self.fill()
+                self.bin()
         with stats.stage("composite"):
             self.composite(background, out)
 
@@ -147,8 +143,7 @@ class FrameKind:
             frame = self._frame(scene, 0)
             frame.project()
             frame.order()
-            frame.count()
-            frame.fill()  # without places it only says how many pairs there are
+            frame.bin()  # without places it only says how many pairs there are
             order = self.colour_order
             self._needs(frame.state())
             if order == self.colour_order:

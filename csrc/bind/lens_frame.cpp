@@ -53,9 +53,7 @@ void bind_lens_frame(py::module_ m) {
   }, NoGil());
   m.def("frame_order", [](const LensFrame& frame, Address stream) { cuda::frame_order(frame, at<void>(stream)); },
         NoGil());
-  m.def("frame_count", [](const LensFrame& frame, Address stream) { cuda::frame_count(frame, at<void>(stream)); },
-        NoGil());
-  m.def("frame_fill", [](const LensFrame& frame, Address stream) { cuda::frame_fill(frame, at<void>(stream)); },
+  m.def("frame_bin", [](const LensFrame& frame, Address stream) { cuda::frame_bin(frame, at<void>(stream)); },
         NoGil());
   m.def("frame_composite", [](const LensFrame& frame, Address background, Address out, Address out8, Address stream) {
     cuda::frame_composite(frame, at<float>(background), at<float>(out), at<uint8_t>(out8), at<void>(stream));

@@ -1,10 +1,11 @@
-// Every status of CUDA and CUB is looked at.
+// Every status of CUDA and CUB is looked at; sizes of launches.
 #pragma once
 
 #include <cuda_runtime.h>
 
 #include <string>
 
+#include "base/config.h"
 #include "base/error.h"
 
 namespace lfgs::cuda {
@@ -16,6 +17,16 @@ inline void check(cudaError_t status, const char* what) {
 // After a launch: reports a configuration that the device refused.
 inline void check_launch(const char* kernel) { check(cudaGetLastError(), kernel); }
 
-inline int64_t blocks_for(int64_t items, int64_t per_block) { return (items + per_block - 1) / per_block; }
+LFGS_HD int64_t blocks_for(int64_t items, int64_t per_block) { return (items + per_block - 1) / per_block; }
+
+// Blocks that the device holds at a time.
+template <class Kernel>
+unsigned resident_blocks(Kernel kernel, int threads, size_t shared_bytes) {
+  int device = 0, processors = 0, blocks = 0;
+  check(cudaGetDevice(&device), "device");
+  check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device), "multiprocessors");
+  check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kernel, threads, shared_bytes), "occupancy");
+  return unsigned(processors * (blocks > 0 ? blocks : 1));
+}
 
 }  // namespace lfgs::cuda

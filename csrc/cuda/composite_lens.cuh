@@ -53,16 +53,6 @@ __device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t
   return assembled(a, source[1], source[2]);
 }
 
-// Blocks that the device holds at a time.
-template <class Kernel>
-unsigned resident_blocks(Kernel kernel, int threads, size_t shared_bytes) {
-  int device = 0, processors = 0, blocks = 0;
-  check(cudaGetDevice(&device), "composite: device");
-  check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device), "composite: multiprocessors");
-  check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kernel, threads, shared_bytes), "composite: occupancy");
-  return unsigned(processors * (blocks > 0 ? blocks : 1));
-}
-
 // Two neighbouring pixels, the first in an even column; values by place.
 template <class Out>
 __device__ void store_pixels(const LensOptics& lens, int column, int row, const float (&values)[6], Out* out) {

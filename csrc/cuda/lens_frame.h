@@ -7,6 +7,7 @@
 #include <cstdint>
 
 #include "base/config.h"
+#include "cuda/depth_sort.h"
 #include "cuda/stages.h"
 
 namespace lfgs::cuda {
@@ -17,11 +18,12 @@ enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadra
 
 constexpr int kMostProbeRows = 256;  // see kProbeRows: of 65,536 rows of pixels
 
-// What one frame found out: written on the device, read by the host when it likes. pairs and drawn come from bin, the
-// rest from project and composite.
+// What one frame found out: written on the device, read by the host when it likes. The first three come from bin,
+// the rest from project and composite.
 struct FrameState {
   unsigned long long pairs;      // (tile, splat) pairs; when more than the capacity, composite walks all splats
   unsigned drawn;                // splats
+  unsigned next_piece;           // of bin
   unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
   int kernel;                    // LensKernel chosen
   int exact;                     // every splat of a pixel kernel is evaluated with a division
@@ -32,6 +34,7 @@ struct FrameState {
   unsigned probed[2][kMostProbeRows];  // tiles of a row on which lattices are tried first: with splats, and fitting
   unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
+  unsigned blocks_summed;        // of project
   unsigned long long sums[8];    // see FrameSum, fixed point
 };
 
@@ -80,18 +83,20 @@ struct LensFrame {
   float least_light = 0;     // see light_of: what has less is pruned
   float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
 
-  // Parts of the work buffer
-  Splats<float> splats;
+  // Parts of the work buffer. Those up to cleared_bytes project clears, with one launch
   FrameState* state = nullptr;
-  uint32_t *depths = nullptr, *sorted_depths = nullptr, *indices = nullptr, *order = nullptr;  // [N]
-  int64_t* ends = nullptr;                                                                     // [N]
+  DepthSort sort;
+  uint64_t* prefixes = nullptr;                                                                // [pieces]: see bin
+  uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
+  size_t cleared_bytes = 0;
+  Splats<float> splats;
+  uint32_t *depths = nullptr, *order = nullptr, *spare_depths = nullptr, *spare_order = nullptr;  // [N]
   void *keys = nullptr, *sorted_keys = nullptr;                                                // [capacity]
   uint32_t *values = nullptr, *sorted_values = nullptr;                                        // [capacity]
   // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
   // first place in the fourth number of a colour)
   float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
   uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
-  uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
   uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order; null: all, there is no lattice
   void* temporary = nullptr;
   size_t temporary_bytes = 0;
@@ -107,14 +112,12 @@ struct LensFrame {
 
 // The stages, in this order. gaussians: the frame's count and degree. Colours at order > 0: sh_degree > 0.
 // keep_lists: order and bin will not follow, for only colours have changed since they last did.
+// Otherwise each follows once: project has cleared what they count with.
 void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream);
 void frame_order(const LensFrame& frame, Stream stream);
-void frame_count(const LensFrame& frame, Stream stream);
-void frame_fill(const LensFrame& frame, Stream stream);  // after it state->pairs is known
+void frame_bin(const LensFrame& frame, Stream stream);  // after it state->pairs is known
 void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 
-// Part of frame_project: chooses the kernel.
-void frame_plan(const LensFrame& frame, Stream stream);
 // Parts of frame_composite. The lattice first, if the frame has one; then each of the others draws what the lattice
 // refused, or all tiles, when the frame chose it.
 void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);

@@ -3,7 +3,6 @@
 #include "cuda/lens_lists.h"
 
 #include <cub/device/device_radix_sort.cuh>
-#include <cub/device/device_scan.cuh>
 
 #include <algorithm>
 #include <bit>
@@ -11,12 +10,14 @@
 #include "cuda/check.h"
 #include "cuda/gaussian_io.cuh"
 #include "cuda/lens_optics.cuh"
+#include "cuda/look_back.cuh"
 #include "cuda/strip.cuh"
 
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kThreads = 128, kMostLanes = 4;
+constexpr int kThreads = 256, kWarps = kThreads / 32, kMostLanes = 4;
+constexpr int kKeptRuns = 4, kKeysEach = 8;
 constexpr int64_t kCrowd = 1 << 18;  // splats that fill the device with a lane each
 
 __device__ bool ordinal_chosen(const LensFrame& frame) {
@@ -28,8 +29,8 @@ __device__ int lanes_of(const LensFrame& frame) {
   return ordinal_chosen(frame) ? kMostLanes : frame.splats.count < kCrowd ? 2 : 1;
 }
 
-// Calls visit(first, last, stride) for the runs of tiles, tile row by tile row and group by group, that a splat may
-// touch: for every `lanes`-th of them from number `lane`.
+// Calls visit(first, last) for the runs of tiles, tile row by tile row and group by group, that a splat may touch: for
+// every `lanes`-th of them from number `lane`. Tiles of a run are as far apart as there are groups.
 template <class Visit>
 __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int lane, int lanes, const Visit& visit) {
   if (!(s.reach_y >= 0)) return;
@@ -51,68 +52,99 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
     const float low = fmaf(tiling.scale, span.middle - reach, tiling.low) / tiling.width;
     const float high = fmaf(tiling.scale, span.middle + reach, tiling.high) / tiling.width;
     const int a = int(fmaxf(floorf(low), 0.f)), b = int(fminf(floorf(high), float(tiling.across - 1)));
-    if (b >= a) visit((row * tiling.across + a) * groups + group, (row * tiling.across + b) * groups + group, groups);
+    if (b >= a) visit((row * tiling.across + a) * groups + group, (row * tiling.across + b) * groups + group);
   }
 }
 
-// Also empties the ranges.
-__global__ void count_kernel(const __grid_constant__ LensFrame frame, int64_t ranges) {
-  const int lanes = lanes_of(frame);
-  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / lanes;
-  for (int64_t at = thread; at < ranges; at += int64_t(gridDim.x) * kThreads) frame.ranges[at] = 0;
-  const bool inside = i < frame.splats.count;
-  int64_t count = 0;
-  if (inside && frame.sorted_depths[i] != kNotDrawn)
-    for_each_run(read_splat(frame.splats.splats + frame.order[i]), frame, threadIdx.x % lanes, lanes,
-                 [&](int first, int last, int stride) { count += (last - first) / stride + 1; });
-  for (int step = 1; step < lanes; step *= 2) count += __shfl_xor_sync(~0u, count, step);
-  if (inside && threadIdx.x % lanes == 0) frame.ends[i] = count;
+// Where the pairs of this thread begin, in the order of pieces and threads. By all threads of a block.
+__device__ int64_t place_of_pairs(const LensFrame& frame, int64_t piece, int64_t pieces, int64_t count) {
+  __shared__ int64_t warps[kWarps];
+  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+  const int64_t sum = sum_to_lane(count);
+  if (lane == 31) warps[warp] = sum;
+  __syncthreads();
+  if (warp == 0) {
+    const int64_t of_warp = lane < kWarps ? warps[lane] : 0, to_warp = sum_to_lane(of_warp);
+    const int64_t all = __shfl_sync(~0u, to_warp, 31);
+    volatile uint64_t* words = frame.prefixes;
+    if (lane == 0) words[piece] = flagged(all, kOfPiece);
+    const int64_t before = sum_before(words, piece);
+    if (lane == 0) words[piece] = flagged(before + all, kOfAll);
+    if (lane == 0 && piece == pieces - 1) frame.state->pairs = before + all;
+    if (lane < kWarps) warps[lane] = before + to_warp - of_warp;
+  }
+  __syncthreads();
+  return warps[warp] + sum - count;
 }
 
-// Where the frame has more pairs than places none is written: composite then walks all splats. Places that stay empty
-// hold the largest key, beyond every tile.
+// Writes the pairs in depth order, in one pass: a block takes a piece of the splats, counts its pairs, learns from the
+// pieces before where they begin. Places that stay empty hold the largest key, beyond every tile; their values nobody
+// reads. Where the frame has more pairs than places, composite walks all splats and needs none of this. 256 threads:
+// blocks of more wait longer for their slowest splat, pieces of fewer have more words to look back through.
 template <class Key>
-__global__ void fill_kernel(const __grid_constant__ LensFrame frame) {
+__global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__ LensFrame frame) {
+  __shared__ unsigned next;
+  __shared__ int64_t pairs;
+  __shared__ int2 kept[kKeptRuns][kThreads];  // so that few look for their runs again to write them
+  FrameState& state = *frame.state;
   const int lanes = lanes_of(frame), lane = threadIdx.x % lanes;
-  const int64_t thread = int64_t(blockIdx.x) * kThreads + threadIdx.x, i = thread / lanes, n = frame.splats.count;
-  const int64_t pairs = frame.ends[n - 1], used = pairs <= frame.capacity ? pairs : 0;
-  const bool inside = i < n && frame.sorted_depths[i] != kNotDrawn;
-  if (thread == 0) frame.state->pairs = pairs;
-  if (inside && lane == 0 && (i == n - 1 || frame.sorted_depths[i + 1] == kNotDrawn))
-    frame.state->drawn = unsigned(i + 1);
+  const int64_t n = frame.splats.count, pieces = blocks_for(n * lanes, kThreads);
+  const int stride = ordinal_chosen(frame) ? frame.ordinal.groups : frame.pixel.groups;
   Key* keys = static_cast<Key*>(frame.keys);
-  for (int64_t at = used + thread; at < frame.capacity; at += int64_t(gridDim.x) * kThreads)
-    keys[at] = Key(~Key(0)), frame.values[at] = 0;
-  if (pairs > frame.capacity) return;
-  const uint32_t id = inside ? frame.order[i] : 0;
-  Splat<float> splat;
-  splat.reach_y = -1;
-  if (inside) splat = read_splat(frame.splats.splats + id);
-
-  // Places of this lane's pairs: after those of the lanes before it
-  int64_t mine = 0;
-  if (lanes > 1)
-    for_each_run(splat, frame, lane, lanes,
-                 [&](int first, int last, int stride) { mine += (last - first) / stride + 1; });
-  int64_t sum = mine;
-  for (int step = 1; step < lanes; step *= 2) {
-    const int64_t other = __shfl_up_sync(~0u, sum, step, lanes);
-    if (lane >= step) sum += other;
+  for (;;) {
+    if (threadIdx.x == 0) next = atomicAdd(&state.next_piece, 1u);
+    __syncthreads();
+    const int64_t piece = next;
+    if (piece >= pieces) break;
+    const int64_t i = (piece * kThreads + threadIdx.x) / lanes;
+    const bool inside = i < n && frame.depths[i] != kNotDrawn;
+    if (inside && lane == 0 && (i == n - 1 || frame.depths[i + 1] == kNotDrawn)) state.drawn = unsigned(i + 1);
+    const uint32_t id = inside ? frame.order[i] : 0;
+    int runs = 0;
+    int64_t count = 0;
+    if (inside)
+      for_each_run(read_splat(frame.splats.splats + id), frame, lane, lanes, [&](int first, int last) {
+        if (runs < kKeptRuns) kept[runs][threadIdx.x] = make_int2(first, last);
+        ++runs, count += (last - first) / stride + 1;
+      });
+    int64_t at = place_of_pairs(frame, piece, pieces, count);
+    auto write = [&](int first, int last) {
+      for (int tile = first; tile <= last && at < frame.capacity; tile += stride, ++at)
+        keys[at] = Key(tile), frame.values[at] = id;
+    };
+    if (runs <= kKeptRuns)
+      for (int k = 0; k < runs; ++k) write(kept[k][threadIdx.x].x, kept[k][threadIdx.x].y);
+    else
+      for_each_run(read_splat(frame.splats.splats + id), frame, lane, lanes, write);
   }
-  int64_t at = (inside && i ? frame.ends[i - 1] : 0) + sum - mine;
-  for_each_run(splat, frame, lane, lanes, [&](int first, int last, int stride) {
-    for (int tile = first; tile <= last; tile += stride, ++at) keys[at] = Key(tile), frame.values[at] = id;
-  });
+  if (threadIdx.x < 32) {
+    const int64_t all = sum_before(frame.prefixes, pieces);
+    if (threadIdx.x == 0) pairs = all;
+  }
+  __syncthreads();
+  const int64_t step = int64_t(gridDim.x) * kThreads;
+  for (int64_t at = pairs + int64_t(blockIdx.x) * kThreads + threadIdx.x; at < frame.capacity; at += step)
+    keys[at] = Key(~Key(0));
 }
 
 template <class Key>
 __global__ void ranges_kernel(const __grid_constant__ LensFrame frame) {
-  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, pairs = int64_t(frame.state->pairs);
+  const int64_t pairs = int64_t(frame.state->pairs), i = (int64_t(blockIdx.x) * kThreads + threadIdx.x) * kKeysEach;
   if (i >= pairs || pairs > frame.capacity) return;
   const Key* keys = static_cast<const Key*>(frame.sorted_keys);
-  const Key tile = keys[i];
-  if (i == 0 || keys[i - 1] != tile) frame.ranges[2 * int64_t(tile)] = uint32_t(i);
-  if (i == pairs - 1 || keys[i + 1] != tile) frame.ranges[2 * int64_t(tile) + 1] = uint32_t(i + 1);
+  uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
+  Key before = i ? keys[i - 1] : Key(~Key(0));
+#pragma unroll
+  for (int k = 0; k < kKeysEach; ++k) {
+    if (i + k >= pairs) break;
+    const Key tile = keys[i + k];
+    if (tile != before) {
+      ranges[tile].x = uint32_t(i + k);
+      if (i + k) ranges[before].y = uint32_t(i + k);
+    }
+    before = tile;
+  }
+  if (i + kKeysEach >= pairs) ranges[before].y = uint32_t(pairs);
 }
 
 template <class Key>
@@ -125,10 +157,12 @@ size_t sort_bytes(int64_t items) {
 }
 
 template <class Key>
-void fill(const LensFrame& frame, cudaStream_t stream) {
-  const int64_t n = frame.splats.count, capacity = frame.capacity;
-  fill_kernel<Key><<<unsigned(blocks_for(n * kMostLanes, kThreads)), kThreads, 0, stream>>>(frame);
-  check_launch("bin: fill");
+void bin(const LensFrame& frame, cudaStream_t stream) {
+  const int64_t capacity = frame.capacity;
+  auto* kernel = pairs_kernel<Key>;
+  const int64_t blocks = std::min<int64_t>(resident_blocks(kernel, kThreads, 0), most_pieces(frame));
+  kernel<<<unsigned(blocks), kThreads, 0, stream>>>(frame);
+  check_launch("bin: pairs");
   if (capacity == 0) return;
   size_t bytes = frame.temporary_bytes;
   const int bits = std::bit_width(uint64_t(frame.most_tiles()));
@@ -136,48 +170,31 @@ void fill(const LensFrame& frame, cudaStream_t stream) {
                                         static_cast<Key*>(frame.sorted_keys), frame.values, frame.sorted_values,
                                         capacity, 0, bits, stream),
         "bin: sort");
-  ranges_kernel<Key><<<unsigned(blocks_for(capacity, kThreads)), kThreads, 0, stream>>>(frame);
+  ranges_kernel<Key><<<unsigned(blocks_for(capacity, kThreads * kKeysEach)), kThreads, 0, stream>>>(frame);
   check_launch("bin: ranges");
 }
 
 }  // namespace
 
+int64_t most_pieces(const LensFrame& frame) { return blocks_for(frame.splats.count * kMostLanes, kThreads); }
+
 size_t lists_temporary_bytes(const LensFrame& frame) {
-  size_t scan = 0;
-  check(cub::DeviceScan::InclusiveSum(nullptr, scan, (int64_t*)nullptr, (int64_t*)nullptr, frame.splats.count),
-        "lists: size of the scan");
   const int64_t capacity = frame.capacity;
-  const size_t pairs = frame.key_bytes == 2 ? sort_bytes<uint16_t>(capacity) : sort_bytes<uint32_t>(capacity);
-  return std::max({scan, sort_bytes<uint32_t>(frame.splats.count), pairs});
+  return frame.key_bytes == 2 ? sort_bytes<uint16_t>(capacity) : sort_bytes<uint32_t>(capacity);
 }
 
 void frame_order(const LensFrame& frame, Stream stream) {
-  if (frame.splats.count == 0) return;
-  size_t bytes = frame.temporary_bytes;
   // What is not drawn has the largest key and comes last
-  check(cub::DeviceRadixSort::SortPairs(frame.temporary, bytes, frame.depths, frame.sorted_depths, frame.indices,
-                                        frame.order, frame.splats.count, 0, 32, cudaStream_t(stream)),
-        "order");
+  sort_by_depth(frame.sort, frame.splats.count, frame.depths, frame.order, frame.spare_depths, frame.spare_order,
+                stream);
 }
 
-void frame_count(const LensFrame& frame, Stream stream) {
-  const int64_t n = frame.splats.count;
-  const int64_t ranges = 2 * frame.most_tiles();
-  const int64_t blocks = blocks_for(std::max<int64_t>(n, 1) * kMostLanes, kThreads);
-  count_kernel<<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(frame, ranges);
-  check_launch("bin: count");
-  size_t bytes = frame.temporary_bytes;
-  if (n > 0)
-    check(cub::DeviceScan::InclusiveSum(frame.temporary, bytes, frame.ends, frame.ends, n, cudaStream_t(stream)),
-          "bin: scan");
-}
-
-void frame_fill(const LensFrame& frame, Stream stream) {
+void frame_bin(const LensFrame& frame, Stream stream) {
   if (frame.splats.count == 0) return;
   if (frame.key_bytes == 2)
-    fill<uint16_t>(frame, cudaStream_t(stream));
+    bin<uint16_t>(frame, cudaStream_t(stream));
   else
-    fill<uint32_t>(frame, cudaStream_t(stream));
+    bin<uint32_t>(frame, cudaStream_t(stream));
 }
 
 }  // namespace lfgs::cuda

@@ -5,7 +5,9 @@
 
 namespace lfgs::cuda {
 
-// Scratch memory of the sorts and the scan.
+// Pieces of work of bin, at most.
+int64_t most_pieces(const LensFrame& frame);
+// Scratch memory of bin.
 size_t lists_temporary_bytes(const LensFrame& frame);
 
 }  // namespace lfgs::cuda

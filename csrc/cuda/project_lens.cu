@@ -8,6 +8,7 @@
 #include "math/footprint.h"
 #include "math/harmonics.h"
 
+#include <algorithm>
 #include <cstddef>
 #include <type_traits>
 
@@ -110,9 +111,16 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
                                &frame.state->colour_error);
     if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
     frame.depths[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : kNotDrawn;
-    frame.indices[i] = uint32_t(i);
   }
-  if (blockIdx.x % sample_stride(gaussians.count) == 0) add_to_sums(frame, splat);
+  const unsigned stride = sample_stride(gaussians.count);
+  if (blockIdx.x % stride) return;
+  add_to_sums(frame, splat);
+  __threadfence();
+  __syncthreads();
+  if (threadIdx.x == 0 && atomicAdd(&frame.state->blocks_summed, 1u) == (gridDim.x - 1) / stride) {
+    __threadfence();
+    choose_kernel(frame);
+  }
 }
 
 // Calls run with the order of the colours as a compile-time number.
@@ -147,18 +155,16 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
           "a frame for " + std::to_string(frame.splats.count) + " Gaussians of degree " +
               std::to_string(frame.sh_degree) + " got " + std::to_string(gaussians.count) + " of degree " +
               std::to_string(gaussians.sh_degree));
-  const size_t kept = keep_lists ? offsetof(FrameState, colour_error) : 0;
-  char* state = reinterpret_cast<char*>(frame.state);
-  check(cudaMemsetAsync(state + kept, 0, sizeof(FrameState) - kept, cudaStream_t(stream)), "project: clear the state");
-  if (gaussians.count) {
-    const BasisTable basis{ColourBasis(frame.splats.colour_order)};
-    with_order(frame.splats.colour_order, [&](auto order) {
-      frame_project_kernel<order><<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0,
-                                    cudaStream_t(stream)>>>(gaussians, frame, basis);
-    });
-    check_launch("frame_project");
-  }
-  frame_plan(frame, stream);
+  const size_t first = keep_lists ? offsetof(FrameState, colour_error) : 0;
+  const size_t end = keep_lists ? sizeof(FrameState) : frame.cleared_bytes;
+  check(cudaMemsetAsync(reinterpret_cast<char*>(frame.state) + first, 0, end - first, cudaStream_t(stream)),
+        "project: clear the state");
+  const BasisTable basis{ColourBasis(frame.splats.colour_order)};
+  const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // of none too, one chooses
+  with_order(frame.splats.colour_order, [&](auto order) {
+    frame_project_kernel<order><<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(gaussians, frame, basis);
+  });
+  check_launch("frame_project");
 }
 
 }  // namespace lfgs::cuda

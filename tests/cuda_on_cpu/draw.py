@@ -53,7 +53,7 @@ def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32,
         return frame_cuda.Frame(job.scene, job.rig, job.lens, order, quality, places, kernel)
 
     probe = with_places(0)
-    probe.project(), probe.order(), probe.count(), probe.fill()
+    probe.project(), probe.order(), probe.bin()
     image = torch.full((job.height, job.width, 3), 7, dtype=dtype)
     frame = with_places(int(share * probe.state()["pairs"]))
     frame.draw(job.background, image)
