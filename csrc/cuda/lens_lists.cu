@@ -78,9 +78,9 @@ __device__ int64_t place_of_pairs(const LensFrame& frame, int64_t piece, int64_t
 }
 
 // Writes the pairs in depth order, in one pass: a block takes a piece of the splats, counts its pairs, learns from the
-// pieces before where they begin. Places that stay empty hold the largest key, beyond every tile; their values nobody
-// reads. Where the frame has more pairs than places, composite walks all splats and needs none of this. 256 threads:
-// blocks of more wait longer for their slowest splat, pieces of fewer have more words to look back through.
+// pieces before where they begin. Places that stay empty hold the largest key, beyond every tile. Where the frame has
+// more pairs than places, composite walks all splats and needs none of this. 256 threads: blocks of more wait longer
+// for their slowest splat, pieces of fewer have more words to look back through.
 template <class Key>
 __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__ LensFrame frame) {
   __shared__ unsigned next;
@@ -124,7 +124,7 @@ __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__
   __syncthreads();
   const int64_t step = int64_t(gridDim.x) * kThreads;
   for (int64_t at = pairs + int64_t(blockIdx.x) * kThreads + threadIdx.x; at < frame.capacity; at += step)
-    keys[at] = Key(~Key(0));
+    keys[at] = Key(~Key(0)), frame.values[at] = 0;
 }
 
 template <class Key>
