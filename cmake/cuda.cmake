@@ -35,7 +35,6 @@ target_sources(_core PRIVATE
   csrc/cuda/architectures.cu
   csrc/cuda/project.cu
   csrc/cuda/project_lens.cu
-  csrc/cuda/depth_sort.cu
   csrc/cuda/lens_frame.cu
   csrc/cuda/lens_lists.cu
   csrc/cuda/composite_lattice.cu

@@ -105,9 +105,7 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
 size_t LensFrame::place(void* work) {
   Parts parts{static_cast<char*>(work)};
   const int64_t n = splats.count;
-  parts.take(state, 1), parts.take(sort.next_tile, kPasses), parts.take(sort.counts, kPasses * kDigits);
-  parts.take(sort.words, depth_sort_tiles(n) * kDigits);
-  parts.take(prefixes, most_pieces(*this)), parts.take(ranges, 2 * most_tiles());
+  parts.take(state, 1), parts.take(prefixes, most_pieces(*this)), parts.take(ranges, 2 * most_tiles());
   cleared_bytes = parts.used;
   parts.take(splats.splats, n);
   parts.take(splats.colours, n * (splats.colour_order + 1) * kColourStride);
@@ -117,7 +115,7 @@ size_t LensFrame::place(void* work) {
     const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
     parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
   }
-  parts.take(depths, n), parts.take(order, n), parts.take(spare_depths, n), parts.take(spare_order, n);
+  parts.take(depths, n), parts.take(sorted_depths, n), parts.take(indices, n), parts.take(order, n);
   char *unsorted = nullptr, *sorted = nullptr;
   parts.take(unsorted, capacity * key_bytes), parts.take(sorted, capacity * key_bytes);
   keys = unsorted, sorted_keys = sorted;

@@ -7,7 +7,6 @@
 #include <cstdint>
 
 #include "base/config.h"
-#include "cuda/depth_sort.h"
 #include "cuda/stages.h"
 
 namespace lfgs::cuda {
@@ -83,14 +82,13 @@ struct LensFrame {
   float least_light = 0;     // see light_of: what has less is pruned
   float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
 
-  // Parts of the work buffer. Those up to cleared_bytes project clears, with one launch
+  // Parts of the work buffer. The state and the two after it project clears, with one launch
   FrameState* state = nullptr;
-  DepthSort sort;
   uint64_t* prefixes = nullptr;                                                                // [pieces]: see bin
   uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
   size_t cleared_bytes = 0;
   Splats<float> splats;
-  uint32_t *depths = nullptr, *order = nullptr, *spare_depths = nullptr, *spare_order = nullptr;  // [N]
+  uint32_t *depths = nullptr, *sorted_depths = nullptr, *indices = nullptr, *order = nullptr;  // [N]
   void *keys = nullptr, *sorted_keys = nullptr;                                                // [capacity]
   uint32_t *values = nullptr, *sorted_values = nullptr;                                        // [capacity]
   // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the

@@ -97,8 +97,8 @@ __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__
     const int64_t piece = next;
     if (piece >= pieces) break;
     const int64_t i = (piece * kThreads + threadIdx.x) / lanes;
-    const bool inside = i < n && frame.depths[i] != kNotDrawn;
-    if (inside && lane == 0 && (i == n - 1 || frame.depths[i + 1] == kNotDrawn)) state.drawn = unsigned(i + 1);
+    const bool inside = i < n && frame.sorted_depths[i] != kNotDrawn;
+    if (inside && lane == 0 && (i == n - 1 || frame.sorted_depths[i + 1] == kNotDrawn)) state.drawn = unsigned(i + 1);
     const uint32_t id = inside ? frame.order[i] : 0;
     int runs = 0;
     int64_t count = 0;
@@ -180,13 +180,17 @@ int64_t most_pieces(const LensFrame& frame) { return blocks_for(frame.splats.cou
 
 size_t lists_temporary_bytes(const LensFrame& frame) {
   const int64_t capacity = frame.capacity;
-  return frame.key_bytes == 2 ? sort_bytes<uint16_t>(capacity) : sort_bytes<uint32_t>(capacity);
+  const size_t pairs = frame.key_bytes == 2 ? sort_bytes<uint16_t>(capacity) : sort_bytes<uint32_t>(capacity);
+  return std::max(sort_bytes<uint32_t>(frame.splats.count), pairs);
 }
 
 void frame_order(const LensFrame& frame, Stream stream) {
+  if (frame.splats.count == 0) return;
+  size_t bytes = frame.temporary_bytes;
   // What is not drawn has the largest key and comes last
-  sort_by_depth(frame.sort, frame.splats.count, frame.depths, frame.order, frame.spare_depths, frame.spare_order,
-                stream);
+  check(cub::DeviceRadixSort::SortPairs(frame.temporary, bytes, frame.depths, frame.sorted_depths, frame.indices,
+                                        frame.order, frame.splats.count, 0, 32, cudaStream_t(stream)),
+        "order");
 }
 
 void frame_bin(const LensFrame& frame, Stream stream) {

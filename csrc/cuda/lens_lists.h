@@ -7,7 +7,7 @@ namespace lfgs::cuda {
 
 // Pieces of work of bin, at most.
 int64_t most_pieces(const LensFrame& frame);
-// Scratch memory of bin.
+// Scratch memory of the sorts.
 size_t lists_temporary_bytes(const LensFrame& frame);
 
 }  // namespace lfgs::cuda
