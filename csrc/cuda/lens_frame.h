@@ -110,6 +110,7 @@ struct LensFrame {
 
 // The stages, in this order. gaussians: the frame's count and degree. Colours at order > 0: sh_degree > 0.
 // keep_lists: order and bin will not follow, for only colours have changed since they last did.
+// Otherwise bin follows once: project has cleared what it counts with.
 void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream);
 void frame_order(const LensFrame& frame, Stream stream);
 void frame_bin(const LensFrame& frame, Stream stream);  // after it state->pairs is known
