@@ -20,7 +20,7 @@ LENS = dict(width_px=397, height_px=131, views=96, line_number=9.848282191911, s
 PANELS = {"default": {},
           "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
           "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6),
-          "one view": dict(views=1)}
+          "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0)}
 
 
 def with_harmonics(scene: Gaussians, degree: int) -> Gaussians:

@@ -52,6 +52,8 @@ def test_frames_are_those_of_the_cpu(module, kernel, mean_square, tmp_path):
         error = (found["image"] - expected).abs()
         assert found["kernel"] == kernel and (error > 1 / 255).sum() <= 1, name
         assert (error**2).mean() < mean_square, (name, degree, views)
+        if name == "narrow cone" and "quadratic" in kernel:  # both fits meet in a batch of hits
+            assert 0.5 < found["curved"] < 0.8
 
 
 def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(module, tmp_path):

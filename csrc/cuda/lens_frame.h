@@ -25,6 +25,7 @@ struct FrameState {
   unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
   int kernel;                    // LensKernel chosen
   int exact;                     // every splat of a pixel kernel is evaluated with a division
+  float straight, curved;        // shape error up to which quadratic kernels take the linear fit; share beyond
   unsigned next_tile[5];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
@@ -32,7 +33,7 @@ struct FrameState {
   unsigned probed[2][kMostProbeRows];  // tiles of a row on which lattices are tried first: with splats, and fitting
   unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
-  unsigned long long sums[8];    // see FrameSum, fixed point
+  unsigned long long sums[9];    // see FrameSum, fixed point
 };
 
 constexpr uint32_t kNotDrawn = ~0u;  // depth of a splat that is not drawn: sorted last

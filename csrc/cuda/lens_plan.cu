@@ -20,15 +20,17 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   };
   auto mean = [&](int k) { return state.sampled ? float(state.sums[k]) / kErrorUnit / float(state.sampled) : 0.f; };
   const bool linear = mean(kLinearError) <= kMeanShapeError, quadratic = mean(kQuadraticError) <= kMeanShapeError;
+  const bool mixed = mean(kMixedError) <= kMeanShapeError;
+  const float curved = mixed ? mean(kCurved) : 1.f;
 
   const float large = hits(15, 7, 1), small = hits(15, 3, 1);
   float cost[int(LensKernel::kCount)];
   auto pixel_cost = [&](float each, float of_patch) { return pixels / 128 * (each + of_patch) / rate; };
-  cost[int(LensKernel::kPixel)] = linear ? pixel_cost(181 * large, 115) : INFINITY;
-  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(196 * small, 235) : INFINITY;
+  cost[int(LensKernel::kPixel)] = linear ? pixel_cost(174 * large, 115) : INFINITY;
+  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(192 * small, 235) : INFINITY;
   // Without a good polynomial every splat costs a division a sample
-  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 208 : 416) * large, 115);
-  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost(226 * small, 235) : INFINITY;
+  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 180 + 26 * curved : 416) * large, 115);
+  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost((200 + 26 * curved) * small, 235) : INFINITY;
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
@@ -41,6 +43,7 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   state.kernel = frame.forced >= 0 ? frame.forced : best;
   state.exact = !quadratic && (state.kernel == int(LensKernel::kPixelQuadratic) ||
                                state.kernel == int(LensKernel::kPixelQuadraticSmall));
+  state.straight = mixed ? kStraightError : 0, state.curved = curved;
 }
 
 }  // namespace

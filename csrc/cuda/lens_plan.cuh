@@ -15,9 +15,15 @@ namespace lfgs::cuda {
 
 constexpr float kMeanShapeError = 6e-5f;  // of a frame, the mean over splats: keeps 80 dB at 8 bits
 constexpr float kMostShapeError = 2e-3f;  // of one splat, beyond it is evaluated exactly: 0.4 of 1/255
+constexpr float kStraightError = 1.6e-4f;  // of one splat, up to it is linear among quadratic ones
 constexpr int kSampledSplats = 1 << 16;   // about; enough for averages
 
-enum FrameSum { kArea, kHalfWidth, kHalfHeight, kDisparity, kDisparityHeight, kLinearError, kQuadraticError, kSums };
+enum FrameSum {
+  kArea, kHalfWidth, kHalfHeight, kDisparity, kDisparityHeight,
+  kLinearError, kQuadraticError,  // of all splats
+  kMixedError, kCurved,           // of the linear fit up to kStraightError, else the quadratic one; those of that
+  kSums
+};
 static_assert(kSums <= sizeof(FrameState::sums) / sizeof(unsigned long long));
 constexpr float kSumUnit = 1 << 4, kErrorUnit = 1 << 30;  // fixed point, so that sums have no order
 
@@ -47,8 +53,10 @@ __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s
     const float values[] = {3.14159265f * a * b, a, b, D, b * D};
     for (int k = 0; k < 5; ++k) terms[k] = static_cast<unsigned long long>(fminf(values[k], 1e9f) * kSumUnit);
     const ShapeError error(s);
-    terms[kLinearError] = static_cast<unsigned long long>(fminf(error.linear, 1.f) * kErrorUnit);
-    terms[kQuadraticError] = static_cast<unsigned long long>(fminf(error.quadratic, 1.f) * kErrorUnit);
+    const bool curved = error.linear > kStraightError;
+    const float means[] = {error.linear, error.quadratic, curved ? error.quadratic : error.linear, float(curved)};
+    for (int k = 0; k < 4; ++k)
+      terms[kLinearError + k] = static_cast<unsigned long long>(fminf(means[k], 1.f) * kErrorUnit);
   }
   const unsigned drawn = __popc(__ballot_sync(~0u, s.reach_y >= 0));
   for (int k = 0; k < kSums; ++k)
