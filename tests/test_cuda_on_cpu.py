@@ -63,6 +63,16 @@ def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(module, tmp_
         assert (found["image"] - expected).abs().max() < 0.4 / 255, kernel
 
 
+def test_half_precision_is_within_its_bound(module, tmp_path):
+    for (kernel, changes, degree, views, brightness), found in zip(cases.HALF_FRAMES, drawn(module, "half", tmp_path),
+                                                                   strict=True):
+        scene, panel, rig = cases.half_frame(changes, degree, brightness)
+        expected = encode(scene, panel, rig, views=views, background=cases.BACKGROUND, output="float32")
+        error = (found["image"] - expected).abs() / expected.clamp(min=1)
+        assert found["kernel"] == kernel and 2e-4 < error.max() <= cases.HALF_QUALITY.evaluation_error, kernel
+        assert (error**2).mean() < cases.HALF_MEAN_SQUARE, (kernel, degree)
+
+
 def test_a_frame_with_other_places_type_or_colour_order(module, tmp_path):
     for frame, roomier, bytes_, finer in drawn(module, "settings", tmp_path):
         assert torch.equal(roomier["image"], frame["image"])

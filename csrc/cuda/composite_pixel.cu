@@ -7,12 +7,15 @@
 //   exponent = log2 o - (t (y - v0))^2 - d^2,   d = r(s) (x - m(y, s)),   r = S^(-1/2) about linear or quadratic in s,
 // which all lanes then evaluate: no division, one exp2 a sample. In a frame that needs the quadratic r, splats for
 // which the linear one will do still have that. Colours enter as differences, C += T (c_i - c_(i-1)), which saves an
-// instruction. Splats for which that is too rough (nearly opaque, of a shape or colour that varies much
-// over the rig) are evaluated as they are written, *carefully*.
+// instruction. Splats for which that is too rough (nearly opaque, of a shape or colour that varies much over the rig)
+// are evaluated as they are written, *carefully*. Where half precision will do, samples are pairs of halves.
+#include <type_traits>
+
 #include "cuda/check.h"
 #include "cuda/composite_lens.cuh"
 #include "cuda/lens_plan.cuh"
 #include "cuda/pixel_fit.cuh"
+#include "cuda/pixel_half.cuh"
 #include "cuda/pixel_samples.cuh"
 #include "cuda/strip.cuh"
 
@@ -21,12 +24,14 @@ namespace {
 
 constexpr int kWarps = 4, kThreads = 32 * kWarps;
 constexpr int kUnitHeight = 8;  // rows that a warp takes at a time: one patch or two
+template <class C>
+using Samples = std::conditional_t<C::Half, HalfSamples<C>, FloatSamples<C>>;
 constexpr int blocks_of(int lane_rows) { return lane_rows == 1 ? 7 : 5; }  // on a multiprocessor; more would spill
 
 // Adds the hits [h, end), of which none is careful. Runs of one kind: to choose at every hit would move registers.
 template <class C>
 __device__ void add_run(const Staged<C::Harmonics>& staged, int h, int end, unsigned curved, float cut,
-                        FloatSamples<C>& samples) {
+                        Samples<C>& samples) {
   while (h < end) {
 #pragma unroll 1
     for (; h < end && !(C::Quadratic && curved >> h & 1); ++h) samples.template add<false>(staged, h, cut);
@@ -41,7 +46,7 @@ __device__ void add_run(const Staged<C::Harmonics>& staged, int h, int end, unsi
 
 // Adds the first `count` <= 32 waiting hits.
 template <class C>
-__device__ void add_hits(const LensFrame& frame, int count, float2 centre, float4 background, FloatSamples<C>& samples,
+__device__ void add_hits(const LensFrame& frame, int count, float2 centre, float4 background, Samples<C>& samples,
                          Staged<C::Harmonics>& staged) {
   const Marks marks = specialise<C>(frame, count, centre, staged);
   __syncwarp();
@@ -54,6 +59,7 @@ __device__ void add_hits(const LensFrame& frame, int count, float2 centre, float
     samples.close(staged, h);
     samples.add_carefully(CarefulHit<C::Harmonics>(frame, staged.ids[h], centre, background));
   }
+  samples.flush();
 }
 
 template <class C, class Out>
@@ -62,7 +68,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 ran
   const int lane = threadIdx.x % 32;
   const float2 centre = make_float2(left + 0.5f * kPatchWidth, top + 0.5f * C::patch_height);
   const float half_height = 0.5f * C::patch_height - 0.5f;
-  FloatSamples<C> samples(frame, left, top);
+  Samples<C> samples(frame, left, top);
   __syncwarp();
   if (lane == 0) staged.colour = staged.colour_slope = make_float4(0, 0, 0, 0);
   __syncwarp();
@@ -121,40 +127,45 @@ __device__ void draw_patches(const LensFrame& frame, const float* background, Ou
   }
 }
 
-// One kernel for both polynomials: a launch that finds nothing to do takes its time, too.
-template <int lane_rows, bool Harmonics, class Out>
+// One kernel for straight lines and parabolas: a launch that finds nothing to do takes its time, too.
+template <Evaluation straight, int lane_rows, bool Harmonics, class Out>
 __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows))
     composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
-  using Linear = Config<false, Harmonics, lane_rows>;
-  using Quadratic = Config<true, Harmonics, lane_rows>;
+  using Straight = Config<straight, Harmonics, lane_rows>;
+  using Quadratic = Config<Evaluation::kQuadratic, Harmonics, lane_rows>;
   __shared__ Staged<Harmonics> staged[kWarps];
-  if (frame.state->kernel == int(Linear::kernel))
-    draw_patches<Linear>(frame, background, out, staged);
+  if (frame.state->kernel == int(Straight::kernel))
+    draw_patches<Straight>(frame, background, out, staged);
   else if (frame.state->kernel == int(Quadratic::kernel))
     draw_patches<Quadratic>(frame, background, out, staged);
 }
 
-template <int lane_rows, bool Harmonics, class Out>
+template <Evaluation straight, int lane_rows, bool Harmonics, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  const auto kernel = composite_pixel_kernel<lane_rows, Harmonics, Out>;
+  const auto kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, Out>;
   kernel<<<resident_blocks(kernel, kThreads, 0), kThreads, 0, stream>>>(frame, background, out);
   check_launch("composite_pixel");
 }
 
-template <bool Harmonics, class Out>
+template <Evaluation straight, class Out>
 void launch_all(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  launch<1, Harmonics>(frame, background, out, stream);
-  launch<2, Harmonics>(frame, background, out, stream);
+  if (frame.splats.orders) {
+    launch<straight, 1, true>(frame, background, out, stream);
+    launch<straight, 2, true>(frame, background, out, stream);
+  } else {
+    launch<straight, 1, false>(frame, background, out, stream);
+    launch<straight, 2, false>(frame, background, out, stream);
+  }
 }
 
 }  // namespace
 
 void composite_pixel(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
   auto draw = [&](auto* image) {
-    if (frame.splats.orders)
-      launch_all<true>(frame, background, image, cudaStream_t(stream));
+    if (frame.in_half)
+      launch_all<Evaluation::kHalf>(frame, background, image, cudaStream_t(stream));
     else
-      launch_all<false>(frame, background, image, cudaStream_t(stream));
+      launch_all<Evaluation::kLinear>(frame, background, image, cudaStream_t(stream));
   };
   out8 ? draw(out8) : draw(out);
 }

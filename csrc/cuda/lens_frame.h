@@ -80,6 +80,7 @@ struct LensFrame {
   float cut = 0, stop = 0;   // of Quality: log2 of the opacity cut, transmittance at which a sample may end
   float least_light = 0;     // see light_of: what has less is pruned
   float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
+  bool in_half = false;      // of Quality: kPixel and kPixelSmall evaluate in half precision
 
   // Parts of the work buffer
   Splats<float> splats;

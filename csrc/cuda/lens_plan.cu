@@ -7,7 +7,8 @@ namespace {
 
 // Times in ms on an H200, fitted to eight frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp
 // instructions of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the
-// rig: sum of area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density.
+// rig: sum of area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density. Costs of straight shapes
+// among curved ones and in half precision follow from counts of instructions.
 __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   FrameState& state = *frame.state;
   const LensOptics& lens = frame.optics;
@@ -19,15 +20,17 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
             f * h * sum(kDisparity) + w * h * share * float(state.sampled)) / pixels;
   };
   auto mean = [&](int k) { return state.sampled ? float(state.sums[k]) / kErrorUnit / float(state.sampled) : 0.f; };
-  const bool linear = mean(kLinearError) <= kMeanShapeError, quadratic = mean(kQuadraticError) <= kMeanShapeError;
+  const bool linear = mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
+  const bool quadratic = mean(kQuadraticError) <= kMeanShapeError;
   const bool mixed = mean(kMixedError) <= kMeanShapeError;
   const float curved = mixed ? mean(kCurved) : 1.f;
 
   const float large = hits(15, 7, 1), small = hits(15, 3, 1);
   float cost[int(LensKernel::kCount)];
   auto pixel_cost = [&](float each, float of_patch) { return pixels / 128 * (each + of_patch) / rate; };
-  cost[int(LensKernel::kPixel)] = linear ? pixel_cost(174 * large, 115) : INFINITY;
-  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(192 * small, 235) : INFINITY;
+  const float each = frame.in_half ? 150 : 174, each_small = frame.in_half ? 170 : 192;
+  cost[int(LensKernel::kPixel)] = linear ? pixel_cost(each * large, 115) : INFINITY;
+  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(each_small * small, 235) : INFINITY;
   // Without a good polynomial every splat costs a division a sample
   cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 180 + 26 * curved : 416) * large, 115);
   cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost((200 + 26 * curved) * small, 235) : INFINITY;

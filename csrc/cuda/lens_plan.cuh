@@ -16,6 +16,7 @@ namespace lfgs::cuda {
 constexpr float kMeanShapeError = 6e-5f;  // of a frame, the mean over splats: keeps 80 dB at 8 bits
 constexpr float kMostShapeError = 2e-3f;  // of one splat, beyond it is evaluated exactly: 0.4 of 1/255
 constexpr float kStraightError = 1.6e-4f;  // of one splat, up to it is linear among quadratic ones
+constexpr float kMeanHalfShapeError = 1e-3f, kMostHalfShapeError = 5e-3f;  // as above, where samples are halves
 constexpr int kSampledSplats = 1 << 16;   // about; enough for averages
 
 enum FrameSum {

@@ -127,6 +127,8 @@ struct FloatSamples {
     }
   }
 
+  __device__ void flush() {}
+
   // The step alone: closes the colour before a careful hit.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
     const float4 step = make_float4(staged.fit[2][i].z, staged.fit[2][i].w, staged.fit[3][i].x, 0);
