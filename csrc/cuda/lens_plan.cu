@@ -28,12 +28,12 @@ __global__ void plan_kernel(const __grid_constant__ LensFrame frame) {
   const float large = hits(15, 7, 1), small = hits(15, 3, 1);
   float cost[int(LensKernel::kCount)];
   auto pixel_cost = [&](float each, float of_patch) { return pixels / 128 * (each + of_patch) / rate; };
-  const float each = frame.in_half ? 150 : 174, each_small = frame.in_half ? 170 : 192;
+  const float each = frame.in_half ? 146 : 171, each_small = frame.in_half ? 166 : 191;
   cost[int(LensKernel::kPixel)] = linear ? pixel_cost(each * large, 115) : INFINITY;
   cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(each_small * small, 235) : INFINITY;
   // Without a good polynomial every splat costs a division a sample
-  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 180 + 26 * curved : 416) * large, 115);
-  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost((200 + 26 * curved) * small, 235) : INFINITY;
+  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 181 + 20 * curved : 416) * large, 115);
+  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost((217 + 10 * curved) * small, 235) : INFINITY;
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
