@@ -76,8 +76,8 @@ class Frame:
             self.composite(background, out)
 
     def state(self) -> dict[str, Any]:
-        """What the frame found out: pairs, drawn, colour_error, kernel, exact, pruned, lattice_tiles, refused_tiles,
-        tried_tiles. Waits for the device."""
+        """What the frame found out: pairs, drawn, colour_error, kernel, exact, curved, pruned, lattice_tiles,
+        refused_tiles, tried_tiles. Waits for the device."""
         return _state_of(self.state_bytes().cpu())
 
     def state_bytes(self) -> Tensor:

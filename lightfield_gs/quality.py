@@ -33,6 +33,8 @@ class Quality:
         most the sum of the alphas left out there, and the mean of all samples by at most this; for the sums are taken
         as integrals, where Gaussians are not few. Pays in captures of many small Gaussians, not where all are alike.
         `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
+    evaluation_error: 0..1; of the arithmetic. From 0.01 on samples may be evaluated with numbers of 16 bits, twice as
+        many at a time: some 60 dB; colours above 1 lose at most that share. 0: float32.
     Raises InputError for numbers out of their ranges.
     """
 
@@ -41,11 +43,12 @@ class Quality:
     colour_error: float = COLOUR_ERROR
     lattice_error: float = 0.0
     contribution_cut: float = 0.0
+    evaluation_error: float = 0.0
 
     def __post_init__(self) -> None:
         for name, low, high in (("opacity_cut", OPACITY_CUT, 0.5), ("transmittance_stop", TRANSMITTANCE_STOP, 0.5),
                                 ("colour_error", 0.0, 1.0), ("lattice_error", 0.0, 1.0),
-                                ("contribution_cut", 0.0, 1.0)):
+                                ("contribution_cut", 0.0, 1.0), ("evaluation_error", 0.0, 1.0)):
             real_number(f"quality: {name}", getattr(self, name), low, high)
 
     @staticmethod
@@ -65,14 +68,15 @@ class Quality:
     @cached_property
     def native(self) -> Any:
         return _core.Quality(opacity_cut=self.opacity_cut, transmittance_stop=self.transmittance_stop,
-                             lattice=self.lattice_error, contribution=self.contribution_cut)
+                             lattice=self.lattice_error, contribution=self.contribution_cut,
+                             evaluation=self.evaluation_error)
 
 
 EXACT = Quality()
 # PSNR on 8K frames of scenes and photos as `bench pareto` has them: high at least 50 dB, fast 40 dB, draft 33 dB
 QUALITIES = {
     "exact": EXACT,
-    "high": Quality(opacity_cut=1 / 112, colour_error=1e-3, lattice_error=0.02),
-    "fast": Quality(opacity_cut=1 / 23, colour_error=4e-3, lattice_error=0.07),
-    "draft": Quality(opacity_cut=1 / 10, colour_error=1e-2, lattice_error=0.2),
+    "high": Quality(opacity_cut=1 / 112, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.01),
+    "fast": Quality(opacity_cut=1 / 23, colour_error=4e-3, lattice_error=0.07, evaluation_error=0.01),
+    "draft": Quality(opacity_cut=1 / 10, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.01),
 }

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from cuda_on_cpu.cases import BACKGROUND, LATTICE_FRAMES, lattice_frame
+from cuda_on_cpu.cases import (BACKGROUND, HALF_FRAMES, HALF_MEAN_SQUARE, HALF_QUALITY, LATTICE_FRAMES, half_frame,
+                               lattice_frame)
 from cuda_on_cpu.cases import rig_of as rig
 
 from lightfield_gs import Encoder, Gaussians, InputError, Panel, Quality, _core, encode, frame_cuda, prune, render
@@ -20,7 +21,7 @@ LENS = dict(width_px=397, height_px=131, views=96, line_number=9.848282191911, s
 PANELS = {"default": {},
           "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
           "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6),
-          "one view": dict(views=1)}
+          "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0)}
 
 
 def with_harmonics(scene: Gaussians, degree: int) -> Gaussians:
@@ -73,6 +74,18 @@ def test_every_kernel_draws_the_light_field_of_the_cpu(scene, panel, views, kern
     expected, found = (encode(s, panel, rig(panel), **options) for s in (scene, on_gpu(scene)))
     assert far_apart(expected, found) <= 3
     assert ((expected - found.cpu()) ** 2).mean() < (1e-7 if kernel in ("pixel", "pixel-small") else 1e-8)
+
+
+@pytest.mark.parametrize("kernel, changes, degree, views, brightness", HALF_FRAMES)
+def test_half_precision_is_within_its_bound(kernel, changes, degree, views, brightness, monkeypatch):
+    monkeypatch.setattr(frame_cuda, "forced_kernel", kernel)
+    options = dict(views=views, background=BACKGROUND, output="float32")
+    scene, panel, fan = half_frame({**changes, "width_px": 397, "height_px": 131}, degree, brightness)
+    expected = encode(scene, panel, fan, **options)
+    found = encode(on_gpu(scene), panel, fan, quality=HALF_QUALITY, **options).cpu()
+    error = (found - expected).abs() / expected.clamp(min=1)
+    assert 2e-4 < error.max() <= HALF_QUALITY.evaluation_error
+    assert (error**2).mean() < HALF_MEAN_SQUARE
 
 
 def test_the_exact_operator_draws_the_light_field_of_the_cpu(scene):

@@ -41,6 +41,7 @@ void bind_lens_frame(py::module_ m) {
     out["colour_error"] = std::bit_cast<float>(state.colour_error);
     out["kernel"] = state.kernel;
     out["exact"] = bool(state.exact);
+    out["curved"] = state.curved;
     out["lattice_tiles"] = state.lattice_tiles;
     out["refused_tiles"] = state.refused_tiles;
     out["tried_tiles"] = state.tried_tiles;

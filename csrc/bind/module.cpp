@@ -286,12 +286,13 @@ PYBIND11_MODULE(_core, m) {
                                          py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),
                                          py::arg("lens"));
   py::class_<Quality>(m, "Quality")
-      .def(py::init([](double opacity_cut, double transmittance_stop, double lattice, double contribution) {
+      .def(py::init([](double opacity_cut, double transmittance_stop, double lattice, double contribution,
+                       double evaluation) {
              return Quality{opacity_cut * 255 > 1 ? std::log2(opacity_cut) : kLog2MinAlpha,
-                            std::max(transmittance_stop, kMinTransmittance), lattice, contribution};
+                            std::max(transmittance_stop, kMinTransmittance), lattice, contribution, evaluation};
            }),
            py::kw_only(), py::arg("opacity_cut"), py::arg("transmittance_stop"), py::arg("lattice"),
-           py::arg("contribution"));
+           py::arg("contribution"), py::arg("evaluation"));
   py::class_<Bins>(m, "Bins").def(py::init([](Address offsets, Address splats) {
     return Bins{at<int64_t>(offsets), at<int32_t>(splats)};
   }), py::arg("band_offsets"), py::arg("band_splats"));

@@ -26,6 +26,7 @@ struct FrameState {
   unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
   int kernel;                    // LensKernel chosen
   int exact;                     // every splat of a pixel kernel is evaluated with a division
+  float straight, curved;        // shape error up to which quadratic kernels take the linear fit; share beyond
   unsigned next_tile[5];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
@@ -34,7 +35,7 @@ struct FrameState {
   unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
   unsigned blocks_summed;        // of project
-  unsigned long long sums[8];    // see FrameSum, fixed point
+  unsigned long long sums[9];    // see FrameSum, fixed point
 };
 
 constexpr uint32_t kNotDrawn = ~0u;  // depth of a splat that is not drawn: sorted last
@@ -81,6 +82,7 @@ struct LensFrame {
   float cut = 0, stop = 0;   // of Quality: log2 of the opacity cut, transmittance at which a sample may end
   float least_light = 0;     // see light_of: what has less is pruned
   float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
+  bool in_half = false;      // of Quality: kPixel and kPixelSmall evaluate in half precision
 
   // Parts of the work buffer. The state and the two after it project clears, with one launch
   FrameState* state = nullptr;

@@ -15,9 +15,16 @@ namespace lfgs::cuda {
 
 constexpr float kMeanShapeError = 6e-5f;  // of a frame, the mean over splats: keeps 80 dB at 8 bits
 constexpr float kMostShapeError = 2e-3f;  // of one splat, beyond it is evaluated exactly: 0.4 of 1/255
+constexpr float kStraightError = 1.6e-4f;  // of one splat, up to it is linear among quadratic ones
+constexpr float kMeanHalfShapeError = 1e-3f, kMostHalfShapeError = 5e-3f;  // as above, where samples are halves
 constexpr int kSampledSplats = 1 << 16;   // about; enough for averages
 
-enum FrameSum { kArea, kHalfWidth, kHalfHeight, kDisparity, kDisparityHeight, kLinearError, kQuadraticError, kSums };
+enum FrameSum {
+  kArea, kHalfWidth, kHalfHeight, kDisparity, kDisparityHeight,
+  kLinearError, kQuadraticError,  // of all splats
+  kMixedError, kCurved,           // of the linear fit up to kStraightError, else the quadratic one; those of that
+  kSums
+};
 static_assert(kSums <= sizeof(FrameState::sums) / sizeof(unsigned long long));
 constexpr float kSumUnit = 1 << 4, kErrorUnit = 1 << 30;  // fixed point, so that sums have no order
 
@@ -47,8 +54,10 @@ __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s
     const float values[] = {3.14159265f * a * b, a, b, D, b * D};
     for (int k = 0; k < 5; ++k) terms[k] = static_cast<unsigned long long>(fminf(values[k], 1e9f) * kSumUnit);
     const ShapeError error(s);
-    terms[kLinearError] = static_cast<unsigned long long>(fminf(error.linear, 1.f) * kErrorUnit);
-    terms[kQuadraticError] = static_cast<unsigned long long>(fminf(error.quadratic, 1.f) * kErrorUnit);
+    const bool curved = error.linear > kStraightError;
+    const float means[] = {error.linear, error.quadratic, curved ? error.quadratic : error.linear, float(curved)};
+    for (int k = 0; k < 4; ++k)
+      terms[kLinearError + k] = static_cast<unsigned long long>(fminf(means[k], 1.f) * kErrorUnit);
   }
   const unsigned drawn = __popc(__ballot_sync(~0u, s.reach_y >= 0));
   for (int k = 0; k < kSums; ++k)
@@ -61,7 +70,8 @@ __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s
 
 // Times in ms on an H200, fitted to eight frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp
 // instructions of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the
-// rig: sum of area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density.
+// rig: sum of area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density. Costs of straight shapes
+// among curved ones and in half precision follow from counts of instructions.
 // By the thread that ends the sums.
 __device__ inline void choose_kernel(const LensFrame& frame) {
   FrameState& state = *frame.state;
@@ -77,16 +87,20 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
             f * h * sum(kDisparity) + w * h * share * sampled) / pixels;
   };
   auto mean = [&](int k) { return sampled > 0 ? sums[k] / kErrorUnit / sampled : 0.f; };
-  const bool linear = mean(kLinearError) <= kMeanShapeError, quadratic = mean(kQuadraticError) <= kMeanShapeError;
+  const bool linear = mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
+  const bool quadratic = mean(kQuadraticError) <= kMeanShapeError;
+  const bool mixed = mean(kMixedError) <= kMeanShapeError;
+  const float curved = mixed ? mean(kCurved) : 1.f;
 
   const float large = hits(15, 7, 1), small = hits(15, 3, 1);
   float cost[int(LensKernel::kCount)];
   auto pixel_cost = [&](float each, float of_patch) { return pixels / 128 * (each + of_patch) / rate; };
-  cost[int(LensKernel::kPixel)] = linear ? pixel_cost(181 * large, 115) : INFINITY;
-  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(196 * small, 235) : INFINITY;
+  const float each = frame.in_half ? 146 : 171, each_small = frame.in_half ? 166 : 191;
+  cost[int(LensKernel::kPixel)] = linear ? pixel_cost(each * large, 115) : INFINITY;
+  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(each_small * small, 235) : INFINITY;
   // Without a good polynomial every splat costs a division a sample
-  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 208 : 416) * large, 115);
-  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost(226 * small, 235) : INFINITY;
+  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 181 + 20 * curved : 416) * large, 115);
+  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost((217 + 10 * curved) * small, 235) : INFINITY;
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
@@ -99,6 +113,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   state.kernel = frame.forced >= 0 ? frame.forced : best;
   state.exact = !quadratic && (state.kernel == int(LensKernel::kPixelQuadratic) ||
                                state.kernel == int(LensKernel::kPixelQuadraticSmall));
+  state.straight = mixed ? kStraightError : 0, state.curved = curved;
 }
 
 }  // namespace lfgs::cuda

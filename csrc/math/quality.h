@@ -7,11 +7,17 @@
 
 namespace lfgs {
 
+constexpr double kHalfError = 0.01;  // of a colour: at most this is lost in 16 bits
+
 struct Quality {
   double log2_cut = kLog2MinAlpha;    // of the opacity cut: splats below it leave a sample as it is
   double stop = kMinTransmittance;    // a sample ends before its transmittance falls below
   double lattice = 0;                 // error allowed at the checks of a coarse lattice; 0: no lattice
   double contribution = 0;            // mean over an image of the alphas that may be left out with whole splats
+  double evaluation = 0;              // error allowed of the arithmetic by which samples are evaluated
+
+  // Whether samples may be evaluated in 16 bits.
+  bool in_half() const { return evaluation >= kHalfError; }
 
   // A sample that ends early belongs to the splat at which it does; at the field's own limit, to the background.
   bool ends_early() const { return stop > kMinTransmittance; }

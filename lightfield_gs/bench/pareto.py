@@ -31,7 +31,8 @@ from lightfield_gs.rendering import encode
 from lightfield_gs.rig import Rig
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
-KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut")
+KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut",
+         "evaluation_error")
 # Of no name: they pay in few scenes
 STOPS, CONTRIBUTIONS = (1e-2, 5e-2), (1e-2, 5e-2)
 PRUNED = (3e-4, 1e-3)

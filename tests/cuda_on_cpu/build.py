@@ -27,6 +27,8 @@ def host_code(path: Path) -> str:
                   r"emulation::launch([=](const auto&... a) { \1(a...); }, \2)", text, flags=re.S)
     text = re.sub(r'asm\("(\w+)\.approx\.ftz\.f32 %0, %1;" : "=f"\((\w+)\) : "f"\((\w+)\)\);',
                   lambda m: f"{m[2]} = {APPROXIMATE[m[1]].format(m[3])};", text)
+    text = re.sub(r'asm\("ex2\.approx\.f16x2 %0, %1;" : "=r"\((\w+)\) : "r"\((.+?)\)\);', r"\1 = exp2_halves(\2);",
+                  text)
     text = re.sub(r"extern __shared__ (?:__align__\(\d+\) )?(\w+) (\w+)\[\];",
                   r"auto* \2 = reinterpret_cast<\1*>(emulation::dynamic_shared);", text)
     text = re.sub(r"__shared__ (alignas\(\d+\))", r"\1 __shared__", text)

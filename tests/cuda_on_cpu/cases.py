@@ -87,6 +87,21 @@ SHAPES_THAT_VARY = [("pixel", wide_rig), ("pixel-small", wide_rig), ("pixel-quad
                     ("pixel-quadratic-small", needles)]
 
 
+# Kernel, panel, SH degree, views, and what colours are multiplied by; of frames evaluated in half precision
+HALF_QUALITY, HALF_MEAN_SQUARE = Quality(evaluation_error=0.01), 3e-6  # 55 dB
+HALF_FRAMES = [("pixel", dict(), 0, "integer", 1), ("pixel-small", dict(slant_tan=-0.18), 0, "continuous", 1),
+               ("pixel", dict(subpixel_order="BGR"), 1, "continuous", 1),
+               ("pixel-small", dict(views=1), 1, "integer", 1),
+               ("pixel", dict(invert_views=True, line_number=16.013), 0, "integer", 12)]
+
+
+def half_frame(changes: dict[str, Any], degree: int, brightness: float) -> tuple[Gaussians, Panel, Rig]:
+    """A panel in a narrow cone, and a scene; of brightness 12, half of it is too bright for half precision."""
+    panel, scene = Panel(**{**LENS, "cone_deg": 4.0, **changes}), scene_of(degree)
+    scene.sh[::2] *= brightness
+    return scene, panel, rig_of(panel)
+
+
 def dense_step(dtype: torch.dtype) -> dict[str, Tensor]:
     """Images of two scenes before three cameras, and the gradients of a loss on them."""
     panel = Panel(**{**LENS, "width_px": 45, "height_px": 21, "views": 3})

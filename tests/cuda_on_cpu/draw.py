@@ -87,6 +87,9 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
 def main(what: str) -> object:
     torch.set_num_threads(1)
     ops._workspace = workspace
+    if what == "half":
+        return [drawn(*cases.half_frame(changes, degree, brightness), views, kernel, cases.HALF_QUALITY, 1.0)
+                for kernel, changes, degree, views, brightness in cases.HALF_FRAMES]
     if what == "dense":
         return cases.dense_step(torch.float32)
     if what == "lattice":

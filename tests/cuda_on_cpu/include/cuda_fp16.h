@@ -23,3 +23,24 @@ inline __half2 __hfma2(__half2 a, __half2 b, __half2 c) {
   return __floats2half2_rn(fmaf(__low2float(a), __low2float(b), __low2float(c)),
                            fmaf(__high2float(a), __high2float(b), __high2float(c)));
 }
+inline __half2 __hmul2(__half2 a, __half2 b) {
+  return __floats2half2_rn(__low2float(a) * __low2float(b), __high2float(a) * __high2float(b));
+}
+inline __half2 __hneg2(__half2 a) {
+  a.x.bits ^= 0x8000, a.y.bits ^= 0x8000;
+  return a;
+}
+inline __half2 __low2half2(__half2 a) { return {a.x, a.x}; }
+inline __half2 __high2half2(__half2 a) { return {a.y, a.y}; }
+inline unsigned __hge2_mask(__half2 a, __half2 b) {
+  return (__low2float(a) >= __low2float(b) ? 0xffffu : 0) | (__high2float(a) >= __high2float(b) ? 0xffff0000u : 0);
+}
+
+// ex2.approx.f16x2
+inline unsigned exp2_halves(unsigned x) {
+  __half2 h;
+  memcpy(&h, &x, sizeof h);
+  h = __floats2half2_rn(exp2f(__low2float(h)), exp2f(__high2float(h)));
+  memcpy(&x, &h, sizeof x);
+  return x;
+}
