@@ -1,10 +1,9 @@
 // What the kernel of composite_ordinal.cu multiplies: the layout of its shared memory, numbers as halves, tensor cores.
 #pragma once
 
-#include <cuda_fp16.h>
-
 #include "cuda/blend.cuh"
 #include "cuda/composite_lens.cuh"
+#include "cuda/halves.cuh"
 #include "cuda/lens_optics.cuh"
 
 namespace lfgs::cuda {
@@ -59,10 +58,7 @@ struct Memory {
 
 int row_bytes(float line_number) { return (int(kTileLenses * line_number) + 5) & ~3; }
 
-__device__ inline unsigned halves(float a, float b) {
-  const __half2 h = __floats2half2_rn(a, b);
-  return *reinterpret_cast<const unsigned*>(&h);
-}
+__device__ inline unsigned halves(float a, float b) { return bits(__floats2half2_rn(a, b)); }
 // A number as the sum of two halves.
 __device__ inline unsigned split(float a) {
   const float high = __half2float(__float2half_rn(a));
@@ -116,8 +112,6 @@ template <class T>
 __device__ inline T at_place(const T (&parts)[3], int place) {
   return place == 0 ? parts[0] : place == 1 ? parts[1] : parts[2];
 }
-__device__ inline unsigned bits(__half2 h) { return *reinterpret_cast<const unsigned*>(&h); }
-__device__ inline __half2 as_half2(unsigned b) { return *reinterpret_cast<const __half2*>(&b); }
 #endif
 
 }  // namespace lfgs::cuda

@@ -1,9 +1,8 @@
 // Gaussians as composite_pixel.cu evaluates them: polynomials about the centre of a warp's patch, made 32 at a time.
 #pragma once
 
-#include <cuda_fp16.h>
-
 #include "cuda/composite_lens.cuh"
+#include "cuda/halves.cuh"
 #include "cuda/lens_optics.cuh"
 #include "cuda/lens_plan.cuh"
 
@@ -64,20 +63,14 @@ __device__ inline void shape_polynomial(const Splat<float>& s, float3 r, float4 
   fit[3] = make_float4(0, r.z, -fmaf(r.z, s.c0, r.y * s.c1), -r.z * sweep);
 }
 
-__device__ inline unsigned bits_of(__half2 h) { return *reinterpret_cast<const unsigned*>(&h); }
-__device__ inline __half2 half2_of(unsigned bits) { return *reinterpret_cast<const __half2*>(&bits); }
-__device__ inline float packed(float a, float b) { return __uint_as_float(bits_of(__floats2half2_rn(a, b))); }
-__device__ inline __half2 unpacked(float a) { return half2_of(__float_as_uint(a)); }
-
-
 // Power of 2 times the step of s from view to view: middles of views are whole numbers of halves of it.
 __device__ inline float half_unit(const LensOptics& lens) {
   return lens.s_step != 0 ? lens.s_step * exp2f(ceilf(log2f(0.5f * float(lens.views)))) : 1.f;
 }
 
 // Puts a fit as shape_polynomial() makes it, with its step, into halves: with v = s / unit,
-//   d = (f0.x + f0.y x + f0.z y) + v (f1.z + f1.w y) + v^2 f2.x,   exponent = f0.w - (f1.x + f1.y y)^2 - d^2;
-// f1.z holds two numbers, of 1 and x; f1.w of y, and v^2; f2 the steps of colour and slope, by place.
+//   d = (f0.x + f0.y x + f0.z y) + v (h0 + h1 x + h2 y) + v^2 h3,   exponent = f0.w - (f1.x + f1.y y)^2 - d^2;
+// f1.z holds h0 and h1, f1.w h2 and h3, f2 the three steps of the colour and of its slope.
 __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
   const float4 f0 = fit[0], f1 = fit[1];
   fit[0] = make_float4(f0.x, f1.y, f0.y, f1.w);

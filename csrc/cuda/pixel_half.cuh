@@ -1,12 +1,13 @@
 // Samples of composite_pixel.cu in half precision, two at a time: the same sub-pixel of two neighbouring pixels.
 //
-// Coefficients that all samples share are float, sums over a lane's first pixel too; the rest is half: d to 2^-12 of
-// what its terms are, which is why Gaussians that a warp's patch sees sweep far are evaluated carefully. Colours are
-// summed in half over up to 32 Gaussians only, transmittances all the way: rounding to nearest leaves them unbiased.
+// What does not depend on s is summed in float, then rounded. The terms of d cancel, so it is as coarse as the largest
+// of them: Gaussians that sweep far are evaluated carefully. Colours are summed in half over up to 32 Gaussians only,
+// transmittances all the way: rounding to nearest leaves them unbiased.
 // A GPU finds 2^x of halves one by one, at an eighth of the rate of other instructions; of three sub-pixels one has a
 // polynomial in its place.
 #pragma once
 
+#include "cuda/halves.cuh"
 #include "cuda/pixel_samples.cuh"
 
 namespace lfgs::cuda {
@@ -14,8 +15,8 @@ namespace lfgs::cuda {
 // 2^x; by the special function unit.
 __device__ inline __half2 fast_exp2(__half2 x) {
   unsigned y;
-  asm("ex2.approx.f16x2 %0, %1;" : "=r"(y) : "r"(bits_of(x)));
-  return half2_of(y);
+  asm("ex2.approx.f16x2 %0, %1;" : "=r"(y) : "r"(bits(x)));
+  return as_half2(y);
 }
 // 2^x, x in [-8, 0], as the fourth power of a cubic; within 0.0006, and 2^-10 of it by rounding.
 __device__ inline __half2 polynomial_exp2(__half2 x) {
@@ -93,7 +94,7 @@ struct HalfSamples {
         __half2& T = transmittance[r][k];
         const __half2 d = __hfma2(v[r][k], __hfma2(v[r][k], c2, c1), pair), power = __hfma2(__hneg2(d), d, A);
         const __half2 full = k == 1 ? polynomial_exp2(power) : fast_exp2(power);
-        const __half2 alpha = half2_of(bits_of(full) & __hge2_mask(power, low));
+        const __half2 alpha = as_half2(bits(full) & __hge2_mask(power, low));
         sum[r][k] = __hfma2(T, steps.at(k, v[r][k]), sum[r][k]);
         T = __hfma2(__hneg2(alpha), T, T);
       }
