@@ -221,7 +221,8 @@ class LatticeNodes {
   Buffer<float> transmittance_, colours_;   // [stride], [3, stride]
 };
 
-// Colours between the nodes, a row at a time, in 16 bits: 256 times those of 8 bits, and a half.
+// Colours between the nodes, a row at a time, in 16 bits: 256 times those of 8 bits, and a half. Nodes are of 8 bits, so
+// that a word holds all four round a sample: looking them up is what most of the time goes into.
 class LatticeRow {
  public:
   using D = Tag<float>;
@@ -236,27 +237,34 @@ class LatticeRow {
     const DI du;
     plan_ = nodes.plan();
     stride_ = plan_.across;
-    const size_t size = size_t(3 * (plan_.planes + 1) * stride_ + 2 * kLanes);  // a plane more, for s at its limit
-    if (size > size_) {
-      pairs_ = hwy::AllocateAligned<uint32_t>(size_ = size);
-      std::fill_n(pairs_.get(), size, 0u);
-    }
+    const size_t size = size_t(3 * plan_.planes * stride_ + kLanes);
+    if (size > size_) cells_ = hwy::AllocateAligned<uint32_t>(size_ = size);
+    // What leans past the ends of a plane is of no sample; behind the last plane is another, for s at its limit
+    const int64_t spare = plan_.margin + kLanes + 1, wide = stride_ + 2 * spare;
+    bytes_.resize(size_t((plan_.planes + 1) * wide));
     const float place = (y - plan_.y0) / plan_.step_y;
     const int row = std::clamp(int(std::floor(place)), 0, plan_.down - 2);
-    const V f = hn::Set(d, place - float(row));
-    auto fixed = [&](const float* a, const float* b) {
-      const V low = hn::LoadU(d, a), high = hn::LoadU(d, b);
-      const V unit = hn::Min(hn::Max(hn::MulAdd(f, hn::Sub(high, low), low), hn::Zero(d)), hn::Set(d, 1.f));
-      return hn::BitCast(du, hn::ConvertTo(hn::RebindToSigned<D>(), hn::MulAdd(unit, hn::Set(d, kUnit),
-                                                                               hn::Set(d, kHalf + 0.5f))));
-    };
-    for (int c = 0; c < 3; ++c)
+    const V f = hn::Set(d, place - float(row)), zero = hn::Zero(d), one = hn::Set(d, 1.f);
+    for (int c = 0; c < 3; ++c) {
       for (int k = 0; k < plan_.planes; ++k) {
         const float *a = nodes.colours(c, k, row), *b = nodes.colours(c, k, row + 1);
-        uint32_t* to = pairs_.get() + (c * (plan_.planes + 1) + k) * stride_;
-        for (int i = 0; i < plan_.across; i += kLanes)
-          hn::StoreU(hn::Or(fixed(a + i, b + i), hn::ShiftLeft<16>(fixed(a + i + 1, b + i + 1))), du, to + i);
+        uint32_t* to = &bytes_[size_t(k * wide + spare)];
+        for (int i = 0; i < plan_.across; i += kLanes) {
+          const V low = hn::LoadU(d, a + i), value = hn::MulAdd(f, hn::Sub(hn::LoadU(d, b + i), low), low);
+          const V byte = hn::MulAdd(hn::Min(hn::Max(value, zero), one), hn::Set(d, 255.f), hn::Set(d, 0.5f));
+          hn::StoreU(hn::BitCast(du, hn::ConvertTo(hn::RebindToSigned<D>(), byte)), du, to + i);
+        }
       }
+      for (int k = 0; k < plan_.planes; ++k) {
+        const uint32_t *a = &bytes_[size_t(k * wide + spare)], *b = a + wide + int64_t(plan_.lean[k]);
+        uint32_t* to = cells_.get() + (c * plan_.planes + k) * stride_;
+        for (int i = 0; i < plan_.across; i += kLanes) {
+          const auto low = hn::Or(hn::LoadU(du, a + i), hn::ShiftLeft<8>(hn::LoadU(du, a + i + 1)));
+          const auto high = hn::Or(hn::LoadU(du, b + i), hn::ShiftLeft<8>(hn::LoadU(du, b + i + 1)));
+          hn::StoreU(hn::Or(low, hn::ShiftLeft<16>(high)), du, to + i);
+        }
+      }
+    }
   }
 
   // A channel's colour at x0 + along step_x and s0 + up step_s: straight along x on the planes on both sides, and
@@ -268,14 +276,20 @@ class LatticeRow {
     const V lean = lean_of(hn::ConvertTo(di, plane));
     const V place = hn::NegMulAdd(lean, between, along), node = hn::Floor(place), past = hn::Sub(place, node);
     const V index = hn::MulAdd(plane, hn::Set(d, float(stride_)), node);
-    const uint32_t* pairs = pairs_.get() + channel * (plan_.planes + 1) * stride_;
-    const V low = straight(hn::GatherIndex(DI(), pairs, hn::ConvertTo(di, index)), past);
-    const V high = straight(hn::GatherIndex(DI(), pairs + stride_, hn::ConvertTo(di, hn::Add(index, lean))), past);
-    return hn::BitCast(DI(), hn::MulAdd(between, hn::Sub(high, low), low));
+    const uint32_t* cells = cells_.get() + channel * plan_.planes * stride_;
+    const auto cell = hn::GatherIndex(DI(), cells, hn::ConvertTo(di, index));
+    const auto byte = hn::Set(DI(), 255u);
+    auto value = [&](hn::Vec<DI> bits) { return hn::ConvertTo(d, hn::BitCast(di, bits)); };
+    const V a = value(hn::And(cell, byte)), b = value(hn::And(hn::ShiftRight<8>(cell), byte));
+    const V e = value(hn::And(hn::ShiftRight<16>(cell), byte)), f = value(hn::ShiftRight<24>(cell));
+    const V low = hn::MulAdd(past, hn::Sub(b, a), a), high = hn::MulAdd(past, hn::Sub(f, e), e);
+    // 2^23 + 16 bits, as a float
+    return hn::BitCast(DI(), hn::MulAdd(hn::MulAdd(between, hn::Sub(high, low), low), hn::Set(d, kUnit / 255),
+                                        hn::Set(d, 8388608 + kHalf)));
   }
 
   const LatticePlan& plan() const { return plan_; }
-  int64_t bytes() const { return int64_t(size_ * sizeof(uint32_t)); }
+  int64_t bytes() const { return int64_t((size_ + bytes_.capacity()) * sizeof(uint32_t)); }
 
  private:
   HWY_INLINE V lean_of(hn::Vec<hn::RebindToSigned<D>> plane) const {
@@ -284,20 +298,11 @@ class LatticeRow {
     return hn::TableLookupLanes(hn::LoadU(d, plan_.lean), hn::IndicesFromVec(d, plane));
   }
 
-  // Between the halves of pairs, as floats 2^23 + 16 bits.
-  static HWY_INLINE V straight(hn::Vec<DI> pair, V past) {
-    const D d;
-    const DI du;
-    const auto magic = hn::Set(du, 0x4B000000u);
-    const V low = hn::BitCast(d, hn::Or(hn::And(pair, hn::Set(du, 0xffffu)), magic));
-    const V high = hn::BitCast(d, hn::Or(hn::ShiftRight<16>(pair), magic));
-    return hn::MulAdd(past, hn::Sub(high, low), low);
-  }
-
   LatticePlan plan_;
   int stride_ = 0;
   size_t size_ = 0;
-  hwy::AlignedFreeUniquePtr<uint32_t[]> pairs_;  // [3, planes + 1, stride]: a node and the next
+  hwy::AlignedFreeUniquePtr<uint32_t[]> cells_;  // [3, planes, stride]: a node and the next, here and on the next plane
+  std::vector<uint32_t> bytes_;                  // of a channel: [planes + 1, spare + stride + spare]
 };
 
 }  // namespace HWY_NAMESPACE
