@@ -34,7 +34,7 @@ class Quality:
         as integrals, where Gaussians are not few. Pays in captures of many small Gaussians, not where all are alike.
         `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
     evaluation_error: 0..1; of the arithmetic. From 0.01 on samples may be evaluated with numbers of 16 bits, twice as many
-        at a time. 0: float32.
+        at a time, or (on the CPU) by fewer operations, and end at a transmittance of 0.001. 0: float32.
     Raises InputError for numbers out of their ranges.
     """
 
@@ -76,7 +76,7 @@ EXACT = Quality()
 # PSNR on 8K frames of scenes and photos as `bench pareto` has them: high at least 50 dB, fast 40 dB, draft 33 dB
 QUALITIES = {
     "exact": EXACT,
-    "high": Quality(opacity_cut=1 / 112, colour_error=1e-3, lattice_error=0.02),
-    "fast": Quality(opacity_cut=1 / 23, colour_error=4e-3, lattice_error=0.07),
-    "draft": Quality(opacity_cut=1 / 10, colour_error=1e-2, lattice_error=0.2),
+    "high": Quality(opacity_cut=1 / 80, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.01),
+    "fast": Quality(opacity_cut=1 / 22, colour_error=4e-3, lattice_error=0.07, evaluation_error=0.01),
+    "draft": Quality(opacity_cut=1 / 10, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.01),
 }

@@ -108,9 +108,12 @@ class LensBands {
  private:
   // Which splats sweep over each `width` cells of some. uncut: as a lattice takes them.
   void list(TileLists& out, SplatList splats, Range cells, int64_t width, bool uncut) {
-    out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, [&](int32_t id) -> Range {
+    auto splat_of = [&](int32_t id) -> const Splat<T>& {
+      return uncut ? job_.splats.splats[id] : scene_.splats[id].splat;
+    };
+    auto tiles_of = [&](int32_t id) -> Range {
       T low, high;
-      const Splat<T>& splat = uncut ? job_.splats.splats[id] : scene_.splats[id].splat;
+      const Splat<T>& splat = splat_of(id);
       if (!columns_of(splat, T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low,
                       high))
         return {0, -1};
@@ -118,7 +121,9 @@ class LensBands {
       const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
       if (last < first) return {0, -1};
       return {(first - cells.first) / width, (last - cells.first) / width};
-    });
+    };
+    out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, tiles_of,
+              [&](int32_t id) { hwy::Prefetch(&splat_of(id)); });
     counters_.pairs += out.pairs();
   }
 
