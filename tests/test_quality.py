@@ -124,7 +124,7 @@ def test_evaluation(name, views, make):
     shown, scene = panel(name), EVALUATED[make]()
     error, _ = errors(scene, shown, rig(shown), Quality(evaluation_error=EVALUATION), views)
     assert error.max() <= EVALUATION and np.sqrt(np.mean(error**2)) <= 0.2 * EVALUATION
-    if shown.width_px > 1:
+    if not name.startswith("one "):
         assert error.mean() > 1e-5  # some was given up
 
 
