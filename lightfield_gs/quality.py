@@ -27,14 +27,14 @@ class Quality:
         interpolated. The middle of every cell is evaluated too: nowhere there is the error larger than this, nor its
         root mean square over a run of tiles (on CUDA: a tile) larger than a fifth; else the lattice is refined, split
         or given up. Between corners and middles it is what a smooth field leaves it, not bounded. Colours on a lattice
-        end at 0 and 1. 0: no lattice.
+        end at 0 and 1; on the CPU its nodes have 8 bits. 0: no lattice.
     contribution_cut: 0..1; a Gaussian is left out whose alphas, summed over all sub-pixels of the panel as if nothing
         hid it, are less than its even share of this: contribution_cut * sub-pixels / Gaussians. A sample changes by at
         most the sum of the alphas left out there, and the mean of all samples by at most this; for the sums are taken
         as integrals, where Gaussians are not few. Pays in captures of many small Gaussians, not where all are alike.
         `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
-    evaluation_error: 0..1; of the arithmetic. From 0.01 on samples may be evaluated with numbers of 16 bits, twice as many
-        at a time, or (on the CPU) by fewer operations, and end at a transmittance of 0.001. 0: float32.
+    evaluation_error: 0..1; of the arithmetic. From 0.01 on samples may be evaluated with numbers of 16 bits, twice as
+        many at a time, or (on the CPU) in fewer operations, and end at a transmittance of 0.001. 0: float32.
     Raises InputError for numbers out of their ranges.
     """
 

@@ -39,8 +39,8 @@ constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lat
 // A band is a row of tiles. Where of two probes in turn each drew so many times more tiles by themselves than from
 // lattices, the bands between do without
 constexpr int64_t kLeastFitting = 3;
-constexpr int64_t kAhead = 4;      // splats that are fetched before they are drawn
-constexpr int64_t kLookOut = 32;   // splats drawn roughly from one look for what has stopped to the next
+constexpr int64_t kAhead = 4;     // splats that are fetched before they are drawn
+constexpr int64_t kLookOut = 32;  // splats drawn roughly from one look for what has stopped to the next
 
 // What a frame has in common for all its bands.
 template <class T>
@@ -184,7 +184,7 @@ class LensBands {
     if (splats.empty() && !job_.backward)
       return draw_empty(LensRun(lens_, layout_, row0_, cell0, layout_.cells_per_tile), {cell0, cell0});
     ++counters_.tiles;
-    tile_.move_to(row0_, cell0);
+    tile_.move_to(row0_, cell0), blended_ = 0;
     if (job_.backward) LoadGradients(job_, tile_, layout_.samples());
     for (const int32_t* id = splats.begin; id != splats.end && tile_.open > 0; ++id) {
       if (splats.end - id > kAhead) {
@@ -237,7 +237,7 @@ class LensBands {
   int64_t band_ = 0, row0_ = 0, rows_ = 0;
   LensTile<T> tile_;
   LensLattice lattice_;
-  int64_t blended_ = 0;  // roughly
+  int64_t blended_ = 0;  // splats of this tile, roughly
   TileLists tiles_;
   std::array<TileLists, kLatticeLevels> runs_;
   Counters counters_;

@@ -136,8 +136,8 @@ class LatticeNodes {
     }
   }
 
-  // What a splat is on some lines: A, middle and scale of log2 weight = A - scale (i - middle)^2 at node i, and in which
-  // blocks the nodes are that it touches.
+  // What a splat is on some lines: A, middle and scale of log2 weight = A - scale (i - middle)^2 at node i; and in
+  // which blocks the nodes are that it touches.
   HWY_INLINE void reach_on_lines(const Splat<float>& splat, float u, float v, int line, int end) {
     const D d;
     const hn::RebindToSigned<D> di;
@@ -221,8 +221,8 @@ class LatticeNodes {
   Buffer<float> transmittance_, colours_;   // [stride], [3, stride]
 };
 
-// Colours between the nodes, a row at a time, in 16 bits: 256 times those of 8 bits, and a half. Nodes are of 8 bits, so
-// that a word holds all four round a sample: looking them up is what most of the time goes into.
+// Colours between the nodes, a row at a time, in 16 bits: 256 times those of 8 bits, and a half. Nodes are of 8 bits,
+// so that a word holds all four round a sample: looking them up is what most of the time goes into.
 class LatticeRow {
  public:
   using D = Tag<float>;

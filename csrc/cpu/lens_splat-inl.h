@@ -92,9 +92,9 @@ struct PlainFootprint {
   }
 };
 
-// The footprint in few operations, read off RowTerms in its units. kEven: S^(-1/2) is the same all over the rig; else it
-// is straight between the rig's ends. 2^power is y^16 with y = gain (power + level)^2 + rest: relative error < 0.9% from
-// 1/255 to 1, < 0.35% from 0.05. Squaring has no use for the parts of an exponent, and little for constants.
+// The footprint in few operations, read off RowTerms in its units. kEven: S^(-1/2) is the same all over the rig; else
+// it is straight between the rig's ends. 2^power is y^16 with y = gain (power + level)^2 + rest: relative error < 0.9%
+// from 1/255 to 1, < 0.35% from 0.05. Squaring has no use for the parts of an exponent, and little for constants.
 template <bool kEven>
 class RoughFootprint {
  public:
