@@ -107,7 +107,7 @@ class RoughFootprint {
         cut_(kGain * (log2_cut + kLevel)) {}
   static bool fits(const InverseRoot<T>& r) {
     const T off = T(0.5) * std::abs(r.r2) + (kEven ? std::abs(r.r1) : T(0));
-    return r.error + off / r.r0 < T(kMostRoughError);
+    return r.error + off / std::abs(r.r0) < T(kMostRoughError);  // r0 may be anything where the error is 1
   }
   RowUnits<T> units() const { return {kGain, kLevel, kEven ? -root_ : T(1)}; }
 
