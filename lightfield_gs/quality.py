@@ -27,14 +27,15 @@ class Quality:
         interpolated. The middle of every cell is evaluated too: nowhere there is the error larger than this, nor its
         root mean square over a run of tiles (on CUDA: a tile) larger than a fifth; else the lattice is refined, split
         or given up. Between corners and middles it is what a smooth field leaves it, not bounded. Colours on a lattice
-        end at 0 and 1. 0: no lattice.
+        end at 0 and 1; on the CPU its nodes have 8 bits. 0: no lattice.
     contribution_cut: 0..1; a Gaussian is left out whose alphas, summed over all sub-pixels of the panel as if nothing
         hid it, are less than its even share of this: contribution_cut * sub-pixels / Gaussians. A sample changes by at
         most the sum of the alphas left out there, and the mean of all samples by at most this; for the sums are taken
         as integrals, where Gaussians are not few. Pays in captures of many small Gaussians, not where all are alike.
         `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
     evaluation_error: 0..1; of the arithmetic. From 0.01 on samples may be evaluated with numbers of 16 bits, twice as
-        many at a time: some 60 dB; colours above 1 lose at most that share. 0: float32.
+        many at a time (on CUDA), or in fewer operations and until a transmittance of 0.001 (on the CPU): some 60 dB;
+        colours above 1 lose at most that share. 0: float32.
     Raises InputError for numbers out of their ranges.
     """
 
@@ -76,7 +77,7 @@ EXACT = Quality()
 # PSNR on 8K frames of scenes and photos as `bench pareto` has them: high at least 50 dB, fast 40 dB, draft 33 dB
 QUALITIES = {
     "exact": EXACT,
-    "high": Quality(opacity_cut=1 / 112, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.01),
-    "fast": Quality(opacity_cut=1 / 23, colour_error=4e-3, lattice_error=0.07, evaluation_error=0.01),
-    "draft": Quality(opacity_cut=1 / 10, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.01),
+    "high": Quality(opacity_cut=1 / 160, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.01),
+    "fast": Quality(opacity_cut=1 / 44, colour_error=4e-3, lattice_error=0.06, evaluation_error=0.01),
+    "draft": Quality(opacity_cut=1 / 14, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.01),
 }

@@ -7,7 +7,7 @@ import pytest
 import torch
 from rasterizer_cases import PANELS, all_subpixels, alphas, panel, random_scene, reached, rig
 
-from lightfield_gs import Encoder, Gaussians, InputError, Quality, encode, reference
+from lightfield_gs import Encoder, Gaussians, InputError, Quality, _core, encode, reference
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import QUALITIES
@@ -102,6 +102,50 @@ def test_colour_error():
     assert worst[0] < FLOAT_ERROR and worst[1] <= 1e-2 + FLOAT_ERROR and 0.01 < worst[2] <= 0.1 + FLOAT_ERROR
 
 
+EVALUATION = 0.01  # what the knob asks for, and the error that it allows, of colours in 0..1
+
+
+def faint_scene() -> Gaussians:
+    """Some hundred Gaussians before every sub-pixel, none of which hides much."""
+    scene = random_scene(600, size=0.4, dtype=torch.float32)
+    scene.opacities[:] = torch.linspace(0.005, 0.03, 600)
+    return scene
+
+
+EVALUATED = {"small": lambda: random_scene(300, size=0.02, dtype=torch.float32),
+             "deep": lambda: random_scene(200, size=0.2, dtype=torch.float32),
+             "opaque": lambda: replace(random_scene(60, size=0.1, dtype=torch.float32), opacities=torch.ones(60)),
+             "harmonics": lambda: random_scene(60, degree=3, size=0.1, dtype=torch.float32), "faint": faint_scene}
+
+
+@pytest.mark.parametrize("name,views", [*((name, "integer") for name in LENSES), ("default lens", "continuous")])
+@pytest.mark.parametrize("make", EVALUATED)
+def test_evaluation(name, views, make):
+    shown, scene = panel(name), EVALUATED[make]()
+    error, _ = errors(scene, shown, rig(shown), Quality(evaluation_error=EVALUATION), views)
+    assert error.max() <= EVALUATION and np.sqrt(np.mean(error**2)) <= 0.2 * EVALUATION
+    if not name.startswith("one "):
+        assert error.mean() > 1e-5  # some was given up
+
+
+@pytest.mark.parametrize("target", _core.simd_targets())
+def test_evaluation_on_every_vector_set(target):
+    shown, scene = panel("default lens"), EVALUATED["deep"]()
+    _core.set_simd_target(target)
+    try:
+        error, _ = errors(scene, shown, rig(shown), Quality(evaluation_error=EVALUATION))
+    finally:
+        _core.set_simd_target("")
+    assert error.max() <= EVALUATION
+
+
+def test_evaluation_of_colours_beyond_the_range():
+    shown, scene = panel("default lens"), EVALUATED["deep"]()
+    scene.sh *= 20
+    error, _ = errors(scene, shown, rig(shown), Quality(evaluation_error=EVALUATION))
+    assert error.max() <= EVALUATION * 0.2821 * float(scene.sh.abs().max())
+
+
 def part_of_panel(cone: float, **changes) -> tuple[Panel, object]:
     """A piece of the default panel, whole lenses and several bands, before the benchmarks' scenes."""
     shown = replace(Panel.load("65in-8k-96v"), width_px=1500, height_px=40, **changes)
@@ -175,7 +219,7 @@ def test_nothing_to_draw(name):
 
 @pytest.mark.parametrize("bad", [dict(opacity_cut=0.001), dict(opacity_cut=float("nan")), dict(transmittance_stop=0.9),
                                  dict(transmittance_stop=True), dict(colour_error=-1), dict(lattice_error="coarse"),
-                                 dict(contribution_cut=2)])
+                                 dict(contribution_cut=2), dict(evaluation_error=-1)])
 def test_numbers_out_of_range_are_refused(bad):
     with pytest.raises(InputError, match=next(iter(bad))):
         Quality(**bad)

@@ -60,7 +60,8 @@ def given_up(name, quality):
     with one_thread():
         cut = quality.opacity_cut * reached(scene, shown, fan)
     # A lattice is checked in the middle of its cells; elsewhere its error was never twice that
-    return cut + quality.transmittance_stop + quality.colour_error + 2 * quality.lattice_error
+    return (cut + quality.transmittance_stop + quality.colour_error + 2 * quality.lattice_error
+            + quality.evaluation_error)
 
 
 @pytest.mark.parametrize("quality", ["high", "fast", "draft"])

@@ -39,7 +39,8 @@ constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lat
 // A band is a row of tiles. Where of two probes in turn each drew so many times more tiles by themselves than from
 // lattices, the bands between do without
 constexpr int64_t kLeastFitting = 3;
-constexpr int64_t kAhead = 4;  // splats that are fetched before they are drawn
+constexpr int64_t kAhead = 4;     // splats that are fetched before they are drawn
+constexpr int64_t kLookOut = 32;  // splats drawn roughly from one look for what has stopped to the next
 
 // What a frame has in common for all its bands.
 template <class T>
@@ -107,9 +108,12 @@ class LensBands {
  private:
   // Which splats sweep over each `width` cells of some. uncut: as a lattice takes them.
   void list(TileLists& out, SplatList splats, Range cells, int64_t width, bool uncut) {
-    out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, [&](int32_t id) -> Range {
+    auto splat_of = [&](int32_t id) -> const Splat<T>& {
+      return uncut ? job_.splats.splats[id] : scene_.splats[id].splat;
+    };
+    auto tiles_of = [&](int32_t id) -> Range {
       T low, high;
-      const Splat<T>& splat = uncut ? job_.splats.splats[id] : scene_.splats[id].splat;
+      const Splat<T>& splat = splat_of(id);
       if (!columns_of(splat, T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low,
                       high))
         return {0, -1};
@@ -117,7 +121,9 @@ class LensBands {
       const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
       if (last < first) return {0, -1};
       return {(first - cells.first) / width, (last - cells.first) / width};
-    });
+    };
+    out.build(splats.begin, splats.size(), (cells.last - cells.first) / width + 1, tiles_of,
+              [&](int32_t id) { hwy::Prefetch(&splat_of(id)); });
     counters_.pairs += out.pairs();
   }
 
@@ -178,14 +184,18 @@ class LensBands {
     if (splats.empty() && !job_.backward)
       return draw_empty(LensRun(lens_, layout_, row0_, cell0, layout_.cells_per_tile), {cell0, cell0});
     ++counters_.tiles;
-    tile_.move_to(row0_, cell0);
+    tile_.move_to(row0_, cell0), blended_ = 0;
     if (job_.backward) LoadGradients(job_, tile_, layout_.samples());
     for (const int32_t* id = splats.begin; id != splats.end && tile_.open > 0; ++id) {
       if (splats.end - id > kAhead) {
         hwy::Prefetch(&scene_.splats[id[kAhead]]);
         hwy::Prefetch(colour_of(job_.splats, id[kAhead]));
+        hwy::Prefetch(&job_.splats.orders[id[kAhead]]);
       }
       const TileSplat<T>& splat = scene_.splats[*id];
+      if constexpr (sizeof(T) == 4) {
+        if (job_.quality.in_half() && draw_roughly(*id, splat)) continue;
+      }
       const int64_t count = tile_.find(splat.splat);
       counters_.evaluations += count * LensTile<T>::kLanes;
       if (!job_.backward) {
@@ -202,6 +212,24 @@ class LensBands {
       counters_.stopped_samples += FinishTile(job_, tile_, layout_.samples(), scene_.background);
   }
 
+  // Blends a splat by a rough footprint, if one is right enough.
+  bool draw_roughly(int32_t id, const TileSplat<float>& splat) {
+    const float cut = float(job_.quality.log2_cut);
+    if (RoughFootprint<true>::fits(splat.root)) return blend(id, splat.splat, RoughFootprint<true>(splat.root, cut));
+    if (RoughFootprint<false>::fits(splat.root)) return blend(id, splat.splat, RoughFootprint<false>(splat.root, cut));
+    return false;
+  }
+
+  template <class Footprint>
+  bool blend(int32_t id, const Splat<float>& splat, const Footprint& footprint) {
+    const int64_t count = tile_.find(splat, footprint.units());
+    counters_.evaluations += count * LensTile<T>::kLanes;
+    with_order(job_.splats.orders[id],
+               [&](auto order) { RoughSplat<Footprint, order>(job_, tile_, id, footprint, count); });
+    if (++blended_ % kLookOut == 0) tile_.retire_below(float(job_.quality.darkest()));
+    return true;
+  }
+
   const LensScene<T>& scene_;
   const LensJob<T>& job_;
   const Lens& lens_;
@@ -209,6 +237,7 @@ class LensBands {
   int64_t band_ = 0, row0_ = 0, rows_ = 0;
   LensTile<T> tile_;
   LensLattice lattice_;
+  int64_t blended_ = 0;  // splats of this tile, roughly
   TileLists tiles_;
   std::array<TileLists, kLatticeLevels> runs_;
   Counters counters_;

@@ -37,9 +37,14 @@ class LatticeNodes {
     plan_ = plan, row_ = (plan.across + kLanes - 1) / kLanes * kLanes;
     stride_ = int64_t(row_) * plan.down * plan.planes;
     grow(transmittance_, size_t(stride_)), grow(colours_, 3 * size_t(stride_));
-    for (auto* a : {&s_, &inverse_S_, &middle_, &half_}) grow(*a, size_t(plan.planes));
+    const size_t lines = size_t(plan.planes) * size_t(plan.down);
+    for (auto* a : {&s_, &y_, &A_, &middle_, &scale_}) grow(*a, lines);
+    for (auto* a : {&block_, &blocks_}) grow(*a, lines);
+    grow(list_, size_t(stride_ / kLanes));
     grow(splat_colours_, kColourStride * size_t(plan.planes));
-    for (int k = 0; k < plan.planes; ++k) s_.data[k] = plan.s0 + float(k) * plan.step_s;
+    for (int k = 0, line = 0; k < plan.planes; ++k)
+      for (int j = 0; j < plan.down; ++j, ++line)
+        s_.data[line] = plan.s0 + float(k) * plan.step_s, y_.data[line] = plan.y0 + float(j) * plan.step_y;
     for (int64_t i = 0; i < stride_; i += row_) {
       float* row = &transmittance_.data[i];
       std::fill(std::fill_n(row, plan.across, 1.f), row + row_, 0.f);
@@ -66,18 +71,10 @@ class LatticeNodes {
                         const Quality& quality, const float* background) {
     int first, last;
     if (!planes_touched(splat, u, v, first, last)) return;
-    shape_on_planes(splat, colours, order, first, last);
-    for (int j = 0; j < plan_.down; ++j) {
-      const float dy = plan_.y0 + float(j) * plan_.step_y - v;
-      const float A = splat.log2_opacity - splat.tau * dy * dy, left = A - float(kLog2MinAlpha);
-      if (!(left >= 0)) continue;
-      reach_on_planes(u + splat.c0 * dy, splat.du + splat.c1 * dy, left, first, last);
-      for (int k = first; k <= last; ++k) {
-        const int from = std::max(int(std::ceil(middle_.data[k] - half_.data[k])), 0);
-        const int to = std::min(int(std::floor(middle_.data[k] + half_.data[k])), plan_.across - 1);
-        for (int i = from & -kLanes; i <= to; i += kLanes) blend(j, k, i, A, quality, background);
-      }
-    }
+    colours_on_planes(colours, order, first, last);
+    reach_on_lines(splat, u, v, first * plan_.down, (last + 1) * plan_.down);
+    const Block* end = list_blocks(first, last);
+    for (const Block* block = list_.data.get(); block < end; ++block) blend(*block, quality, background);
   }
 
   // Adds the background.
@@ -91,15 +88,25 @@ class LatticeNodes {
   }
 
  private:
+  template <class T>
   struct Buffer {
-    hwy::AlignedFreeUniquePtr<float[]> data;
+    hwy::AlignedFreeUniquePtr<T[]> data;
     size_t size = 0;
   };
-  static void grow(Buffer& buffer, size_t size) {
-    size = (size + kLanes - 1) / kLanes * kLanes + kLanes;
+  template <class T>
+  static void grow(Buffer<T>& buffer, size_t size) {
+    size = (size + kLanes - 1) / kLanes * kLanes + kLanes + 1;
     if (size <= buffer.size) return;
-    buffer.data = hwy::AllocateAligned<float>(size), buffer.size = size;
+    buffer.data = hwy::AllocateAligned<T>(size), buffer.size = size;
   }
+  // A *line* is a row of a plane; a block, a vector of its nodes.
+  struct Block {
+    uint16_t line, plane;
+    int32_t block;
+  };
+  static_assert(kMostPlanes * kMostRows <= 65536);
+  static constexpr int kBlockBits = kLanes == 16 ? 4 : kLanes == 8 ? 3 : kLanes == 4 ? 2 : kLanes == 2 ? 1 : 0;
+  static_assert(kLanes == 1 << kBlockBits);
   // The planes on which a splat may touch a node.
   HWY_INLINE bool planes_touched(const Splat<float>& splat, float u, float v, int& first, int& last) const {
     const float low = plan_.y0 - v, high = low + float(plan_.down - 1) * plan_.step_y;
@@ -118,54 +125,83 @@ class LatticeNodes {
     return first <= last;
   }
 
-  // 1 / S and the colour of a splat at the offsets of some planes.
-  HWY_INLINE void shape_on_planes(const Splat<float>& splat, const float* colours, int order, int first, int last) {
-    const D d;
-    for (int k = first; k <= last; k += kLanes) {
-      const V s = hn::LoadU(d, &s_.data[k]);
-      const V S = hn::MulAdd(hn::MulAdd(s, hn::Set(d, splat.S2), hn::Set(d, splat.S1)), s, hn::Set(d, splat.S0));
-      hn::StoreU(Reciprocal(d, S), d, &inverse_S_.data[k]);
-    }
+  // The colour of a splat at the offsets of some planes.
+  HWY_INLINE void colours_on_planes(const float* colours, int order, int first, int last) {
     const hn::CappedTag<float, 4> d4;
     for (int k = first; k <= last; ++k) {
+      const auto s = hn::Set(d4, s_.data[k * plan_.down]);
       auto value = hn::LoadU(d4, colours + order * kColourStride);
-      for (int p = order - 1; p >= 0; --p)
-        value = hn::MulAdd(value, hn::Set(d4, s_.data[k]), hn::LoadU(d4, colours + p * kColourStride));
+      for (int p = order - 1; p >= 0; --p) value = hn::MulAdd(value, s, hn::LoadU(d4, colours + p * kColourStride));
       hn::StoreU(hn::Max(value, hn::Zero(d4)), d4, &splat_colours_.data[kColourStride * k]);
     }
   }
 
-  // Where |x - m(s)|^2 / S(s) <= left on some planes, in nodes: middle -+ half.
-  HWY_INLINE void reach_on_planes(float m0, float m1, float left, int first, int last) {
+  // What a splat is on some lines: A, middle and scale of log2 weight = A - scale (i - middle)^2 at node i; and in
+  // which blocks the nodes are that it touches.
+  HWY_INLINE void reach_on_lines(const Splat<float>& splat, float u, float v, int line, int end) {
     const D d;
-    const float per_x = 1 / plan_.step_x;
-    for (int k = first; k <= last; k += kLanes) {
-      const V s = hn::LoadU(d, &s_.data[k]), S = hn::Div(hn::Set(d, left), hn::LoadU(d, &inverse_S_.data[k]));
-      hn::StoreU(hn::MulAdd(hn::Sqrt(S), hn::Set(d, per_x), hn::Set(d, 1e-3f)), d, &half_.data[k]);
-      const V m = hn::MulAdd(s, hn::Set(d, m1), hn::Set(d, m0 - plan_.x0));
-      hn::StoreU(hn::Mul(m, hn::Set(d, per_x)), d, &middle_.data[k]);
+    const hn::RebindToSigned<D> di;
+    const V zero = hn::Zero(d), step = hn::Set(d, plan_.step_x), per_x = hn::Set(d, 1 / plan_.step_x);
+    const V last = hn::Set(d, float(plan_.across - 1));
+    for (int l = line; l < end; l += kLanes) {
+      const V s = hn::LoadU(d, &s_.data[l]), dy = hn::Sub(hn::LoadU(d, &y_.data[l]), hn::Set(d, v));
+      const V A = hn::NegMulAdd(hn::Mul(hn::Set(d, splat.tau), dy), dy, hn::Set(d, splat.log2_opacity));
+      const V left = hn::Sub(A, hn::Set(d, float(kLog2MinAlpha)));
+      const V S = hn::MulAdd(hn::MulAdd(s, hn::Set(d, splat.S2), hn::Set(d, splat.S1)), s, hn::Set(d, splat.S0));
+      const V m0 = hn::MulAdd(hn::Set(d, splat.c0), dy, hn::Set(d, u - plan_.x0));
+      const V m1 = hn::MulAdd(hn::Set(d, splat.c1), dy, hn::Set(d, splat.du));
+      const V middle = hn::Mul(hn::MulAdd(s, m1, m0), per_x);
+      const V half = hn::MulAdd(hn::Sqrt(hn::Max(hn::Mul(left, S), zero)), per_x, hn::Set(d, 1e-3f));
+      const V from = hn::Max(hn::Ceil(hn::Sub(middle, half)), zero);
+      const V to = hn::Min(hn::Floor(hn::Add(middle, half)), last);
+      hn::StoreU(A, d, &A_.data[l]), hn::StoreU(middle, d, &middle_.data[l]);
+      hn::StoreU(hn::Mul(hn::Mul(step, step), Reciprocal(d, S)), d, &scale_.data[l]);
+      // Both are within the row where the splat touches a node
+      const auto touched = hn::And(hn::Ge(left, zero), hn::Le(from, to));
+      auto block_of = [&](V node) {
+        return hn::ShiftRight<kBlockBits>(hn::ConvertTo(di, hn::IfThenElseZero(touched, node)));
+      };
+      const auto block = block_of(from), blocks = hn::Add(hn::Sub(block_of(to), block), hn::Set(di, 1));
+      hn::StoreU(block, di, &block_.data[l]);
+      hn::StoreU(hn::IfThenElseZero(hn::RebindMask(di, touched), blocks), di, &blocks_.data[l]);
     }
+  }
+
+  // All blocks on some planes; returns the list's end. Two are written for each line, and the next line overwrites what
+  // was too much: no branch depends on what is hardly ever different.
+  HWY_INLINE const Block* list_blocks(int first, int last) {
+    Block* to = list_.data.get();
+    for (int k = first, l = first * plan_.down; k <= last; ++k)
+      for (int j = 0; j < plan_.down; ++j, ++l) {
+        const int block = block_.data[l], blocks = blocks_.data[l];
+        const uint16_t line = uint16_t(l), plane = uint16_t(k);
+        to[0] = {line, plane, block}, to[1] = {line, plane, block + 1};
+        for (int more = 2; HWY_UNLIKELY(more < blocks); ++more) to[more] = {line, plane, block + more};
+        to += blocks;
+      }
+    return to;
   }
 
   int64_t at(int plane, int row) const { return int64_t(plane * plan_.down + row) * row_; }
 
   // A vector of nodes of a row.
-  HWY_INLINE void blend(int row, int plane, int i, float A, const Quality& quality, const float* background) {
+  HWY_INLINE void blend(Block block, const Quality& quality, const float* background) {
     const D d;
     evaluations += kLanes;
-    const float step = plan_.step_x, scale = step * step * inverse_S_.data[plane];
-    const V dx = hn::Add(hn::Iota(d, 0.f), hn::Set(d, float(i) - middle_.data[plane]));
-    const V power = hn::NegMulAdd(hn::Mul(dx, dx), hn::Set(d, scale), hn::Set(d, A));
+    const int l = block.line, i = block.block * kLanes;
+    const V dx = hn::Add(hn::Iota(d, 0.f), hn::Set(d, float(i) - middle_.data[l]));
+    const V power = hn::NegMulAdd(hn::Mul(dx, dx), hn::Set(d, scale_.data[l]), hn::Set(d, A_.data[l]));
     const auto lit = hn::Ge(power, hn::Set(d, float(kLog2MinAlpha)));
     const V alpha = hn::IfThenElseZero(lit, hn::Min(Exp2<4>(d, power), hn::Set(d, float(kMaxAlpha))));
-    float *left = &transmittance_.data[at(plane, row) + i], *sum = &colours_.data[at(plane, row) + i];
+    const int64_t node = int64_t(l) * row_ + i;
+    float *left = &transmittance_.data[node], *sum = &colours_.data[node];
     const V before = hn::Load(d, left);
     V weight = hn::Mul(alpha, before), after = hn::Sub(before, weight);
     const auto stop = hn::And(hn::Gt(weight, hn::Zero(d)), hn::Lt(after, hn::Set(d, float(quality.stop))));
     const bool stops = !hn::AllFalse(d, stop);
     if (HWY_UNLIKELY(stops)) weight = hn::IfThenElse(stop, before, weight), after = hn::IfThenZeroElse(stop, after);
     hn::Store(after, d, left);
-    const float* colour = &splat_colours_.data[kColourStride * plane];
+    const float* colour = &splat_colours_.data[kColourStride * block.plane];
     for (int c = 0; c < 3; ++c, sum += stride_) {
       V value = hn::Set(d, colour[c]);
       if (HWY_UNLIKELY(stops && !quality.ends_early()))
@@ -177,11 +213,16 @@ class LatticeNodes {
   LatticePlan plan_;
   int row_ = 0;
   int64_t stride_ = 0;  // of a channel
-  Buffer s_, inverse_S_, middle_, half_, splat_colours_;  // on planes, of the splat at hand
-  Buffer transmittance_, colours_;                        // [stride], [3, stride]
+  Buffer<float> s_, y_;                     // of lines
+  Buffer<float> A_, middle_, scale_;        // of the splat at hand on lines
+  Buffer<int32_t> block_, blocks_;          // the first that it touches there, and how many
+  Buffer<Block> list_;
+  Buffer<float> splat_colours_;             // on planes
+  Buffer<float> transmittance_, colours_;   // [stride], [3, stride]
 };
 
-// Colours between the nodes, a row at a time, in 16 bits: 256 times those of 8 bits, and a half.
+// Colours between the nodes, a row at a time, in 16 bits: 256 times those of 8 bits, and a half. Nodes are of 8 bits,
+// so that a word holds all four round a sample: looking them up is what most of the time goes into.
 class LatticeRow {
  public:
   using D = Tag<float>;
@@ -196,27 +237,34 @@ class LatticeRow {
     const DI du;
     plan_ = nodes.plan();
     stride_ = plan_.across;
-    const size_t size = size_t(3 * (plan_.planes + 1) * stride_ + 2 * kLanes);  // a plane more, for s at its limit
-    if (size > size_) {
-      pairs_ = hwy::AllocateAligned<uint32_t>(size_ = size);
-      std::fill_n(pairs_.get(), size, 0u);
-    }
+    const size_t size = size_t(3 * plan_.planes * stride_ + kLanes);
+    if (size > size_) cells_ = hwy::AllocateAligned<uint32_t>(size_ = size);
+    // What leans past the ends of a plane is of no sample; behind the last plane is another, for s at its limit
+    const int64_t spare = plan_.margin + kLanes + 1, wide = stride_ + 2 * spare;
+    bytes_.resize(size_t((plan_.planes + 1) * wide));
     const float place = (y - plan_.y0) / plan_.step_y;
     const int row = std::clamp(int(std::floor(place)), 0, plan_.down - 2);
-    const V f = hn::Set(d, place - float(row));
-    auto fixed = [&](const float* a, const float* b) {
-      const V low = hn::LoadU(d, a), high = hn::LoadU(d, b);
-      const V unit = hn::Min(hn::Max(hn::MulAdd(f, hn::Sub(high, low), low), hn::Zero(d)), hn::Set(d, 1.f));
-      return hn::BitCast(du, hn::ConvertTo(hn::RebindToSigned<D>(), hn::MulAdd(unit, hn::Set(d, kUnit),
-                                                                               hn::Set(d, kHalf + 0.5f))));
-    };
-    for (int c = 0; c < 3; ++c)
+    const V f = hn::Set(d, place - float(row)), zero = hn::Zero(d), one = hn::Set(d, 1.f);
+    for (int c = 0; c < 3; ++c) {
       for (int k = 0; k < plan_.planes; ++k) {
         const float *a = nodes.colours(c, k, row), *b = nodes.colours(c, k, row + 1);
-        uint32_t* to = pairs_.get() + (c * (plan_.planes + 1) + k) * stride_;
-        for (int i = 0; i < plan_.across; i += kLanes)
-          hn::StoreU(hn::Or(fixed(a + i, b + i), hn::ShiftLeft<16>(fixed(a + i + 1, b + i + 1))), du, to + i);
+        uint32_t* to = &bytes_[size_t(k * wide + spare)];
+        for (int i = 0; i < plan_.across; i += kLanes) {
+          const V low = hn::LoadU(d, a + i), value = hn::MulAdd(f, hn::Sub(hn::LoadU(d, b + i), low), low);
+          const V byte = hn::MulAdd(hn::Min(hn::Max(value, zero), one), hn::Set(d, 255.f), hn::Set(d, 0.5f));
+          hn::StoreU(hn::BitCast(du, hn::ConvertTo(hn::RebindToSigned<D>(), byte)), du, to + i);
+        }
       }
+      for (int k = 0; k < plan_.planes; ++k) {
+        const uint32_t *a = &bytes_[size_t(k * wide + spare)], *b = a + wide + int64_t(plan_.lean[k]);
+        uint32_t* to = cells_.get() + (c * plan_.planes + k) * stride_;
+        for (int i = 0; i < plan_.across; i += kLanes) {
+          const auto low = hn::Or(hn::LoadU(du, a + i), hn::ShiftLeft<8>(hn::LoadU(du, a + i + 1)));
+          const auto high = hn::Or(hn::LoadU(du, b + i), hn::ShiftLeft<8>(hn::LoadU(du, b + i + 1)));
+          hn::StoreU(hn::Or(low, hn::ShiftLeft<16>(high)), du, to + i);
+        }
+      }
+    }
   }
 
   // A channel's colour at x0 + along step_x and s0 + up step_s: straight along x on the planes on both sides, and
@@ -228,14 +276,20 @@ class LatticeRow {
     const V lean = lean_of(hn::ConvertTo(di, plane));
     const V place = hn::NegMulAdd(lean, between, along), node = hn::Floor(place), past = hn::Sub(place, node);
     const V index = hn::MulAdd(plane, hn::Set(d, float(stride_)), node);
-    const uint32_t* pairs = pairs_.get() + channel * (plan_.planes + 1) * stride_;
-    const V low = straight(hn::GatherIndex(DI(), pairs, hn::ConvertTo(di, index)), past);
-    const V high = straight(hn::GatherIndex(DI(), pairs + stride_, hn::ConvertTo(di, hn::Add(index, lean))), past);
-    return hn::BitCast(DI(), hn::MulAdd(between, hn::Sub(high, low), low));
+    const uint32_t* cells = cells_.get() + channel * plan_.planes * stride_;
+    const auto cell = hn::GatherIndex(DI(), cells, hn::ConvertTo(di, index));
+    const auto byte = hn::Set(DI(), 255u);
+    auto value = [&](hn::Vec<DI> bits) { return hn::ConvertTo(d, hn::BitCast(di, bits)); };
+    const V a = value(hn::And(cell, byte)), b = value(hn::And(hn::ShiftRight<8>(cell), byte));
+    const V e = value(hn::And(hn::ShiftRight<16>(cell), byte)), f = value(hn::ShiftRight<24>(cell));
+    const V low = hn::MulAdd(past, hn::Sub(b, a), a), high = hn::MulAdd(past, hn::Sub(f, e), e);
+    // 2^23 + 16 bits, as a float
+    return hn::BitCast(DI(), hn::MulAdd(hn::MulAdd(between, hn::Sub(high, low), low), hn::Set(d, kUnit / 255),
+                                        hn::Set(d, 8388608 + kHalf)));
   }
 
   const LatticePlan& plan() const { return plan_; }
-  int64_t bytes() const { return int64_t(size_ * sizeof(uint32_t)); }
+  int64_t bytes() const { return int64_t((size_ + bytes_.capacity()) * sizeof(uint32_t)); }
 
  private:
   HWY_INLINE V lean_of(hn::Vec<hn::RebindToSigned<D>> plane) const {
@@ -244,20 +298,11 @@ class LatticeRow {
     return hn::TableLookupLanes(hn::LoadU(d, plan_.lean), hn::IndicesFromVec(d, plane));
   }
 
-  // Between the halves of pairs, as floats 2^23 + 16 bits.
-  static HWY_INLINE V straight(hn::Vec<DI> pair, V past) {
-    const D d;
-    const DI du;
-    const auto magic = hn::Set(du, 0x4B000000u);
-    const V low = hn::BitCast(d, hn::Or(hn::And(pair, hn::Set(du, 0xffffu)), magic));
-    const V high = hn::BitCast(d, hn::Or(hn::ShiftRight<16>(pair), magic));
-    return hn::MulAdd(past, hn::Sub(high, low), low);
-  }
-
   LatticePlan plan_;
   int stride_ = 0;
   size_t size_ = 0;
-  hwy::AlignedFreeUniquePtr<uint32_t[]> pairs_;  // [3, planes + 1, stride]: a node and the next
+  hwy::AlignedFreeUniquePtr<uint32_t[]> cells_;  // [3, planes, stride]: a node and the next, here and on the next plane
+  std::vector<uint32_t> bytes_;                  // of a channel: [planes + 1, spare + stride + spare]
 };
 
 }  // namespace HWY_NAMESPACE

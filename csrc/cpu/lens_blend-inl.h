@@ -71,19 +71,47 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
   for (; list < end; ++list) blend(std::integral_constant<int, 1>(), list);
 }
 
+// Calls visit with the order of a colour polynomial, as a constant where it is small (else -1).
+template <class Visit>
+void with_order(int order, const Visit& visit) {
+  switch (order) {
+    case 0: return visit(std::integral_constant<int, 0>());
+    case 1: return visit(std::integral_constant<int, 1>());
+    case 2: return visit(std::integral_constant<int, 2>());
+    default: return visit(std::integral_constant<int, -1>());
+  }
+}
+
 // The same, by the cheapest code that is right for the splat.
 template <class T>
 void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, const TileSplat<T>& splat,
              int64_t count) {
-  auto draw = [&](const auto& footprint) {
-    switch (job.splats.orders[id]) {
-      case 0: return ForwardSplat<std::decay_t<decltype(footprint)>, 0>(job, tile, background, id, footprint, count);
-      case 1: return ForwardSplat<std::decay_t<decltype(footprint)>, 1>(job, tile, background, id, footprint, count);
-      case 2: return ForwardSplat<std::decay_t<decltype(footprint)>, 2>(job, tile, background, id, footprint, count);
-      default: return ForwardSplat<std::decay_t<decltype(footprint)>, -1>(job, tile, background, id, footprint, count);
-    }
-  };
-  with_footprint(splat, job.quality, draw);
+  with_footprint(splat, job.quality, [&](const auto& footprint) {
+    with_order(job.splats.orders[id], [&](auto order) {
+      ForwardSplat<std::decay_t<decltype(footprint)>, order>(job, tile, background, id, footprint, count);
+    });
+  });
+}
+
+// Blends a splat by a rough footprint. Samples that stop are not looked for here: see LensTile::retire_below.
+template <class Footprint, int kOrder>
+HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, int32_t id, const Footprint& shape,
+                             int64_t count) {
+  const Tag<float> d;
+  const hn::RebindToSigned<Tag<float>> di;
+  const Footprint footprint = shape;
+  const float *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
+  float *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
+  const int32_t* channels = tile.channel.get();
+  const int order = job.splats.orders[id];
+  for (const uint16_t *list = tile.list(), *end = list + count; list < end; ++list) {
+    const int64_t i = int64_t(*list) * LensTile<float>::kLanes;
+    const auto s = hn::Load(d, ss + i), before = hn::Load(d, transmittances + i);
+    const auto weight = footprint.weight(hn::Load(d, xs + i), s, tile.rows(*list), before);
+    const auto c = ColourAt<kOrder>(d, colour, order, hn::Load(di, channels + i), s);
+    hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+    hn::Store(hn::Sub(before, weight), d, transmittances + i);
+  }
 }
 
 // Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel. Returns how many samples
@@ -95,12 +123,13 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
   const hn::RebindToUnsigned<Tag<T>> du;
   const hn::Rebind<uint8_t, Tag<T>> d8;
   constexpr int kLanes = LensTile<T>::kLanes;
+  const auto darkest = hn::Set(d, T(job.quality.darkest()));
   int64_t stopped = 0;
   uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // read no more once they are written
   for (int64_t i = 0; i < samples; i += kLanes) {
     const auto b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
     const auto left = hn::Load(d, &tile.transmittance[i]), c = hn::MulAdd(left, b, hn::Load(d, &tile.colour[i]));
-    stopped += int64_t(hn::CountTrue(d, hn::Eq(left, hn::Zero(d))));
+    stopped += int64_t(hn::CountTrue(d, hn::Lt(left, darkest)));
     if (job.out8) {
       const auto unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
       const auto rounded = hn::ConvertTo(di, hn::Round(hn::Mul(unit, hn::Set(d, T(255)))));

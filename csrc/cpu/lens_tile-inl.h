@@ -32,6 +32,12 @@ struct RowTerms {
   alignas(64) T dy[kLanes];
 };
 
+// In what units a splat is read off its RowTerms: A as power * (A + level), M0 and M1 times `place`.
+template <class T>
+struct RowUnits {
+  T power = 1, level = 0, place = 1;
+};
+
 template <class T>
 class LensTile {
  public:
@@ -90,10 +96,10 @@ class LensTile {
   }
 
   // Finds the vectors that the splat may touch: list()[0 .. result), with rows(v) filled for each.
-  HWY_INLINE int64_t find(const Splat<T>& splat) {
+  HWY_INLINE int64_t find(const Splat<T>& splat, const RowUnits<T>& units = {}) {
     const D d;
     const T u = T(double(splat.u0) - x0_), v = splat.v0 - T(row0_);
-    fill_rows(splat, u, v);
+    fill_rows(splat, u, v, units);
 
     // Per patch: |X + t slope| <= w + what the samples at one ordinal spread, around the patch's middle row
     const T half = T(0.5) * T(kRows - 1);
@@ -136,6 +142,14 @@ class LensTile {
     alive_[vector] = 0;
   }
 
+  // Leaves out of later lists the vectors all whose samples let less than `least` through.
+  void retire_below(T least) {
+    const D d;
+    const V limit = hn::Set(d, least);
+    for (size_t v = 0; v < alive_.size(); ++v)
+      if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit))) retire(uint16_t(v));
+  }
+
   // Calls visit(row, first sub-pixel, count, first sample) for every run of sub-pixels: one cell of one row. Sub-pixel
   // k of the run is the sample first + k * kLanes.
   template <class Visit>
@@ -155,16 +169,19 @@ class LensTile {
   int64_t& start(int64_t r, int64_t c) { return starts_[size_t(r * (layout_.cells_per_tile + 1) + c)]; }
   int64_t start(int64_t r, int64_t c) const { return starts_[size_t(r * (layout_.cells_per_tile + 1) + c)]; }
 
-  HWY_INLINE void fill_rows(const Splat<T>& splat, T u, T v) {
+  HWY_INLINE void fill_rows(const Splat<T>& splat, T u, T v, const RowUnits<T>& units) {
     const D d;
     const V lane_rows = hn::Load(d, row_of_lane_);
+    const V tau = hn::Set(d, splat.tau * units.power), A = hn::Set(d, (splat.log2_opacity + units.level) * units.power);
+    const V c0 = hn::Set(d, splat.c0 * units.place), c1 = hn::Set(d, splat.c1 * units.place);
+    const V u0 = hn::Set(d, u * units.place), du = hn::Set(d, splat.du * units.place);
     for (int down = 0; down < kDown; ++down) {
       Rows& rows = rows_[down];
       const V dy = hn::Add(lane_rows, hn::Set(d, T(down * kRows) - v));
       hn::Store(dy, d, rows.dy);
-      hn::Store(hn::NegMulAdd(hn::Mul(hn::Set(d, splat.tau), dy), dy, hn::Set(d, splat.log2_opacity)), d, rows.A);
-      hn::Store(hn::MulAdd(hn::Set(d, splat.c0), dy, hn::Set(d, u)), d, rows.M0);
-      hn::Store(hn::MulAdd(hn::Set(d, splat.c1), dy, hn::Set(d, splat.du)), d, rows.M1);
+      hn::Store(hn::NegMulAdd(hn::Mul(tau, dy), dy, A), d, rows.A);
+      hn::Store(hn::MulAdd(c0, dy, u0), d, rows.M0);
+      hn::Store(hn::MulAdd(c1, dy, du), d, rows.M1);
     }
   }
 

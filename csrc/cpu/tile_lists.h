@@ -10,12 +10,13 @@ namespace lfgs {
 
 class TileLists {
  public:
-  // tiles_of(id) -> Range of tiles, already clipped to [0, tiles).
-  template <class TilesOf>
-  void build(const int32_t* ids, int64_t count, int64_t tiles, const TilesOf& tiles_of) {
+  // tiles_of(id) -> Range of tiles, already clipped to [0, tiles). fetch(id) is called some splats before.
+  template <class TilesOf, class Fetch>
+  void build(const int32_t* ids, int64_t count, int64_t tiles, const TilesOf& tiles_of, const Fetch& fetch) {
     ranges_.resize(size_t(count));
     offsets_.assign(size_t(tiles) + 1, 0);
     for (int64_t k = 0; k < count; ++k) {
+      if (k + kAhead < count) fetch(ids[k + kAhead]);
       const Range r = tiles_of(ids[k]);
       ranges_[k] = {int32_t(r.first), int32_t(r.last)};
       for (int64_t t = r.first; t <= r.last; ++t) ++offsets_[t + 1];
@@ -27,6 +28,11 @@ class TileLists {
       for (int32_t t = ranges_[k].first; t <= ranges_[k].last; ++t) splats_[next_[t]++] = ids[k];
   }
 
+  template <class TilesOf>
+  void build(const int32_t* ids, int64_t count, int64_t tiles, const TilesOf& tiles_of) {
+    build(ids, count, tiles, tiles_of, [](int32_t) {});
+  }
+
   const int32_t* begin(int64_t tile) const { return splats_.data() + offsets_[tile]; }
   const int32_t* end(int64_t tile) const { return splats_.data() + offsets_[tile + 1]; }
   int64_t pairs() const { return int64_t(splats_.size()); }
@@ -36,6 +42,7 @@ class TileLists {
   }
 
  private:
+  static constexpr int64_t kAhead = 8;
   struct Tiles {
     int32_t first, last;
   };

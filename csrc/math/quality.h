@@ -16,8 +16,11 @@ struct Quality {
   double contribution = 0;            // mean over an image of the alphas that may be left out with whole splats
   double evaluation = 0;              // error allowed of the arithmetic by which samples are evaluated
 
-  // Whether samples may be evaluated in 16 bits.
+  // Whether samples may be evaluated in 16 bits, or in fewer operations.
   bool in_half() const { return evaluation >= kHalfError; }
+
+  // The transmittance below which a sample need not be looked at any more.
+  double darkest() const { return in_half() && stop < 0.1 * kHalfError ? 0.1 * kHalfError : stop; }
 
   // A sample that ends early belongs to the splat at which it does; at the field's own limit, to the background.
   bool ends_early() const { return stop > kMinTransmittance; }

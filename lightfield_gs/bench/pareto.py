@@ -34,7 +34,7 @@ SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
 KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut",
          "evaluation_error")
 # Of no name: they pay in few scenes
-STOPS, CONTRIBUTIONS = (1e-2, 5e-2), (1e-2, 5e-2)
+STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 80, 1 / 22)
 PRUNED = (3e-4, 1e-3)
 
 
@@ -69,6 +69,10 @@ def _qualities() -> dict[str, Quality]:
     found = dict(QUALITIES)
     for knob, values in (("transmittance_stop", STOPS), ("contribution_cut", CONTRIBUTIONS)):
         found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
+    for cut in CUTS:  # what of Gaussians does not overlap much bears more than the names take
+        for lattice in (0.0, QUALITIES["fast"].lattice_error):
+            name = f"opacity_cut {_value(cut)}, evaluation_error 1/100" + (", lattice" if lattice else "")
+            found[name] = Quality(opacity_cut=cut, lattice_error=lattice, evaluation_error=0.01)
     for knob in KNOBS:
         for name, quality in QUALITIES.items():
             value, without = getattr(quality, knob), getattr(EXACT, knob)
