@@ -26,7 +26,8 @@ struct FrameState {
   unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
   int kernel;                    // LensKernel chosen
   int exact;                     // every splat of a pixel kernel is evaluated with a division
-  float straight, curved;        // shape error up to which quadratic kernels take the linear fit; share beyond
+  float straight, careful;       // limits of shape errors, see ShapeLimits
+  float curved;                  // share of the splats beyond the first
   unsigned next_tile[5];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
@@ -35,7 +36,7 @@ struct FrameState {
   unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
   unsigned blocks_summed;        // of project
-  unsigned long long sums[9];    // see FrameSum, fixed point
+  unsigned long long sums[13];   // see FrameSum, fixed point
 };
 
 constexpr uint32_t kNotDrawn = ~0u;  // depth of a splat that is not drawn: sorted last

@@ -14,16 +14,25 @@
 namespace lfgs::cuda {
 
 constexpr float kMeanShapeError = 6e-5f;  // of a frame, the mean over splats: keeps 80 dB at 8 bits
-constexpr float kMostShapeError = 2e-3f;  // of one splat, beyond it is evaluated exactly: 0.4 of 1/255
-constexpr float kStraightError = 1.6e-4f;  // of one splat, up to it is linear among quadratic ones
-constexpr float kMeanHalfShapeError = 1e-3f, kMostHalfShapeError = 5e-3f;  // as above, where samples are halves
-constexpr int kSampledSplats = 1 << 16;   // about; enough for averages
+// Of one splat: up to `straight` a quadratic kernel takes the linear fit, beyond `careful` none, which costs a division
+// a sample. A frame takes the first limits that keep its mean; 2e-3 is 0.4 of 1/255.
+struct ShapeLimits {
+  float straight, careful;
+};
+constexpr int kLevels = 2;
+LFGS_HD ShapeLimits shape_limits(int level) {
+  return level == 0 ? ShapeLimits{1.6e-4f, 2e-3f} : ShapeLimits{6e-5f, 5e-4f};
+}
+// The mean, and `careful`, where samples are halves.
+constexpr float kMeanHalfShapeError = 1e-3f, kMostHalfShapeError = 5e-3f;
+constexpr float kCarefulOpacity = -0.0291f;  // log2(0.98): what an opaque splat stops is less than 2/255
+constexpr int kSampledSplats = 1 << 14;      // about; enough for averages
 
 enum FrameSum {
   kArea, kHalfWidth, kHalfHeight, kDisparity, kDisparityHeight,
-  kLinearError, kQuadraticError,  // of all splats
-  kMixedError, kCurved,           // of the linear fit up to kStraightError, else the quadratic one; those of that
-  kSums
+  kLinearError, kLinearCareful,  // of the linear fit, where it is good enough; splats that are evaluated carefully
+  kMixedError, kMixedCareful = kMixedError + kLevels, kCurved = kMixedCareful + kLevels,  // at every level's limits
+  kSums = kCurved + kLevels
 };
 static_assert(kSums <= sizeof(FrameState::sums) / sizeof(unsigned long long));
 constexpr float kSumUnit = 1 << 4, kErrorUnit = 1 << 30;  // fixed point, so that sums have no order
@@ -44,35 +53,57 @@ struct ShapeError {
 
 __host__ __device__ inline unsigned sample_stride(int64_t count) { return unsigned(count / kSampledSplats + 1); }
 
-// By all lanes of a warp; what is not drawn adds nothing.
+// Adds a splat's terms, all between 0 and 1 but for those of geometry.
+__device__ inline void shape_terms(const LensFrame& frame, const Splat<float>& s, float terms[kSums]) {
+  const ShapeError error(s);
+  const bool opaque = s.log2_opacity >= kCarefulOpacity;
+  auto set = [&](int of_error, int of_careful, float e, float most) {
+    const bool careful = opaque || e > most;
+    terms[of_error] = careful ? 0.f : e, terms[of_careful] = float(careful);
+  };
+  set(kLinearError, kLinearCareful, error.linear, frame.in_half ? kMostHalfShapeError : shape_limits(0).careful);
+  for (int level = 0; level < kLevels; ++level) {
+    const bool curved = error.linear > shape_limits(level).straight;
+    set(kMixedError + level, kMixedCareful + level, curved ? error.quadratic : error.linear,
+        shape_limits(level).careful);
+    terms[kCurved + level] = float(curved);
+  }
+}
+
+// By all threads of a block; what is not drawn adds nothing.
 __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s) {
+  // A block adds what it has as a whole: the sums of all lie side by side, and take one number at a time
+  __shared__ unsigned long long of_block[kSums];
+  __shared__ unsigned drawn_of_block;
+  if (threadIdx.x < kSums) of_block[threadIdx.x] = 0;
+  if (threadIdx.x == 0) drawn_of_block = 0;
+  __syncthreads();
   unsigned long long terms[kSums] = {};
   if (s.reach_y >= 0) {
     const float range = exponent_left(s, 0.f);
     const float a = fminf(sqrtf(range * s.S0), float(frame.optics.width_px)), D = 2 * fabsf(s.du);
     const float b = fminf(s.reach_y, float(frame.optics.height_px));
-    const float values[] = {3.14159265f * a * b, a, b, D, b * D};
-    for (int k = 0; k < 5; ++k) terms[k] = static_cast<unsigned long long>(fminf(values[k], 1e9f) * kSumUnit);
-    const ShapeError error(s);
-    const bool curved = error.linear > kStraightError;
-    const float means[] = {error.linear, error.quadratic, curved ? error.quadratic : error.linear, float(curved)};
-    for (int k = 0; k < 4; ++k)
-      terms[kLinearError + k] = static_cast<unsigned long long>(fminf(means[k], 1.f) * kErrorUnit);
+    float values[kSums] = {3.14159265f * a * b, a, b, D, b * D};
+    shape_terms(frame, s, values);
+    for (int k = 0; k < kSums; ++k)
+      terms[k] = static_cast<unsigned long long>(k < kLinearError ? fminf(values[k], 1e9f) * kSumUnit
+                                                                  : values[k] * kErrorUnit);
   }
   const unsigned drawn = __popc(__ballot_sync(~0u, s.reach_y >= 0));
   for (int k = 0; k < kSums; ++k)
     for (int step = 16; step > 0; step /= 2) terms[k] += __shfl_xor_sync(~0u, terms[k], step);
   if (threadIdx.x % 32 == 0 && drawn) {
-    atomicAdd(&frame.state->sampled, drawn);
-    for (int k = 0; k < kSums; ++k) atomicAdd(&frame.state->sums[k], terms[k]);
+    atomicAdd(&drawn_of_block, drawn);
+    for (int k = 0; k < kSums; ++k) atomicAdd(&of_block[k], terms[k]);
   }
+  __syncthreads();
+  if (threadIdx.x < kSums) atomicAdd(&frame.state->sums[threadIdx.x], of_block[threadIdx.x]);
+  if (threadIdx.x == 0) atomicAdd(&frame.state->sampled, drawn_of_block);
 }
 
-// Times in ms on an H200, fitted to eight frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp
-// instructions of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the
-// rig: sum of area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density. Costs of straight shapes
-// among curved ones and in half precision follow from counts of instructions.
-// By the thread that ends the sums.
+// Times in ms on an H200, fitted to frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp instructions
+// of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
+// area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density. By the thread that ends the sums.
 __device__ inline void choose_kernel(const LensFrame& frame) {
   FrameState& state = *frame.state;
   float sums[kSums];  // that other blocks have just added to
@@ -88,19 +119,22 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   };
   auto mean = [&](int k) { return sampled > 0 ? sums[k] / kErrorUnit / sampled : 0.f; };
   const bool linear = mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
-  const bool quadratic = mean(kQuadraticError) <= kMeanShapeError;
-  const bool mixed = mean(kMixedError) <= kMeanShapeError;
-  const float curved = mixed ? mean(kCurved) : 1.f;
+  int level = 0;
+  while (level < kLevels && mean(kMixedError + level) > kMeanShapeError) ++level;
+  const bool exact = level == kLevels;
+  const float curved = exact ? 1 : mean(kCurved + level), careful = exact ? 1 : mean(kMixedCareful + level);
 
   const float large = hits(15, 7, 1), small = hits(15, 3, 1);
   float cost[int(LensKernel::kCount)];
   auto pixel_cost = [&](float each, float of_patch) { return pixels / 128 * (each + of_patch) / rate; };
-  const float each = frame.in_half ? 146 : 171, each_small = frame.in_half ? 166 : 191;
-  cost[int(LensKernel::kPixel)] = linear ? pixel_cost(each * large, 115) : INFINITY;
-  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(each_small * small, 235) : INFINITY;
-  // Without a good polynomial every splat costs a division a sample
-  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost((quadratic ? 181 + 20 * curved : 416) * large, 115);
-  cost[int(LensKernel::kPixelQuadraticSmall)] = quadratic ? pixel_cost((217 + 10 * curved) * small, 235) : INFINITY;
+  auto with_careful = [](float each, float careful) { return each + careful * (416 - each); };
+  const float linear_careful = mean(kLinearCareful);
+  const float each = with_careful(frame.in_half ? 142 : 166, linear_careful);
+  const float each_small = with_careful(frame.in_half ? 163 : 187, linear_careful);
+  cost[int(LensKernel::kPixel)] = linear ? pixel_cost(each * large, 500) : INFINITY;
+  cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(each_small * small, 556) : INFINITY;
+  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost(with_careful(187 + 30 * curved, careful) * large, 500);
+  cost[int(LensKernel::kPixelQuadraticSmall)] = pixel_cost(with_careful(236 + 26 * curved, careful) * small, 556);
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
@@ -111,9 +145,11 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   for (int k = 0; k < int(LensKernel::kCount); ++k)
     if (cost[k] < cost[best]) best = k;
   state.kernel = frame.forced >= 0 ? frame.forced : best;
-  state.exact = !quadratic && (state.kernel == int(LensKernel::kPixelQuadratic) ||
-                               state.kernel == int(LensKernel::kPixelQuadraticSmall));
-  state.straight = mixed ? kStraightError : 0, state.curved = curved;
+  const bool straight = state.kernel == int(LensKernel::kPixel) || state.kernel == int(LensKernel::kPixelSmall);
+  const ShapeLimits limits = shape_limits(exact ? kLevels - 1 : level);
+  state.straight = limits.straight, state.curved = curved, state.exact = exact && !straight;
+  state.careful = state.exact ? -1 : !straight ? limits.careful
+                : frame.in_half ? kMostHalfShapeError : shape_limits(0).careful;
 }
 
 }  // namespace lfgs::cuda

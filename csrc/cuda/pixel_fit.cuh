@@ -9,7 +9,6 @@
 namespace lfgs::cuda {
 
 constexpr int kPatchWidth = 16;
-constexpr float kCarefulOpacity = -0.0291f;      // log2(0.98): what an opaque splat stops is less than 2/255
 constexpr float kMostHalfSweep = 16;             // change of d over half the rig: halves below have steps of 2^-7
 constexpr float kMostHalfColour = 2;             // sums of brighter ones have too few digits
 constexpr float kMostColourCurvature = 2.5e-4f;  // dropped s^2 of a colour: half of it is the error
@@ -133,8 +132,8 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   const Splat<float> splat = splat_about(frame.splats, id, centre);
   const ShapeError error(splat);
   const bool curved = C::Quadratic && error.linear > frame.state->straight;
-  bool careful = splat.log2_opacity >= kCarefulOpacity || frame.state->exact ||
-                 (curved ? error.quadratic : error.linear) > (C::Half ? kMostHalfShapeError : kMostShapeError);
+  bool careful = splat.log2_opacity >= kCarefulOpacity ||
+                 (curved ? error.quadratic : error.linear) > frame.state->careful;
   float4 colour, slope = make_float4(0, 0, 0, 0), fit[4];
   if (C::Harmonics)
     careful = !straight_colour(frame.splats, id, colour, slope) || careful;
