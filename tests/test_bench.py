@@ -103,7 +103,7 @@ def test_runs_are_counted_and_kept_in_their_order(monkeypatch):
 
 def test_short_calls_on_a_gpu_are_repeated_more_often(monkeypatch):
     took = iter([90.0] + [2.0] * 5 + [1.0] * 20 + [900.0, 400.0] + [400.0] * 5)  # 100 ms, then two calls, warm up
-    monkeypatch.setattr(timing, "_cuda_ms", lambda calls: (calls[0](), (next(took),)))
+    monkeypatch.setattr(timing, "_cuda_ms", lambda calls, ahead: (calls[0](), (next(took),)))
     assert timing.timed(lambda: "image", True) == ("image", [1.0] * 20)
     assert timing.timed(lambda: "image", True) == ("image", [400.0] * 5)
     assert next(took, None) is None

@@ -48,7 +48,7 @@ def row(path: str | Path, model: str | None, panel: Panel, device: str, repeats:
         rgba = np.round(255 * decoded).astype(np.uint8)
         encoder = PhotoEncoder(network(model).to(device), panel)
         encoder(rgba)  # loads and captures
-        image, total_ms = timed(partial(encoder, rgba), device == "cuda", repeats)
+        image, total_ms = timed(partial(encoder, rgba), device == "cuda", repeats, ahead=False)
         stages = _stages(encoder, rgba, len(total_ms))
         return {"photo": Path(path).name, "height_px": rgba.shape[0], "width_px": rgba.shape[1],
                 "model": model or PRETRAINED.name, "gaussians": encoder.gaussians.count, "panel": panel.name,

@@ -6,6 +6,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +22,22 @@ WARM_UP, WARM_UP_MS = 2, 100.0
 AHEAD_CYCLES = 1_000_000  # half a millisecond, in which the host gets ahead of the device
 
 
-def timed(call: Callable[[], Any], cuda: bool, repeats: int | None = None) -> tuple[Any, list[float]]:
+def timed(call: Callable[[], Any], cuda: bool, repeats: int | None = None,
+          ahead: bool = True) -> tuple[Any, list[float]]:
     """The last result of a call, and the times of the runs in ms, in their order; runs as in timed_in_turn."""
-    result, times = timed_in_turn([call], cuda, repeats)
+    result, times = timed_in_turn([call], cuda, repeats, ahead)
     return result, [ms for ms, in times]
 
 
 def timed_in_turn(calls: Sequence[Callable[[], Any]], cuda: bool,
-                  repeats: int | None = None) -> tuple[Any, list[tuple[float, ...]]]:
+                  repeats: int | None = None, ahead: bool = True) -> tuple[Any, list[tuple[float, ...]]]:
     """Runs of several calls one after the other: the last one's last result, and for each run the ms of each call.
 
-    On CUDA: warm runs, every call between two events on the current stream. repeats None: 20 runs of what takes less
-    than 50 ms on CUDA, 5 of all else. At least one run, and none begins after a minute.
+    On CUDA: warm runs, every call between two events on the current stream. ahead: the device is kept busy at first, so
+    that the host's part of the first call does not count, as that of the others does not. repeats None: 20 runs of
+    what takes less than 50 ms on CUDA, 5 of all else. At least one run, and none begins after a minute.
     """
-    clock = _cuda_ms if cuda else _wall_ms
+    clock = partial(_cuda_ms, ahead=ahead) if cuda else _wall_ms
     warm, spent = [], 0.0
     while cuda and (len(warm) < WARM_UP or spent < WARM_UP_MS):
         warm.append(sum(clock(calls)[1]))
@@ -56,8 +59,9 @@ def _wall_ms(calls: Sequence[Callable[[], Any]]) -> tuple[Any, tuple[float, ...]
     return result, tuple(1e3 * (end - start) for start, end in zip(marks, marks[1:]))
 
 
-def _cuda_ms(calls: Sequence[Callable[[], Any]]) -> tuple[Any, tuple[float, ...]]:
-    torch.cuda._sleep(AHEAD_CYCLES)  # else the first call's time on the host would count, and no other's
+def _cuda_ms(calls: Sequence[Callable[[], Any]], ahead: bool) -> tuple[Any, tuple[float, ...]]:
+    if ahead:
+        torch.cuda._sleep(AHEAD_CYCLES)
     marks = [torch.cuda.Event(enable_timing=True) for _ in range(len(calls) + 1)]
     marks[0].record()
     for call, mark in zip(calls, marks[1:]):
