@@ -26,7 +26,8 @@ constexpr int kWarps = 4, kThreads = 32 * kWarps;
 constexpr int kUnitHeight = 8;  // rows that a warp takes at a time: one patch or two
 template <class C>
 using Samples = std::conditional_t<C::Half, HalfSamples<C>, FloatSamples<C>>;
-constexpr int blocks_of(int lane_rows) { return lane_rows == 1 ? 7 : 5; }  // on a multiprocessor; more would spill
+// On a multiprocessor; more would spill.
+constexpr int blocks_of(int lane_rows, bool harmonics) { return lane_rows == 1 ? 7 : harmonics ? 4 : 5; }
 
 // Adds the hits [h, end), of which none is careful. Runs of one kind: to choose at every hit would move registers.
 template <class C>
@@ -129,7 +130,7 @@ __device__ void draw_patches(const LensFrame& frame, const float* background, Ou
 
 // One kernel for straight lines and parabolas: a launch that finds nothing to do takes its time, too.
 template <Evaluation straight, int lane_rows, bool Harmonics, class Out>
-__global__ void __launch_bounds__(kThreads, blocks_of(lane_rows))
+__global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   using Straight = Config<straight, Harmonics, lane_rows>;
   using Quadratic = Config<Evaluation::kQuadratic, Harmonics, lane_rows>;
