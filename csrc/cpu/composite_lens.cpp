@@ -194,7 +194,7 @@ class LensBands {
       }
       const TileSplat<T>& splat = scene_.splats[*id];
       if constexpr (sizeof(T) == 4) {
-        if (job_.quality.in_half() && draw_roughly(*id, splat)) continue;
+        if (job_.quality.rough() && draw_roughly(*id, splat)) continue;
       }
       const int64_t count = tile_.find(splat.splat);
       counters_.evaluations += count * LensTile<T>::kLanes;

@@ -145,6 +145,9 @@ __device__ void store_node(const LatticePlan& plan, const Point& point, float3 c
   }
 }
 
+// A tile of fewer splats is drawn before a lattice is laid.
+constexpr unsigned kLeastListed = 8;
+
 // How many points cost as much as half of what they spare. Every point meets the whole list; of what draws the tile
 // otherwise, a piece of a quarter of its width and height meets those splats that reach it (2.3 `deviations`).
 __device__ float points_worth(const LatticePlan& plan, float fineness) {
@@ -309,13 +312,14 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   const Lists lists(frame);
   const float4 behind = make_float4(background[0], background[1], background[2], 0);
 
-  bool empty = true, good = lists.ranges != nullptr;  // a list of all splats is for nobody
-  for (int section = 0; good && section < tile.sections; ++section) {
+  bool tried = lists.ranges != nullptr;  // a list of all splats is for nobody
+  unsigned listed = 0;
+  for (int section = 0; tried && section < tile.sections; ++section) {
     const uint2 range = lists.range(int64_t(tile.number) * tile.sections + section);
-    empty = empty && range.x == range.y;
+    listed += range.y - range.x;
   }
-  if (rows == Rows::kBetween && !empty) good = good && worth_trying(state, tiling, row);
-  const bool tried = good && !empty;
+  tried = tried && listed >= kLeastListed && (rows == Rows::kProbe || worth_trying(state, tiling, row));
+  bool good = tried;
   for (int section = 0, first = 0; good && section < tile.sections; ++section) {
     const uint2 range = lists.range(int64_t(tile.number) * tile.sections + section);
     if (threadIdx.x == 0) memory.first_node[section] = first;

@@ -7,7 +7,7 @@
 
 namespace lfgs {
 
-constexpr double kHalfError = 0.01;  // of a colour: at most this is lost in 16 bits
+constexpr double kRoughError = 0.01;  // of a colour: at most this is lost by rough evaluation
 
 struct Quality {
   double log2_cut = kLog2MinAlpha;    // of the opacity cut: splats below it leave a sample as it is
@@ -17,10 +17,10 @@ struct Quality {
   double evaluation = 0;              // error allowed of the arithmetic by which samples are evaluated
 
   // Whether samples may be evaluated in 16 bits, or in fewer operations.
-  bool in_half() const { return evaluation >= kHalfError; }
+  bool rough() const { return evaluation >= kRoughError; }
 
   // The transmittance below which a sample need not be looked at any more.
-  double darkest() const { return in_half() && stop < 0.1 * kHalfError ? 0.1 * kHalfError : stop; }
+  double darkest() const { return rough() && stop < 0.1 * kRoughError ? 0.1 * kRoughError : stop; }
 
   // A sample that ends early belongs to the splat at which it does; at the field's own limit, to the background.
   bool ends_early() const { return stop > kMinTransmittance; }
