@@ -74,11 +74,11 @@ class Quality:
 
 
 EXACT = Quality()
-# PSNR on 8K frames as `bench pareto` has them: high at least 50 dB, fast 40 dB, draft 33 dB; up to 4 dB less on CUDA where
-# many faint Gaussians overlap, as in what the network makes of a photo: there cuts are for lattices, too
+# PSNR on 8K frames of scenes and photos as `bench pareto` has them: high at least 50 dB, fast 40 dB, draft 33 dB. Cuts
+# are for photos on CUDA, in which many faint Gaussians overlap; scenes that are less deep bear twice as much
 QUALITIES = {
     "exact": EXACT,
-    "high": Quality(opacity_cut=1 / 160, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.01),
-    "fast": Quality(opacity_cut=1 / 44, colour_error=4e-3, lattice_error=0.06, evaluation_error=0.01),
-    "draft": Quality(opacity_cut=1 / 14, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.01),
+    "high": Quality(opacity_cut=1 / 176, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.01),
+    "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.06, evaluation_error=0.01),
+    "draft": Quality(opacity_cut=1 / 16, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.01),
 }

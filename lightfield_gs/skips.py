@@ -37,8 +37,8 @@ def of_lens(counters: Any, orders: Tensor, splats: Tensor, most: int) -> dict[st
 
 
 def of_frame(state: dict[str, Any]) -> dict[str, Any]:
-    """Tiles of a frame on CUDA that were drawn from a lattice, empty ones among them, and by the frame's kernel, and how
-    many lattices were tried; {} for a frame without lattices, which counts none."""
+    """Tiles of a frame on CUDA that were drawn from a lattice and by the frame's kernel, those of hardly any Gaussian
+    among the latter, and how many lattices were tried; {} for a frame without lattices, which counts none."""
     lattice, drawn = state["lattice_tiles"], state["refused_tiles"]
     if not lattice + drawn:
         return {}
