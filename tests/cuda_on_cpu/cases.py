@@ -11,6 +11,7 @@ from torch import Tensor
 
 from lightfield_gs import Gaussians, Panel, Quality, Rig
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
+from lightfield_gs.quality import QUALITIES
 
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
 PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
@@ -73,6 +74,9 @@ def needles() -> tuple[Gaussians, Panel, Rig]:
     parts = [(flat.means, means), (flat.quaternions, towards), (flat.scales, torch.tensor([[0.02, 0.02, 0.44]] * 4)),
              (flat.opacities, torch.full((4,), 0.9)), (flat.sh, torch.full((4, 1, 3), -1.5))]
     return Gaussians(*(torch.cat(part) for part in parts)), panel, rig_of(panel)
+
+
+WIDE_QUALITY = replace(QUALITIES["high"], evaluation_error=0.0)  # a lattice, and nothing in halves
 
 
 def wide_rig() -> tuple[Gaussians, Panel, Rig]:
