@@ -40,7 +40,7 @@ void bind_lens_frame(py::module_ m) {
     out["drawn"] = state.drawn;
     out["colour_error"] = std::bit_cast<float>(state.colour_error);
     out["kernel"] = state.kernel;
-    out["exact"] = bool(state.exact);
+    out["exact"] = state.careful < 0;
     out["curved"] = state.curved;
     out["lattice_tiles"] = state.lattice_tiles;
     out["refused_tiles"] = state.refused_tiles;

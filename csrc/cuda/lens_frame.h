@@ -25,8 +25,7 @@ struct FrameState {
   unsigned next_piece;           // of bin
   unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
   int kernel;                    // LensKernel chosen
-  int exact;                     // every splat of a pixel kernel is evaluated with a division
-  float straight, careful;       // limits of shape errors, see ShapeLimits
+  float straight, careful;       // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
   float curved;                  // share of the splats beyond the first
   unsigned next_tile[5];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice

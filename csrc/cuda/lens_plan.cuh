@@ -147,9 +147,9 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   state.kernel = frame.forced >= 0 ? frame.forced : best;
   const bool straight = state.kernel == int(LensKernel::kPixel) || state.kernel == int(LensKernel::kPixelSmall);
   const ShapeLimits limits = shape_limits(exact ? kLevels - 1 : level);
-  state.straight = limits.straight, state.curved = curved, state.exact = exact && !straight;
-  state.careful = state.exact ? -1 : !straight ? limits.careful
-                : frame.in_half ? kMostHalfShapeError : shape_limits(0).careful;
+  state.straight = limits.straight, state.curved = curved;
+  state.careful = straight ? (frame.in_half ? kMostHalfShapeError : shape_limits(0).careful)
+                : exact    ? -1 : limits.careful;
 }
 
 }  // namespace lfgs::cuda

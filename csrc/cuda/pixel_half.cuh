@@ -131,20 +131,11 @@ struct HalfSamples {
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) {
     const float unit = half_unit(lens);
-#pragma unroll
-    for (int r = 0; r < C::lane_rows; ++r) {
-      float values[6];
-#pragma unroll
-      for (int p = 0; p < 2; ++p)
-#pragma unroll
-        for (int k = 0; k < 3; ++k) {
-          auto half = [&](__half2 h) { return p ? __high2float(h) : __low2float(h); };
-          float change = part(background, k) - part(staged.colour, k);
-          if (C::Harmonics) change -= unit * half(v[r][k]) * part(staged.colour_slope, k);
-          values[3 * p + k] = fmaf(half(transmittance[r][k]), change, colour[r][p][k]);
-        }
-      store_pixels(lens, pixels.column, pixels.row + 4 * r, values, out);
-    }
+    pixels.store(lens, out, [&](int r, int p, int k) {
+      auto half = [&](__half2 h) { return p ? __high2float(h) : __low2float(h); };
+      const float change = last_step<C>(staged, background, unit * half(v[r][k]), k);
+      return fmaf(half(transmittance[r][k]), change, colour[r][p][k]);
+    });
   }
 };
 

@@ -46,7 +46,27 @@ struct LanePixels {
           visit(r, p, k, fmaf(lens.s_step, camera_of(lens, phase), lens.s_start));
       }
   }
+  // Puts the sub-pixels value(r, p, k) into the image.
+  template <class Out, class Value>
+  __device__ void store(const LensOptics& lens, Out* out, const Value& value) const {
+#pragma unroll
+    for (int r = 0; r < lane_rows; ++r) {
+      float values[6];
+#pragma unroll
+      for (int p = 0; p < 2; ++p)
+#pragma unroll
+        for (int k = 0; k < 3; ++k) values[3 * p + k] = value(r, p, k);
+      store_pixels(lens, column, row + 4 * r, values, out);
+    }
+  }
 };
+
+// From the colour of the last hit, seen from s, to the background's.
+template <class C>
+__device__ float last_step(const Staged<C::Harmonics>& staged, float4 background, float s, int k) {
+  const float step = part(background, k) - part(staged.colour, k);
+  return C::Harmonics ? step - s * part(staged.colour_slope, k) : step;
+}
 
 // Adds a Gaussian to one sample as it is written: a division, the limit of alpha, the whole colour polynomial, the stop
 // of what is opaque.
@@ -148,19 +168,9 @@ struct FloatSamples {
   // Over the background.
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) const {
-#pragma unroll
-    for (int r = 0; r < C::lane_rows; ++r) {
-      float values[6];
-#pragma unroll
-      for (int p = 0; p < 2; ++p)
-#pragma unroll
-        for (int k = 0; k < 3; ++k) {
-          float change = part(background, k) - part(staged.colour, k);
-          if (C::Harmonics) change -= s[r][p][k] * part(staged.colour_slope, k);
-          values[3 * p + k] = fmaf(transmittance[r][p][k], change, colour[r][p][k]);
-        }
-      store_pixels(lens, pixels.column, pixels.row + 4 * r, values, out);
-    }
+    pixels.store(lens, out, [&](int r, int p, int k) {
+      return fmaf(transmittance[r][p][k], last_step<C>(staged, background, s[r][p][k], k), colour[r][p][k]);
+    });
   }
 };
 
