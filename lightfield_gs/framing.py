@@ -66,7 +66,11 @@ def extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tenso
     depths = points[:, 2]
     weights = weights * (depths > _NEAR)
     depths = depths.clamp_min(_NEAR)
-    edges, (near, far) = _bounds((points[:, :2] / depths[:, None]).T, sizes / depths, weights, depths)
+    # One sort for all: on a GPU each takes longer for its launches than for its numbers
+    sides = _sides((points[:, :2] / depths[:, None]).T, sizes / depths)
+    ordered, cumulative = _ordered(torch.cat([sides, depths[None]]), weights)
+    edges = _bounds(ordered[:-1], cumulative[:-1])
+    near, far = _percentiles(ordered[-1:], cumulative[-1:], (_DEPTH_TAIL, 1 - _DEPTH_TAIL))
     return torch.cat([edges.flatten(), near, far, weights.sum()[None]])
 
 
@@ -99,8 +103,8 @@ def _weights(gaussians: Gaussians) -> Tensor:
 
 
 def _camera_in_front(gaussians: Gaussians, panel: Panel) -> np.ndarray:
-    edges, _ = _bounds(gaussians.means.T, _sizes(gaussians), _weights(gaussians), gaussians.means[:, 2])
-    bounds = edges.cpu().double().numpy()
+    sides = _sides(gaussians.means.T, _sizes(gaussians))
+    bounds = _bounds(*_ordered(sides, _weights(gaussians))).cpu().double().numpy()
     width, height, depth = bounds[:, 1] - bounds[:, 0]
     height = max(height, width * panel.height_px / panel.width_px, 1e-6)
     distance = height / _FILL / 2 / math.tan(_field_of_view_rad(panel) / 2)
@@ -117,20 +121,31 @@ def _field_of_view_rad(panel: Panel) -> float:
     return min(max(angle, math.radians(_FIELD_OF_VIEW_DEG[0])), math.radians(_FIELD_OF_VIEW_DEG[1]))
 
 
-def _bounds(centres: Tensor, radii: Tensor, weights: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
-    """Robust bounds [D, 2] (low, high) of balls with these centres [D, N] and radii [N]; near and far [2, 1].
+def _sides(centres: Tensor, radii: Tensor) -> Tensor:
+    """Low sides [D, N] of balls with these centres [D, N] and radii [N], and after them the high ones, negated: of each
+    the outermost are the least."""
+    return torch.cat([centres - radii, -centres - radii])
 
-    One sort for all: on a GPU each takes longer for its launches than for its numbers.
-    """
-    dimensions = len(centres)
-    ordered, order = torch.cat([centres - radii, -centres - radii, depths[None]]).sort(1)  # highs as lows of the mirror
-    cumulative = weights.double()[order].cumsum(1)
-    of_edges, of_depths = cumulative[:-1, -1], cumulative[-1:, -1]
-    wanted = torch.cat([torch.stack([_WIDE_TAIL * of_edges, _TAIL * of_edges], 1),
-                        torch.stack([_DEPTH_TAIL * of_depths, (1 - _DEPTH_TAIL) * of_depths], 1)])
-    found = ordered.gather(1, torch.searchsorted(cumulative, wanted).clamp_max(ordered.shape[1] - 1))
-    (low, least), (high, most) = found[:dimensions].T, -found[dimensions:-1].T
+
+def _bounds(ordered: Tensor, cumulative: Tensor) -> Tensor:
+    """Robust bounds [D, 2] (low, high) of balls, from their sides as _ordered puts them."""
+    found, outermost = _percentiles(ordered, cumulative, (_WIDE_TAIL, _TAIL))
+    (low, high), (least, most) = found.chunk(2), outermost.chunk(2)
+    high, most = -high, -most
     rest = high - low
     least = torch.where(low - least <= _FAR * rest, least, low - _ROOM * rest)
     most = torch.where(most - high <= _FAR * rest, most, high + _ROOM * rest)
-    return torch.stack([least, most], 1), found[-1][:, None]
+    return torch.stack([least, most], 1)
+
+
+def _ordered(values: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+    """Every row of values [D, N] in ascending order, and the sums of the weights [N] up to each."""
+    ordered, order = values.sort(1)
+    return ordered, weights.double()[order].cumsum(1)
+
+
+def _percentiles(ordered: Tensor, cumulative: Tensor, shares: Sequence[float]) -> Tensor:
+    """For each share the values [S, D] below which that share of the weights lies, for every row; see _ordered."""
+    wanted = torch.stack([share * cumulative[:, -1] for share in shares], 1)
+    index = torch.searchsorted(cumulative, wanted).clamp_max(ordered.shape[1] - 1)
+    return ordered.gather(1, index).T

@@ -69,10 +69,11 @@ def _qualities() -> dict[str, Quality]:
     found = dict(QUALITIES)
     for knob, values in (("transmittance_stop", STOPS), ("contribution_cut", CONTRIBUTIONS)):
         found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
+    rough = Quality(evaluation_error=QUALITIES["fast"].evaluation_error)
     for cut in CUTS:  # what of Gaussians does not overlap much bears more than the names take
-        for lattice in (0.0, QUALITIES["fast"].lattice_error):
-            name = f"opacity_cut {_value(cut)}, evaluation_error 1/100" + (", lattice" if lattice else "")
-            found[name] = Quality(opacity_cut=cut, lattice_error=lattice, evaluation_error=0.01)
+        name = f"opacity_cut {_value(cut)}, evaluation_error {_value(rough.evaluation_error)}"
+        found[name] = replace(rough, opacity_cut=cut)
+        found[f"{name}, lattice"] = replace(found[name], lattice_error=QUALITIES["fast"].lattice_error)
     for knob in KNOBS:
         for name, quality in QUALITIES.items():
             value, without = getattr(quality, knob), getattr(EXACT, knob)
