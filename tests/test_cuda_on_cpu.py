@@ -146,3 +146,10 @@ def test_images_and_gradients_are_those_of_float64(module, tmp_path):
     for name, expected in cases.dense_step(torch.float64).items():
         error = (found[name].double() - expected).norm() / expected.norm()
         assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
+
+
+def test_group_norm_and_silu(module, tmp_path):
+    for case, found in zip(cases.NORMS, drawn(module, "norms", tmp_path), strict=True):
+        expected = cases.norm_expected(*cases.norm_case(*case))
+        assert found.dtype == torch.bfloat16 and found.is_contiguous(memory_format=torch.channels_last)
+        torch.testing.assert_close(found.double(), expected, rtol=2**-8, atol=2e-5)

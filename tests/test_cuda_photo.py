@@ -5,9 +5,11 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from cuda_on_cpu.cases import NORMS, norm_case, norm_expected
 from photo_cases import PANEL, photo, psnr_db, tiny_net
 
 from lightfield_gs import InputError, PhotoEncoder, Rig, SplatterNet, _core, encode
+from lightfield_gs.models.group_norm import group_norm_silu
 from lightfield_gs.models.splatter_net import PRETRAINED
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
@@ -89,3 +91,13 @@ def test_stages_are_timed():
     stats = {}
     PhotoEncoder(tiny_net().cuda(), PANEL)(photo(60, 80), stats)
     assert list(stats["stages_ms"]) == ["crop", "network", "framing", "encode"]
+
+
+@pytest.mark.parametrize("case", NORMS)
+@torch.no_grad()
+def test_group_norm_and_silu(case, monkeypatch):
+    norm, features = norm_case(*case)
+    monkeypatch.setattr(torch.nn.GroupNorm, "forward", lambda *arguments: pytest.fail("PyTorch's was called"))
+    found = group_norm_silu(norm.cuda(), features.cuda())
+    torch.testing.assert_close(found.cpu().double(), norm_expected(norm.cpu(), features), rtol=2**-8, atol=2e-5)
+    assert found.is_contiguous(memory_format=torch.channels_last)

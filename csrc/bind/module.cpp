@@ -11,6 +11,7 @@
 #include "pipeline/stages.h"
 #ifdef LFGS_WITH_CUDA
 #include "cuda/architectures.h"
+#include "cuda/group_norm.h"
 #include "cuda/stages.h"
 #endif
 
@@ -220,6 +221,11 @@ void bind_cuda(py::module_ m) {
           cuda::project_lens_backward(as_const(g), rig, splats, at<cuda::SlotRange>(slot_ranges),
                                       at<float>(slot_gradients), out, at<void>(stream));
         }, NoGil());
+  m.def("group_norm_silu", [](int64_t images, int64_t pixels, int channels, int groups, Address in, Address weight,
+                              Address bias, float eps, Address out, Address stream) {
+    cuda::group_norm_silu({images, pixels, channels, groups}, at<uint32_t>(in), at<uint32_t>(weight),
+                          at<uint32_t>(bias), eps, at<uint32_t>(out), at<void>(stream));
+  }, NoGil());
 }
 #endif
 

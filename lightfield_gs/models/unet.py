@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.models.group_norm import group_norm_silu
 
 
 MOST = 65536  # of any whole number in a configuration: more is a mistake
@@ -141,8 +142,8 @@ class ResidualBlock(nn.Module):
         self.attention = Attention(outputs, config) if attention else None
 
     def forward(self, features: Tensor) -> Tensor:
-        branch = _resample(F.silu(self.norm_1(features)), self.factor)
-        branch = self.convolution_2(self.dropout(F.silu(self.norm_2(self.convolution_1(branch)))))
+        branch = self.convolution_1(_resample(group_norm_silu(self.norm_1, features), self.factor))
+        branch = self.convolution_2(self.dropout(group_norm_silu(self.norm_2, branch)))
         features = self.shortcut(_resample(features, self.factor))
         features = (features + branch) * self.scale if self.scale != 1 else features + branch
         if self.attention is None:
@@ -196,4 +197,4 @@ class UNet(nn.Module):
             if block.factor == 1:
                 features = torch.cat([features, skips.pop()], dim=1)
             features = block(features)
-        return self.output(F.silu(self.norm(features)))
+        return self.output(group_norm_silu(self.norm, features))

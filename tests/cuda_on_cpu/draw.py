@@ -1,6 +1,7 @@
 """python draw.py MODULE WHAT OUT: the cases, drawn by the CUDA stages in a native module of build.py.
 
-OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense.
+OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense and
+of norms.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ torch.cuda.current_stream = lambda *device: types.SimpleNamespace(cuda_stream=0)
 import cases  # noqa: E402
 
 from lightfield_gs import frame_cuda, ops  # noqa: E402
+from lightfield_gs.models import group_norm  # noqa: E402
 from lightfield_gs.quality import EXACT, Quality  # noqa: E402
 from lightfield_gs.rendering import lens_arguments  # noqa: E402
 from lightfield_gs.workspace_cuda import CudaWorkspace  # noqa: E402
@@ -103,6 +105,9 @@ def main(what: str) -> object:
         return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
     if what == "recoloured":
         return [recoloured(*case, share) for case, share in zip(cases.LATTICE_FRAMES[1:], (1.0, 0.5, 1.0))]
+    if what == "norms":
+        group_norm._is_ours = lambda *arguments: True
+        return [group_norm.group_norm_silu(*cases.norm_case(*case)) for case in cases.NORMS]
     if what == "settings":
         return [settings(kernel) for kernel in ("pixel-quadratic", "ordinal")]
     if what == "shapes":
