@@ -156,10 +156,10 @@ def _rigid(matrix: Any) -> np.ndarray:
         raise InputError(f"rig: world_to_camera must be 4 rows of 4 numbers, got shape {list(matrix.shape)}")
     if not np.isfinite(matrix).all():
         raise InputError("rig: world_to_camera has numbers that are not finite")
-    if not np.allclose(matrix[3], (0, 0, 0, 1), atol=1e-6):
+    if not np.abs(matrix[3] - (0, 0, 0, 1)).max() <= 1e-6:
         raise InputError(f"rig: the last row of world_to_camera must be 0 0 0 1, got {matrix[3].tolist()}")
     rotation = matrix[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
+    if not np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-4 or np.linalg.det(rotation) < 0:
         raise InputError("rig: world_to_camera must begin with a rotation (orthonormal, determinant +1); "
                          "scale, shear or mirroring is not allowed")
     return matrix
