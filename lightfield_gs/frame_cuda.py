@@ -22,11 +22,14 @@ _SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last f
 _LEAST_PAIRS = 1 << 12
 _MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 16  # numbered with 32 bits; with what sorting takes
 _MOST_KNOWN = 64
-_COLOUR_TOLERANCE = 2e-5  # of exact frames: their other errors leave less room than on the CPU
+# Of exact frames, whose other errors leave less room than on the CPU: what the order of colours may leave, and what is
+# left out of each splat's; the latter adds up over all of them
+_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT = 2e-5, 5e-6
 
 
-def _colour_tolerance(quality: Quality) -> float:
-    return _COLOUR_TOLERANCE if quality.colour_error == EXACT.colour_error else quality.colour_error
+def _colour_tolerances(quality: Quality) -> tuple[float, float]:
+    exact = quality.colour_error == EXACT.colour_error
+    return (_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT) if exact else (quality.colour_error, quality.colour_error)
 
 
 class Frame:
@@ -37,7 +40,7 @@ class Frame:
         self.scene = scene
         self.native = _core.cuda.LensFrame(gaussians=scene.count, sh_degree=scene.degree, colour_order=colour_order,
                                            rig=rig, lens=lens, capacity=capacity, quality=quality.native,
-                                           tolerance=_colour_tolerance(quality))
+                                           tolerance=_colour_tolerances(quality)[1])
         if kernel is not None:
             self.native.force(_core.cuda.FRAME_KERNELS.index(kernel))
         self.work = scene.new(self.native.bytes(), dtype=torch.uint8)
@@ -155,7 +158,7 @@ class FrameKind:
             affordable = torch.cuda.mem_get_info(self.device)[0] // (2 * _PAIR_BYTES)
             enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
-        if state["colour_error"] > _colour_tolerance(self.quality):
+        if state["colour_error"] > _colour_tolerances(self.quality)[0]:
             self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
         return before != (self.capacity, self.colour_order)
 

@@ -33,7 +33,7 @@ class Quality:
         most the sum of the alphas left out there, and the mean of all samples by at most this; for the sums are taken
         as integrals, where Gaussians are not few. Pays in captures of many small Gaussians, not where all are alike.
         `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
-    evaluation_error: 0..1; of the arithmetic. From 0.01 on samples may be evaluated with numbers of 16 bits, twice as
+    evaluation_error: 0..1; of the arithmetic. From 0.02 on samples may be evaluated with numbers of 16 bits, twice as
         many at a time (on CUDA), or in fewer operations and until a transmittance of 0.001 (on the CPU): some 60 dB;
         colours above 1 lose at most that share. 0: float32.
     Raises InputError for numbers out of their ranges.
@@ -78,7 +78,7 @@ EXACT = Quality()
 # are for photos on CUDA, in which many faint Gaussians overlap; scenes that are less deep bear twice as much
 QUALITIES = {
     "exact": EXACT,
-    "high": Quality(opacity_cut=1 / 176, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.01),
-    "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.06, evaluation_error=0.01),
-    "draft": Quality(opacity_cut=1 / 16, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.01),
+    "high": Quality(opacity_cut=1 / 176, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.02),
+    "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.06, evaluation_error=0.02),
+    "draft": Quality(opacity_cut=1 / 16, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.02),
 }

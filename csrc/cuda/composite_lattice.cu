@@ -8,12 +8,14 @@
 
 #include "cuda/check.h"
 #include "cuda/lattice_tile.cuh"
+#include "cuda/lens_plan.cuh"
 
 namespace lfgs::cuda {
 namespace {
 
 constexpr int kBlocks = 5;      // on a multiprocessor; loops that are short or rare are not unrolled for its registers
 constexpr int kAttempts = 2;
+constexpr float kReach = 2.3f;  // of splats, in units of a plan's
 constexpr int kMeasured = 256;  // splats of a list, about; enough for averages
 constexpr unsigned kLeastFitting = 3;  // one in so many tiles with splats of a probed row
 
@@ -148,14 +150,6 @@ __device__ void store_node(const LatticePlan& plan, const Point& point, float3 c
 // A tile of fewer splats is drawn before a lattice is laid.
 constexpr unsigned kLeastListed = 8;
 
-// How many points cost as much as half of what they spare. Every point meets the whole list; of what draws the tile
-// otherwise, a piece of a quarter of its width and height meets those splats that reach it (2.3 `deviations`).
-__device__ float points_worth(const LatticePlan& plan, float fineness) {
-  const float across = 4.6f * plan.step_x / fineness, down = 4.6f * plan.step_y / fineness;
-  const float w = float(kPixelTileWidth), h = float(kPixelTileHeight);
-  return 1250 * (w / 4 + across) / (w + across) * (h / 4 + down) / (h + down);
-}
-
 // Draws a section's nodes and the middles of its cells. The error there, as a share of what is allowed.
 __device__ float draw_lattice(const LensFrame& frame, const List& list, int section, int points, float4 background,
                               Memory& memory) {
@@ -200,7 +194,9 @@ __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart
     if (plan.planes > kPlanes || plan.across > kMostNodes || plan.down > kMostNodes) return false;
     const int nodes = plan.nodes();
     const int points = nodes + (plan.across - 1 - 2 * plan.margin) * (plan.down - 1) * (plan.planes - 1);
-    if (float(points) > points_worth(plan, fineness) || memory.first_node[section] + nodes > kMostNodes) return false;
+    const float reach = 2 * kReach / fineness;
+    if (float(points) > points_worth(reach * plan.step_x, reach * plan.step_y)) return false;
+    if (memory.first_node[section] + nodes > kMostNodes) return false;
     if (int(threadIdx.x) < plan.planes) {
       const float aside = plan.lean[threadIdx.x];
       memory.steps[section][threadIdx.x] = {aside, plan.per_plane() + int(aside)};
@@ -303,6 +299,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     composite_lattice_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   __shared__ Memory memory;
   FrameState& state = *frame.state;
+  if (!state.lattices) return;
   const bool by_lens = state.kernel == int(LensKernel::kOrdinal);
   const Tiling& tiling = by_lens ? frame.ordinal : frame.pixel;
   const int row = row_of<rows>(int(blockIdx.x) / tiling.across);

@@ -25,10 +25,10 @@ struct Lists {
 
 // Tiles that a lattice left to the kernel chosen, or all; the i-th of them.
 __device__ inline unsigned tiles_to_draw(const LensFrame& frame, const Tiling& tiling) {
-  return frame.refused ? frame.state->refused_tiles : unsigned(tiling.across * tiling.down);
+  return frame.state->lattices ? frame.state->refused_tiles : unsigned(tiling.across * tiling.down);
 }
 __device__ inline unsigned tile_to_draw(const LensFrame& frame, unsigned i) {
-  return frame.refused ? frame.refused[i] : i;
+  return frame.state->lattices ? frame.refused[i] : i;
 }
 
 // Hands out the pieces of work of a kernel. The next is asked for early, so that nobody waits for it.

@@ -31,16 +31,17 @@ constexpr int blocks_of(int lane_rows, bool harmonics) { return lane_rows == 1 ?
 
 // Adds the hits [h, end), of which none is careful. Runs of one kind: to choose at every hit would move registers.
 template <class C>
-__device__ void add_run(const Staged<C::Harmonics>& staged, int h, int end, unsigned curved, float cut,
+__device__ void add_run(const Staged<C::Harmonics>& staged, int h, int end, unsigned special, float cut,
                         Samples<C>& samples) {
+  constexpr bool kSpecial = C::Quadratic || C::Half;
   while (h < end) {
 #pragma unroll 1
-    for (; h < end && !(C::Quadratic && curved >> h & 1); ++h) samples.template add<false>(staged, h, cut);
+    for (; h < end && !(kSpecial && special >> h & 1); ++h) samples.template add<false>(staged, h, cut);
     if (h >= end) break;
-    if constexpr (C::Quadratic) {
+    if constexpr (kSpecial) {
 #pragma unroll 1
       do samples.template add<true>(staged, h, cut);
-      while (curved >> h++ & 2);  // bit h + 1, and h + 1
+      while (special >> h++ & 2);  // bit h + 1, and h + 1
     }
   }
 }
@@ -54,7 +55,7 @@ __device__ void add_hits(const LensFrame& frame, int count, float2 centre, float
   unsigned careful = marks.careful;
   for (int h = 0;; ++h) {
     const int next = careful ? __ffs(careful) - 1 : count;
-    add_run<C>(staged, h, next, marks.curved, frame.cut, samples);
+    add_run<C>(staged, h, next, marks.special, frame.hit_cut, samples);
     if (next == count) break;
     h = next, careful &= careful - 1;
     samples.close(staged, h);
@@ -71,7 +72,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 ran
   const float half_height = 0.5f * C::patch_height - 0.5f;
   Samples<C> samples(frame, left, top);
   __syncwarp();
-  if (lane == 0) staged.colour = staged.colour_slope = make_float4(0, 0, 0, 0);
+  if (lane == 0) staged.colour = {};
   __syncwarp();
 
   int waiting = 0;

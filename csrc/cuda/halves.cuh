@@ -12,4 +12,13 @@ __device__ inline __half2 as_half2(unsigned b) { return *reinterpret_cast<const 
 __device__ inline float packed(float a, float b) { return __uint_as_float(bits(__floats2half2_rn(a, b))); }
 __device__ inline __half2 unpacked(float a) { return as_half2(__float_as_uint(a)); }
 
+// max(a b + c, 0)
+__device__ inline __half2 fma_or_zero(__half2 a, __half2 b, __half2 c) {
+#if __CUDA_ARCH__ >= 800
+  return __hfma2_relu(a, b, c);
+#else
+  return __hmax2(__hfma2(a, b, c), __float2half2_rn(0.f));
+#endif
+}
+
 }  // namespace lfgs::cuda

@@ -27,6 +27,7 @@ struct FrameState {
   int kernel;                    // LensKernel chosen
   float straight, careful;       // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
   float curved;                  // share of the splats beyond the first
+  int lattices;                  // whether any are laid
   unsigned next_tile[5];         // of each composite kernel
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
@@ -80,9 +81,10 @@ struct LensFrame {
   int key_bytes = 4;
   float tolerance = 0;       // of colour polynomials
   float cut = 0, stop = 0;   // of Quality: log2 of the opacity cut, transmittance at which a sample may end
+  float hit_cut = 0;         // log2 of the alpha from which a splat that reaches a patch counts at a sample
   float least_light = 0;     // see light_of: what has less is pruned
   float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
-  bool in_half = false;      // of Quality: kPixel and kPixelSmall evaluate in half precision
+  bool in_half = false;      // of Quality: kPixel and kPixelSmall evaluate in half precision, and `cut` is for patches
 
   // Parts of the work buffer. The state and the two after it project clears, with one launch
   FrameState* state = nullptr;
@@ -97,7 +99,7 @@ struct LensFrame {
   // first place in the fourth number of a colour)
   float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
   uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
-  uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order; null: all, there is no lattice
+  uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order, where lattices are laid
   void* temporary = nullptr;
   size_t temporary_bytes = 0;
 

@@ -8,8 +8,9 @@
 
 #include "cuda/blend.cuh"
 #include "cuda/lens_frame.h"
-#include "math/footprint.h"
 #include "math/constants.h"
+#include "math/footprint.h"
+#include "math/lattice_plan.h"
 
 namespace lfgs::cuda {
 
@@ -56,7 +57,7 @@ __host__ __device__ inline unsigned sample_stride(int64_t count) { return unsign
 // Adds a splat's terms, all between 0 and 1 but for those of geometry.
 __device__ inline void shape_terms(const LensFrame& frame, const Splat<float>& s, float terms[kSums]) {
   const ShapeError error(s);
-  const bool opaque = s.log2_opacity >= kCarefulOpacity;
+  const bool opaque = !frame.in_half && s.log2_opacity >= kCarefulOpacity;
   auto set = [&](int of_error, int of_careful, float e, float most) {
     const bool careful = opaque || e > most;
     terms[of_error] = careful ? 0.f : e, terms[of_careful] = float(careful);
@@ -101,6 +102,26 @@ __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s
   if (threadIdx.x == 0) atomicAdd(&frame.state->sampled, drawn_of_block);
 }
 
+// How many points of a lattice cost as much as half of what they spare, where splats are so large. Every point meets the
+// whole list; of what draws the tile otherwise, a piece of a quarter of its width and height meets the splats that
+// reach it.
+__device__ inline float points_worth(float width_px, float height_px) {
+  const float w = float(kPixelTileWidth), h = float(kPixelTileHeight);
+  return 1250 * (w / 4 + width_px) / (w + width_px) * (h / 4 + height_px) / (h + height_px);
+}
+
+// Whether a lattice of a usual number of planes would pay in a tile of the frame's usual splats, of these mean half
+// sizes: to find out in every tile takes a tenth of a frame of small ones.
+__device__ inline bool lattices_may_pay(const LensFrame& frame, float half_width, float half_height) {
+  constexpr float kPlanes = 7, kReach = 2.65f;  // what a splat of usual opacity reaches, in a plan's units
+  if (!(frame.lattice > 0)) return false;
+  const float unit = first_fineness(frame.lattice) / kReach;
+  const float columns = float(kPixelTileWidth) / (unit * half_width);
+  const float rows = float(kPixelTileHeight) / (unit * half_height);
+  const float points = kPlanes * (columns + 1) * (rows + 1) + (kPlanes - 1) * columns * rows;
+  return points <= points_worth(1.74f * half_width, 1.74f * half_height);
+}
+
 // Times in ms on an H200, fitted to frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp instructions
 // of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
 // area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density. By the thread that ends the sums.
@@ -129,8 +150,8 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   auto pixel_cost = [&](float each, float of_patch) { return pixels / 128 * (each + of_patch) / rate; };
   auto with_careful = [](float each, float careful) { return each + careful * (416 - each); };
   const float linear_careful = mean(kLinearCareful);
-  const float each = with_careful(frame.in_half ? 142 : 166, linear_careful);
-  const float each_small = with_careful(frame.in_half ? 163 : 187, linear_careful);
+  const float each = with_careful(frame.in_half ? 130 : 166, linear_careful);
+  const float each_small = with_careful(frame.in_half ? 157 : 187, linear_careful);
   cost[int(LensKernel::kPixel)] = linear ? pixel_cost(each * large, 500) : INFINITY;
   cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(each_small * small, 556) : INFINITY;
   cost[int(LensKernel::kPixelQuadratic)] = pixel_cost(with_careful(187 + 30 * curved, careful) * large, 500);
@@ -148,6 +169,8 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const bool straight = state.kernel == int(LensKernel::kPixel) || state.kernel == int(LensKernel::kPixelSmall);
   const ShapeLimits limits = shape_limits(exact ? kLevels - 1 : level);
   state.straight = limits.straight, state.curved = curved;
+  const float each_splat = sampled > 0 ? 1 / (kSumUnit * sampled) : 0.f;
+  state.lattices = lattices_may_pay(frame, sums[kHalfWidth] * each_splat, sums[kHalfHeight] * each_splat);
   state.careful = straight ? (frame.in_half ? kMostHalfShapeError : shape_limits(0).careful)
                 : exact    ? -1 : limits.careful;
 }

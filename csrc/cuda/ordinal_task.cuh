@@ -173,10 +173,10 @@ struct Task : Patch<Harmonics> {
             multiply(c, one_hot, c_b);
           }
           constexpr bool Limit = decltype(limited)::value;
-          blend<Limit>(d[0], A[0], c[0], frame.cut, colours[2 * f], transmittances[2 * f]);
-          blend<Limit>(d[2], A[2], c[2], frame.cut, colours[2 * f + 1], transmittances[2 * f + 1]);
-          blend<Limit>(d[1], A[1], c[1], frame.cut, colours[2 * f], transmittances[2 * f]);
-          blend<Limit>(d[3], A[3], c[3], frame.cut, colours[2 * f + 1], transmittances[2 * f + 1]);
+          blend<Limit>(d[0], A[0], c[0], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
+          blend<Limit>(d[2], A[2], c[2], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
+          blend<Limit>(d[1], A[1], c[1], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
+          blend<Limit>(d[3], A[3], c[3], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
         }
       };
       if (!limit) {

@@ -9,9 +9,11 @@
 namespace lfgs::cuda {
 
 constexpr int kPatchWidth = 16;
+constexpr float kFaint = -3;                     // log2 of an opacity that is little more than what cuts leave out
+constexpr float kMostHalfPower = -0.0144996f;    // log2 of kMaxAlpha
 constexpr float kMostHalfSweep = 16;             // change of d over half the rig: halves below have steps of 2^-7
 constexpr float kMostHalfColour = 2;             // sums of brighter ones have too few digits
-constexpr float kMostColourCurvature = 2.5e-4f;  // dropped s^2 of a colour: half of it is the error
+constexpr float kStraightColour = 2.5e-4f;       // s^2 of a colour that is left out: on average a quarter is the error
 
 // How samples are evaluated: with a straight line for r = S^(-1/2); with a parabola for splats of which that is too
 // rough; with a straight line in half precision.
@@ -20,25 +22,31 @@ enum class Evaluation { kLinear, kQuadratic, kHalf };
 template <Evaluation evaluation, bool Harmonics_, int lane_rows_>
 struct Config {
   static constexpr bool Quadratic = evaluation == Evaluation::kQuadratic, Half = evaluation == Evaluation::kHalf;
-  static constexpr bool Harmonics = Harmonics_;
+  static constexpr bool Harmonics = Harmonics_, Bends = Harmonics && Quadratic;  // colours may be parabolas
   static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
   static constexpr LensKernel kernel =
       lane_rows == 1 ? (Quadratic ? LensKernel::kPixelQuadraticSmall : LensKernel::kPixelSmall)
                      : (Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel);
 };
 
+// A colour as value + slope s + bend s^2; without harmonics the value.
+struct ColourFit {
+  float4 value, slope, bend;
+};
+
 // What a warp keeps in shared memory.
 template <bool Harmonics>
 struct Staged {
   float4 fit[4][32];                 // of 32 hits, see shape_polynomial() and put_halves()
-  float4 slope[Harmonics ? 32 : 1];  // of colours in s, as steps
-  float4 colour, colour_slope;       // of the last hit so far; of a careful one nothing
+  float4 slope[Harmonics ? 32 : 1], bend[Harmonics ? 32 : 1];  // of colours in s and s^2, as steps
+  ColourFit colour;                  // of the last hit so far; of a careful one nothing
   uint32_t ids[64];                  // hits that wait: fewer than 32, and those of one cull
 };
 
-// Of up to 32 hits those that are evaluated as they are written, and those with a parabola.
+// Of up to 32 hits those that are evaluated as they are written, and those with a parabola for r or the colour's step,
+// or in halves those that are cut.
 struct Marks {
-  unsigned careful, curved;
+  unsigned careful, special;
 };
 
 // r = S^(-1/2) as r0 + r1 s + r2 s^2, through the zeros of Chebyshev's polynomials of the second kind, for the least
@@ -72,28 +80,37 @@ __device__ inline float half_unit(const LensOptics& lens) {
 // f1.z holds h0 and h1, f1.w h2 and h3, f2 the three steps of the colour and of its slope.
 __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
   const float4 f0 = fit[0], f1 = fit[1];
-  fit[0] = make_float4(f0.x, f1.y, f0.y, f1.w);
+  fit[0] = make_float4(f0.x, f1.y, f0.y, fminf(f1.w, kMostHalfPower));
   fit[1] = make_float4(fit[2].x, fit[2].y, packed(unit * f0.z, unit * f1.z), packed(unit * f0.w, unit * unit * f1.x));
   fit[2] = make_float4(packed(fit[2].z, fit[2].w), packed(fit[3].x, unit * slope.x),
                        packed(unit * slope.y, unit * slope.z), 0);
 }
 
-// Colour as a straight line in s; false where that is too rough.
-__device__ inline bool straight_colour(const Splats<float>& splats, uint32_t id, float4& colour, float4& slope) {
-  const int order = splats.orders[id];
+__device__ inline float largest(float4 c) { return fmaxf(fabsf(c.x), fmaxf(fabsf(c.y), fabsf(c.z))); }
+
+// The colour polynomial of a splat as a line, or a parabola where it may have a bend: through the same places as
+// root_fit(). False where that is too rough.
+template <bool Bends>
+__device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) {
+  constexpr int kMostOrder = 4;
+  const Splats<float>& splats = frame.splats;
+  const int order = min(splats.orders[id], kMostOrder);
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
-  colour = powers[0], slope = order > 0 ? powers[1] : make_float4(0, 0, 0, 0);
-  bool good = order <= 2;
-  if (order == 2) {  // s^2 is 1/2 but for a Chebyshev polynomial of half its size
-    const float4 c = powers[2];
-    good = fmaxf(fabsf(c.x), fmaxf(fabsf(c.y), fabsf(c.z))) <= kMostColourCurvature;
-    colour.x += 0.5f * c.x, colour.y += 0.5f * c.y, colour.z += 0.5f * c.z;
-  }
-  auto clamp = [&](float& c, float& d) {
-    if (c + fabsf(d) <= 0) c = d = 0;
-    good = good && c >= fabsf(d);  // a colour that ends within the rig has a bend
+  auto power = [&](int p) { return p <= order ? powers[p] : make_float4(0, 0, 0, 0); };
+  const float4 c0 = power(0), c1 = power(1), c2 = power(2), c3 = power(3), c4 = power(4);
+  const float most = fmaxf(kStraightColour, frame.tolerance), beyond = largest(c3) + largest(c4);
+  const bool bent = largest(c2) + beyond > most;
+  bool good = (!bent || (Bends && beyond <= most)) && splats.orders[id] <= kMostOrder;
+  const float square = bent ? 0.5f : 0.25f;  // of the places but 0
+  auto channel = [&](float p0, float p1, float p2, float p3, float p4, float& value, float& slope, float& bend) {
+    const float even = fmaf(square, p4, p2);
+    value = bent ? p0 : fmaf(square, even, p0), slope = fmaf(square, p3, p1), bend = bent ? even : 0.f;
+    if (value + fabsf(slope) + fmaxf(bend, 0.f) <= 0) value = slope = bend = 0;
+    good = good && value + fminf(bend, 0.f) >= fabsf(slope);  // a colour that ends within the rig has an edge
   };
-  clamp(colour.x, slope.x), clamp(colour.y, slope.y), clamp(colour.z, slope.z);
+  channel(c0.x, c1.x, c2.x, c3.x, c4.x, fit.value.x, fit.slope.x, fit.bend.x);
+  channel(c0.y, c1.y, c2.y, c3.y, c4.y, fit.value.y, fit.slope.y, fit.bend.y);
+  channel(c0.z, c1.z, c2.z, c3.z, c4.z, fit.value.z, fit.slope.z, fit.bend.z);
   return good;
 }
 
@@ -113,14 +130,12 @@ __device__ inline float4 steps(float4 colour, int count, float4& last) {
   return step;
 }
 
-__device__ inline float largest(float4 c) { return fmaxf(fabsf(c.x), fmaxf(fabsf(c.y), fabsf(c.z))); }
-
 // Whether half precision is too rough for a splat: d changes by more over the rig than it has digits, somewhere in the
 // patch; or its colour is too bright, or no number.
 template <class C>
-__device__ bool too_rough_in_half(const float4 fit[2], float4 colour, float4 slope) {
+__device__ bool too_rough_in_half(const float4 fit[2], const ColourFit& colour) {
   const float sweep = fabsf(fit[0].z) + 0.5f * kPatchWidth * fabsf(fit[1].z) + 0.5f * C::patch_height * fabsf(fit[0].w);
-  return !(sweep <= kMostHalfSweep) || !(largest(colour) + largest(slope) <= kMostHalfColour);
+  return !(sweep <= kMostHalfSweep) || !(largest(colour.value) + largest(colour.slope) <= kMostHalfColour);
 }
 
 // Makes the polynomials of the first `count` <= 32 waiting hits. A careful hit's step closes the colour before it.
@@ -132,26 +147,29 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   const Splat<float> splat = splat_about(frame.splats, id, centre);
   const ShapeError error(splat);
   const bool curved = C::Quadratic && error.linear > frame.state->straight;
-  bool careful = splat.log2_opacity >= kCarefulOpacity ||
+  bool careful = (!C::Half && splat.log2_opacity >= kCarefulOpacity) ||
                  (curved ? error.quadratic : error.linear) > frame.state->careful;
-  float4 colour, slope = make_float4(0, 0, 0, 0), fit[4];
+  ColourFit colour = {};
+  float4 fit[4];
   if (C::Harmonics)
-    careful = !straight_colour(frame.splats, id, colour, slope) || careful;
+    careful = !fit_colour<C::Bends>(frame, id, colour) || careful;
   else
-    colour = reinterpret_cast<const float4*>(frame.splats.colours)[id];
+    colour.value = reinterpret_cast<const float4*>(frame.splats.colours)[id];
   shape_polynomial(splat, root_fit(splat, curved), fit);
-  if (C::Half) careful = careful || too_rough_in_half<C>(fit, colour, slope);
-  if (careful) colour = slope = make_float4(0, 0, 0, 0);
-  const float4 step = steps(by_place(frame.optics, colour), count, staged.colour);
+  if (C::Half) careful = careful || too_rough_in_half<C>(fit, colour);
+  if (careful) colour = {};
+  auto step_of = [&](float4 part, float4& last) { return steps(by_place(frame.optics, part), count, last); };
+  const float4 step = step_of(colour.value, staged.colour.value);
   fit[2].z = step.x, fit[2].w = step.y, fit[3].x = step.z;
-  if (C::Harmonics) slope = steps(by_place(frame.optics, slope), count, staged.colour_slope);
-  if (C::Half)
-    put_halves(fit, slope, half_unit(frame.optics));
-  else if (C::Harmonics)
-    staged.slope[C::Harmonics ? lane : 0] = slope;
+  float4 slope = colour.slope, bend = colour.bend;
+  if constexpr (C::Harmonics) staged.slope[lane] = slope = step_of(slope, staged.colour.slope);
+  if constexpr (C::Bends) staged.bend[lane] = bend = step_of(bend, staged.colour.bend);
+  if (C::Half) put_halves(fit, slope, half_unit(frame.optics));
 #pragma unroll
   for (int k = 0; k < (C::Half ? 3 : 4); ++k) staged.fit[k][lane] = fit[k];
-  return {__ballot_sync(~0u, inside && careful), __ballot_sync(~0u, inside && curved && !careful)};
+  const bool parabola = curved || (C::Bends && largest(bend) > 0);
+  const bool is_cut = C::Half && (splat.log2_opacity < kFaint || frame.cut <= frame.hit_cut);
+  return {__ballot_sync(~0u, inside && careful), __ballot_sync(~0u, inside && (parabola || is_cut) && !careful)};
 }
 
 }  // namespace lfgs::cuda

@@ -64,8 +64,10 @@ struct LanePixels {
 // From the colour of the last hit, seen from s, to the background's.
 template <class C>
 __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background, float s, int k) {
-  const float step = part(background, k) - part(staged.colour, k);
-  return C::Harmonics ? step - s * part(staged.colour_slope, k) : step;
+  const ColourFit& last = staged.colour;
+  const float step = part(background, k) - part(last.value, k);
+  const float slope = C::Bends ? fmaf(s, part(last.bend, k), part(last.slope, k)) : part(last.slope, k);
+  return C::Harmonics ? fmaf(-s, slope, step) : step;
 }
 
 // Adds a Gaussian to one sample as it is written: a division, the limit of alpha, the whole colour polynomial, the stop
@@ -90,7 +92,7 @@ struct CarefulHit {
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
     for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place(frame.optics, powers[q]), k));
-    const bool hit = power >= frame.cut, stop = after < float(kMinTransmittance);
+    const bool hit = power >= frame.hit_cut, stop = after < float(kMinTransmittance);
     // One that stops keeps its light for the background; an alpha of nothing leaves it as it is
     const float light = stop ? part(background, k) * T : fmaxf(c, 0.f) * (alpha * T);
     if (hit) colour += light, T = stop ? 0 : after;
@@ -115,11 +117,25 @@ struct FloatSamples {
     return all;
   }
 
-  template <bool Curved>
+  // The step of the colour at place k of hit i, seen from s.
+  struct Step {
+    float4 value, slope, bend;
+
+    __device__ Step(const Staged<C::Harmonics>& staged, int i)
+        : value(make_float4(staged.fit[2][i].z, staged.fit[2][i].w, staged.fit[3][i].x, 0)),
+          slope(C::Harmonics ? staged.slope[i] : value), bend(C::Harmonics ? staged.bend[i] : value) {}
+    template <bool Bent>
+    __device__ float at(int k, float s) const {
+      const float line = C::Bends && Bent ? fmaf(s, part(bend, k), part(slope, k)) : part(slope, k);
+      return C::Harmonics ? fmaf(s, line, part(value, k)) : part(value, k);
+    }
+  };
+
+  template <bool Parabola>
   __device__ void add(const Staged<C::Harmonics>& staged, int i, float cut) {
-    const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i];
-    const float4 f3 = Curved ? staged.fit[3][i] : make_float4(staged.fit[3][i].x, 0, 0, 0);
-    const float4 step = make_float4(f2.z, f2.w, f3.x, 0), slope = C::Harmonics ? staged.slope[i] : step;
+    constexpr bool Curved = C::Quadratic && Parabola;
+    const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i], f3 = staged.fit[3][i];
+    const Step step(staged, i);
     // At the lane's first pixel; the others are a step away in x, four in y
     float t = fmaf(f2.y, pixels.y, f2.x);
     float c0 = fmaf(f1.y, pixels.x, fmaf(f0.y, pixels.y, f0.x));
@@ -137,8 +153,7 @@ struct FloatSamples {
           float& T = transmittance[r][p][k];
           const float d = fmaf(v, fmaf(v, Curved ? fmaf(v, f3.w, p2) : p2, p1), p0), power = fmaf(-d, d, A);
           const float alpha = fast_exp2(power);
-          const float change = C::Harmonics ? fmaf(v, part(slope, k), part(step, k)) : part(step, k);
-          colour[r][p][k] = fmaf(T, change, colour[r][p][k]);
+          colour[r][p][k] = fmaf(T, step.template at<Parabola>(k, v), colour[r][p][k]);
           if (power >= cut) T = fmaf(-alpha, T, T);
         }
       }
@@ -151,11 +166,9 @@ struct FloatSamples {
 
   // The step alone: closes the colour before a careful hit.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
-    const float4 step = make_float4(staged.fit[2][i].z, staged.fit[2][i].w, staged.fit[3][i].x, 0);
-    const float4 slope = C::Harmonics ? staged.slope[i] : step;
+    const Step step(staged, i);
     pixels.for_each([&](int r, int p, int k) {
-      const float change = C::Harmonics ? fmaf(s[r][p][k], part(slope, k), part(step, k)) : part(step, k);
-      colour[r][p][k] = fmaf(transmittance[r][p][k], change, colour[r][p][k]);
+      colour[r][p][k] = fmaf(transmittance[r][p][k], step.template at<true>(k, s[r][p][k]), colour[r][p][k]);
     });
   }
 

@@ -7,7 +7,7 @@
 
 namespace lfgs {
 
-constexpr double kRoughError = 0.01;  // of a colour: at most this is lost by rough evaluation
+constexpr double kRoughError = 0.02;  // of a colour: at most this is lost by rough evaluation
 
 struct Quality {
   double log2_cut = kLog2MinAlpha;    // of the opacity cut: splats below it leave a sample as it is

@@ -23,6 +23,11 @@ inline __half2 __hfma2(__half2 a, __half2 b, __half2 c) {
   return __floats2half2_rn(fmaf(__low2float(a), __low2float(b), __low2float(c)),
                            fmaf(__high2float(a), __high2float(b), __high2float(c)));
 }
+inline __half2 __hfma2_relu(__half2 a, __half2 b, __half2 c) {
+  const __half2 sum = __hfma2(a, b, c);
+  auto or_zero = [](__half h) { return __half2float(h) < 0 ? __half{0} : h; };
+  return {or_zero(sum.x), or_zero(sum.y)};
+}
 inline __half2 __hmul2(__half2 a, __half2 b) {
   return __floats2half2_rn(__low2float(a) * __low2float(b), __high2float(a) * __high2float(b));
 }
@@ -31,8 +36,7 @@ inline __half2 __hneg2(__half2 a) {
   return a;
 }
 inline __half2 __low2half2(__half2 a) { return {a.x, a.x}; }
-inline __half2 __high2half2(__half2 a) { return {a.y, a.y}; }
-inline unsigned __hge2_mask(__half2 a, __half2 b) {
+inline __half2 __high2half2(__half2 a) { return {a.y, a.y}; }inline unsigned __hge2_mask(__half2 a, __half2 b) {
   return (__low2float(a) >= __low2float(b) ? 0xffffu : 0) | (__high2float(a) >= __high2float(b) ? 0xffff0000u : 0);
 }
 
