@@ -88,7 +88,7 @@ def lattice_frames(module, tmp_path_factory) -> list[dict[str, Any]]:
 
 
 def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
-    *found, harmonic, crowded, bytes_, _ = lattice_frames
+    *found, harmonic, crowded, bytes_, _, _ = lattice_frames
     cases_ = [*((case, 0) for case in cases.LATTICE_FRAMES), (cases.LATTICE_FRAMES[0], 1)]
     for ((kernel, quality, views, changes), degree), frame in zip(cases_, [*found, harmonic], strict=True):
         scene, panel, rig = cases.lattice_frame(changes, degree)
@@ -107,13 +107,17 @@ def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
 
 
 def test_where_no_lattice_fits_few_are_tried(lattice_frames):
-    rough, (scene, panel, rig) = lattice_frames[-1], cases.wide_rig()
+    rough, small = lattice_frames[-2:]
+    _, panel, _ = cases.speckled()
     across, down = (-(-size // side) for size, side in ((panel.width_px, 64), (panel.height_px, 32)))
-    assert rough["tried_tiles"] <= across < rough["refused_tiles"] <= across * down  # of the first row of tiles alone
+    assert rough["tried_tiles"] <= across < rough["refused_tiles"] == across * down  # of the first row of tiles alone
+    assert small["tried_tiles"] == small["refused_tiles"] == small["lattice_tiles"] == 0  # all at once
     cut = cases.WIDE_QUALITY.opacity_cut
-    exact = encode(scene, panel, rig, background=cases.BACKGROUND, quality=Quality(opacity_cut=cut), output="float32")
-    error = (rough["image"] - exact).abs()
-    assert (error**2).mean() < 1e-7 and error.max() <= cut  # what an alpha on the cut adds or leaves
+    for frame, (scene, panel, rig) in ((rough, cases.speckled()), (small, cases.wide_rig())):
+        exact = encode(scene, panel, rig, background=cases.BACKGROUND, quality=Quality(opacity_cut=cut),
+                       output="float32")
+        error = (frame["image"] - exact).abs()
+        assert (error**2).mean() < 1e-7 and error.max() <= cut  # what an alpha on the cut adds or leaves
 
 
 def test_a_lattice_is_within_its_bound_of_the_oracle(lattice_frames):

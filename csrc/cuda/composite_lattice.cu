@@ -180,6 +180,21 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
   return fmaxf(largest, kMeanShare * mean) / frame.lattice;
 }
 
+// LatticeCurvature::plan by a warp: a lane has a bin, then a plane.
+__device__ void lay_by_warp(const LatticeCurvature& curvature, float fineness, LatticePlan& plan) {
+  const int lane = threadIdx.x;
+  LatticeCurvature::Totals totals;
+  if (lane < LatticeCurvature::kBins) totals.add(curvature.bin(lane));
+  for (float* total : {&totals.weight, &totals.x, &totals.y, &totals.spread}) *total = warp_sum(*total);
+  if (lane == 0) curvature.lay(totals, fineness, kPlanes + 1, plan);
+  __syncwarp();
+  const float lean = curvature.lean_of(lane, plan);
+  float margin = fabsf(lean);
+  for (int step = 16; step > 0; step /= 2) margin = fmaxf(margin, __shfl_xor_sync(~0u, margin, step));
+  if (lane < plan.planes) plan.lean[lane] = lean;
+  if (lane == 0) curvature.widen(margin, plan);
+}
+
 // Lays a lattice through a section and judges it, by all threads of the block.
 __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, int section, float4 background,
                      Memory& memory) {
@@ -188,8 +203,7 @@ __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
     __syncthreads();
     LatticePlan& plan = memory.plans[section];
-    if (threadIdx.x == 0)
-      reinterpret_cast<const LatticeCurvature*>(memory.curvature)->plan(fineness, plan, kPlanes + 1);
+    if (threadIdx.x < 32) lay_by_warp(*reinterpret_cast<const LatticeCurvature*>(memory.curvature), fineness, plan);
     __syncthreads();
     if (plan.planes > kPlanes || plan.across > kMostNodes || plan.down > kMostNodes) return false;
     const int nodes = plan.nodes();

@@ -82,33 +82,48 @@ class LatticeCurvature {
   }
   LFGS_HD void set(int bin, const Sums& sums) { bins_[bin] = sums; }
 
+  // Over all bins.
+  struct Totals {
+    float weight = 0, x = 0, y = 0, spread = 0;
+    LFGS_HD void add(const Sums& b) { weight += b.weight, x += b.x, y += b.y, spread += b.spread(); }
+  };
+
   // Steps of `fineness` standard deviations, about. Planes as needed, but no more than most_planes.
   LFGS_HD void plan(float fineness, LatticePlan& out, int most_planes = kMostPlanes) const {
-    float weight = 0, x = 0, y = 0, spread = 0;
-    for (const Sums& b : bins_) weight += b.weight, x += b.x, y += b.y, spread += b.spread();
-    const float unit = weight > 0 ? fineness * std::sqrt(weight) : 1e20f;  // of nothing the corners say all
-    const int rows = steps(part_.y_high - part_.y_low, unit / std::sqrt(y), kMostRows);
-    const int views = steps(part_.s_high - part_.s_low, unit / std::sqrt(std::fmax(spread, 1e-20f)), kMostPlanes);
+    Totals totals;
+    for (const Sums& b : bins_) totals.add(b);
+    lay(totals, fineness, most_planes, out);
+    float margin = 0;
+    for (int k = 0; k < out.planes; ++k) margin = std::fmax(margin, std::fabs(out.lean[k] = lean_of(k, out)));
+    widen(margin, out);
+  }
+
+  // The three parts of plan(): rows, planes and steps; how planes lean; columns, for the largest of |lean|.
+  LFGS_HD void lay(const Totals& of, float fineness, int most_planes, LatticePlan& out) const {
+    const float unit = of.weight > 0 ? fineness * std::sqrt(of.weight) : 1e20f;  // of nothing the corners say all
+    const int rows = steps(part_.y_high - part_.y_low, unit / std::sqrt(of.y), kMostRows);
+    const int views = steps(part_.s_high - part_.s_low, unit / std::sqrt(std::fmax(of.spread, 1e-20f)), kMostPlanes);
     out.down = rows + 1, out.planes = views < most_planes ? views + 1 : most_planes;
     out.y0 = part_.y_low, out.s0 = part_.s_low;
     out.step_y = (part_.y_high - part_.y_low) / float(rows);
     out.step_s = (part_.s_high - part_.s_low) / float(out.planes - 1);
     if (!(out.step_y > 0)) out.step_y = 1;
     if (!(out.step_s > 0)) out.step_s = 1;
-    out.step_x = std::fmin(unit / std::sqrt(x), 1e9f);
-
-    // A sample between two planes lies up to `lean` nodes aside on each
-    float margin = 0;
-    for (int k = 0; k + 1 < out.planes; ++k) {
-      const float nodes = std::round(shear_at((float(k) + 0.5f) / float(out.planes - 1)) * out.step_s / out.step_x);
-      out.lean[k] = std::fmin(std::fmax(nodes, float(-kMostColumns)), float(kMostColumns));
-      margin = std::fmax(margin, std::fabs(out.lean[k]));
-    }
-    out.lean[out.planes - 1] = 0;
+    out.step_x = std::fmin(unit / std::sqrt(of.x), 1e9f);
+  }
+  LFGS_HD float lean_of(int plane, const LatticePlan& out) const {
+    if (plane + 1 >= out.planes) return 0;
+    const float nodes = std::round(shear_at((float(plane) + 0.5f) / float(out.planes - 1)) * out.step_s / out.step_x);
+    return std::fmin(std::fmax(nodes, float(-kMostColumns)), float(kMostColumns));
+  }
+  // A sample between two planes lies up to `lean` nodes aside on each.
+  LFGS_HD void widen(float margin, LatticePlan& out) const {
     out.margin = int(margin);
     out.across = steps(part_.x_high - part_.x_low, out.step_x, kMostColumns) + 1 + 2 * out.margin;
     out.x0 = part_.x_low - margin * out.step_x;
   }
+
+  LFGS_HD const Sums& bin(int b) const { return bins_[b]; }
 
  private:
   LFGS_HD static int steps(float length, float step, int most) {

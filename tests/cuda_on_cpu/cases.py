@@ -86,6 +86,14 @@ def wide_rig() -> tuple[Gaussians, Panel, Rig]:
     return scene, panel, rig_of(panel)
 
 
+def speckled() -> tuple[Gaussians, Panel, Rig]:
+    """Gaussians large enough for lattices, of colours that none of them shows well enough."""
+    _, panel, rig = wide_rig()
+    scene = sheet(16, 11)
+    scene.sh = 2 * torch.randn(scene.sh.shape, generator=torch.Generator().manual_seed(2))
+    return scene, panel, rig
+
+
 # Kernel, and a scene of which a part has no good polynomial, though the leading term of its error is nothing
 SHAPES_THAT_VARY = [("pixel", wide_rig), ("pixel-small", wide_rig), ("pixel-quadratic", needles),
                     ("pixel-quadratic-small", needles)]

@@ -99,7 +99,8 @@ def main(what: str) -> object:
         first = cases.LATTICE_FRAMES[0]
         return [*found, lattice_frame(*first, degree=1), lattice_frame(*first, degree=0, share=0.5),
                 lattice_frame(*first, degree=0, dtype=torch.uint8),
-                drawn(*cases.wide_rig(), "integer", "pixel", cases.WIDE_QUALITY, 1.0)]
+                *(drawn(*scene, "integer", "pixel", cases.WIDE_QUALITY, 1.0)
+                  for scene in (cases.speckled(), cases.wide_rig()))]
     if what == "pruned":
         panel = cases.panel_of("default")
         return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
