@@ -214,7 +214,7 @@ class LensBands {
 
   // Blends a splat by a rough footprint, if one is right enough.
   bool draw_roughly(int32_t id, const TileSplat<float>& splat) {
-    const float cut = float(job_.quality.log2_cut);
+    const float cut = float(job_.quality.hit_cut());
     if (RoughFootprint<true>::fits(splat.root)) return blend(id, splat.splat, RoughFootprint<true>(splat.root, cut));
     if (RoughFootprint<false>::fits(splat.root)) return blend(id, splat.splat, RoughFootprint<false>(splat.root, cut));
     return false;

@@ -134,7 +134,7 @@ class RoughFootprint {
 template <class T, class Visit>
 void with_footprint(const TileSplat<T>& tile_splat, const Quality& quality, const Visit& visit) {
   const Splat<T>& splat = tile_splat.splat;
-  const T cut = T(quality.log2_cut);
+  const T cut = T(quality.hit_cut());
   if constexpr (sizeof(T) == 4) {
     const InverseRoot<T>& root = tile_splat.root;
     if (PlainFootprint<T>::fits(splat, root)) return visit(PlainFootprint<T>(root, cut));

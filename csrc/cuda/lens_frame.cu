@@ -88,7 +88,7 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
                      int64_t capacity_, const Quality& quality, double tolerance_)
     : rig(rounded(rig_)), optics(optics_of(lens)), pixel(pixel_tiling(lens)), ordinal(ordinal_tiling(lens, optics)),
       sh_degree(sh_degree_), capacity(capacity_), tolerance(float(tolerance_)), cut(float(quality.log2_cut)),
-      stop(float(quality.stop)), hit_cut(quality.rough() ? float(kLog2MinAlpha) : cut),
+      stop(float(quality.stop)), hit_cut(float(quality.hit_cut())),
       least_light(float(quality.least_light(lens.width_px, lens.height_px, gaussians))),
       lattice(float(quality.lattice)), in_half(quality.rough()) {
   require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),

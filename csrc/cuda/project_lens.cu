@@ -17,7 +17,6 @@ namespace {
 
 using glm::vec3;
 constexpr int kThreads = 128;
-constexpr float kPatchMargin = 6;  // what a patch has, on average, of pixels beyond an ellipse that touches it
 
 // The colour polynomial of one drawn splat: values at the nodes -> Chebyshev coefficients -> the powers it needs.
 template <int Order>
@@ -72,12 +71,12 @@ __device__ void store_colour(const Gaussians<const float>& gaussians, int64_t i,
 template <int Order>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const View<float>& rig, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, float tolerance, float cut,
-                                    float cut_margin, float least_light, int64_t i, const Splats<float>& out,
+                                    bool by_patches, float least_light, int64_t i, const Splats<float>& out,
                                     unsigned* error) {
   const Shape<float> shape = shape_of(gaussians, i);
   Splat<float> splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
   const bool pruned = least_light > 0 && light_of(splat) < least_light;
-  if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut, share_beyond(splat, cut, cut_margin));
+  if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut, by_patches);
   cull_outside(splat, width_px, height_px);
   if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
   write_splat(splat, out.splats + i);
@@ -97,7 +96,7 @@ __global__ void project_lens_kernel(Gaussians<const float> gaussians, View<float
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
   const Splat<float> splat = store_splat<Order>(gaussians, rig, width_px, height_px, basis, tolerance,
-                                                float(kLog2MinAlpha), 0, 0, i, out, error);
+                                                float(kLog2MinAlpha), false, 0, i, out, error);
   keys[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : ~uint64_t(0);
 }
 
@@ -109,8 +108,8 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   splat.reach_y = -1;
   if (i < gaussians.count) {
     splat = store_splat<Order>(gaussians, frame.rig, frame.optics.width_px, frame.optics.height_px, basis,
-                               frame.tolerance, frame.cut, frame.in_half ? kPatchMargin : 0.f, frame.least_light, i,
-                               frame.splats, &frame.state->colour_error);
+                               frame.tolerance, frame.cut, frame.in_half, frame.least_light, i, frame.splats,
+                               &frame.state->colour_error);
     if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
     frame.depths[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : kNotDrawn;
     frame.indices[i] = uint32_t(i);

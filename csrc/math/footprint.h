@@ -63,25 +63,29 @@ LFGS_HD bool columns_of(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T
   return true;
 }
 
-// Raises the opacity cut of a splat from 1/255, and its opacity by as much: the integral of alpha over an image, which
-// is proportional to opacity - cut, stays what it was (but where the opacity ends at 0.99). share: of the alphas between
-// the cuts, those that are left out indeed.
+// What patches have, on average, of pixels beyond an ellipse that touches them.
+constexpr int kPatchMargin = 6;
+
+// Of the ring where a splat's alpha lies between 1/255 and a cut, the share left out by who draws what is within
+// `margin_px` of the ellipse inside.
 template <class T>
-LFGS_HD void raise_cut(Splat<T>& s, T log2_cut, T share = 1) {
+LFGS_HD T share_left_out(const Splat<T>& s, T log2_cut, T margin_px) {
+  const T deviation = std::sqrt(std::sqrt(s.S0 / s.tau)), inside = s.log2_opacity - log2_cut;
+  const T ring = deviation * (std::sqrt(s.log2_opacity - T(kLog2MinAlpha)) - (inside > 0 ? std::sqrt(inside) : T(0)));
+  return ring > 0 ? ring / (ring + margin_px) : T(1);
+}
+
+// Raises the opacity cut of a splat from 1/255, and its opacity by as much: the integral of alpha over an image, which
+// is proportional to opacity - cut, stays what it was (but where the opacity ends at 0.99). by_patches: alphas from
+// 1/255 on are drawn in whole patches that the cut touches, so that less is left out.
+template <class T>
+LFGS_HD void raise_cut(Splat<T>& s, T log2_cut, bool by_patches) {
   if (!(s.reach_y >= 0)) return;
+  const T share = by_patches ? share_left_out(s, log2_cut, T(kPatchMargin)) : T(1);
   const T raised = std::log2(std::exp2(s.log2_opacity) + share * (std::exp2(log2_cut) - T(kMinAlpha)));
   const T most = T(kLog2MaxAlpha) > s.log2_opacity ? T(kLog2MaxAlpha) : s.log2_opacity;
   s.log2_opacity = raised < most ? raised : most;
   s.reach_y = s.log2_opacity >= log2_cut ? std::sqrt((s.log2_opacity - log2_cut) / s.tau) : T(kNotSeen);
-}
-
-// Of the ring where a splat's alpha lies between 1/255 and a cut, the share left out by who draws the ellipse inside,
-// and what is within `margin_px` of it.
-template <class T>
-LFGS_HD T share_beyond(const Splat<T>& s, T log2_cut, T margin_px) {
-  const T deviation = std::sqrt(std::sqrt(s.S0 / s.tau)), inside = s.log2_opacity - log2_cut;
-  const T ring = deviation * (std::sqrt(s.log2_opacity - T(kLog2MinAlpha)) - (inside > 0 ? std::sqrt(inside) : T(0)));
-  return ring > 0 ? ring / (ring + margin_px) : T(1);
 }
 
 // Sum of a splat's alphas over the pixels, no edges, cuts or limits in the way, for the camera that sees it widest:

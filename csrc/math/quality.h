@@ -19,6 +19,9 @@ struct Quality {
   // Whether samples may be evaluated in 16 bits, or in fewer operations.
   bool rough() const { return evaluation >= kRoughError; }
 
+  // Log2 of the alpha from which a splat counts at a sample: roughly, the cut is one of patches.
+  double hit_cut() const { return rough() ? double(kLog2MinAlpha) : log2_cut; }
+
   // The transmittance below which a sample need not be looked at any more.
   double darkest() const { return rough() && stop < 0.1 * kRoughError ? 0.1 * kRoughError : stop; }
 
