@@ -19,7 +19,8 @@ class Quality:
 
     opacity_cut: 1/255..0.5; a Gaussian leaves samples alone where its alpha is below. What that loses outside is added
         inside: opacities rise by cut - 1/255 (to 0.99 at most), which keeps the integral of alpha. A sample that K
-        Gaussians would have reached changes by at most K cut.
+        Gaussians would have reached changes by at most K cut. With rough evaluation it is whole patches of samples that
+        are left alone, and opacities rise by as much less: the same cut costs about 6 dB less.
     transmittance_stop: 1e-4..0.5; a sample ends before its transmittance would fall below, and the Gaussian that ends
         it takes what light is left: an error of at most the stop. Pays where scenes are deep and opaque.
     colour_error: 0..1; of the polynomials that stand for spherical harmonics over the rig, hence of the image.
@@ -34,7 +35,7 @@ class Quality:
         as integrals, where Gaussians are not few. Pays in captures of many small Gaussians, not where all are alike.
         `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
     evaluation_error: 0..1; of the arithmetic. From 0.02 on samples may be evaluated with numbers of 16 bits, twice as
-        many at a time (on CUDA), or in fewer operations and until a transmittance of 0.001 (on the CPU): some 60 dB;
+        many at a time (on CUDA), or in fewer operations and until a transmittance of 0.002 (on the CPU): some 60 dB;
         colours above 1 lose at most that share. 0: float32.
     Raises InputError for numbers out of their ranges.
     """
@@ -75,10 +76,10 @@ class Quality:
 
 EXACT = Quality()
 # PSNR on 8K frames of scenes and photos as `bench pareto` has them: high at least 50 dB, fast 40 dB, draft 33 dB. Cuts
-# are for photos on CUDA, in which many faint Gaussians overlap; scenes that are less deep bear twice as much
+# are for photos, in which many faint Gaussians overlap; scenes that are less deep bear four times as much
 QUALITIES = {
     "exact": EXACT,
-    "high": Quality(opacity_cut=1 / 176, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.02),
+    "high": Quality(opacity_cut=1 / 128, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.02),
     "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.06, evaluation_error=0.02),
-    "draft": Quality(opacity_cut=1 / 16, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.02),
+    "draft": Quality(opacity_cut=1 / 20, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.02),
 }

@@ -82,7 +82,7 @@ def test_the_names_keep_their_promises():
     exact = encode(scene, *place, output="float32").clamp(0, 1)
     for name, least_db in (("high", 50), ("fast", 40), ("draft", 33)):
         image = encode(scene, *place, output="float32", quality=name).clamp(0, 1)
-        assert least_db <= -10 * torch.log10((image - exact).square().mean()) < least_db + 15
+        assert least_db <= -10 * torch.log10((image - exact).square().mean()) < least_db + 20
 
 
 @pytest.mark.parametrize("name", LENSES)

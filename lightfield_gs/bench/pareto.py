@@ -34,7 +34,7 @@ SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
 KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut",
          "evaluation_error")
 # Of no name: they pay in few scenes
-STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 80, 1 / 22)
+STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 32, 1 / 11)
 PRUNED = (3e-4, 1e-3)
 
 
@@ -59,21 +59,28 @@ def settings() -> dict[str, Setting]:
     """Exact first, the other names, each knob alone at the values that the names give it, names without one knob; then
     pruned scenes, drawn exactly and by a name."""
     found = {name: Setting(quality) for name, quality in _qualities().items()}
+    rough = _rough(CUTS[0])
     for cut in PRUNED:
-        found[f"pruned {_value(cut)}"] = Setting(EXACT, cut)
-        found[f"fast, pruned {_value(cut)}"] = Setting(QUALITIES["fast"], cut)
+        for name, quality in (("", EXACT), ("fast, ", QUALITIES["fast"]), (f"{_knobs(rough)}, ", rough)):
+            found[f"{name}pruned {_value(cut)}"] = Setting(quality, cut)
     return found
+
+
+def _rough(opacity_cut: float) -> Quality:
+    return Quality(opacity_cut=opacity_cut, evaluation_error=QUALITIES["fast"].evaluation_error)
+
+
+def _knobs(rough: Quality) -> str:
+    return f"opacity_cut {_value(rough.opacity_cut)}, evaluation_error {_value(rough.evaluation_error)}"
 
 
 def _qualities() -> dict[str, Quality]:
     found = dict(QUALITIES)
     for knob, values in (("transmittance_stop", STOPS), ("contribution_cut", CONTRIBUTIONS)):
         found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
-    rough = Quality(evaluation_error=QUALITIES["fast"].evaluation_error)
-    for cut in CUTS:  # what of Gaussians does not overlap much bears more than the names take
-        name = f"opacity_cut {_value(cut)}, evaluation_error {_value(rough.evaluation_error)}"
-        found[name] = replace(rough, opacity_cut=cut)
-        found[f"{name}, lattice"] = replace(found[name], lattice_error=QUALITIES["fast"].lattice_error)
+    for rough in map(_rough, CUTS):  # what of Gaussians does not overlap much bears more than the names take
+        found[_knobs(rough)] = rough
+        found[f"{_knobs(rough)}, lattice"] = replace(rough, lattice_error=QUALITIES["fast"].lattice_error)
     for knob in KNOBS:
         for name, quality in QUALITIES.items():
             value, without = getattr(quality, knob), getattr(EXACT, knob)
