@@ -34,7 +34,7 @@ SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
 KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut",
          "evaluation_error")
 # Of no name: they pay in few scenes
-STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 32, 1 / 11)
+STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 40, 1 / 11)
 PRUNED = (3e-4, 1e-3)
 
 
@@ -57,12 +57,11 @@ class Setting(NamedTuple):
 
 def settings() -> dict[str, Setting]:
     """Exact first, the other names, each knob alone at the values that the names give it, names without one knob; then
-    pruned scenes, drawn exactly and by a name."""
+    pruned scenes, drawn exactly, by a name and roughly."""
     found = {name: Setting(quality) for name, quality in _qualities().items()}
-    rough = _rough(CUTS[0])
+    drawn = {"": EXACT, "fast, ": QUALITIES["fast"], **{f"{_knobs(rough)}, ": rough for rough in map(_rough, CUTS)}}
     for cut in PRUNED:
-        for name, quality in (("", EXACT), ("fast, ", QUALITIES["fast"]), (f"{_knobs(rough)}, ", rough)):
-            found[f"{name}pruned {_value(cut)}"] = Setting(quality, cut)
+        found |= {f"{name}pruned {_value(cut)}": Setting(quality, cut) for name, quality in drawn.items()}
     return found
 
 
