@@ -28,8 +28,9 @@ _COLOUR_TOLERANCE, _COLOUR_LEFT_OUT = 2e-5, 5e-6
 
 
 def _colour_tolerances(quality: Quality) -> tuple[float, float]:
+    """Both; of what is left out, kernels that draw colours as lines or parabolas leave as much again."""
     exact = quality.colour_error == EXACT.colour_error
-    return (_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT) if exact else (quality.colour_error, quality.colour_error)
+    return (_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT) if exact else (quality.colour_error, quality.colour_error / 2)
 
 
 class Frame:

@@ -10,7 +10,6 @@ namespace lfgs::cuda {
 
 constexpr int kPatchWidth = 16;
 constexpr float kFaint = -3;                     // log2 of an opacity that is little more than what cuts leave out
-constexpr float kMostHalfPower = -0.0144996f;    // log2 of kMaxAlpha
 constexpr float kMostHalfSweep = 16;             // change of d over half the rig: halves below have steps of 2^-7
 constexpr float kMostHalfColour = 2;             // sums of brighter ones have too few digits
 constexpr float kStraightColour = 2.5e-4f;       // s^2 of a colour that is left out: on average a quarter is the error
@@ -80,7 +79,7 @@ __device__ inline float half_unit(const LensOptics& lens) {
 // f1.z holds h0 and h1, f1.w h2 and h3, f2 the three steps of the colour and of its slope.
 __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
   const float4 f0 = fit[0], f1 = fit[1];
-  fit[0] = make_float4(f0.x, f1.y, f0.y, fminf(f1.w, kMostHalfPower));
+  fit[0] = make_float4(f0.x, f1.y, f0.y, fminf(f1.w, float(kLog2MaxAlpha)));
   fit[1] = make_float4(fit[2].x, fit[2].y, packed(unit * f0.z, unit * f1.z), packed(unit * f0.w, unit * unit * f1.x));
   fit[2] = make_float4(packed(fit[2].z, fit[2].w), packed(fit[3].x, unit * slope.x),
                        packed(unit * slope.y, unit * slope.z), 0);
