@@ -80,6 +80,6 @@ EXACT = Quality()
 QUALITIES = {
     "exact": EXACT,
     "high": Quality(opacity_cut=1 / 128, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.02),
-    "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.06, evaluation_error=0.02),
+    "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.08, evaluation_error=0.02),
     "draft": Quality(opacity_cut=1 / 20, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.02),
 }
