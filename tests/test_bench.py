@@ -292,8 +292,8 @@ def test_every_knob_stands_alone_and_is_left_out_once():
     alone = [name for name, (quality, _) in chosen.items() if sum(
         getattr(quality, knob) != getattr(EXACT, knob) for knob in pareto.KNOBS) == 1]
     pruned = {name: setting for name, setting in chosen.items() if setting.pruned}
-    rough = {quality for quality, cut in chosen.values() if quality.opacity_cut in pareto.CUTS and not cut}
-    rough = {quality for quality in rough if quality.lattice_error == 0}
+    rough = {quality for quality, _ in chosen.values()
+             if quality.opacity_cut in pareto.CUTS and not quality.lattice_error}
     assert {setting.quality for setting in pruned.values()} == {EXACT, QUALITIES["fast"], *rough}
     assert len(pruned) == 8 and len(rough) == len(pareto.CUTS)
     assert {name.split()[0] for name in alone} == {field.name for field in fields(Quality)}

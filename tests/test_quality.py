@@ -78,11 +78,13 @@ def test_an_opacity_cut_keeps_the_integral_of_alpha(lattice_error):
 
 
 def test_the_names_keep_their_promises():
-    scene, place = cloud(20_000), part_of_panel(40.0)
-    exact = encode(scene, *place, output="float32").clamp(0, 1)
+    place, usual, faint = part_of_panel(40.0), cloud(20_000), cloud(20_000)
+    faint.opacities.mul_(0.3)  # nearer to what the network makes of photos, for which the names are meant
+    exact = [encode(scene, *place, output="float32").clamp(0, 1) for scene in (usual, faint)]
     for name, least_db in (("high", 50), ("fast", 40), ("draft", 33)):
-        image = encode(scene, *place, output="float32", quality=name).clamp(0, 1)
-        assert least_db <= -10 * torch.log10((image - exact).square().mean()) < least_db + 20
+        images = [encode(scene, *place, output="float32", quality=name).clamp(0, 1) for scene in (usual, faint)]
+        errors_ = [(image - right).square().mean() for image, right in zip(images, exact)]
+        assert least_db <= -10 * torch.log10(max(errors_)) < least_db + 15
 
 
 @pytest.mark.parametrize("name", LENSES)
@@ -102,7 +104,8 @@ def test_colour_error():
     assert worst[0] < FLOAT_ERROR and worst[1] <= 1e-2 + FLOAT_ERROR and 0.01 < worst[2] <= 0.1 + FLOAT_ERROR
 
 
-EVALUATION = 0.02  # what the knob asks for, and the error that it allows, of colours in 0..1
+# What the knob asks for and allows, of colours in 0..1; and what is kept to on the CPU
+EVALUATION, EVALUATION_BOUND = 0.02, 0.01
 
 
 def faint_scene() -> Gaussians:
@@ -123,7 +126,7 @@ EVALUATED = {"small": lambda: random_scene(300, size=0.02, dtype=torch.float32),
 def test_evaluation(name, views, make):
     shown, scene = panel(name), EVALUATED[make]()
     error, _ = errors(scene, shown, rig(shown), Quality(evaluation_error=EVALUATION), views)
-    assert error.max() <= EVALUATION and np.sqrt(np.mean(error**2)) <= 0.2 * EVALUATION
+    assert error.max() <= EVALUATION_BOUND and np.sqrt(np.mean(error**2)) <= 0.2 * EVALUATION_BOUND
     if not name.startswith("one "):
         assert error.mean() > 1e-5  # some was given up
 
@@ -136,14 +139,14 @@ def test_evaluation_on_every_vector_set(target):
         error, _ = errors(scene, shown, rig(shown), Quality(evaluation_error=EVALUATION))
     finally:
         _core.set_simd_target("")
-    assert error.max() <= EVALUATION
+    assert error.max() <= EVALUATION_BOUND
 
 
 def test_evaluation_of_colours_beyond_the_range():
     shown, scene = panel("default lens"), EVALUATED["deep"]()
     scene.sh *= 20
     error, _ = errors(scene, shown, rig(shown), Quality(evaluation_error=EVALUATION))
-    assert error.max() <= EVALUATION * 0.2821 * float(scene.sh.abs().max())
+    assert error.max() <= EVALUATION_BOUND * 0.2821 * float(scene.sh.abs().max())
 
 
 def part_of_panel(cone: float, **changes) -> tuple[Panel, object]:

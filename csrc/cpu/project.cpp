@@ -155,7 +155,8 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
       const Shape<double> shape = shape_of(gaussians, i);
       Splat<double> splat = Projection<double>(rig, shape).splat(rig, shape.opacity);
       const bool pruned = least_light > 0 && light_of(splat) < least_light;
-      if (quality.log2_cut > kLog2MinAlpha && !(quality.lattice > 0)) raise_cut(splat, quality.log2_cut, quality.rough());
+      if (quality.log2_cut > kLog2MinAlpha && !(quality.lattice > 0))
+        raise_cut(splat, quality.log2_cut, quality.rough());
       cull_outside(splat, lens.width_px, lens.height_px);
       if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
       out.splats[i] = rounded<T>(splat);

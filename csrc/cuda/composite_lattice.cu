@@ -170,8 +170,7 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
       largest = fmaxf(largest, fabsf(error)), squares = fmaf(error, error, squares);
     }
   }
-  for (int step = 16; step > 0; step /= 2) largest = fmaxf(largest, __shfl_xor_sync(~0u, largest, step));
-  squares = warp_sum(squares);
+  largest = warp_max(largest), squares = warp_sum(squares);
   if (threadIdx.x % 32 == 0) memory.errors[threadIdx.x / 32] = largest, memory.squares[threadIdx.x / 32] = squares;
   __syncthreads();
   largest = squares = 0;
@@ -189,8 +188,7 @@ __device__ void lay_by_warp(const LatticeCurvature& curvature, float fineness, L
   if (lane == 0) curvature.lay(totals, fineness, kPlanes + 1, plan);
   __syncwarp();
   const float lean = curvature.lean_of(lane, plan);
-  float margin = fabsf(lean);
-  for (int step = 16; step > 0; step /= 2) margin = fmaxf(margin, __shfl_xor_sync(~0u, margin, step));
+  const float margin = warp_max(fabsf(lean));
   if (lane < plan.planes) plan.lean[lane] = lean;
   if (lane == 0) curvature.widen(margin, plan);
 }

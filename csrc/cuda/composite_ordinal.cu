@@ -17,9 +17,8 @@ namespace lfgs::cuda {
 namespace {
 
 // The colours of every splat at every ordinal: parabolas through three places of what the ordinal sees, none below zero
-// there; the places are those of root_fit(). A list of a group would read them several times; a thread has kShare ordinals of a splat.
+// there. A list of a group would read them several times; a thread has kShare ordinals of a splat.
 constexpr int kShare = 3, kColourThreads = 128;
-constexpr float kPlace = 0.70710678f;
 __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const __grid_constant__ LensFrame frame) {
 #if __CUDA_ARCH__ >= 800
   if (frame.state->kernel != int(LensKernel::kOrdinal)) return;
@@ -37,7 +36,7 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
 #pragma unroll
     for (int n = 0; n < 3; ++n) {
       const int ordinal = min(first + o, ordinals.count - 1);
-      s[o][n] = fmaf(float(n - 1) * kPlace, ordinals.half[ordinal], ordinals.centre[ordinal]);
+      s[o][n] = fmaf(float(n - 1) * kParabolaPlace, ordinals.half[ordinal], ordinals.centre[ordinal]);
     }
   for (int high = order; high >= 0; high -= kAhead) {
     float4 c[kAhead];
@@ -60,7 +59,7 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
   for (int o = 0; o < kShare; ++o) {
     const float half = ordinals.half[min(first + o, ordinals.count - 1)];
     // Half of 1 / v at the last place, with its sign
-    const float inverse = half > 0 ? 0.5f * offset_unit(frame.optics) / (kPlace * half) : 0.5f;
+    const float inverse = half > 0 ? 0.5f * offset_unit(frame.optics) / (kParabolaPlace * half) : 0.5f;
     float middle[3];
     __half2 slope[3];
 #pragma unroll

@@ -5,6 +5,10 @@
 
 namespace lfgs::cuda {
 
+// Functions of the offset are fitted over -1..1 through the zeros of Chebyshev's polynomials of the second kind, for
+// the least mean error: a line through -+ the first of these, a parabola through 0 and -+ the second.
+constexpr float kLinePlace = 0.5f, kParabolaPlace = 0.70710678f;
+
 __device__ inline uint64_t phase_at(const LensOptics& lens, int row, int subpixel) {
   return lens.phase0 + lens.phase_x * uint64_t(int64_t(subpixel)) + lens.phase_y * uint64_t(int64_t(row));
 }

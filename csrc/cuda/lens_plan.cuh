@@ -102,8 +102,8 @@ __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s
   if (threadIdx.x == 0) atomicAdd(&frame.state->sampled, drawn_of_block);
 }
 
-// How many points of a lattice cost as much as half of what they spare, where splats are so large. Every point meets the
-// whole list; of what draws the tile otherwise, a piece of a quarter of its width and height meets the splats that
+// How many points of a lattice cost as much as half of what they spare, where splats are so large. Every point meets
+// the whole list; of what draws the tile otherwise, a piece of a quarter of its width and height meets the splats that
 // reach it.
 __device__ inline float points_worth(float width_px, float height_px) {
   const float w = float(kPixelTileWidth), h = float(kPixelTileHeight);

@@ -48,13 +48,12 @@ struct Marks {
   unsigned careful, special;
 };
 
-// r = S^(-1/2) as r0 + r1 s + r2 s^2, through the zeros of Chebyshev's polynomials of the second kind, for the least
-// mean error.
+// r = S^(-1/2) as r0 + r1 s + r2 s^2, see kLinePlace.
 __device__ inline float3 root_fit(const Splat<float>& s, bool curved) {
   auto root = [&](float v) { return fast_rsqrt(fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
-  const float node = curved ? 0.70710678f : 0.5f, right = root(node), left = root(-node);  // and 0, when curved
+  const float node = curved ? kParabolaPlace : kLinePlace, right = root(node), left = root(-node);  // and 0, if curved
   const float middle = curved ? root(0.f) : 0.5f * (right + left);
-  return make_float3(middle, (right - left) * (curved ? 0.70710678f : 1.f), right + left - 2 * middle);
+  return make_float3(middle, (right - left) * (curved ? kParabolaPlace : 1.f), right + left - 2 * middle);
 }
 
 // The polynomial of d and the rest of what a sample needs:
@@ -87,8 +86,8 @@ __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
 
 __device__ inline float largest(float4 c) { return fmaxf(fabsf(c.x), fmaxf(fabsf(c.y), fabsf(c.z))); }
 
-// The colour polynomial of a splat as a line, or a parabola where it may have a bend: through the same places as
-// root_fit(). False where that is too rough.
+// The colour polynomial of a splat as a line, or a parabola where it may have a bend, see kLinePlace. False where that
+// is too rough.
 template <bool Bends>
 __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) {
   constexpr int kMostOrder = 4;
@@ -100,7 +99,7 @@ __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) 
   const float most = fmaxf(kStraightColour, frame.tolerance), beyond = largest(c3) + largest(c4);
   const bool bent = largest(c2) + beyond > most;
   bool good = (!bent || (Bends && beyond <= most)) && splats.orders[id] <= kMostOrder;
-  const float square = bent ? 0.5f : 0.25f;  // of the places but 0
+  const float square = bent ? 0.5f : kLinePlace * kLinePlace;  // of the places but 0
   auto channel = [&](float p0, float p1, float p2, float p3, float p4, float& value, float& slope, float& bend) {
     const float even = fmaf(square, p4, p2);
     value = bent ? p0 : fmaf(square, even, p0), slope = fmaf(square, p3, p1), bend = bent ? even : 0.f;

@@ -2,9 +2,9 @@
 //
 // What does not depend on s is summed in float, then rounded. The terms of d cancel, so it is as coarse as the largest
 // of them: Gaussians that sweep far are evaluated carefully. Colours are summed in half over up to 32 Gaussians only,
-// transmittances all the way: rounding to nearest leaves them unbiased. With a raised cut alphas below 1/255 count, too,
-// in the patches that a Gaussian reaches, unless it is faint. Nor does an opaque one end a sample: what shows through
-// 0.99 of it is less than 0.01.
+// transmittances all the way: rounding to nearest leaves them unbiased. With a raised cut alphas below 1/255 count,
+// too, in the patches that a Gaussian reaches, unless it is faint. Nor does an opaque one end a sample: what shows
+// through 0.99 of it is less than 0.01.
 // A GPU finds 2^x of halves one by one, at an eighth of the rate of other instructions; of three sub-pixels one has a
 // polynomial in its place.
 #pragma once

@@ -36,7 +36,8 @@ inline __half2 __hneg2(__half2 a) {
   return a;
 }
 inline __half2 __low2half2(__half2 a) { return {a.x, a.x}; }
-inline __half2 __high2half2(__half2 a) { return {a.y, a.y}; }inline unsigned __hge2_mask(__half2 a, __half2 b) {
+inline __half2 __high2half2(__half2 a) { return {a.y, a.y}; }
+inline unsigned __hge2_mask(__half2 a, __half2 b) {
   return (__low2float(a) >= __low2float(b) ? 0xffffu : 0) | (__high2float(a) >= __high2float(b) ? 0xffff0000u : 0);
 }
 
