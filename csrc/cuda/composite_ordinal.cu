@@ -60,18 +60,16 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
     const float half = ordinals.half[min(first + o, ordinals.count - 1)];
     // Half of 1 / v at the last place, with its sign
     const float inverse = half > 0 ? 0.5f * offset_unit(frame.optics) / (kParabolaPlace * half) : 0.5f;
-    float middle[3];
-    __half2 slope[3];
+    float middle[3], slope[3], bend[3];
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
       const float low = fmaxf(values[o][0][c], 0.f), high = fmaxf(values[o][2][c], 0.f);
       middle[c] = fmaxf(values[o][1][c], 0.f);
-      slope[c] = __floats2half2_rn((high - low) * inverse, (high + low - 2 * middle[c]) * 2 * inverse * inverse);
+      slope[c] = (high - low) * inverse, bend[c] = (high + low - 2 * middle[c]) * 2 * inverse * inverse;
     }
-    const int64_t at = id * columns + first + o;
-    reinterpret_cast<float4*>(frame.ordinal_colours)[at] =
-        make_float4(middle[0], middle[1], middle[2], __uint_as_float(bits(slope[0])));
-    reinterpret_cast<uint2*>(frame.ordinal_slopes)[at] = make_uint2(bits(slope[1]), bits(slope[2]));
+    reinterpret_cast<OrdinalColour*>(frame.ordinal_colours)[id * columns + first + o] = {
+        make_float4(middle[0], middle[1], middle[2], packed(bend[0], bend[1])),
+        make_float4(slope[0], slope[1], slope[2], packed(bend[2], 0))};
   }
 #endif
 }

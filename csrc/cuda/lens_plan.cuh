@@ -26,6 +26,11 @@ LFGS_HD ShapeLimits shape_limits(int level) {
 }
 // The mean, and `careful`, where samples are halves.
 constexpr float kMeanHalfShapeError = 1e-3f, kMostHalfShapeError = 5e-3f;
+// `careful` of the linear fits. Colours with harmonics have errors of their own, that leave less of the 80 dB.
+__device__ inline float most_linear_error(const LensFrame& frame) {
+  if (frame.in_half) return kMostHalfShapeError;
+  return frame.splats.orders ? shape_limits(0).straight : shape_limits(0).careful;
+}
 constexpr float kCarefulOpacity = -0.0291f;  // log2(0.98): what an opaque splat stops is less than 2/255
 constexpr int kSampledSplats = 1 << 14;      // about; enough for averages
 
@@ -62,7 +67,7 @@ __device__ inline void shape_terms(const LensFrame& frame, const Splat<float>& s
     const bool careful = opaque || e > most;
     terms[of_error] = careful ? 0.f : e, terms[of_careful] = float(careful);
   };
-  set(kLinearError, kLinearCareful, error.linear, frame.in_half ? kMostHalfShapeError : shape_limits(0).careful);
+  set(kLinearError, kLinearCareful, error.linear, most_linear_error(frame));
   for (int level = 0; level < kLevels; ++level) {
     const bool curved = error.linear > shape_limits(level).straight;
     set(kMixedError + level, kMixedCareful + level, curved ? error.quadratic : error.linear,
@@ -171,8 +176,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   state.straight = limits.straight, state.curved = curved;
   const float each_splat = sampled > 0 ? 1 / (kSumUnit * sampled) : 0.f;
   state.lattices = lattices_may_pay(frame, sums[kHalfWidth] * each_splat, sums[kHalfHeight] * each_splat);
-  state.careful = straight ? (frame.in_half ? kMostHalfShapeError : shape_limits(0).careful)
-                : exact    ? -1 : limits.careful;
+  state.careful = straight ? most_linear_error(frame) : exact ? -1 : limits.careful;
 }
 
 }  // namespace lfgs::cuda
