@@ -133,8 +133,9 @@ __device__ float3 draw(const List& list, const LatticePlan& plan, const Point& p
                      __saturatef(fmaf(transmittance, background.z, colour.z)));
 }
 
+// first: where the nodes of its plane begin.
 __device__ void store_node(const LatticePlan& plan, const Point& point, float3 colour, int first, Memory& memory) {
-  const int at = first + (point.k * plan.down + point.j) * plan.across + point.i;
+  const int at = first + point.j * plan.across + point.i;
   const float values[3] = {colour.x, colour.y, colour.z};
 #pragma unroll
   for (int c = 0; c < 3; ++c) {
@@ -159,13 +160,14 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
   for (int first = 0; first < points; first += kThreads) {
     const Point point(plan, first + int(threadIdx.x));
     const float3 is = draw(list, plan, point, stop, background, memory.staged);
-    if (point.node) store_node(plan, point, is, memory.first_node[section], memory);
+    if (point.node)
+      store_node(plan, point, is, memory.first_node[section] + memory.planes[section][point.k].first, memory);
     __syncthreads();
     if (!point.middle) continue;
     const Nodes nodes(memory, section);
     for (int c = 0; c < 3; ++c) {
       const float made = nodes.at(nodes.row_of(c, point.j), __float2half2_rn(0.5f), float(point.i) + 0.5f,
-                                  float(point.k) + 0.5f);
+                                  Seen(memory.planes[section][point.k], 0.5f));
       const float error = made - (c == 0 ? is.x : c == 1 ? is.y : is.z);
       largest = fmaxf(largest, fabsf(error)), squares = fmaf(error, error, squares);
     }
@@ -193,6 +195,18 @@ __device__ void lay_by_warp(const LatticeCurvature& curvature, float fineness, L
   if (lane == 0) curvature.widen(margin, plan);
 }
 
+// Where the planes of a lattice are stored: what is seen at a node is plane_stride places further on the next plane.
+__device__ void place_planes(const LatticePlan& plan, Plane* planes) {
+  if (int(threadIdx.x) >= plan.planes) return;
+  int first = 0;
+  for (int k = 0; k < int(threadIdx.x); ++k) first += Nodes::stride_of(plan) - int(plan.lean[k]);
+  planes[threadIdx.x] = {plan.lean[threadIdx.x], first};
+}
+// How many places that takes, at most.
+__device__ int stored_nodes(const LatticePlan& plan) {
+  return plan.nodes() + 2 * plan.margin * (plan.planes - 1);
+}
+
 // Lays a lattice through a section and judges it, by all threads of the block.
 __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, int section, float4 background,
                      Memory& memory) {
@@ -208,11 +222,8 @@ __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart
     const int points = nodes + (plan.across - 1 - 2 * plan.margin) * (plan.down - 1) * (plan.planes - 1);
     const float reach = 2 * kReach / fineness;
     if (float(points) > points_worth(reach * plan.step_x, reach * plan.step_y)) return false;
-    if (memory.first_node[section] + nodes > kMostNodes) return false;
-    if (int(threadIdx.x) < plan.planes) {
-      const float aside = plan.lean[threadIdx.x];
-      memory.steps[section][threadIdx.x] = {aside, plan.per_plane() + int(aside)};
-    }
+    if (memory.first_node[section] + stored_nodes(plan) > kMostNodes) return false;
+    place_planes(plan, memory.planes[section]);
     __syncthreads();
     const float error = draw_lattice(frame, list, section, points, background, memory);
     if (error <= 1) return true;
@@ -224,61 +235,102 @@ __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart
 // A colour in 0..1 -> stored(), without a conversion.
 __device__ inline uint8_t byte_of(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, Place::kMagic))); }
 
-// Interpolates a run of sub-pixels of row r: put(m, colour).
-template <class Put>
-__device__ void interpolate_run(const Tile& tile, const Nodes& nodes, Offsets& offsets, int r, int2 ends,
-                                const Put& put) {
-  const LensOptics& lens = tile.lens;
+// Interpolates a run of sub-pixels of row r, the first with this phase: put(m, colour).
+template <bool Table, class Put>
+__device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const Views& views, unsigned phase, int r,
+                                int2 ends, const Put& put) {
   __half2 part;
-  const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3;
-  int place = ends.x - 3 * pixel;
-  float x = (float(pixel) + 0.5f - tile.origin.x - nodes.x0) * nodes.per_x;
+  const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3, place = ends.x - 3 * pixel;
+  const float x_first = (float(pixel) + 0.5f - tile.origin.x - nodes.x0) * nodes.per_x;
   unsigned channels[3];
+  float x[3];
 #pragma unroll
   for (int i = 0; i < 3; ++i) {  // in the order in which the sub-pixels follow
-    const int at = place + i < 3 ? place + i : place + i - 3;
-    channels[i] = nodes.row_of(lens.bgr ? 2 - at : at, row);
+    const bool next = place + i >= 3;
+    const int at = place + i - 3 * next;
+    channels[i] = nodes.row_of(tile.lens.bgr ? 2 - at : at, row), x[i] = next ? x_first + nodes.per_x : x_first;
   }
-  offsets.move_to(phase_at(lens, tile.top + r, ends.x));
+#pragma unroll 1
+  for (int m = ends.x; m < ends.y; m += 3) {
+    float colours[3];
 #pragma unroll
-  for (int i = 0; i < kRun; ++i) {
-    if (ends.x + i >= ends.y) return;
-    put(ends.x + i, nodes.at(channels[i % 3], part, nodes.within(x), nodes.within_planes(offsets.next())));
-    if (++place == 3) place = 0, x += nodes.per_x;
+    for (int i = 0; i < 3; ++i) {  // all of them, to have several reads under way
+      colours[i] = nodes.at(channels[i], part, nodes.within(x[i]), views.at<Table>(phase));
+      phase += views.step, x[i] += nodes.per_x;
+    }
+#pragma unroll
+    for (int i = 0; i < 3; ++i)
+      if (m + i < ends.y) put(m + i, colours[i]);
   }
 }
 
-// Interpolates the sub-pixels of a warp's rows, two at a time, and stores them.
+// The same for all runs of the rows from `top` to before `end` that a section serves: put(r, at, colour), with the
+// place in the row.
+template <bool Table, class Put>
+__device__ void interpolate_section(const Tile& tile, const Memory& memory, const Views& views, int section, int top,
+                                    int end, const Put& put) {
+  const Nodes nodes(memory, section);
+  const int runs = tile.runs(), rows_on = kThreads / runs, runs_on = kThreads % runs;
+  int r = top + int(threadIdx.x) / runs, n = int(threadIdx.x) % runs;
+  while (r < end) {
+    const int2 row = memory.rows[r];
+    const unsigned phase = unsigned(phase_at(tile.lens, tile.top + r, row.x) >> 32);
+    const int2 ends = tile.run(row, r, section, n, phase);
+    interpolate_run<Table>(tile, nodes, views, phase + views.step * unsigned(ends.x - row.x), r, ends,
+                           [&](int m, float colour) { put(r, m - row.x, colour); });
+    r += rows_on, n += runs_on;
+    if (n >= runs) n -= runs, ++r;
+  }
+}
+
+// Stores the bytes of rows of a tile: [rows, row_bytes], from the first sub-pixel of each on.
+__device__ void store_rows(const Tile& tile, const Memory& memory, int top, int end, int row_bytes, uint8_t* out) {
+  const int width = 3 * tile.lens.width_px, warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+  constexpr int kWord = sizeof(uint4), kWords = 3 * kPixelTileWidth / kWord;
+  const bool words = width % kWord == 0 && reinterpret_cast<uintptr_t>(out) % kWord == 0;
+  if (words && !tile.by_lens && !tile.lens.bgr) {
+    const int first = memory.rows[0].x;
+    for (int n = threadIdx.x; n < (end - top) * kWords; n += kThreads) {
+      const int m = first + n % kWords * kWord;
+      if (m < width)
+        *reinterpret_cast<uint4*>(out + int64_t(tile.top + top + n / kWords) * width + m) =
+            reinterpret_cast<const uint4*>(memory.bytes)[n];
+    }
+    return;
+  }
+  for (int r = top + warp; r < end; r += kWarps) {
+    const int first = memory.rows[r].x, last = min(memory.rows[r].y, width);
+    const uint8_t* from = memory.bytes + (r - top) * row_bytes;
+    uint8_t* line = out + int64_t(tile.top + r) * width;
+    for (int m = first + lane; m < last; m += 32)
+      if (m >= 0) line[in_image(tile.lens, m)] = from[m - first];
+  }
+}
+
+// Interpolates the sub-pixels of a tile.
 template <class Out>
 __device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
-  const LensOptics& lens = tile.lens;
-  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, runs = tile.runs(), width = 3 * lens.width_px;
-  for (int top = 2 * warp; top < tile.rows; top += 2 * kWarps) {
+  const int row_bytes = tile.row_bytes(), fitting = min(int(sizeof memory.bytes) / row_bytes, tile.rows);
+  for (int top = 0; top < tile.rows; top += fitting) {
+    const int end = min(top + fitting, tile.rows);
     for (int section = 0; section < tile.sections; ++section) {
-      const Nodes nodes(memory, section);
-      Offsets offsets(lens, nodes);
-      for (int n = lane; n < 2 * runs; n += 32) {
-        const int lower = n >= runs, r = top + lower;
-        if (r >= tile.rows) break;
-        const int first = memory.rows[r].x;
-        Out* line = out + int64_t(tile.top + r) * width;
-        interpolate_run(tile, nodes, offsets, r, tile.run(memory, r, section, n - lower * runs), [&](int m, float c) {
-          if constexpr (sizeof(Out) == 1)
-            memory.bytes[warp][lower][m - first] = byte_of(c);
-          else
-            line[in_image(lens, m)] = __saturatef(c);
-        });
-      }
+      __syncthreads();
+      Views views(tile.lens, memory, section);
+      views.tabulate(memory);
+      auto put = [&](int r, int at, float colour) {
+        if constexpr (sizeof(Out) == 1)
+          memory.bytes[(r - top) * row_bytes + at] = byte_of(colour);
+        else
+          out[int64_t(tile.top + r) * 3 * tile.lens.width_px + in_image(tile.lens, memory.rows[r].x + at)] =
+              __saturatef(colour);
+      };
+      if (views.table)
+        interpolate_section<true>(tile, memory, views, section, top, end, put);
+      else
+        interpolate_section<false>(tile, memory, views, section, top, end, put);
     }
-    if constexpr (sizeof(Out) == 1) {
-      __syncwarp();
-      for (int r = top; r < min(top + 2, tile.rows); ++r) {
-        const int first = memory.rows[r].x, end = min(memory.rows[r].y, width);
-        for (int m = first + lane; m < end; m += 32)
-          if (m >= 0) out[int64_t(tile.top + r) * width + in_image(lens, m)] = memory.bytes[warp][r - top][m - first];
-      }
-      __syncwarp();
-    }
+    __syncthreads();
+    if constexpr (sizeof(Out) == 1) store_rows(tile, memory, top, end, row_bytes, out);
   }
 }
 
@@ -334,7 +386,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     if (threadIdx.x == 0) memory.first_node[section] = first;
     good = fits(frame, {frame.splats, lists.ids + range.x, range.y - range.x, tile.origin},
                 tile.part(section, memory), section, behind, memory);
-    first += good ? memory.plans[section].nodes() : 0;
+    first += good ? stored_nodes(memory.plans[section]) : 0;
   }
   if (threadIdx.x == 0) {
     note(frame, tile.number, good);

@@ -7,6 +7,7 @@
 #include <cuda_fp16.h>
 
 #include "cuda/composite_lens.cuh"
+#include "cuda/halves.cuh"
 #include "cuda/lens_optics.cuh"
 #include "math/lattice_plan.h"
 
@@ -14,11 +15,12 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kWarps = 4, kThreads = 32 * kWarps;
-constexpr int kTileRows = 32, kRowBytes = kTileLenses * kMostOrdinals, kRun = kGroupOrdinals;
+constexpr int kTileRows = 32;
 constexpr int kMostSections = (kMostOrdinals + kGroupOrdinals - 1) / kGroupOrdinals;
 constexpr int kMostNodes = 1024;  // of a tile; nodes and middles of a section likewise: a sixth of its sub-pixels
 constexpr int kPlanes = 16;       // of a section, at most
 constexpr int kBatch = 32, kShapes = 512;
+constexpr int kMostTableViews = 192;
 
 // Splats for all points of a lattice.
 struct Staged {
@@ -27,10 +29,25 @@ struct Staged {
   float4 shapes[kShapes];  // a splat's colour and 1 / S on planes and half-way between: [splats, 2 planes - 1]
 };
 
-// From a plane of nodes to the next: what is seen there at a node lies `aside` nodes on; so many are stored between.
-struct Step {
+// A plane of nodes: what is seen at one of them is seen on the next plane `aside` nodes on; where its first is stored.
+// These two are plane_stride() places apart for every plane.
+struct Plane {
   float aside;
-  int nodes;
+  int first;
+};
+
+// An offset between two planes: the nodes that a sample lies aside on the nearer of them, and where that is stored
+// (16 bits) under the part of the way to the next (a half).
+struct Seen {
+  float aside;
+  unsigned first_and_part;
+
+  __device__ Seen() {}
+  __device__ Seen(const Plane& plane, float part)
+      : aside(plane.aside * part),
+        first_and_part(unsigned(plane.first) | unsigned(half_bits(__float2half_rn(part))) << 16) {}
+  __device__ unsigned first() const { return first_and_part & 0xffffu; }
+  __device__ __half2 part() const { return as_half2(__byte_perm(first_and_part, 0, 0x3232)); }
 };
 
 // Colours, 0..1, of a node and of the next along x, in a row and in the next: what a place between needs, read at once.
@@ -38,18 +55,21 @@ struct alignas(8) Corners {
   __half2 low, high;
 };
 
+constexpr int kChannelNodes = kMostNodes + 5;  // so that the same node of another channel is in another bank
+
 struct Memory {
-  Corners corners[3][kMostNodes];  // from each node on: sections, planes, rows, nodes
+  Corners corners[3][kChannelNodes];  // from each node on: sections, planes, rows, nodes
   LatticePlan plans[kMostSections];
-  Step steps[kMostSections][kPlanes];
+  Plane planes[kMostSections][kPlanes];
+  Seen seen[kMostTableViews];         // of the section at hand, from every view
   int first_node[kMostSections];
   int2 rows[kTileRows];          // sub-pixels, from x to before y; beyond the panel too
   int low, high;                 // columns of pixels
   float errors[kWarps], squares[kWarps];
-  union {
+  alignas(16) union {
     LatticeCurvature::Term terms[kThreads];
     Staged staged;
-    uint8_t bytes[kWarps][2][kRowBytes];
+    uint8_t bytes[sizeof(Staged)];  // of as many rows as fit
   };
   alignas(8) char curvature[sizeof(LatticeCurvature)];
 };
@@ -94,14 +114,25 @@ struct Tile {
     return {0.5f, float(memory.high - memory.low) + 0.5f, 0.5f, float(rows) - 0.5f, centre - half, centre + half};
   }
 
-  // Runs of neighbouring sub-pixels of a row that one section serves.
-  __device__ int runs() const { return by_lens ? kTileLenses : (3 * kPixelTileWidth + kRun - 1) / kRun; }
-  // First and end on the panel.
-  __device__ int2 run(const Memory& memory, int r, int section, int number_) const {
-    int begin = memory.rows[r].x + kRun * number_, end = begin + kRun;
+  // More than any of its rows has.
+  __device__ int row_bytes() const {
+    return by_lens ? (int(kTileLenses * lens.line_number) + 5) & ~3 : 3 * kPixelTileWidth;
+  }
+
+  // Runs of neighbouring sub-pixels of a row that one section serves. In tiles of pixels they are about lenses too, or
+  // shares of very wide ones: what threads side by side then look at lies side by side.
+  __device__ float run_width() const { return lens.line_number / ceilf(lens.line_number * (1.f / 24)); }
+  __device__ int runs() const { return by_lens ? kTileLenses : int(3 * kPixelTileWidth / run_width()) + 2; }
+  // First and end on the panel; row: of the row's sub-pixels, with the phase of the first.
+  __device__ int2 run(int2 row, int r, int section, int number_, unsigned phase) const {
+    int begin, end;
     if (by_lens) {
-      begin = lens_start(lens, top + r, first_lens + number_) + kRun * section, end = begin + kRun;
+      begin = lens_start(lens, top + r, first_lens + number_) + kGroupOrdinals * section, end = begin + kGroupOrdinals;
       if (section == sections - 1) end = lens_start(lens, top + r, first_lens + number_ + 1);
+    } else {
+      const float before = float(phase) * (1.f / 4294967296.f) * lens.line_number, width = run_width();
+      begin = max(row.x + int(ceilf(float(number_) * width - before)), row.x);
+      end = min(row.x + int(ceilf(float(number_ + 1) * width - before)), row.y);
     }
     return make_int2(max(begin, 0), min(end, 3 * lens.width_px));
   }
@@ -124,36 +155,33 @@ struct Place {
 // The nodes of a section: colours between them. What is read again and again is in registers.
 struct Nodes {
   const Corners* corners;
-  const Step* steps;
-  int across, down, per_plane;
-  float x0, y0, s0, per_x, per_y, per_s, last_along, last_up;
+  int across, down, plane_stride;
+  float x0, y0, per_x, per_y, last_along;
 
   __device__ Nodes(const Memory& memory, int section)
-      : Nodes(memory.plans[section], memory.corners[0] + memory.first_node[section], memory.steps[section]) {}
-  __device__ Nodes(const LatticePlan& plan, const Corners* corners_, const Step* steps_)
-      : corners(corners_), steps(steps_), across(plan.across), down(plan.down), per_plane(plan.per_plane()), x0(plan.x0),
-        y0(plan.y0), s0(plan.s0), per_x(1 / plan.step_x), per_y(1 / plan.step_y), per_s(1 / plan.step_s),
-        last_along(float(plan.across - 1 - plan.margin) - 0.02f), last_up(float(plan.planes - 1) - 1e-3f) {}
+      : Nodes(memory.plans[section], memory.corners[0] + memory.first_node[section]) {}
+  __device__ Nodes(const LatticePlan& plan, const Corners* corners_)
+      : corners(corners_), across(plan.across), down(plan.down), plane_stride(stride_of(plan)), x0(plan.x0),
+        y0(plan.y0), per_x(1 / plan.step_x), per_y(1 / plan.step_y),
+        last_along(float(plan.across - 1 - plan.margin) - 0.02f) {}
 
-  // Where a row of nodes of a channel begins, less what the bits of two places are too large by (modulo 2^32).
+  static __device__ int stride_of(const LatticePlan& plan) { return plan.per_plane() + plan.margin; }
+  // Where a row of nodes of a channel begins, less what the bits of a place are too large by (modulo 2^32).
   __device__ unsigned row_of(int channel, int row) const {
-    return unsigned(channel * kMostNodes + row * across) - Place::kMagicBits * unsigned(per_plane + 1);
+    return unsigned(channel * kChannelNodes + row * across) - Place::kMagicBits;
   }
-  // At x0 + along step_x and s0 + up step_s, `part` (twice) of the way from the row of nodes to the next: straight
-  // along x and y on the planes on both sides, and between them.
-  __device__ float at(unsigned row, __half2 part, float along, float up) const {
-    const Place plane(up);
-    const Step step = steps[plane.bits - Place::kMagicBits];
-    const Place node(fmaf(-step.aside, plane.part, along));
-    const unsigned first = plane.bits * unsigned(per_plane) + node.bits + row;
-    const Corners here = corners[first], next = corners[first + unsigned(step.nodes)];
+  // At x0 + along step_x, as seen, `part` (twice) of the way from the row of nodes to the next: straight along x and y
+  // on the planes on both sides, and between them.
+  __device__ float at(unsigned row, __half2 part, float along, const Seen& seen) const {
+    const Place node(along - seen.aside);
+    const Corners* first = corners + (node.bits + seen.first() + row);
+    const Corners here = first[0], next = first[plane_stride];
     const __half2 near = mixed(here.low, here.high, part), far = mixed(next.low, next.high, part);
-    const __half2 pair = mixed(near, far, __float2half2_rn(plane.part));
+    const __half2 pair = mixed(near, far, seen.part());
     return fmaf(node.part, __high2float(pair) - __low2float(pair), __low2float(pair));
   }
-  // As `along` and `up`: within the lattice.
+  // As `along`: within the lattice.
   __device__ float within(float along) const { return fminf(along, last_along); }
-  __device__ float within_planes(float up) const { return fminf(fmaxf(up, 0.f), last_up); }
   __device__ int row(float y, __half2& part) const {
     const float place = (y - y0) * per_y;
     const int row = min(int(place), down - 2);
@@ -165,22 +193,37 @@ struct Nodes {
   static __device__ __half2 mixed(__half2 a, __half2 b, __half2 part) { return __hfma2(part, __hsub2(b, a), a); }
 };
 
-// The offsets of sub-pixels side by side, in planes of a section. The last 32 bits of their phases are left out: that
-// matters to a view now and then at its border.
-struct Offsets {
-  unsigned phase, step, whole;  // so many offsets in a lens: views, or enough to be continuous
-  float slope, base;
+// What sub-pixels of a section see, by their phases. The last 32 bits of these are left out: that matters to a view now
+// and then at its border.
+struct Views {
+  const Plane* planes;
+  const Seen* table;  // or null
+  unsigned step, whole;  // so many offsets in a lens: views, or enough to be continuous
+  float slope, base, last_up;
 
-  __device__ Offsets(const LensOptics& lens, const Nodes& nodes)
-      : phase(0), step(unsigned(lens.phase_x >> 32)), whole(lens.continuous ? 1u << 24 : unsigned(lens.views)),
-        slope(lens.s_step * nodes.per_s * float(lens.views) / float(whole)),
-        base(fmaf(lens.continuous ? 0.f : 0.5f, slope, (lens.s_start - nodes.s0) * nodes.per_s)) {}
-  __device__ void move_to(uint64_t phase_) { phase = unsigned(phase_ >> 32); }
-  // Of the sub-pixel at hand; goes on to the next.
-  __device__ float next() {
-    const float number = float(__umulhi(phase, whole));
-    phase += step;
-    return fmaf(number, slope, base);
+  __device__ Views(const LensOptics& lens, const Memory& memory, int section)
+      : planes(memory.planes[section]), table(nullptr), step(unsigned(lens.phase_x >> 32)),
+        whole(lens.continuous ? 1u << 24 : unsigned(lens.views)) {
+    const LatticePlan& plan = memory.plans[section];
+    slope = lens.s_step / plan.step_s * float(lens.views) / float(whole);
+    base = fmaf(lens.continuous ? 0.f : 0.5f, slope, (lens.s_start - plan.s0) / plan.step_s);
+    last_up = float(plan.planes - 1) - 1e-3f;
+  }
+  __device__ Seen from(unsigned number) const {
+    const Place plane(fminf(fmaxf(fmaf(float(number), slope, base), 0.f), last_up));
+    return {planes[plane.bits - Place::kMagicBits], plane.part};
+  }
+  // Makes a table, if they are few. By all threads of the block.
+  __device__ void tabulate(Memory& memory) {
+    if (whole > kMostTableViews) return;
+    for (unsigned number = threadIdx.x; number < whole; number += kThreads) memory.seen[number] = from(number);
+    table = memory.seen;
+    __syncthreads();
+  }
+  template <bool Table>
+  __device__ Seen at(unsigned phase) const {
+    const unsigned number = __umulhi(phase, whole);
+    return Table ? table[number] : from(number);
   }
 };
 
