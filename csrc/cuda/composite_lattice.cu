@@ -115,6 +115,7 @@ __device__ float3 draw(const List& list, const LatticePlan& plan, const Point& p
     const int count = min(unsigned(batch), list.count - begin);
     stage(list, begin, count, plan, staged);
     __syncthreads();
+    if (__all_sync(~0u, transmittance == 0)) continue;
     const float4* shape = staged.shapes + point.half_plane;
 #pragma unroll 2
     for (int i = 0; i < count; ++i, shape += half_planes) {

@@ -17,7 +17,7 @@ struct LatticePart {
 
 constexpr float kMeanShare = 5;  // the root mean square of a lattice's errors must be so many times smaller
 constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // steps in standard deviations; of the finer ones tried next
-LFGS_HD float first_fineness(float error) { return std::fmin(3.5f * std::sqrt(error), kMostFineness); }
+LFGS_HD float first_fineness(float error) { return std::fmin(3.0f * std::sqrt(error), kMostFineness); }
 // Lattices are tried on every kProbeRows-th row of tiles first; where few of its tiles fit, the rows between do without.
 constexpr int kProbeRows = 8;
 
