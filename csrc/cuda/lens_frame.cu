@@ -114,7 +114,7 @@ size_t LensFrame::place(void* work) {
   if (splats.colour_order > 0) {
     parts.take(splats.orders, n);
     const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
-    parts.take(ordinal_colours, 8 * colours);
+    parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
   }
   parts.take(depths, n), parts.take(sorted_depths, n), parts.take(indices, n), parts.take(order, n);
   char *unsorted = nullptr, *sorted = nullptr;

@@ -95,7 +95,10 @@ struct LensFrame {
   uint32_t *depths = nullptr, *sorted_depths = nullptr, *indices = nullptr, *order = nullptr;  // [N]
   void *keys = nullptr, *sorted_keys = nullptr;                                                // [capacity]
   uint32_t *values = nullptr, *sorted_values = nullptr;                                        // [capacity]
-  float* ordinal_colours = nullptr;  // with harmonics: OrdinalColour                          // [N, columns, 8]
+  // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
+  // first place in the fourth number of a colour)
+  float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
+  uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
   uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order, where lattices are laid
   void* temporary = nullptr;
   size_t temporary_bytes = 0;

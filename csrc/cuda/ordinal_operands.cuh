@@ -25,11 +25,6 @@ constexpr int kPage = 256;
 // Offset that v = 1 stands for.
 __device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.ordinals.view_unit; }
 
-// Of the three places of a pixel, as a parabola in v: value + slope v + bend v^2, as it lies in memory.
-struct OrdinalColour {
-  float4 value, slope;  // in their fourth numbers the bends, as halves: two and the third
-};
-
 // What a warp keeps in shared memory.
 template <bool Harmonics>
 struct WarpMemory {
@@ -37,7 +32,9 @@ struct WarpMemory {
   // two parts, exponent.
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[Harmonics ? 32 : 1];
-  OrdinalColour whole_colour[Harmonics ? 36 : 1];  // of these 32 hits; of the 32 before, the last of each quarter
+  // Of these 32 hits and of the 32 before, in turn: as they are in LensFrame
+  float4 whole_colour[Harmonics ? 64 : 1];
+  uint2 whole_slope[Harmonics ? 64 : 1];
   uint8_t queue[kGroupOrdinals][kBatch<Harmonics>];
   int first_page[kGroupOrdinals];              // how many of a queue lie in the first page, the others in the second
   float2 state[kGroupOrdinals * kHalves][32];  // colour and transmittance of each sample of the group
@@ -101,16 +98,15 @@ __device__ inline void blend(float d, float A, float change, float cut, float& c
   if (power >= cut) transmittance = fmaf(-alpha, transmittance, transmittance);
 }
 
-// The same, of which without harmonics only the values count.
+// Of the three places of a pixel, as a parabola in v: value + slope.x v + slope.y v^2; without harmonics the value.
 struct Colour {
-  float value[3], slope[3];
-  __half bend[3];
+  float value[3];
+  __half2 slope[3];
 
-  __device__ Colour() {}
-  __device__ explicit Colour(const float4& c) : value{c.x, c.y, c.z} {}
-  __device__ explicit Colour(const OrdinalColour& c)
-      : value{c.value.x, c.value.y, c.value.z}, slope{c.slope.x, c.slope.y, c.slope.z},
-        bend{__low2half(unpacked(c.value.w)), __high2half(unpacked(c.value.w)), __low2half(unpacked(c.slope.w))} {}
+  __device__ Colour() {
+#pragma unroll
+    for (int c = 0; c < 3; ++c) value[c] = 0, slope[c] = __float2half2_rn(0.f);
+  }
 };
 template <class T>
 __device__ inline T at_place(const T (&parts)[3], int place) {

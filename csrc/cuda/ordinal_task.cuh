@@ -66,13 +66,30 @@ struct Task : Patch<Harmonics> {
   }
 
   // The colour of a staged splat, for all cameras; number kBatch is black.
-  __device__ Colour colour(int i) const { return Colour(memory.colour[Harmonics ? 0 : i]); }
-  // With harmonics: see WarpMemory.
-  __device__ OrdinalColour& kept_colour(int place) { return own.whole_colour[Harmonics ? place : 0]; }
+  __device__ Colour colour(int i) const {
+    Colour out;
+    const float4 c = memory.colour[Harmonics ? 0 : i];
+    out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
+    return out;
+  }
+  static __device__ Colour whole(const float4& c, const uint2& slopes) {
+    Colour out;
+    out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
+    out.slope[0] = as_half2(__float_as_uint(c.w)), out.slope[1] = as_half2(slopes.x), out.slope[2] = as_half2(slopes.y);
+    return out;
+  }
+  // With harmonics: stores one in the warp's memory; reads it.
+  __device__ void keep(int place, const float4& c, const uint2& slopes) {
+    own.whole_colour[Harmonics ? place : 0] = c, own.whole_slope[Harmonics ? place : 0] = slopes;
+  }
+  __device__ Colour kept_colour(int place) const {
+    return whole(own.whole_colour[Harmonics ? place : 0], own.whole_slope[Harmonics ? place : 0]);
+  }
 
-  // The samples, a bit each, of one place at an ordinal: a lane of a quad multiplies their colours. None of place 3.
-  __device__ unsigned own_place(int ordinal, int place) const {
-    return places >> 8 * (place == 3 ? 3 : (place + 3 - ordinal % 3) % 3);
+  // The samples, a bit each, of which this lane of a quad multiplies the colours: those of place `quad` at an ordinal.
+  __device__ unsigned own_place(int ordinal) const {
+    const int quad = lane % 4;
+    return places >> 8 * (quad == 3 ? 3 : (quad + 3 - ordinal % 3) % 3);
   }
   // What belongs to the place of an accumulated sample; parts by the place that its lens starts at.
   template <class T>
@@ -92,17 +109,12 @@ struct Task : Patch<Harmonics> {
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
     features(ordinal, x_centre, d_features, A_features);
     const float centre = frame.optics.ordinals.centre[ordinal], unit = offset_unit(frame.optics);
-    const unsigned mine = own_place(ordinal, quad);
-    // The last of a quad multiplies what slopes have beyond a half
-    unsigned low_parts[3] = {};
-    for (int place = 0; Harmonics && place < 3; ++place) low_parts[place] = quad == 3 ? own_place(ordinal, place) : 0;
+    const unsigned mine = own_place(ordinal);
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
+      const unsigned view = Harmonics ? view_of(A_features, s) : 0;
       colour_features[s / 2][s % 2] = mine >> s & 1 ? kOnes : 0;
-      if (!Harmonics) continue;
-      const unsigned view = view_of(A_features, s), first = low_parts[0] >> s & 1 ? view & 0xffffu : 0;
-      colour_features[s / 2][s % 2] |= first | (low_parts[1] >> s & 1 ? view << 16 : 0);
-      colour_features[s / 2][s % 2 + 2] = mine >> s & 1 ? view : low_parts[2] >> s & 1 ? view & 0xffffu : 0;
+      colour_features[s / 2][s % 2 + 2] = mine >> s & 1 ? view : 0;
     }
 
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
@@ -110,27 +122,31 @@ struct Task : Patch<Harmonics> {
     for (int s = 0; s < 2 * kFragments; ++s) transmittances[s] = 1;
     const int quarter = (n + 3) / 4;
     int begin = 0, hit = kBatch<Harmonics>, kept = hit;  // this lane's hit of 32; and of the 32 before. kBatch: none
-    if (Harmonics) kept_colour(lane) = {};
+    if (Harmonics) keep(32 + lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
     for (; begin < quarter; begin += 8) {
       // 32 hits, one a lane: 8 of each quarter, columns 2 q and 2 q + 1 of four batches
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
       const bool valid = j < min(quarter, n - q * quarter);
       const int i = queued(t, valid ? q * quarter + j : 0);
       const Splat<float> splat = staged(i);
-      OrdinalColour now = {};
-      if (Harmonics && valid)  // before anything else, and kept there by __syncwarp: it takes a while
-        now = reinterpret_cast<const OrdinalColour*>(frame.ordinal_colours)[__float_as_uint(splat.depth) + t];
+      float4 c = make_float4(0, 0, 0, 0);
+      uint2 slopes = make_uint2(0, 0);
+      if (Harmonics && valid) {  // before anything else, and kept there by __syncwarp: they take a while
+        const unsigned at = __float_as_uint(splat.depth) + t;
+        c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
+        slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
+      }
       __syncwarp();
       bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       uint4 low, high, exponent;
       coefficients(splat, centre, unit, x_centre, low, high, exponent);
       if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
       if constexpr (Harmonics) {
-        if (last_of_quarter()) kept_colour(32 + lane % 8 / 2) = kept_colour(lane);
-        kept_colour(lane) = now;
+        const int turn = begin / 8 % 2 * 32;
+        keep(turn + lane, c, slopes);
         __syncwarp();
-        const Colour last(kept_colour(first_of_quarter() ? 32 + lane / 2 : lane_before()));
-        store_operands(low, high, exponent, Colour(now), last);
+        const Colour last = kept_colour((first_of_quarter() ? 32 - turn : turn) + lane_before());
+        store_operands(low, high, exponent, whole(c, slopes), last);
       } else {
         kept = hit, hit = valid ? i : kBatch<Harmonics>;
         store_operands(low, high, exponent, colour(hit), colour(before(hit, kept)));
@@ -177,7 +193,7 @@ struct Task : Patch<Harmonics> {
     }
     if (quarter % 2 == 0) {
       const int j = quarter - 1 - (begin - 8), last = j / 2 * 8 + quad * 2 + j % 2;
-      const Colour end = Harmonics ? Colour(kept_colour(last)) : colour(__shfl_sync(~0u, hit, last));
+      const Colour end = Harmonics ? kept_colour((begin / 8 - 1) % 2 * 32 + last) : colour(__shfl_sync(~0u, hit, last));
       close(end, ordinal % 3, A_features, colours, transmittances);
     }
     join(t, colours, transmittances);
@@ -186,10 +202,10 @@ struct Task : Patch<Harmonics> {
   // Which lane has the hit before this one's in its quarter: that of the column before, the first of the 32 the last of
   // the 32 before.
   __device__ bool first_of_quarter() const { return lane / 8 == 0 && lane % 2 == 0; }
-  __device__ bool last_of_quarter() const { return lane / 8 == 3 && lane % 2 == 1; }
   __device__ int lane_before() const { return lane % 2 ? lane - 1 : first_of_quarter() ? lane + 25 : lane - 7; }
   __device__ int before(int hit, int kept) const {
-    return __shfl_sync(~0u, last_of_quarter() ? kept : hit, lane_before());
+    const bool last = lane / 8 == 3 && lane % 2 == 1;
+    return __shfl_sync(~0u, last ? kept : hit, lane_before());
   }
 
   // One hit's operands; its colour as the difference to the hit before it in its quarter.
@@ -199,16 +215,9 @@ struct Task : Patch<Harmonics> {
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = high;
     reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = exponent;
     auto value = [&](int c) { return split(now.value[c] - before.value[c]); };
+    auto slope = [&](int c) { return bits(__hsub2(now.slope[c], before.slope[c])); };
     own.colour[lane] = make_uint4(value(0), value(1), value(2), 0);
-    if constexpr (Harmonics) {
-      unsigned slope[3], with_bend[3];
-      for (int c = 0; c < 3; ++c) {
-        slope[c] = split(now.slope[c] - before.slope[c]);
-        with_bend[c] = __byte_perm(slope[c], half_bits(__hsub(now.bend[c], before.bend[c])), 0x5410);
-      }
-      own.colour[lane].w = __byte_perm(slope[0], slope[1], 0x7632);
-      own.slope[lane] = make_uint4(with_bend[0], with_bend[1], with_bend[2], slope[2] >> 16);
-    }
+    if (Harmonics) own.slope[Harmonics ? lane : 0] = make_uint4(slope(0), slope(1), slope(2), 0);
   }
 
   // Takes the last colour of each quarter off again where no spare column did; last: of the quarter of this lane.
@@ -219,14 +228,15 @@ struct Task : Patch<Harmonics> {
     for (int c = 0; c < 3; ++c) {
       const int place = c + shift >= 3 ? c + shift - 3 : c + shift;
       end.value[c] = at_place(last.value, place);
-      if (Harmonics) end.slope[c] = at_place(last.slope, place), end.bend[c] = at_place(last.bend, place);
+      if (Harmonics) end.slope[c] = at_place(last.slope, place);
     }
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) {
       float value = pick(end.value, s);
       if (Harmonics) {
+        const __half2 slope = pick(end.slope, s);
         const float v = __low2float(as_half2(view_of(features, s)));
-        value += v * fmaf(v, __half2float(pick(end.bend, s)), pick(end.slope, s));
+        value += v * fmaf(v, __high2float(slope), __low2float(slope));
       }
       colours[s] = fmaf(-transmittances[s], value, colours[s]);
     }

@@ -16,9 +16,6 @@ inline __half2 __floats2half2_rn(float a, float b) { return {__float2half_rn(a),
 inline __half2 __float2half2_rn(float a) { return __floats2half2_rn(a, a); }
 inline float __low2float(__half2 h) { return __half2float(h.x); }
 inline float __high2float(__half2 h) { return __half2float(h.y); }
-inline __half __low2half(__half2 h) { return h.x; }
-inline __half __high2half(__half2 h) { return h.y; }
-inline __half __hsub(__half a, __half b) { return __float2half_rn(__half2float(a) - __half2float(b)); }
 inline __half2 __hsub2(__half2 a, __half2 b) {
   return __floats2half2_rn(__low2float(a) - __low2float(b), __high2float(a) - __high2float(b));
 }
