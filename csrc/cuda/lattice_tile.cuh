@@ -8,8 +8,9 @@
 
 #include "cuda/composite_lens.cuh"
 #include "cuda/halves.cuh"
+#include "cuda/lattice.cuh"
+#include "cuda/lattice_planner.cuh"
 #include "cuda/lens_optics.cuh"
-#include "math/lattice_plan.h"
 
 namespace lfgs::cuda {
 namespace {
@@ -17,8 +18,6 @@ namespace {
 constexpr int kWarps = 4, kThreads = 32 * kWarps;
 constexpr int kTileRows = 32;
 constexpr int kMostSections = (kMostOrdinals + kGroupOrdinals - 1) / kGroupOrdinals;
-constexpr int kMostNodes = 1024;  // of a tile; nodes and middles of a section likewise: a sixth of its sub-pixels
-constexpr int kPlanes = 16;       // of a section, at most
 constexpr int kBatch = 32, kShapes = 512;
 constexpr int kMostTableViews = 192;
 
@@ -29,13 +28,6 @@ struct Staged {
   float4 shapes[kShapes];  // a splat's colour and 1 / S on planes and half-way between: [splats, 2 planes - 1]
 };
 
-// A plane of nodes: what is seen at one of them is seen on the next plane `aside` nodes on; where its first is stored.
-// These two are plane_stride() places apart for every plane.
-struct Plane {
-  float aside;
-  int first;
-};
-
 // An offset between two planes: the nodes that a sample lies aside on the nearer of them, and where that is stored
 // (16 bits) under the part of the way to the next (a half).
 struct Seen {
@@ -43,7 +35,7 @@ struct Seen {
   unsigned first_and_part;
 
   __device__ Seen() {}
-  __device__ Seen(const Plane& plane, float part)
+  __device__ Seen(const LatticePlane& plane, float part)
       : aside(plane.aside * part),
         first_and_part(unsigned(plane.first) | unsigned(half_bits(__float2half_rn(part))) << 16) {}
   __device__ unsigned first() const { return first_and_part & 0xffffu; }
@@ -59,59 +51,66 @@ constexpr int kChannelNodes = kMostNodes + 5;  // so that the same node of anoth
 
 struct Memory {
   Corners corners[3][kChannelNodes];  // from each node on: sections, planes, rows, nodes
-  LatticePlan plans[kMostSections];
-  Plane planes[kMostSections][kPlanes];
+  Lattice lattices[kMostSections];
   Seen seen[kMostTableViews];         // of the section at hand, from every view
   int first_node[kMostSections];
   int2 rows[kTileRows];          // sub-pixels, from x to before y; beyond the panel too
   int low, high;                 // columns of pixels
   float errors[kWarps], squares[kWarps];
   alignas(16) union {
-    LatticeCurvature::Term terms[kThreads];
+    alignas(8) char planner[sizeof(LatticePlanner)];
     Staged staged;
     uint8_t bytes[sizeof(Staged)];  // of as many rows as fit
   };
-  alignas(8) char curvature[sizeof(LatticeCurvature)];
 };
 
 struct Tile {
   const LensOptics& lens;
+  const Tiling& tiling;
   bool by_lens;
   int number, top, rows, sections, first_lens;
-  float2 origin;  // of the lattice's x and y, in pixels
+  int low = 0, high = -1;  // columns of pixels
 
-  __device__ Tile(const LensFrame& frame, const Tiling& tiling, bool by_lens_, int number_)
-      : lens(frame.optics), by_lens(by_lens_), number(number_), top(number / tiling.across * tiling.height),
-        rows(min(tiling.height, lens.height_px - top)), sections(tiling.groups),
-        first_lens(lens.ordinals.first_lens + number % tiling.across * kTileLenses) {}
+  __device__ Tile(const LensFrame& frame, const Tiling& tiling_, int number_)
+      : lens(frame.optics), tiling(tiling_), by_lens(&tiling == &frame.ordinal), number(number_),
+        top(number / tiling.across * tiling.height), rows(min(tiling.height, lens.height_px - top)),
+        sections(tiling.groups), first_lens(lens.ordinals.first_lens + number % tiling.across * kTileLenses) {}
 
-  // Finds the sub-pixels of its rows; false where none is on the panel.
-  __device__ bool lay_rows(const Tiling& tiling, Memory& memory) {
+  // The sub-pixels of a row, from x to before y.
+  __device__ int2 row(int r) const {
+    if (by_lens)
+      return make_int2(lens_start(lens, top + r, first_lens), lens_start(lens, top + r, first_lens + kTileLenses));
+    const int first = number % tiling.across * 3 * int(tiling.width);
+    return make_int2(first, first + 3 * int(tiling.width));
+  }
+  // Finds the columns; by a warp that has a row each in its lanes. False where none is on the panel.
+  __device__ bool find_columns(int2 row) {
     const int width = 3 * lens.width_px;
+    const bool shown = int(threadIdx.x % 32) < rows && row.y > 0 && row.x < width;
+    low = shown ? max(row.x, 0) / 3 : lens.width_px, high = shown ? (min(row.y, width) - 1) / 3 : -1;
+    for (int step = 16; step > 0; step /= 2)
+      low = min(low, __shfl_xor_sync(~0u, low, step)), high = max(high, __shfl_xor_sync(~0u, high, step));
+    return high >= low;
+  }
+  // The same by a block, which keeps the rows.
+  __device__ void lay_rows(Memory& memory) {
     if (threadIdx.x < 32) {
-      const int r = threadIdx.x, pixel = number % tiling.across * int(tiling.width);
-      int2 ends = make_int2(3 * pixel, 3 * pixel + 3 * int(tiling.width));
-      if (by_lens)
-        ends = make_int2(lens_start(lens, top + r, first_lens), lens_start(lens, top + r, first_lens + kTileLenses));
-      memory.rows[r] = ends;
-      const bool shown = r < rows && ends.y > 0 && ends.x < width;
-      int low = shown ? max(ends.x, 0) / 3 : lens.width_px, high = shown ? (min(ends.y, width) - 1) / 3 : -1;
-      for (int step = 16; step > 0; step /= 2)
-        low = min(low, __shfl_xor_sync(~0u, low, step)), high = max(high, __shfl_xor_sync(~0u, high, step));
-      if (r == 0) memory.low = low, memory.high = high;
+      memory.rows[threadIdx.x] = row(threadIdx.x);
+      find_columns(memory.rows[threadIdx.x]);
+      if (threadIdx.x == 0) memory.low = low, memory.high = high;
     }
     __syncthreads();
-    origin = make_float2(float(memory.low), float(top));
-    return memory.high >= memory.low;
+    low = memory.low, high = memory.high;
   }
+  __device__ float2 origin() const { return make_float2(float(low), float(top)); }  // of the lattice's x and y, in pixels
 
-  __device__ LatticePart part(int section, const Memory& memory) const {
+  __device__ LatticePart part(int section) const {
     float centre, half;
     if (by_lens)
       group_offsets(lens.ordinals, section, centre, half);
     else
       half = 0.5f * float(lens.views) * lens.s_step, centre = lens.s_start + half, half = fabsf(half);
-    return {0.5f, float(memory.high - memory.low) + 0.5f, 0.5f, float(rows) - 0.5f, centre - half, centre + half};
+    return {0.5f, float(high - low) + 0.5f, 0.5f, float(rows) - 0.5f, centre - half, centre + half};
   }
 
   // More than any of its rows has.
@@ -159,13 +158,12 @@ struct Nodes {
   float x0, y0, per_x, per_y, last_along;
 
   __device__ Nodes(const Memory& memory, int section)
-      : Nodes(memory.plans[section], memory.corners[0] + memory.first_node[section]) {}
-  __device__ Nodes(const LatticePlan& plan, const Corners* corners_)
-      : corners(corners_), across(plan.across), down(plan.down), plane_stride(stride_of(plan)), x0(plan.x0),
-        y0(plan.y0), per_x(1 / plan.step_x), per_y(1 / plan.step_y),
-        last_along(float(plan.across - 1 - plan.margin) - 0.02f) {}
+      : Nodes(memory.lattices[section], memory.corners[0] + memory.first_node[section]) {}
+  __device__ Nodes(const Lattice& lattice, const Corners* corners_)
+      : corners(corners_), across(lattice.across), down(lattice.down), plane_stride(lattice.stride()), x0(lattice.x0),
+        y0(lattice.y0), per_x(1 / lattice.step_x), per_y(1 / lattice.step_y),
+        last_along(float(lattice.across - 1 - lattice.margin) - 0.02f) {}
 
-  static __device__ int stride_of(const LatticePlan& plan) { return plan.per_plane() + plan.margin; }
   // Where a row of nodes of a channel begins, less what the bits of a place are too large by (modulo 2^32).
   __device__ unsigned row_of(int channel, int row) const {
     return unsigned(channel * kChannelNodes + row * across) - Place::kMagicBits;
@@ -196,18 +194,18 @@ struct Nodes {
 // What sub-pixels of a section see, by their phases. The last 32 bits of these are left out: that matters to a view now
 // and then at its border.
 struct Views {
-  const Plane* planes;
+  const LatticePlane* planes;
   const Seen* table;  // or null
   unsigned step, whole;  // so many offsets in a lens: views, or enough to be continuous
   float slope, base, last_up;
 
   __device__ Views(const LensOptics& lens, const Memory& memory, int section)
-      : planes(memory.planes[section]), table(nullptr), step(unsigned(lens.phase_x >> 32)),
+      : planes(memory.lattices[section].plane), table(nullptr), step(unsigned(lens.phase_x >> 32)),
         whole(lens.continuous ? 1u << 24 : unsigned(lens.views)) {
-    const LatticePlan& plan = memory.plans[section];
-    slope = lens.s_step / plan.step_s * float(lens.views) / float(whole);
-    base = fmaf(lens.continuous ? 0.f : 0.5f, slope, (lens.s_start - plan.s0) / plan.step_s);
-    last_up = float(plan.planes - 1) - 1e-3f;
+    const Lattice& lattice = memory.lattices[section];
+    slope = lens.s_step / lattice.step_s * float(lens.views) / float(whole);
+    base = fmaf(lens.continuous ? 0.f : 0.5f, slope, (lens.s_start - lattice.s0) / lattice.step_s);
+    last_up = float(lattice.planes - 1) - 1e-3f;
   }
   __device__ Seen from(unsigned number) const {
     const Place plane(fminf(fmaxf(fmaf(float(number), slope, base), 0.f), last_up));

@@ -5,9 +5,9 @@
 #include <cmath>
 
 #include "base/error.h"
+#include "cuda/lattice.cuh"
 #include "cuda/lens_lists.h"
 #include "cuda/lens_rig.cuh"
-#include "math/lattice_plan.h"
 
 namespace lfgs::cuda {
 namespace {
@@ -121,7 +121,7 @@ size_t LensFrame::place(void* work) {
   parts.take(unsorted, capacity * key_bytes), parts.take(sorted, capacity * key_bytes);
   keys = unsorted, sorted_keys = sorted;
   parts.take(values, capacity), parts.take(sorted_values, capacity);
-  if (lattice > 0) parts.take(refused, most_tiles());
+  if (lattice > 0) parts.take(lattices, most_tiles()), parts.take(refused, most_tiles());
   temporary_bytes = lists_temporary_bytes(*this);
   char* scratch = nullptr;
   parts.take(scratch, int64_t(temporary_bytes));

@@ -70,6 +70,8 @@ struct Tiling {
   LFGS_HD int64_t tiles() const { return int64_t(across) * down * groups; }
 };
 
+struct Lattice;
+
 struct LensFrame {
   View<float> rig;
   LensOptics optics;
@@ -99,6 +101,7 @@ struct LensFrame {
   // first place in the fourth number of a colour)
   float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
   uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
+  Lattice* lattices = nullptr;  // [tiles], where any are laid: see composite_lattice.cu
   uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order, where lattices are laid
   void* temporary = nullptr;
   size_t temporary_bytes = 0;

@@ -24,15 +24,19 @@ constexpr int kProbeRows = 8;
 // However fine a lattice is wanted, its nodes and middles can be counted in an int: (30001 x 257 + 9999 x 256) x 128.
 constexpr int kMostPlanes = 128, kMostRows = 256, kMostColumns = 10000;
 
-// Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. What is at node i of plane k is seen at about node
-// i + lean[k] of the next; margin: the largest of these.
-struct LatticePlan {
+// Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. What is at a node of a plane is seen up to `margin` nodes
+// aside on the next.
+struct LatticeGrid {
   int across, down, planes, margin;
   float x0, y0, s0, step_x, step_y, step_s;
-  float lean[kMostPlanes];
 
   LFGS_HD int per_plane() const { return across * down; }
   LFGS_HD int nodes() const { return per_plane() * planes; }
+};
+
+// What is at node i of plane k is seen at about node i + lean[k] of the next.
+struct LatticePlan : LatticeGrid {
+  float lean[kMostPlanes];
 
   // The middles of the cells that samples of the part lie in.
   LFGS_HD LatticePlan middles(const LatticePart& part) const {
@@ -99,7 +103,7 @@ class LatticeCurvature {
   }
 
   // The three parts of plan(): rows, planes and steps; how planes lean; columns, for the largest of |lean|.
-  LFGS_HD void lay(const Totals& of, float fineness, int most_planes, LatticePlan& out) const {
+  LFGS_HD void lay(const Totals& of, float fineness, int most_planes, LatticeGrid& out) const {
     const float unit = of.weight > 0 ? fineness * std::sqrt(of.weight) : 1e20f;  // of nothing the corners say all
     const int rows = steps(part_.y_high - part_.y_low, unit / std::sqrt(of.y), kMostRows);
     const int views = steps(part_.s_high - part_.s_low, unit / std::sqrt(std::fmax(of.spread, 1e-20f)), kMostPlanes);
@@ -111,13 +115,13 @@ class LatticeCurvature {
     if (!(out.step_s > 0)) out.step_s = 1;
     out.step_x = std::fmin(unit / std::sqrt(of.x), 1e9f);
   }
-  LFGS_HD float lean_of(int plane, const LatticePlan& out) const {
+  LFGS_HD float lean_of(int plane, const LatticeGrid& out) const {
     if (plane + 1 >= out.planes) return 0;
     const float nodes = std::round(shear_at((float(plane) + 0.5f) / float(out.planes - 1)) * out.step_s / out.step_x);
     return std::fmin(std::fmax(nodes, float(-kMostColumns)), float(kMostColumns));
   }
   // A sample between two planes lies up to `lean` nodes aside on each.
-  LFGS_HD void widen(float margin, LatticePlan& out) const {
+  LFGS_HD void widen(float margin, LatticeGrid& out) const {
     out.margin = int(margin);
     out.across = steps(part_.x_high - part_.x_low, out.step_x, kMostColumns) + 1 + 2 * out.margin;
     out.x0 = part_.x_low - margin * out.step_x;
