@@ -154,12 +154,12 @@ __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart
 // A colour in 0..1 -> stored(), without a conversion.
 __device__ inline uint8_t byte_of(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, Place::kMagic))); }
 
-// Interpolates a run of sub-pixels of row r, the first with this phase: put(m, colour).
-template <bool Table, class Put>
+// Interpolates a run of sub-pixels of row r, the first with this phase: put(m, colour). Whole: it has whole pixels.
+template <bool Table, bool Whole, class Put>
 __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const Views& views, unsigned phase, int r,
                                 int2 ends, const Put& put) {
   __half2 part;
-  const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3, place = ends.x - 3 * pixel;
+  const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3, place = Whole ? 0 : ends.x - 3 * pixel;
   const float x_first = (float(pixel) + 0.5f - tile.origin().x - nodes.x0) * nodes.per_x;
   unsigned channels[3];
   float x[3];
@@ -174,18 +174,20 @@ __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const View
     float colours[3];
 #pragma unroll
     for (int i = 0; i < 3; ++i) {  // all of them, to have several reads under way
-      colours[i] = nodes.at(channels[i], part, nodes.within(x[i]), views.at<Table>(phase));
-      phase += views.step, x[i] += nodes.per_x;
+      colours[i] = nodes.at(channels[i], part, nodes.within(x[Whole ? 0 : i]), views.at<Table>(phase));
+      phase += views.step;
     }
 #pragma unroll
-    for (int i = 0; i < 3; ++i)
-      if (m + i < ends.y) put(m + i, colours[i]);
+    for (int i = 0; i < 3; ++i) {
+      if (Whole || m + i < ends.y) put(m + i, colours[i]);
+      x[i] += nodes.per_x;
+    }
   }
 }
 
 // The same for all runs of the rows from `top` to before `end` that a section serves: put(r, at, colour), with the
 // place in the row.
-template <bool Table, class Put>
+template <bool Table, bool Whole, class Put>
 __device__ void interpolate_section(const Tile& tile, const Memory& memory, const Views& views, int section, int top,
                                     int end, const Put& put) {
   const Nodes nodes(memory, section);
@@ -195,8 +197,8 @@ __device__ void interpolate_section(const Tile& tile, const Memory& memory, cons
     const int2 row = memory.rows[r];
     const unsigned phase = unsigned(phase_at(tile.lens, tile.top + r, row.x) >> 32);
     const int2 ends = tile.run(row, r, section, n, phase);
-    interpolate_run<Table>(tile, nodes, views, phase + views.step * unsigned(ends.x - row.x), r, ends,
-                           [&](int m, float colour) { put(r, m - row.x, colour); });
+    interpolate_run<Table, Whole>(tile, nodes, views, phase + views.step * unsigned(ends.x - row.x), r, ends,
+                                  [&](int m, float colour) { put(r, m - row.x, colour); });
     r += rows_on, n += runs_on;
     if (n >= runs) n -= runs, ++r;
   }
@@ -243,10 +245,12 @@ __device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
           out[int64_t(tile.top + r) * 3 * tile.lens.width_px + in_image(tile.lens, memory.rows[r].x + at)] =
               __saturatef(colour);
       };
-      if (views.table)
-        interpolate_section<true>(tile, memory, views, section, top, end, put);
+      if (views.table && !tile.by_lens)
+        interpolate_section<true, true>(tile, memory, views, section, top, end, put);
+      else if (views.table)
+        interpolate_section<true, false>(tile, memory, views, section, top, end, put);
       else
-        interpolate_section<false>(tile, memory, views, section, top, end, put);
+        interpolate_section<false, false>(tile, memory, views, section, top, end, put);
     }
     __syncthreads();
     if constexpr (sizeof(Out) == 1) store_rows(tile, memory, top, end, row_bytes, out);
@@ -259,14 +263,6 @@ enum class Rows { kProbe, kBetween };
 template <Rows rows>
 __device__ int row_of(int i) {
   return rows == Rows::kProbe ? i * kProbeRows : i / (kProbeRows - 1) * kProbeRows + i % (kProbeRows - 1) + 1;
-}
-template <Rows rows>
-int tiles_of(const LensFrame& frame) {
-  auto tiles = [](const Tiling& tiling) {
-    const int probes = (tiling.down + kProbeRows - 1) / kProbeRows;
-    return tiling.across * (rows == Rows::kProbe ? probes : tiling.down - probes);
-  };
-  return std::max(tiles(frame.pixel), frame.has_ordinal ? tiles(frame.ordinal) : 0);
 }
 
 // Whether enough tiles of a row that was probed, above or below this one, have a lattice that fits.
@@ -288,28 +284,27 @@ __device__ List list_of(const LensFrame& frame, const Lists& lists, const Tile& 
   return {frame.splats, lists.ids + range.x, range.y - range.x, tile.origin()};
 }
 
-// Lays lattices through the sections of tiles, of which a warp has one; the first without planes where none pays.
-template <Rows rows>
+// What becomes of a tile whose first section has no lattice, in the place of its planes: nothing of it is on the panel;
+// it is left to the kernel chosen, untried; none pays there.
+enum Unlaid : int { kUnseen = -2, kUntried = -1, kPaysNot = 0 };
+
+// Lays lattices through the sections of tiles, of which a warp has one.
 __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_constant__ LensFrame frame) {
   __shared__ LatticePlanner planners[kWarps];
   __shared__ Lattice laid[kWarps];
-  FrameState& state = *frame.state;
-  if (!state.lattices) return;
+  if (!frame.state->lattices) return;
   const Tiling& tiling = tiling_of(frame);
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, number = int(blockIdx.x) * kWarps + warp;
-  const int row = row_of<rows>(number / tiling.across);
-  if (row >= tiling.down) return;
-  Tile tile(frame, tiling, row * tiling.across + number % tiling.across);
-  Lattice* lattices = frame.lattices + int64_t(tile.number) * tile.sections;
-  if (lane == 0) lattices->planes = 0;
-  if (!tile.find_columns(tile.row(lane))) return;
-
+  if (number >= tiling.across * tiling.down) return;
+  Tile tile(frame, tiling, number);
+  const bool seen = tile.find_columns(tile.row(lane));
   const Lists lists(frame);
-  bool tried = lists.ranges != nullptr;  // a list of all splats is for nobody
+  bool tried = seen && lists.ranges != nullptr;  // a list of all splats is for nobody
   unsigned listed = 0;
   for (int section = 0; tried && section < tile.sections; ++section)
     listed += list_of(frame, lists, tile, section).count;
-  tried = tried && listed >= kLeastListed && (rows == Rows::kProbe || worth_trying(state, tiling, row));
+  tried = tried && listed >= kLeastListed;
+  Lattice* lattices = frame.lattices + int64_t(number) * tile.sections;
   bool pays = tried;
   for (int section = tile.sections - 1, places = 0; pays && section >= 0; --section) {
     LatticePlanner& planner = planners[warp];
@@ -320,10 +315,7 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
       reinterpret_cast<int*>(lattices + section)[k] = reinterpret_cast<const int*>(&lattice)[k];
     __syncwarp();
   }
-  if (lane != 0) return;
-  if (!pays) refuse(frame, tile.number);
-  if (tried) atomicAdd(&state.tried_tiles, 1u);
-  if (rows == Rows::kProbe && tried) atomicAdd(&state.probed[0][row / kProbeRows], 1u);
+  if (lane == 0 && !pays) lattices->planes = !seen ? kUnseen : !tried ? kUntried : kPaysNot;
 }
 
 template <Rows rows, class Out>
@@ -337,12 +329,12 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   if (row >= tiling.down) return;
   Tile tile(frame, tiling, row * tiling.across + int(blockIdx.x) % tiling.across);
   const Lattice* laid = frame.lattices + int64_t(tile.number) * tile.sections;
-  if (laid->planes == 0) return;
-  tile.lay_rows(memory);
+  if (laid->planes == kUnseen) return;
+  const bool tried = laid->planes != kUntried && (rows == Rows::kProbe || worth_trying(state, tiling, row));
+  bool good = tried && laid->planes != kPaysNot;
+  if (good) tile.lay_rows(memory);
   const Lists lists(frame);
   const float4 behind = make_float4(background[0], background[1], background[2], 0);
-
-  bool good = true;
   for (int section = 0, first = 0; good && section < tile.sections; ++section) {
     if (threadIdx.x == 0) memory.first_node[section] = first;
     good = fits(frame, list_of(frame, lists, tile, section), tile.part(section), laid[section], section, behind, memory);
@@ -351,6 +343,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   if (threadIdx.x == 0) {
     if (!good) refuse(frame, tile.number);
     if (good) atomicAdd(&state.lattice_tiles, 1u);
+    if (tried) atomicAdd(&state.tried_tiles, 1u);
+    if (rows == Rows::kProbe && tried) atomicAdd(&state.probed[0][row / kProbeRows], 1u);
     if (rows == Rows::kProbe && good) atomicAdd(&state.probed[1][row / kProbeRows], 1u);
   }
   if (!good) return;
@@ -358,12 +352,19 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   interpolate(tile, memory, out);
 }
 
+// Of the tiling that has more of them.
+template <class Tiles>
+unsigned most_of(const LensFrame& frame, const Tiles& tiles) {
+  return unsigned(std::max(tiles(frame.pixel), frame.has_ordinal ? tiles(frame.ordinal) : 0));
+}
+
 template <Rows rows, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  const unsigned tiles = unsigned(tiles_of<rows>(frame));
+  const unsigned tiles = most_of(frame, [](const Tiling& tiling) {
+    const int probes = (tiling.down + kProbeRows - 1) / kProbeRows;
+    return tiling.across * (rows == Rows::kProbe ? probes : tiling.down - probes);
+  });
   if (tiles == 0) return;
-  plan_lattices_kernel<rows><<<(tiles + kWarps - 1) / kWarps, kThreads, 0, stream>>>(frame);
-  check_launch("composite_lattice: plan");
   composite_lattice_kernel<rows><<<tiles, kThreads, 0, stream>>>(frame, background, out);
   check_launch("composite_lattice");
 }
@@ -371,6 +372,9 @@ void launch(const LensFrame& frame, const float* background, Out* out, cudaStrea
 }  // namespace
 
 void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
+  const unsigned tiles = most_of(frame, [](const Tiling& tiling) { return tiling.across * tiling.down; });
+  plan_lattices_kernel<<<(tiles + kWarps - 1) / kWarps, kThreads, 0, cudaStream_t(stream)>>>(frame);
+  check_launch("composite_lattice: plan");
   auto draw = [&](auto* image) {
     launch<Rows::kProbe>(frame, background, image, cudaStream_t(stream));
     launch<Rows::kBetween>(frame, background, image, cudaStream_t(stream));

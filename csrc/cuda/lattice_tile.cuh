@@ -118,9 +118,13 @@ struct Tile {
     return by_lens ? (int(kTileLenses * lens.line_number) + 5) & ~3 : 3 * kPixelTileWidth;
   }
 
-  // Runs of neighbouring sub-pixels of a row that one section serves. In tiles of pixels they are about lenses too, or
-  // shares of very wide ones: what threads side by side then look at lies side by side.
-  __device__ float run_width() const { return lens.line_number / ceilf(lens.line_number * (1.f / 24)); }
+  // Runs of neighbouring sub-pixels of a row that one section serves. In tiles of pixels they are the whole pixels of
+  // about a lens, of some narrow ones or of a part of a wide one: what threads side by side look at lies side by side.
+  __device__ float run_width() const {
+    constexpr float kUsual = 24;
+    const float width = lens.line_number;
+    return width < kUsual ? width * floorf(kUsual / width) : width / ceilf(width / kUsual);
+  }
   __device__ int runs() const { return by_lens ? kTileLenses : int(3 * kPixelTileWidth / run_width()) + 2; }
   // First and end on the panel; row: of the row's sub-pixels, with the phase of the first.
   __device__ int2 run(int2 row, int r, int section, int number_, unsigned phase) const {
@@ -130,8 +134,8 @@ struct Tile {
       if (section == sections - 1) end = lens_start(lens, top + r, first_lens + number_ + 1);
     } else {
       const float before = float(phase) * (1.f / 4294967296.f) * lens.line_number, width = run_width();
-      begin = max(row.x + int(ceilf(float(number_) * width - before)), row.x);
-      end = min(row.x + int(ceilf(float(number_ + 1) * width - before)), row.y);
+      begin = max(row.x + 3 * int(ceilf((float(number_) * width - before) * (1.f / 3))), row.x);
+      end = min(row.x + 3 * int(ceilf((float(number_ + 1) * width - before) * (1.f / 3))), row.y);
     }
     return make_int2(max(begin, 0), min(end, 3 * lens.width_px));
   }

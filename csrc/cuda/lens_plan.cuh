@@ -28,8 +28,9 @@ LFGS_HD ShapeLimits shape_limits(int level) {
 constexpr float kMeanHalfShapeError = 1e-3f, kMostHalfShapeError = 5e-3f;
 // `careful` of the linear fits. Colours with harmonics have errors of their own, that leave less of the 80 dB.
 __device__ inline float most_linear_error(const LensFrame& frame) {
+  constexpr float kWithHarmonics = 2.4e-4f;
   if (frame.in_half) return kMostHalfShapeError;
-  return frame.splats.orders ? shape_limits(0).straight : shape_limits(0).careful;
+  return frame.splats.orders ? kWithHarmonics : shape_limits(0).careful;
 }
 constexpr float kCarefulOpacity = -0.0291f;  // log2(0.98): what an opaque splat stops is less than 2/255
 constexpr int kSampledSplats = 1 << 14;      // about; enough for averages

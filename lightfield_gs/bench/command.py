@@ -51,17 +51,17 @@ class Case:
 
 
 def bench_case(case: Case, methods: list[str], device: str, repeats: int | None,
-               threads: int | None = None,
-               memory_budget: int | None = None) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+               threads: int | None = None, memory_budget: int | None = None,
+               samples: int = ORACLE_SAMPLES) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of one case, a method each, and how the others' images compare with the first method's.
 
-    memory_budget: bytes, of the method "sorted". Raises InputError.
+    memory_budget: bytes, of the method "sorted". samples: sub-pixels of the oracle. Raises InputError.
     """
     _progress(f"{case.scene}: making or reading the scene")
     gaussians = load_scene(case.scene, case.sh_degree).to(device)
     panel, rig = case.panel, benchmark_rig(case.scene, gaussians, case.panel, case.cone)
-    _progress(f"{case.scene}: oracle, {ORACLE_SAMPLES} sub-pixels")
-    oracle = oracle_samples(gaussians, panel, rig)
+    _progress(f"{case.scene}: oracle, {samples} sub-pixels")
+    oracle = oracle_samples(gaussians, panel, rig, samples)
     what = {"scene": case.scene, "gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "panel": panel.name,
             "cone": "panel" if case.cone is None else case.cone, "cone_deg": rig.cone_deg}
     rows, comparisons, first = [], [], None
@@ -129,6 +129,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                                           f"gsplat is installed; default: direct)")
     parser.add_argument("--memory-budget", type=byte_size, metavar="SIZE",
                         help="of the method sorted, for example 256MB, as `encode` takes it")
+    parser.add_argument("--oracle-samples", type=int, metavar="N",
+                        help="of a light-field image: random sub-pixels that the oracle judges it by (default: "
+                             f"{ORACLE_SAMPLES}; near 80 dB one in 1,500 is off by 1/255, so that these leave an "
+                             "uncertainty of 1 dB)")
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     parser.add_argument("--repeats", type=int, help="runs of each, fewer of those beyond a minute (default: 5, and 20 "
                                                     "of what takes less than 50 ms on CUDA)")
@@ -170,8 +174,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of the training step, gsplat's too where it can be had on CUDA, and their text."""
-    if args.memory_budget is not None:
-        raise InputError("--memory-budget is for light-field images by the method sorted, not for training-step")
+    _refuse(args, "memory_budget", "oracle_samples")
     if args.device == "cpu":
         rows = training.cpu_rows(threads, args.repeats)
     else:
@@ -185,7 +188,7 @@ def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple
 
 def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every photo, and their text."""
-    _refuse(args, "scene", "cone", "sh_degree", "methods", "memory_budget")
+    _refuse(args, "scene", "cone", "sh_degree", "methods", "memory_budget", "oracle_samples")
     photos = [str(photo.EXAMPLE)] if args.photo is None else args.photo.split(",")
     _check_files(photos)
     rows = photo.rows(photos, args.model, Panel.load(args.panel), args.device, args.repeats, threads)
@@ -194,7 +197,7 @@ def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[st
 
 def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every scene, photo, cone and setting, and their text; draws the plot."""
-    _refuse(args, "sh_degree", "methods", "memory_budget")
+    _refuse(args, "sh_degree", "methods", "memory_budget", "oracle_samples")
     if args.plot is not None:
         check_plot(args.plot)
     photos = [] if args.scene and not args.photo else (args.photo or str(photo.EXAMPLE)).split(",")
@@ -213,7 +216,7 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
 
 def _skips(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every skip, for every scene and cone, and their text."""
-    _refuse(args, "methods", "memory_budget")
+    _refuse(args, "methods", "memory_budget", "oracle_samples")
     scenes, panel = skips.SCENES if args.scene is None else args.scene.split(","), Panel.load(args.panel)
     cones, count, rows = _cones(args.cone), _one_thread_count(args, threads), []
     for scene in scenes:
@@ -253,13 +256,15 @@ def _light_field(args: argparse.Namespace, threads: list[int | None], published:
     count = _one_thread_count(args, threads)
     if args.memory_budget is not None and "sorted" not in methods:
         raise InputError(f"--memory-budget is for the method sorted, not {', '.join(methods)}; add it to --methods")
+    if args.oracle_samples is not None and args.oracle_samples < 1:
+        raise InputError(f"--oracle-samples: expected 1 or more, got {args.oracle_samples}")
     panel = Panel.load(args.panel)
     cases = [Case(scene, panel, cone, degree) for scene in scenes for cone in _cones(args.cone)
              for degree in _sh_degrees(args.sh_degree)]
     rows, comparisons = [], []
     for case in cases:
         new_rows, new_comparisons = bench_case(case, methods, args.device, args.repeats, count,
-                                               args.memory_budget)
+                                               args.memory_budget, args.oracle_samples or ORACLE_SAMPLES)
         rows += new_rows
         comparisons += new_comparisons
     costs = harmonics_cost(rows)
