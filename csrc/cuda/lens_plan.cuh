@@ -119,9 +119,10 @@ __device__ inline float points_worth(float width_px, float height_px) {
 // Whether a lattice of a usual number of planes would pay in a tile of the frame's usual splats, of these mean half
 // sizes: to find out in every tile takes a tenth of a frame of small ones.
 __device__ inline bool lattices_may_pay(const LensFrame& frame, float half_width, float half_height) {
-  constexpr float kPlanes = 7, kReach = 2.27f;  // of usual splats, in a plan's units; decides as frames were measured
+  constexpr float kPlanes = 7, kReach = 2.65f;  // what a splat of usual opacity reaches, in a plan's units
+  constexpr float kCoarser = 7 / 6.f;           // than tried first: frames that just pay so were no slower
   if (!(frame.lattice > 0)) return false;
-  const float unit = first_fineness(frame.lattice) / kReach;
+  const float unit = fminf(kCoarser * first_fineness(frame.lattice), kMostFineness) / kReach;
   const float columns = float(kPixelTileWidth) / (unit * half_width);
   const float rows = float(kPixelTileHeight) / (unit * half_height);
   const float points = kPlanes * (columns + 1) * (rows + 1) + (kPlanes - 1) * columns * rows;
