@@ -1,9 +1,10 @@
 // Composite of a light-field frame where the light field is smooth: twin of cpu/lens_lattice-inl.h on the device.
 //
-// A tile is one of the kernel that the frame chose, with that kernel's lists. A warp lays a coarse lattice in (x, y, view)
-// through every section of it. Where that pays a block draws the nodes, all channels at once, and the middles of cells;
-// where these show that it is as good as asked for, it interpolates the tile's sub-pixels. Tiles that are refused are
-// left to the kernel chosen. Some rows of tiles go first: where few of theirs fit, the rows between do without trying.
+// A tile is one of the kernel that the frame chose, with that kernel's lists. A warp lays a coarse lattice in
+// (x, y, view) through every section of it. Where that pays a block draws the nodes, all channels at once, and the
+// middles of cells; where these show that it is as good as asked for, it interpolates the tile's sub-pixels. Tiles that
+// are refused are left to the kernel chosen. Some rows of tiles go first: where few of theirs fit, the rows between do
+// without trying.
 #include "cuda/check.h"
 #include "cuda/lattice_tile.cuh"
 
@@ -23,7 +24,8 @@ struct Point {
   __device__ Point(const Lattice& lattice, int number) {
     const int nodes = lattice.nodes(), cells = lattice.across - 1 - 2 * lattice.margin, rows = lattice.down - 1;
     node = number < nodes, middle = !node && number < nodes + cells * rows * (lattice.planes - 1);
-    const int n = node ? number : number - nodes, across = node ? lattice.across : cells, down = node ? lattice.down : rows;
+    const int n = node ? number : number - nodes;
+    const int across = node ? lattice.across : cells, down = node ? lattice.down : rows;
     i = n % across, j = n / across % down, k = n / (across * down);
     half_plane = node || middle ? 2 * k + !node : 0;
     const float half = node ? 0.f : 0.5f;
@@ -42,8 +44,10 @@ __device__ void stage(const List& list, unsigned begin, int count, const Lattice
     staged.form[i] = make_float4(s.tau, s.c0, s.c1, 0);
   }
 #pragma unroll 1
-  for (int n = threadIdx.x; n < count * half_planes; n += kThreads)
-    staged.shapes[n] = list.shape(begin + n / half_planes, fmaf(0.5f * float(n % half_planes), lattice.step_s, lattice.s0));
+  for (int n = threadIdx.x; n < count * half_planes; n += kThreads) {
+    const float s = fmaf(0.5f * float(n % half_planes), lattice.step_s, lattice.s0);
+    staged.shapes[n] = list.shape(begin + n / half_planes, s);
+  }
 }
 
 // The colour of every thread's point, 0..1. A splat at which a point ends takes what light is left.
@@ -126,8 +130,8 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
 }
 
 // Draws the lattice that was laid through a section, or if need be a finer one. By all threads of the block.
-__device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, const Lattice& laid, int section,
-                     float4 background, Memory& memory) {
+__device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, const Lattice& laid,
+                     int section, float4 background, Memory& memory) {
   Lattice& lattice = memory.lattices[section];
   LatticePlanner& planner = *reinterpret_cast<LatticePlanner*>(memory.planner);
   constexpr int kWords = sizeof(Lattice) / sizeof(int);
@@ -191,7 +195,7 @@ template <bool Table, bool Whole, class Put>
 __device__ void interpolate_section(const Tile& tile, const Memory& memory, const Views& views, int section, int top,
                                     int end, const Put& put) {
   const Nodes nodes(memory, section);
-  const int runs = tile.runs(), rows_on = kThreads / runs, runs_on = kThreads % runs;
+  const int runs = tile.runs, rows_on = kThreads / runs, runs_on = kThreads % runs;
   int r = top + int(threadIdx.x) / runs, n = int(threadIdx.x) % runs;
   while (r < end) {
     const int2 row = memory.rows[r];
@@ -337,7 +341,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   const float4 behind = make_float4(background[0], background[1], background[2], 0);
   for (int section = 0, first = 0; good && section < tile.sections; ++section) {
     if (threadIdx.x == 0) memory.first_node[section] = first;
-    good = fits(frame, list_of(frame, lists, tile, section), tile.part(section), laid[section], section, behind, memory);
+    const List list = list_of(frame, lists, tile, section);
+    good = fits(frame, list, tile.part(section), laid[section], section, behind, memory);
     first += good ? memory.lattices[section].places() : 0;
   }
   if (threadIdx.x == 0) {

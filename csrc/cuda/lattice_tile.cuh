@@ -70,11 +70,20 @@ struct Tile {
   bool by_lens;
   int number, top, rows, sections, first_lens;
   int low = 0, high = -1;  // columns of pixels
+  // Runs of neighbouring sub-pixels of a row that one section serves. In tiles of pixels they are the whole pixels of
+  // about a lens, of some narrow ones or of a part of a wide one: what threads side by side look at lies side by side.
+  int runs;
+  float run_width;
 
   __device__ Tile(const LensFrame& frame, const Tiling& tiling_, int number_)
       : lens(frame.optics), tiling(tiling_), by_lens(&tiling == &frame.ordinal), number(number_),
         top(number / tiling.across * tiling.height), rows(min(tiling.height, lens.height_px - top)),
-        sections(tiling.groups), first_lens(lens.ordinals.first_lens + number % tiling.across * kTileLenses) {}
+        sections(tiling.groups), first_lens(lens.ordinals.first_lens + number % tiling.across * kTileLenses) {
+    constexpr float kUsual = 24;
+    const float width = lens.line_number;
+    run_width = width < kUsual ? width * floorf(kUsual / width) : width / ceilf(width / kUsual);
+    runs = by_lens ? kTileLenses : int(3 * kPixelTileWidth / run_width) + 2;
+  }
 
   // The sub-pixels of a row, from x to before y.
   __device__ int2 row(int r) const {
@@ -102,7 +111,8 @@ struct Tile {
     __syncthreads();
     low = memory.low, high = memory.high;
   }
-  __device__ float2 origin() const { return make_float2(float(low), float(top)); }  // of the lattice's x and y, in pixels
+  // Of the lattice's x and y, in pixels.
+  __device__ float2 origin() const { return make_float2(float(low), float(top)); }
 
   __device__ LatticePart part(int section) const {
     float centre, half;
@@ -118,24 +128,18 @@ struct Tile {
     return by_lens ? (int(kTileLenses * lens.line_number) + 5) & ~3 : 3 * kPixelTileWidth;
   }
 
-  // Runs of neighbouring sub-pixels of a row that one section serves. In tiles of pixels they are the whole pixels of
-  // about a lens, of some narrow ones or of a part of a wide one: what threads side by side look at lies side by side.
-  __device__ float run_width() const {
-    constexpr float kUsual = 24;
-    const float width = lens.line_number;
-    return width < kUsual ? width * floorf(kUsual / width) : width / ceilf(width / kUsual);
-  }
-  __device__ int runs() const { return by_lens ? kTileLenses : int(3 * kPixelTileWidth / run_width()) + 2; }
-  // First and end on the panel; row: of the row's sub-pixels, with the phase of the first.
-  __device__ int2 run(int2 row, int r, int section, int number_, unsigned phase) const {
+  // First and end on the panel of the n-th run; row: of the row's sub-pixels, with the phase of the first.
+  __device__ int2 run(int2 row, int r, int section, int n, unsigned phase) const {
     int begin, end;
     if (by_lens) {
-      begin = lens_start(lens, top + r, first_lens + number_) + kGroupOrdinals * section, end = begin + kGroupOrdinals;
-      if (section == sections - 1) end = lens_start(lens, top + r, first_lens + number_ + 1);
+      begin = lens_start(lens, top + r, first_lens + n) + kGroupOrdinals * section, end = begin + kGroupOrdinals;
+      if (section == sections - 1) end = lens_start(lens, top + r, first_lens + n + 1);
     } else {
-      const float before = float(phase) * (1.f / 4294967296.f) * lens.line_number, width = run_width();
-      begin = max(row.x + 3 * int(ceilf((float(number_) * width - before) * (1.f / 3))), row.x);
-      end = min(row.x + 3 * int(ceilf((float(number_ + 1) * width - before) * (1.f / 3))), row.y);
+      const float of_lens = float(phase) * (1.f / 4294967296.f) * lens.line_number;
+      const float before = of_lens - floorf(of_lens / run_width) * run_width;
+      auto pixel = [&](int k) { return row.x + 3 * int(ceilf((float(k) * run_width - before) * (1.f / 3))); };
+      begin = n == 0 ? row.x : min(max(pixel(n), row.x), row.y);
+      end = n == runs - 1 ? row.y : min(max(pixel(n + 1), row.x), row.y);
     }
     return make_int2(max(begin, 0), min(end, 3 * lens.width_px));
   }

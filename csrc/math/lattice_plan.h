@@ -18,14 +18,14 @@ struct LatticePart {
 constexpr float kMeanShare = 5;  // the root mean square of a lattice's errors must be so many times smaller
 constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // steps in standard deviations; of the finer ones tried next
 LFGS_HD float first_fineness(float error) { return std::fmin(3.0f * std::sqrt(error), kMostFineness); }
-// Lattices are tried on every kProbeRows-th row of tiles first; where few of its tiles fit, the rows between do without.
+// Lattices are tried on every kProbeRows-th row of tiles first; where few of its tiles fit, rows between do without.
 constexpr int kProbeRows = 8;
 
 // However fine a lattice is wanted, its nodes and middles can be counted in an int: (30001 x 257 + 9999 x 256) x 128.
 constexpr int kMostPlanes = 128, kMostRows = 256, kMostColumns = 10000;
 
-// Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. What is at a node of a plane is seen up to `margin` nodes
-// aside on the next.
+// Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. What is at a node of a plane is seen up to `margin`
+// nodes aside on the next.
 struct LatticeGrid {
   int across, down, planes, margin;
   float x0, y0, s0, step_x, step_y, step_s;

@@ -44,7 +44,9 @@ def panel_of(name: str) -> Panel:
 LATTICE_FRAMES = [("pixel", "high", "integer", dict(cone_deg=1.0)),
                   ("pixel-quadratic", "fast", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18)),
                   ("ordinal", "high", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18, line_number=16.013)),
-                  ("ordinal", "fast", "integer", dict(invert_views=True))]
+                  ("ordinal", "fast", "integer", dict(invert_views=True)),
+                  ("pixel", "high", "integer", dict(line_number=61.7)),
+                  ("pixel", "fast", "integer", dict(line_number=0.7, cone_deg=4.0))]
 
 
 def lattice_frame(changes: dict[str, Any], degree: int) -> tuple[Gaussians, Panel, Rig]:
