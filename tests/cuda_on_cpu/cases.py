@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -64,6 +65,22 @@ def lattice_frame(changes: dict[str, Any], degree: int) -> tuple[Gaussians, Pane
     parts = [{name: field[near] for name, field in smooth.fields().items()}, rough.fields()]
     scene = Gaussians(*(torch.cat([part[name] for part in parts]) for name in parts[0]))
     return (with_harmonics(scene, degree) if degree else scene), panel, rig
+
+
+def harmonic_piece() -> tuple[Gaussians, Panel, Rig]:
+    """A piece of the benchmark's frame of a cloud with harmonics in a wide cone, and what of the cloud may touch it."""
+    scene, left, top = with_harmonics(cloud(1 << 18), 3), 5119, 3065
+    whole = Panel(7680, 3840, 96, 16.013, math.tan(0.18), cone_deg=53.0)
+    panel, rig = replace(whole, width_px=48, height_px=32), benchmark_rig("cloud:262144", None, whole, "wide")
+    rig = replace(rig, principal_point_px=(whole.width_px / 2 - left, whole.height_px / 2 - top))
+    x, y, z = scene.means.unbind(1)
+    reach = 4 + 6.4 * whole.width_px * scene.scales.max(1).values / z
+    half = rig.zero_depth * math.tan(math.radians(rig.cone_deg / 2))
+    swing = whole.width_px * half * (1 / z - 1 / rig.zero_depth).abs()
+    u, v = (f * along / z + centre for f, along, centre in zip(rig.focal_px, (x, y), rig.principal_point_px))
+    near = (u + swing + reach > 0) & (u - swing - reach < panel.width_px)
+    near &= (v + reach > 0) & (v - reach < panel.height_px)
+    return Gaussians(*(field[near] for field in scene.fields().values())), panel, rig
 
 
 def needles() -> tuple[Gaussians, Panel, Rig]:

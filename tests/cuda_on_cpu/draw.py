@@ -101,6 +101,8 @@ def main(what: str) -> object:
                 lattice_frame(*first, degree=0, dtype=torch.uint8),
                 *(drawn(*scene, "integer", "pixel", cases.WIDE_QUALITY, 1.0)
                   for scene in (cases.speckled(), cases.wide_rig()))]
+    if what == "harmonics":
+        return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
     if what == "pruned":
         panel = cases.panel_of("default")
         return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
