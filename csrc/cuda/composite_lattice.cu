@@ -11,8 +11,9 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kBlocks = 6;      // on a multiprocessor; loops that are short or rare are not unrolled for its registers
+constexpr int kBlocks = 6;  // on a multiprocessor; loops that are short or rare are not unrolled for its registers
 constexpr int kAttempts = 2;
+constexpr unsigned kLeastListed = 8;   // a tile of fewer splats is drawn before a lattice is laid
 constexpr unsigned kLeastFitting = 3;  // one in so many tiles with splats of a probed row
 
 // A node of a section's lattice, or the middle of a cell.
@@ -94,9 +95,6 @@ __device__ void store_node(const Lattice& lattice, const Point& point, float3 co
     if (point.i > 0 && point.j > 0) corners[-lattice.across - 1].high.y = value;
   }
 }
-
-// A tile of fewer splats is drawn before a lattice is laid.
-constexpr unsigned kLeastListed = 8;
 
 // Draws a section's nodes and the middles of its cells. The error there, as a share of what is allowed.
 __device__ float draw_lattice(const LensFrame& frame, const List& list, int section, float4 background,
