@@ -1,0 +1,116 @@
+// How a block of composite_lattice fills a tile from its nodes: runs of sub-pixels side by side, then rows at once.
+#pragma once
+
+#include "cuda/lattice_tile.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+// A colour in 0..1 -> stored(), without a conversion.
+__device__ inline uint8_t byte_of(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, Place::kMagic))); }
+
+// Interpolates a run of sub-pixels of row r, the first with this phase: put(m, colour). Whole: it has whole pixels.
+template <bool Table, bool Whole, class Put>
+__device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const Views& views, unsigned phase, int r,
+                                int2 ends, const Put& put) {
+  __half2 part;
+  const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3, place = Whole ? 0 : ends.x - 3 * pixel;
+  const float x_first = (float(pixel) + 0.5f - tile.origin().x - nodes.x0) * nodes.per_x;
+  unsigned channels[3];
+  float x[3];
+#pragma unroll
+  for (int i = 0; i < 3; ++i) {  // in the order in which the sub-pixels follow
+    const bool next = place + i >= 3;
+    const int at = place + i - 3 * next;
+    channels[i] = nodes.row_of(tile.lens.bgr ? 2 - at : at, row), x[i] = next ? x_first + nodes.per_x : x_first;
+  }
+#pragma unroll 1
+  for (int m = ends.x; m < ends.y; m += 3) {
+    float colours[3];
+#pragma unroll
+    for (int i = 0; i < 3; ++i) {  // all of them, to have several reads under way
+      colours[i] = nodes.at(channels[i], part, nodes.within(x[Whole ? 0 : i]), views.at<Table>(phase));
+      phase += views.step;
+    }
+#pragma unroll
+    for (int i = 0; i < 3; ++i) {
+      if (Whole || m + i < ends.y) put(m + i, colours[i]);
+      x[i] += nodes.per_x;
+    }
+  }
+}
+
+// The same for all runs of the rows from `top` to before `end` that a section serves: put(r, at, colour), with the
+// place in the row.
+template <bool Table, bool Whole, class Put>
+__device__ void interpolate_section(const Tile& tile, const Memory& memory, const Views& views, int section, int top,
+                                    int end, const Put& put) {
+  const Nodes nodes(memory, section);
+  const int runs = tile.runs, rows_on = kThreads / runs, runs_on = kThreads % runs;
+  int r = top + int(threadIdx.x) / runs, n = int(threadIdx.x) % runs;
+  while (r < end) {
+    const int2 row = memory.rows[r];
+    const unsigned phase = unsigned(phase_at(tile.lens, tile.top + r, row.x) >> 32);
+    const int2 ends = tile.run(row, r, section, n, phase);
+    interpolate_run<Table, Whole>(tile, nodes, views, phase + views.step * unsigned(ends.x - row.x), r, ends,
+                                  [&](int m, float colour) { put(r, m - row.x, colour); });
+    r += rows_on, n += runs_on;
+    if (n >= runs) n -= runs, ++r;
+  }
+}
+
+// Stores the bytes of rows of a tile: [rows, row_bytes], from the first sub-pixel of each on.
+__device__ void store_rows(const Tile& tile, const Memory& memory, int top, int end, int row_bytes, uint8_t* out) {
+  const int width = 3 * tile.lens.width_px, warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+  constexpr int kWord = sizeof(uint4), kWords = 3 * kPixelTileWidth / kWord;
+  const bool words = width % kWord == 0 && reinterpret_cast<uintptr_t>(out) % kWord == 0;
+  if (words && !tile.by_lens && !tile.lens.bgr) {
+    const int first = memory.rows[0].x;
+    for (int n = threadIdx.x; n < (end - top) * kWords; n += kThreads) {
+      const int m = first + n % kWords * kWord;
+      if (m < width)
+        *reinterpret_cast<uint4*>(out + int64_t(tile.top + top + n / kWords) * width + m) =
+            reinterpret_cast<const uint4*>(memory.bytes)[n];
+    }
+    return;
+  }
+  for (int r = top + warp; r < end; r += kWarps) {
+    const int first = memory.rows[r].x, last = min(memory.rows[r].y, width);
+    const uint8_t* from = memory.bytes + (r - top) * row_bytes;
+    uint8_t* line = out + int64_t(tile.top + r) * width;
+    for (int m = first + lane; m < last; m += 32)
+      if (m >= 0) line[in_image(tile.lens, m)] = from[m - first];
+  }
+}
+
+// Interpolates the sub-pixels of a tile.
+template <class Out>
+__device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
+  const int row_bytes = tile.row_bytes(), fitting = min(int(sizeof memory.bytes) / row_bytes, tile.rows);
+  for (int top = 0; top < tile.rows; top += fitting) {
+    const int end = min(top + fitting, tile.rows);
+    for (int section = 0; section < tile.sections; ++section) {
+      __syncthreads();
+      Views views(tile.lens, memory, section);
+      views.tabulate(memory);
+      auto put = [&](int r, int at, float colour) {
+        if constexpr (sizeof(Out) == 1)
+          memory.bytes[(r - top) * row_bytes + at] = byte_of(colour);
+        else
+          out[int64_t(tile.top + r) * 3 * tile.lens.width_px + in_image(tile.lens, memory.rows[r].x + at)] =
+              __saturatef(colour);
+      };
+      if (views.table && !tile.by_lens)
+        interpolate_section<true, true>(tile, memory, views, section, top, end, put);
+      else if (views.table)
+        interpolate_section<true, false>(tile, memory, views, section, top, end, put);
+      else
+        interpolate_section<false, false>(tile, memory, views, section, top, end, put);
+    }
+    __syncthreads();
+    if constexpr (sizeof(Out) == 1) store_rows(tile, memory, top, end, row_bytes, out);
+  }
+}
+
+}  // namespace
+}  // namespace lfgs::cuda
