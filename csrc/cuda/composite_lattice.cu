@@ -23,10 +23,9 @@ struct Point {
   float x, y, s;
 
   __device__ Point(const Lattice& lattice, int number) {
-    const int nodes = lattice.nodes(), cells = lattice.across - 1 - 2 * lattice.margin, rows = lattice.down - 1;
-    node = number < nodes, middle = !node && number < nodes + cells * rows * (lattice.planes - 1);
-    const int n = node ? number : number - nodes;
-    const int across = node ? lattice.across : cells, down = node ? lattice.down : rows;
+    node = number < lattice.nodes(), middle = !node && number < lattice.points();
+    const int n = node ? number : number - lattice.nodes();
+    const int across = node ? lattice.across : lattice.cells(), down = lattice.down - !node;
     i = n % across, j = n / across % down, k = n / (across * down);
     half_plane = node || middle ? 2 * k + !node : 0;
     const float half = node ? 0.f : 0.5f;

@@ -155,11 +155,8 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
   if constexpr (sizeof(Out) == 1) {
     __syncthreads();
     for (int r = threadIdx.x / 32; r < kTileRows; r += kWarps) {
-      const int row = tile_y * kTileRows + r, begin = memory.rows[r].x, end = min(memory.rows[r].y, width);
-      if (row >= lens.height_px) continue;
-      Out* to = out + int64_t(row) * width;
-      for (int m = begin + task.lane; m < end; m += 32)
-        if (m >= 0) to[in_image(lens, m)] = bytes[r * row_bytes + m - begin];
+      const int row = tile_y * kTileRows + r;
+      if (row < lens.height_px) store_row(lens, row, memory.rows[r], bytes + r * row_bytes, out);
     }
   }
 }
@@ -196,7 +193,7 @@ void launch(const LensFrame& frame, const float* background, Out* out, cudaStrea
     check_launch("composite_ordinal: colours");
   }
   const auto kernel = composite_ordinal_kernel<Harmonics, Out>;
-  const int row = row_bytes(frame.optics.line_number);
+  const int row = lens_row_bytes(frame.optics.line_number);
   const size_t bytes = sizeof(Memory<Harmonics>) + kTileRows * row;
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
         "composite_ordinal: shared memory");
@@ -214,7 +211,7 @@ bool can_composite_ordinal(const Lens& lens) {
   check(cudaDeviceGetAttribute(&shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
         "composite_ordinal: shared memory");
   const double number = lens.line_number, views_each = double(lens.views) / number;
-  const size_t bytes = sizeof(Memory<true>) + kTileRows * row_bytes(float(number));
+  const size_t bytes = sizeof(Memory<true>) + kTileRows * lens_row_bytes(float(number));
   return major >= 8 && bytes <= size_t(shared) && number >= kMinLineNumber && number <= kMaxLineNumber &&
          views_each <= kMostViewsEach;
 }

@@ -8,8 +8,6 @@ namespace lfgs::cuda {
 __device__ inline unsigned bits(__half2 h) { return *reinterpret_cast<const unsigned*>(&h); }
 __device__ inline __half2 as_half2(unsigned b) { return *reinterpret_cast<const __half2*>(&b); }
 
-__device__ inline unsigned half_bits(__half h) { return *reinterpret_cast<const uint16_t*>(&h); }
-
 // In a float's place, which shared memory reads four at a time.
 __device__ inline float packed(float a, float b) { return __uint_as_float(bits(__floats2half2_rn(a, b))); }
 __device__ inline __half2 unpacked(float a) { return as_half2(__float_as_uint(a)); }

@@ -22,7 +22,7 @@ struct Lattice : LatticeGrid {
   // Places of all nodes, at most.
   LFGS_HD int places() const { return nodes() + 2 * margin * (planes - 1); }
   // Nodes, and middles of the cells in which samples may lie.
-  LFGS_HD int points() const { return nodes() + (across - 1 - 2 * margin) * (down - 1) * (planes - 1); }
+  LFGS_HD int points() const { return nodes() + cells() * (down - 1) * (planes - 1); }
 };
 
 }  // namespace lfgs::cuda

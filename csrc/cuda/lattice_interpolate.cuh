@@ -61,7 +61,7 @@ __device__ void interpolate_section(const Tile& tile, const Memory& memory, cons
 
 // Stores the bytes of rows of a tile: [rows, row_bytes], from the first sub-pixel of each on.
 __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int end, int row_bytes, uint8_t* out) {
-  const int width = 3 * tile.lens.width_px, warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+  const int width = 3 * tile.lens.width_px;
   constexpr int kWord = sizeof(uint4), kWords = 3 * kPixelTileWidth / kWord;
   const bool words = width % kWord == 0 && reinterpret_cast<uintptr_t>(out) % kWord == 0;
   if (words && !tile.by_lens && !tile.lens.bgr) {
@@ -74,13 +74,8 @@ __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int 
     }
     return;
   }
-  for (int r = top + warp; r < end; r += kWarps) {
-    const int first = memory.rows[r].x, last = min(memory.rows[r].y, width);
-    const uint8_t* from = memory.bytes + (r - top) * row_bytes;
-    uint8_t* line = out + int64_t(tile.top + r) * width;
-    for (int m = first + lane; m < last; m += 32)
-      if (m >= 0) line[in_image(tile.lens, m)] = from[m - first];
-  }
+  for (int r = top + int(threadIdx.x) / 32; r < end; r += kWarps)
+    store_row(tile.lens, tile.top + r, memory.rows[r], memory.bytes + (r - top) * row_bytes, out);
 }
 
 // Interpolates the sub-pixels of a tile.

@@ -36,10 +36,9 @@ struct Seen {
 
   __device__ Seen() {}
   __device__ Seen(const LatticePlane& plane, float part)
-      : aside(plane.aside * part),
-        first_and_part(unsigned(plane.first) | unsigned(half_bits(__float2half_rn(part))) << 16) {}
+      : aside(plane.aside * part), first_and_part(unsigned(plane.first) | bits(__floats2half2_rn(0.f, part))) {}
   __device__ unsigned first() const { return first_and_part & 0xffffu; }
-  __device__ __half2 part() const { return as_half2(__byte_perm(first_and_part, 0, 0x3232)); }
+  __device__ __half2 part() const { return __high2half2(as_half2(first_and_part)); }
 };
 
 // Colours, 0..1, of a node and of the next along x, in a row and in the next: what a place between needs, read at once.
@@ -125,7 +124,7 @@ struct Tile {
 
   // More than any of its rows has.
   __device__ int row_bytes() const {
-    return by_lens ? (int(kTileLenses * lens.line_number) + 5) & ~3 : 3 * kPixelTileWidth;
+    return by_lens ? lens_row_bytes(lens.line_number) : 3 * kPixelTileWidth;
   }
 
   // First and end on the panel of the n-th run; row: of the row's sub-pixels, with the phase of the first.

@@ -42,6 +42,17 @@ __device__ inline int place_of(int subpixel) { return (subpixel % 3 + 3) % 3; }
 // Where a sub-pixel m >= 0 of a row stands in the image: pixels are stored as red, green, blue.
 __device__ inline int in_image(const LensOptics& lens, int m) { return lens.bgr ? m + 2 - 2 * (m % 3) : m; }
 
+// Bytes that the sub-pixels of a row of a tile of lenses take, at most.
+LFGS_HD int lens_row_bytes(float line_number) { return (int(kTileLenses * line_number) + 5) & ~3; }
+
+// Puts a row's sub-pixels from ends.x to before ends.y, those on the panel, into the image. By a warp.
+__device__ inline void store_row(const LensOptics& lens, int row, int2 ends, const uint8_t* bytes, uint8_t* out) {
+  const int width = 3 * lens.width_px, end = min(ends.y, width);
+  uint8_t* to = out + int64_t(row) * width;
+  for (int m = ends.x + int(threadIdx.x % 32); m < end; m += 32)
+    if (m >= 0) to[in_image(lens, m)] = bytes[m - ends.x];
+}
+
 // Colours in the order of the sub-pixels of a pixel, left to right.
 __device__ inline float4 by_place(const LensOptics& lens, float4 c) {
   return lens.bgr ? make_float4(c.z, c.y, c.x, c.w) : c;

@@ -53,10 +53,8 @@ struct Memory {
   WarpMemory<Harmonics> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
   unsigned next_tile;
-  // then the bytes of the tile: kTileRows x row_bytes()
+  // then the bytes of the tile: kTileRows x lens_row_bytes()
 };
-
-int row_bytes(float line_number) { return (int(kTileLenses * line_number) + 5) & ~3; }
 
 __device__ inline unsigned halves(float a, float b) { return bits(__floats2half2_rn(a, b)); }
 // A number as the sum of two halves.

@@ -32,6 +32,8 @@ struct LatticeGrid {
 
   LFGS_HD int per_plane() const { return across * down; }
   LFGS_HD int nodes() const { return per_plane() * planes; }
+  // Cells of a row in which samples lie.
+  LFGS_HD int cells() const { return across - 1 - 2 * margin; }
 };
 
 // What is at node i of plane k is seen at about node i + lean[k] of the next.
@@ -42,7 +44,7 @@ struct LatticePlan : LatticeGrid {
   LFGS_HD LatticePlan middles(const LatticePart& part) const {
     LatticePlan out = *this;
     out.x0 = part.x_low + step_x / 2, out.y0 = y0 + step_y / 2, out.s0 = s0 + step_s / 2;
-    out.across = across - 1 - 2 * margin, out.down = down - 1, out.planes = planes - 1;
+    out.across = cells(), out.down = down - 1, out.planes = planes - 1;
     return out;
   }
 };

@@ -150,9 +150,12 @@ def run(args: argparse.Namespace) -> int:
     threads = _numbers("--threads", args.threads, int)
     if args.json is not None:
         check_output_path(args.json)
-    for option, kinds in (("photo", ("photo", "pareto")), ("model", ("photo",)), ("plot", ("pareto",))):
-        if getattr(args, option) and args.what not in kinds:
-            raise InputError(f"--{option} is for `bench {'` and `bench '.join(kinds)}`; leave it out")
+    drawn = ("light-field", "paper")
+    for option, kinds in (("photo", ("photo", "pareto")), ("model", ("photo",)), ("plot", ("pareto",)),
+                          ("memory_budget", drawn), ("oracle_samples", drawn)):
+        if getattr(args, option) is not None and args.what not in kinds:
+            name = option.replace("_", "-")
+            raise InputError(f"--{name} is for `bench {'` and `bench '.join(kinds)}`; leave it out")
     if args.what == "training-step":
         result, text = _training_step(args, threads)
     elif args.what == "photo":
@@ -174,7 +177,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of the training step, gsplat's too where it can be had on CUDA, and their text."""
-    _refuse(args, "memory_budget", "oracle_samples")
     if args.device == "cpu":
         rows = training.cpu_rows(threads, args.repeats)
     else:
@@ -188,7 +190,7 @@ def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple
 
 def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every photo, and their text."""
-    _refuse(args, "scene", "cone", "sh_degree", "methods", "memory_budget", "oracle_samples")
+    _refuse(args, "scene", "cone", "sh_degree", "methods")
     photos = [str(photo.EXAMPLE)] if args.photo is None else args.photo.split(",")
     _check_files(photos)
     rows = photo.rows(photos, args.model, Panel.load(args.panel), args.device, args.repeats, threads)
@@ -197,7 +199,7 @@ def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[st
 
 def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every scene, photo, cone and setting, and their text; draws the plot."""
-    _refuse(args, "sh_degree", "methods", "memory_budget", "oracle_samples")
+    _refuse(args, "sh_degree", "methods")
     if args.plot is not None:
         check_plot(args.plot)
     photos = [] if args.scene and not args.photo else (args.photo or str(photo.EXAMPLE)).split(",")
@@ -216,7 +218,7 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
 
 def _skips(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every skip, for every scene and cone, and their text."""
-    _refuse(args, "methods", "memory_budget", "oracle_samples")
+    _refuse(args, "methods")
     scenes, panel = skips.SCENES if args.scene is None else args.scene.split(","), Panel.load(args.panel)
     cones, count, rows = _cones(args.cone), _one_thread_count(args, threads), []
     for scene in scenes:
