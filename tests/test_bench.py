@@ -309,7 +309,8 @@ def test_every_knob_stands_alone_and_is_left_out_once():
                                    "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=",
                                    "--cone 0", "--repeats 0", "--device gpu", "--threads x", "--panel no-such-panel",
                                    "--scene cube:4", "--memory-budget 1MB", "--memory-budget lots",
-                                   "training-step --memory-budget 1MB", "--oracle-samples 0",
+                                   "training-step --memory-budget 1MB", "training-step --scene sheet:4",
+                                   "training-step --sh-degree 3", "--oracle-samples 0",
                                    "photo --oracle-samples 9", "--json /no/such/folder/rows.json",
                                    "--threads 1,2"])
 def test_bad_arguments_are_refused_before_any_work(words):

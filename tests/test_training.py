@@ -16,7 +16,7 @@ from training import train
 from training.checkpoints import cut_log
 from training.config import OptimizerConfig, Stage, TrainingConfig
 from training.distributed import join_team
-from training.losses import LossWeights, composite, roughness, total_loss
+from training.losses import LossWeights, composite, roughness, total_loss, translucency
 from training.metrics import psnr_db, ssim
 from training.schedule import WeightAverage, learning_rate
 from training.trainer import Trainer
@@ -71,6 +71,20 @@ def test_the_logarithm_of_errors_is_that_of_each_image():
     weights = LossWeights(colour=0, log_colour=0.5, ssim=0, alpha=0)
     total, _ = total_loss(images, targets[:, :, 3], targets, backgrounds, *scene, weights)
     assert float(total) == pytest.approx(0.5 * (math.log(0.01 + 1e-4) + math.log(0.09 + 1e-4)) / 2, rel=1e-5)
+
+
+def test_translucency_turns_doubt_about_an_outline_into_a_decision():
+    chance = torch.tensor(0.7)  # that the pixel is object
+    opacities = torch.linspace(0, 1, 1001)
+    errors = chance * (1 - opacities).square() + (1 - chance) * opacities.square()
+    for weight, best in ((0.0, 0.7), (0.25, 0.766666), (0.5, 0.9), (0.8, 1.0), (2.0, 1.0)):
+        costs = errors + weight * torch.stack([translucency(alpha) for alpha in opacities])
+        assert float(opacities[costs.argmin()]) == pytest.approx(best, abs=1.5e-3)  # where its derivative is zero
+    scene = torch.ones(1, 256, 3), torch.zeros(1, 4, 16, 16)
+    alpha, targets = torch.full((1, 2, 16, 16), 0.25), torch.zeros(1, 2, 4, 16, 16)
+    images, backgrounds = torch.zeros(1, 2, 3, 16, 16), torch.zeros(1, 2, 3)
+    total, terms = total_loss(images, alpha, targets, backgrounds, *scene, LossWeights(ssim=0, alpha=0, translucency=2))
+    assert float(terms["translucency"]) == pytest.approx(0.1875) and float(total) == pytest.approx(0.375)
 
 
 def test_roughness_counts_steps_of_disparity_on_the_object():

@@ -14,15 +14,19 @@ _LEAST_ERROR = 1e-4  # of an image, 40 dB: better ones count no more in the loga
 @dataclass(frozen=True)
 class LossWeights:
     """Weights: squared colour error, logarithm of each image's squared colour error, 1 - SSIM, squared error of the
-    object's outline (alpha), roughness of depth.
+    object's outline (alpha), what is half transparent, roughness of depth.
 
     The logarithm is what PSNR averages: images count alike however large their errors. Its slope at an error of 0.002
     (27 dB) is that of the squared error itself when its weight is 0.002 times as large.
+
+    Where the network cannot know whether a pixel is object, squared error is least at the probability that it is: a halo.
+    translucency makes it decide: its weight against those of the squared errors says how much sharper outlines get.
     """
     colour: float = 1.0
     log_colour: float = 0.0
     ssim: float = 0.05
     alpha: float = 0.1
+    translucency: float = 0.0
     roughness: float = 0.0
 
 
@@ -51,6 +55,14 @@ def roughness(means: Tensor, source: Tensor) -> Tensor:
     return total
 
 
+def translucency(alpha: Tensor) -> Tensor:
+    """How far pixels are from being object or background: the mean of alpha (1 - alpha), 0 to 1/4.
+
+    alpha: opacities of any shape, 0..1.
+    """
+    return (alpha * (1 - alpha)).mean()
+
+
 def total_loss(images: Tensor, alpha: Tensor, targets: Tensor, backgrounds: Tensor, means: Tensor, source: Tensor,
                weights: LossWeights) -> tuple[Tensor, dict[str, Tensor]]:
     """The weighted sum and its unweighted terms.
@@ -65,6 +77,8 @@ def total_loss(images: Tensor, alpha: Tensor, targets: Tensor, backgrounds: Tens
         terms["log_colour"] = (errors + _LEAST_ERROR).log().mean()
     if weights.ssim:
         terms["ssim"] = 1 - ssim(images, wanted).mean()
+    if weights.translucency:
+        terms["translucency"] = translucency(alpha)
     if weights.roughness:
         terms["roughness"] = roughness(means, source)
     total = torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()

@@ -177,6 +177,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of the training step, gsplat's too where it can be had on CUDA, and their text."""
+    _refuse(args, "scene", "cone", "sh_degree", "methods")
     if args.device == "cpu":
         rows = training.cpu_rows(threads, args.repeats)
     else:
