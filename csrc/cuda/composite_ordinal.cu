@@ -16,13 +16,6 @@
 namespace lfgs::cuda {
 namespace {
 
-// The nearest multiple of 2^-16. Differences of slopes, which are mostly below 2^-5, are whole halves then: their
-// rounding would count with the transmittance before each splat, where that of a slope counts with its own weight.
-__device__ inline float whole_steps(float slope) {
-  constexpr float kMagic = 192;  // a float beside it is such a multiple
-  return (slope + kMagic) - kMagic;
-}
-
 // The colours of every splat at every ordinal: parabolas through three places of what the ordinal sees, none below zero
 // there. A list of a group would read them several times; a thread has kShare ordinals of a splat.
 constexpr int kShare = 3, kColourThreads = 128;
@@ -68,18 +61,18 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
     // Half of 1 / v at the last place, with its sign
     const float inverse = half > 0 ? 0.5f * offset_unit(frame.optics) / (kParabolaPlace * half) : 0.5f;
     float middle[3];
-    __half2 slope[3];
+    unsigned slope[3];
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
       const float low = fmaxf(values[o][0][c], 0.f), high = fmaxf(values[o][2][c], 0.f);
       middle[c] = fmaxf(values[o][1][c], 0.f);
       const float bend = (high + low - 2 * middle[c]) * 2 * inverse * inverse;
-      slope[c] = __floats2half2_rn(whole_steps((high - low) * inverse), bend);
+      slope[c] = slope_and_bend((high - low) * inverse, bend);
     }
     const int64_t at = id * columns + first + o;
     reinterpret_cast<float4*>(frame.ordinal_colours)[at] =
-        make_float4(middle[0], middle[1], middle[2], __uint_as_float(bits(slope[0])));
-    reinterpret_cast<uint2*>(frame.ordinal_slopes)[at] = make_uint2(bits(slope[1]), bits(slope[2]));
+        make_float4(middle[0], middle[1], middle[2], __uint_as_float(slope[0]));
+    reinterpret_cast<uint2*>(frame.ordinal_slopes)[at] = make_uint2(slope[1], slope[2]);
   }
 #endif
 }

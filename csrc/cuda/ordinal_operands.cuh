@@ -63,6 +63,26 @@ __device__ inline unsigned split(float a) {
   return halves(high, a - high);
 }
 
+// The slope and the bend of a colour in a word. What is multiplied are differences between splats, with the transmittance
+// before each: what rounds these adds up, where what rounds a slope counts with the splat's own weight. So a slope is a
+// multiple of kCoarseStep, a half of which differences below 1/4 are exact, and of kFineStep, -8 to 7 of them; these
+// stand in the last four bits of the bend, a half that can spare them.
+constexpr float kCoarseStep = 1.f / (1 << 13), kFineStep = kCoarseStep / 16;
+__device__ inline unsigned slope_and_bend(float slope, float bend) {
+  constexpr float kMagic = 1536;  // a float beside it is a multiple of kCoarseStep
+  const __half coarse = __float2half_rn((slope + kMagic) - kMagic);
+  const float left = rintf((slope - __half2float(coarse)) * (1 / kFineStep));
+  const int fine = int(fminf(fmaxf(left, -8.f), 7.f)), half = __half_as_ushort(__float2half_rn(bend));
+  int change = (fine - half & 15) - ((fine - half & 15) > 8 ? 16 : 0);  // of the bend's bits, as small as can be
+  if ((half & 0x7fff) + change < 0) change += 16;
+  return unsigned(half + change) << 16 | __half_as_ushort(coarse);
+}
+__device__ inline float fine_steps(unsigned word) { return float(int(word << 12) >> 28); }
+// Those of two words, or of one, as halves: 1032 more, which differences do not have.
+__device__ inline __half2 fine_steps(unsigned a, unsigned b) {
+  return as_half2((a >> 16 & 0xf | b & 0xf0000) ^ 0x64086408u);
+}
+
 #if __CUDA_ARCH__ >= 800
 __device__ inline void multiply(float (&c)[4], const unsigned (&a)[4], unsigned b0, unsigned b1) {
   asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0,%1,%2,%3},{%4,%5,%6,%7},{%8,%9},{%10,%10,%10,%10};"
@@ -96,14 +116,14 @@ __device__ inline void blend(float d, float A, float change, float cut, float& c
   if (power >= cut) transmittance = fmaf(-alpha, transmittance, transmittance);
 }
 
-// Of the three places of a pixel, as a parabola in v: value + slope.x v + slope.y v^2; without harmonics the value.
+// Of the three places of a pixel, as a parabola in v: value + slope v + bend v^2; without harmonics the value.
 struct Colour {
   float value[3];
-  __half2 slope[3];
+  unsigned slope[3];  // see slope_and_bend
 
   __device__ Colour() {
 #pragma unroll
-    for (int c = 0; c < 3; ++c) value[c] = 0, slope[c] = __float2half2_rn(0.f);
+    for (int c = 0; c < 3; ++c) value[c] = 0, slope[c] = 0;
   }
 };
 template <class T>

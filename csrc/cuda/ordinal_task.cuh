@@ -46,12 +46,15 @@ struct Task : Patch<Harmonics> {
   }
 
   // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the offset centre; unit is
-  // the offset that v = 1 stands for.
-  __device__ void coefficients(const Splat<float>& s, float centre, float unit, float x_centre, uint4& low,
+  // the offset that v = 1 stands for, and v^3 over the ordinal is next to `cubic` v.
+  __device__ void coefficients(const Splat<float>& s, float centre, float unit, float cubic, float x_centre, uint4& low,
                                uint4& high, uint4& exponent) const {
     const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), r = fast_rsqrt(S), inverse = r * r;
     const float s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
-    const float p1 = -0.5f * s1, p2 = fmaf(0.375f * s1, s1, -0.5f * s2);
+    const float p2 = fmaf(0.375f * s1, s1, -0.5f * s2), p3 = s1 * fmaf(-0.3125f * s1, s1, 0.75f * s2);
+    // x v has one half for its coefficient: the same p1 in all terms, or they would not cancel at the splat
+    const __half tilted = __float2half_rn(fmaf(cubic, p3, -0.5f * s1) * r);
+    const float p1 = __half2float(tilted) * (S * r);
     const float Y = middle_y - s.v0, tilt = fmaf(centre, s.c1, s.c0);
     const float E = fmaf(-tilt, Y, fmaf(-centre, s.du, x_centre - s.u0)), sweep = unit * fmaf(s.c1, Y, s.du);
     const float turn = unit * s.c1;
@@ -60,7 +63,7 @@ struct Task : Patch<Harmonics> {
     // The second half of vv, or where v itself is not exact in half the coefficient of what is left of it
     const unsigned v_ = split(v), vv_ = split(vv), yv_ = split(yv);
     const unsigned rest = frame.optics.continuous ? v_ << 16 : vv_;
-    low = make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv));
+    low = make_uint4(split(E * r), __half_as_ushort(tilted) | unsigned(__half_as_ushort(__float2half_rn(yv))) << 16, split(r), halves(vv, yvv));
     high = make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632));
     exponent = make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0);
   }
@@ -75,7 +78,7 @@ struct Task : Patch<Harmonics> {
   static __device__ Colour whole(const float4& c, const uint2& slopes) {
     Colour out;
     out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
-    out.slope[0] = as_half2(__float_as_uint(c.w)), out.slope[1] = as_half2(slopes.x), out.slope[2] = as_half2(slopes.y);
+    out.slope[0] = __float_as_uint(c.w), out.slope[1] = slopes.x, out.slope[2] = slopes.y;
     return out;
   }
   // With harmonics: stores one in the warp's memory; reads it.
@@ -86,10 +89,9 @@ struct Task : Patch<Harmonics> {
     return whole(own.whole_colour[Harmonics ? place : 0], own.whole_slope[Harmonics ? place : 0]);
   }
 
-  // The samples, a bit each, of which this lane of a quad multiplies the colours: those of place `quad` at an ordinal.
-  __device__ unsigned own_place(int ordinal) const {
-    const int quad = lane % 4;
-    return places >> 8 * (quad == 3 ? 3 : (quad + 3 - ordinal % 3) % 3);
+  // The samples, a bit each, of a place at an ordinal; of no place 3.
+  __device__ unsigned of_place(int place, int ordinal) const {
+    return places >> 8 * (place == 3 ? 3 : (place + 3 - ordinal % 3) % 3);
   }
   // What belongs to the place of an accumulated sample; parts by the place that its lens starts at.
   template <class T>
@@ -102,6 +104,29 @@ struct Task : Patch<Harmonics> {
     return __shfl_sync(~0u, features[sample / 2][sample % 2], lane | 3);
   }
 
+  // What the colours of hits are multiplied by: lane `quad` of each quad has values, slopes and bends of that place, the
+  // last the fine steps of all slopes, see slope_and_bend.
+  __device__ void colour_features_at(int ordinal, const unsigned (&A)[kFragments][2],
+                                     unsigned (&out)[kFragments][4]) const {
+    const int quad = lane % 4;
+    const unsigned mine = of_place(quad, ordinal);
+    if (!Harmonics) {
+#pragma unroll
+      for (int s = 0; s < 2 * kFragments; ++s) out[s / 2][s % 2] = mine >> s & 1 ? kOnes : 0;
+      return;
+    }
+    const unsigned first = quad == 3 ? of_place(0, ordinal) : mine, second = quad == 3 ? of_place(1, ordinal) : 0;
+    const unsigned third = quad == 3 ? of_place(2, ordinal) : mine;
+#pragma unroll
+    for (int s = 0; s < 2 * kFragments; ++s) {
+      const unsigned view = view_of(A, s);
+      const unsigned fine = bits(__hmul2(as_half2(view & 0xffff), __float2half2_rn(kFineStep)));
+      const unsigned value = quad == 3 ? fine : kOnes, slope = quad == 3 ? fine : view;
+      out[s / 2][s % 2] = first >> s & 1 ? value : second >> s & 1 ? fine << 16 : 0;
+      out[s / 2][s % 2 + 2] = third >> s & 1 ? slope : 0;
+    }
+  }
+
   // Adds the n hits at ordinal t of the group to the samples' state.
   __device__ void draw(int t, int n, int ordinal) {
     const int quad = lane % 4, row = lane / 4;
@@ -109,13 +134,8 @@ struct Task : Patch<Harmonics> {
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
     features(ordinal, x_centre, d_features, A_features);
     const float centre = frame.optics.ordinals.centre[ordinal], unit = offset_unit(frame.optics);
-    const unsigned mine = own_place(ordinal);
-#pragma unroll
-    for (int s = 0; s < 2 * kFragments; ++s) {
-      const unsigned view = Harmonics ? view_of(A_features, s) : 0;
-      colour_features[s / 2][s % 2] = mine >> s & 1 ? kOnes : 0;
-      colour_features[s / 2][s % 2 + 2] = mine >> s & 1 ? view : 0;
-    }
+    const float reach = frame.optics.ordinals.half[ordinal] / unit, cubic = 0.6f * reach * reach;
+    colour_features_at(ordinal, A_features, colour_features);
 
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
 #pragma unroll
@@ -139,7 +159,7 @@ struct Task : Patch<Harmonics> {
       __syncwarp();
       bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       uint4 low, high, exponent;
-      coefficients(splat, centre, unit, x_centre, low, high, exponent);
+      coefficients(splat, centre, unit, cubic, x_centre, low, high, exponent);
       if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
       if constexpr (Harmonics) {
         const int turn = begin / 8 % 2 * 32;
@@ -215,9 +235,12 @@ struct Task : Patch<Harmonics> {
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = high;
     reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = exponent;
     auto value = [&](int c) { return split(now.value[c] - before.value[c]); };
-    auto slope = [&](int c) { return bits(__hsub2(now.slope[c], before.slope[c])); };
-    own.colour[lane] = make_uint4(value(0), value(1), value(2), 0);
-    if (Harmonics) own.slope[Harmonics ? lane : 0] = make_uint4(slope(0), slope(1), slope(2), 0);
+    auto slope = [&](int c) { return bits(__hsub2(as_half2(now.slope[c]), as_half2(before.slope[c]))); };
+    auto fine = [&](int a, int b) {
+      return bits(__hsub2(fine_steps(now.slope[a], now.slope[b]), fine_steps(before.slope[a], before.slope[b])));
+    };
+    own.colour[lane] = make_uint4(value(0), value(1), value(2), Harmonics ? fine(0, 1) : 0);
+    if (Harmonics) own.slope[Harmonics ? lane : 0] = make_uint4(slope(0), slope(1), slope(2), fine(2, 2));
   }
 
   // Takes the last colour of each quarter off again where no spare column did; last: of the quarter of this lane.
@@ -234,9 +257,10 @@ struct Task : Patch<Harmonics> {
     for (int s = 0; s < 2 * kFragments; ++s) {
       float value = pick(end.value, s);
       if (Harmonics) {
-        const __half2 slope = pick(end.slope, s);
+        const unsigned word = pick(end.slope, s);
+        const __half2 slope = as_half2(word);
         const float v = __low2float(as_half2(view_of(features, s)));
-        value += v * fmaf(v, __high2float(slope), __low2float(slope));
+        value += v * fmaf(v, __high2float(slope), fmaf(fine_steps(word), kFineStep, __low2float(slope)));
       }
       colours[s] = fmaf(-transmittances[s], value, colours[s]);
     }

@@ -90,15 +90,17 @@ __device__ inline float largest(float4 c) { return fmaxf(fabsf(c.x), fmaxf(fabsf
 // is too rough.
 template <bool Bends>
 __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) {
-  constexpr int kMostOrder = 4;
+  constexpr float kMostOrder = 4;
   const Splats<float>& splats = frame.splats;
-  const int order = min(splats.orders[id], kMostOrder);
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
-  auto power = [&](int p) { return p <= order ? powers[p] : make_float4(0, 0, 0, 0); };
-  const float4 c0 = power(0), c1 = power(1), c2 = power(2), c3 = power(3), c4 = power(4);
+  // Read before the order is known: there is room for four, and few need the last two
+  const float4 none = make_float4(0, 0, 0, 0), c0 = powers[0], first = powers[1], second = powers[2];
+  const float order = c0.w;
+  const float4 c1 = order >= 1 ? first : none, c2 = order >= 2 ? second : none;
+  const float4 c3 = order >= 3 ? powers[3] : none, c4 = order >= 4 ? powers[4] : none;
   const float most = fmaxf(kStraightColour, frame.tolerance), beyond = largest(c3) + largest(c4);
   const bool bent = largest(c2) + beyond > most;
-  bool good = (!bent || (Bends && beyond <= most)) && splats.orders[id] <= kMostOrder;
+  bool good = (!bent || (Bends && beyond <= most)) && order <= kMostOrder;
   const float square = bent ? 0.5f : kLinePlace * kLinePlace;  // of the places but 0
   auto channel = [&](float p0, float p1, float p2, float p3, float p4, float& value, float& slope, float& bend) {
     const float even = fmaf(square, p4, p2);

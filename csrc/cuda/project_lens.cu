@@ -18,7 +18,8 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128;
 
-// The colour polynomial of one drawn splat: values at the nodes -> Chebyshev coefficients -> the powers it needs.
+// The colour polynomial of one drawn splat: values at the nodes -> Chebyshev coefficients -> the powers it needs. The
+// first one's fourth number says the order again, for who would wait for it.
 template <int Order>
 __device__ void store_colours(const Gaussians<const float>& gaussians, const vec3& mean, const View<float>& rig,
                               const BasisTable& basis, float tolerance, int64_t i, const Splats<float>& out,
@@ -56,7 +57,7 @@ __device__ void store_colours(const Gaussians<const float>& gaussians, const vec
     for (int k = 0; k < kNodes; ++k)
       if (k <= kept) power += basis.to_powers[p * kNodes + k] * chebyshev[k];
     if (kept == 0) power = glm::max(power, vec3(0));
-    colours[p] = make_float4(power.x, power.y, power.z, 0);
+    colours[p] = make_float4(power.x, power.y, power.z, p == 0 ? float(kept) : 0.f);
   }
 }
 

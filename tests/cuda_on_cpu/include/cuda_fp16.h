@@ -12,6 +12,7 @@ struct alignas(4) __half2 {
 };
 inline __half __float2half_rn(float f) { return {uint16_t(_cvtss_sh(f, 0))}; }
 inline float __half2float(__half h) { return _cvtsh_ss(h.bits); }
+inline uint16_t __half_as_ushort(__half h) { return h.bits; }
 inline __half2 __floats2half2_rn(float a, float b) { return {__float2half_rn(a), __float2half_rn(b)}; }
 inline __half2 __float2half2_rn(float a) { return __floats2half2_rn(a, a); }
 inline float __low2float(__half2 h) { return __half2float(h.x); }
