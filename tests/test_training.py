@@ -12,7 +12,8 @@ from safetensors.torch import load_file
 
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.paths import config_path
-from training import train
+from photo_cases import TINY, tiny_net
+from training import average, train
 from training.checkpoints import cut_log
 from training.config import OptimizerConfig, Stage, TrainingConfig
 from training.distributed import join_team
@@ -237,6 +238,21 @@ def test_a_trained_network_can_be_made_symmetric_and_its_head_trained_alone(smal
     assert found.config.symmetric
     changed = {name for name, weights in found.half().state_dict().items() if not torch.equal(weights, former[name])}
     assert changed == {"head.weight", "head.bias"}
+
+
+def test_two_checkpoints_have_a_mean(tmp_path, capsys):
+    nets, paths = [tiny_net() for _ in range(2)], [tmp_path / f"{name}.safetensors" for name in "abc"]
+    for net, value, path in zip(nets, (1.0, 3.0), paths):
+        torch.nn.init.constant_(net.head.weight, value)
+        net.save(path)
+    assert average.main([str(path) for path in paths[:2]] + ["--share", "0.25", "-o", str(paths[2])]) == 0
+    mean = SplatterNet.from_pretrained(paths[2])
+    assert mean.config == nets[0].config and set(mean.head.weight.flatten().tolist()) == {1.5}
+    torch.testing.assert_close(mean.unet.stem.weight, nets[0].unet.stem.weight.half().float(), atol=0, rtol=0)
+    SplatterNet(ModelConfig.from_dict(TINY | {"layers": 1})).save(paths[1])
+    for words in ([], ["--share", "2"]):
+        assert average.main([str(path) for path in paths[:2]] + [*words, "-o", str(tmp_path / "d.safetensors")]) == 2
+        assert "expected" in capsys.readouterr().err and not (tmp_path / "d.safetensors").exists()
 
 
 def test_a_run_that_was_stored_before_a_field_existed_has_its_default():

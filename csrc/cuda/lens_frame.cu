@@ -25,6 +25,8 @@ Ordinals ordinals_of(const Lens& lens) {
   out.first_lens = int(std::floor(lowest_phase(lens) / lens.line_number));
   const double views_each = double(lens.views) / lens.line_number, last = double(lens.views) - 1;
   out.view_unit = float(std::exp2(-std::ceil(std::log2((views_each + (lens.continuous ? 0 : 1)) / 2))));
+  const double reach = views_each / 2 * out.view_unit;
+  out.cubic = float(0.6 * reach * reach);
   for (int t = 0; t < std::min(out.count, kMostOrdinals); ++t) {
     double low = t * views_each, high = (t + 1) * views_each;
     if (!lens.continuous) low = std::floor(low - 1e-6) + 0.5, high = std::floor(high + 1e-6) + 0.5;

@@ -50,6 +50,7 @@ struct Ordinals {
   float centre[kMostOrdinals], half[kMostOrdinals];  // of s
   float view[kMostOrdinals];                         // of the camera coordinate, at the centre
   float view_unit;                                   // a power of 2 that scales its distance from there to about 1
+  float cubic;                                       // `cubic` v is next to v^3, v that distance in an ordinal
   LFGS_HD int columns() const { return groups * per_group; }  // count, and what fills the last group
 };
 

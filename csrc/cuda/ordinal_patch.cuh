@@ -156,7 +156,7 @@ struct Patch {
       for (int ordinal = first; ordinal <= end; ++ordinal, ++at) {
         const float2 state = own.state[(ordinal - first) * kHalves + i][lane];
         const float behind = place == 0 ? background.x : place == 1 ? background.y : background.z;
-        put(row, at, fmaf(state.y, behind, state.x));
+        put(row, at, ended(fmaf(state.y, behind, state.x), state.y, behind));
         place = place == 2 ? 0 : place + 1;
       }
     }

@@ -46,15 +46,13 @@ struct Task : Patch<Harmonics> {
   }
 
   // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the offset centre; unit is
-  // the offset that v = 1 stands for, and v^3 over the ordinal is next to `cubic` v.
-  __device__ void coefficients(const Splat<float>& s, float centre, float unit, float cubic, float x_centre, uint4& low,
+  // the offset that v = 1 stands for.
+  __device__ void coefficients(const Splat<float>& s, float centre, float unit, float x_centre, uint4& low,
                                uint4& high, uint4& exponent) const {
     const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), r = fast_rsqrt(S), inverse = r * r;
     const float s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
     const float p2 = fmaf(0.375f * s1, s1, -0.5f * s2), p3 = s1 * fmaf(-0.3125f * s1, s1, 0.75f * s2);
-    // x v has one half for its coefficient: the same p1 in all terms, or they would not cancel at the splat
-    const __half tilted = __float2half_rn(fmaf(cubic, p3, -0.5f * s1) * r);
-    const float p1 = __half2float(tilted) * (S * r);
+    const float p1 = fmaf(frame.optics.ordinals.cubic, p3, -0.5f * s1);  // what of the third order is next to the first
     const float Y = middle_y - s.v0, tilt = fmaf(centre, s.c1, s.c0);
     const float E = fmaf(-tilt, Y, fmaf(-centre, s.du, x_centre - s.u0)), sweep = unit * fmaf(s.c1, Y, s.du);
     const float turn = unit * s.c1;
@@ -63,7 +61,7 @@ struct Task : Patch<Harmonics> {
     // The second half of vv, or where v itself is not exact in half the coefficient of what is left of it
     const unsigned v_ = split(v), vv_ = split(vv), yv_ = split(yv);
     const unsigned rest = frame.optics.continuous ? v_ << 16 : vv_;
-    low = make_uint4(split(E * r), __half_as_ushort(tilted) | unsigned(__half_as_ushort(__float2half_rn(yv))) << 16, split(r), halves(vv, yvv));
+    low = make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv));
     high = make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632));
     exponent = make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0);
   }
@@ -134,7 +132,6 @@ struct Task : Patch<Harmonics> {
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
     features(ordinal, x_centre, d_features, A_features);
     const float centre = frame.optics.ordinals.centre[ordinal], unit = offset_unit(frame.optics);
-    const float reach = frame.optics.ordinals.half[ordinal] / unit, cubic = 0.6f * reach * reach;
     colour_features_at(ordinal, A_features, colour_features);
 
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
@@ -159,7 +156,7 @@ struct Task : Patch<Harmonics> {
       __syncwarp();
       bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       uint4 low, high, exponent;
-      coefficients(splat, centre, unit, cubic, x_centre, low, high, exponent);
+      coefficients(splat, centre, unit, x_centre, low, high, exponent);
       if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
       if constexpr (Harmonics) {
         const int turn = begin / 8 % 2 * 32;

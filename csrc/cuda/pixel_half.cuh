@@ -135,8 +135,9 @@ struct HalfSamples {
     const float unit = half_unit(lens);
     pixels.store(lens, out, [&](int r, int p, int k) {
       auto half = [&](__half2 h) { return p ? __high2float(h) : __low2float(h); };
-      const float change = last_step<C>(staged, background, unit * half(v[r][k]), k);
-      return fmaf(half(transmittance[r][k]), change, colour[r][p][k]);
+      const float T = half(transmittance[r][k]);
+      const float shown = fmaf(T, last_step<C>(staged, background, unit * half(v[r][k]), k), colour[r][p][k]);
+      return ended(shown, T, part(background, k));
     });
   }
 };

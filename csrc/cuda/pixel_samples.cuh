@@ -92,7 +92,8 @@ struct CarefulHit {
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
     for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place(frame.optics, powers[q]), k));
-    const bool hit = power >= frame.hit_cut, stop = after < float(kMinTransmittance);
+    // Of a sample that should have ended before, see ended(), no more is drawn
+    const bool hit = power >= frame.hit_cut && T >= float(kMinTransmittance), stop = after < float(kMinTransmittance);
     // One that stops keeps its light for the background; an alpha of nothing leaves it as it is
     const float light = stop ? part(background, k) * T : fmaxf(c, 0.f) * (alpha * T);
     if (hit) colour += light, T = stop ? 0 : after;
@@ -182,7 +183,9 @@ struct FloatSamples {
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) const {
     pixels.store(lens, out, [&](int r, int p, int k) {
-      return fmaf(transmittance[r][p][k], last_step<C>(staged, background, s[r][p][k], k), colour[r][p][k]);
+      const float T = transmittance[r][p][k];
+      const float shown = fmaf(T, last_step<C>(staged, background, s[r][p][k], k), colour[r][p][k]);
+      return ended(shown, T, part(background, k));
     });
   }
 };

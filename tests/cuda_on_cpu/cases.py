@@ -83,6 +83,18 @@ def harmonic_piece() -> tuple[Gaussians, Panel, Rig]:
     return Gaussians(*(field[near] for field in scene.fields().values())), panel, rig
 
 
+# Kernels that go on behind where a sample ends, and panels on which few splats are for their careful way
+OPAQUE_FRAMES = [("pixel", "narrow cone"), ("pixel-small", "narrow cone"), ("ordinal", "default")]
+
+
+def opaque(name: str) -> tuple[Gaussians, Panel, Rig]:
+    """So many Gaussians of middling opacity over the whole panel that every sample ends before the last."""
+    panel, scene = panel_of(name), cloud(900, 11)
+    scene = replace(scene, scales=scene.scales.clamp_min(0.15), opacities=0.1 + 0.3 * scene.opacities,
+                    sh=torch.full_like(scene.sh, 1.5))
+    return scene, panel, rig_of(panel)
+
+
 def needles() -> tuple[Gaussians, Panel, Rig]:
     """A sheet of flat Gaussians, and four that point at a narrow rig: their S is about 1 + s^2 / 3."""
     panel, flat = panel_of("narrow cone"), sheet(48)

@@ -103,6 +103,8 @@ def main(what: str) -> object:
                   for scene in (cases.speckled(), cases.wide_rig()))]
     if what == "harmonics":
         return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
+    if what == "opaque":
+        return [drawn(*cases.opaque(name), "integer", kernel, EXACT, 1.0) for kernel, name in cases.OPAQUE_FRAMES]
     if what == "pruned":
         panel = cases.panel_of("default")
         return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)

@@ -1,0 +1,53 @@
+"""The mean of two checkpoints of one network: `python -m training.average FIRST SECOND --share 0.6 -o MEAN`.
+
+The weights of a network before and after further training, averaged, are mostly as good as either, and stand between
+them in what that training changed. Source: Wortsman et al., "Model soups", ICML 2022.
+"""
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import torch
+
+from lightfield_gs.errors import InputError
+from lightfield_gs.models import SplatterNet
+
+
+@torch.no_grad()
+def average(first: SplatterNet, second: SplatterNet, share: float) -> SplatterNet:
+    """(1 - share) of the first network's weights and share of the second's, 0..1; changes and returns the first.
+
+    Raises InputError where their configurations differ.
+    """
+    if not 0 <= share <= 1:
+        raise InputError(f"share: expected 0..1, got {share}")
+    if first.config != second.config:
+        raise InputError("the two checkpoints are of different networks: expected the same configuration in both")
+    for weights, other in zip(first.parameters(), second.parameters()):
+        weights.lerp_(other, share)
+    return first
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m training.average", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("first", type=Path, help="safetensors file")
+    parser.add_argument("second", type=Path, help="safetensors file of the same network")
+    parser.add_argument("--share", type=float, default=0.5, metavar="0..1", help="of the second (default: %(default)s)")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="where to write the mean, in float16")
+    options = parser.parse_args(arguments)
+    try:
+        nets = [SplatterNet.from_pretrained(path) for path in (options.first, options.second)]
+        notes = {"average": f"{1 - options.share:g} {options.first.name} + {options.share:g} {options.second.name}"}
+        average(*nets, options.share).save(options.output, notes)
+    except InputError as error:
+        print(f"training.average: error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
