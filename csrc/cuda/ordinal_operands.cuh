@@ -73,14 +73,15 @@ __device__ inline unsigned slope_and_bend(float slope, float bend) {
   const __half coarse = __float2half_rn((slope + kMagic) - kMagic);
   const float left = rintf((slope - __half2float(coarse)) * (1 / kFineStep));
   const int fine = int(fminf(fmaxf(left, -8.f), 7.f)), half = __half_as_ushort(__float2half_rn(bend));
-  int change = (fine - half & 15) - ((fine - half & 15) > 8 ? 16 : 0);  // of the bend's bits, as small as can be
+  int change = (fine - half) & 15;  // of the bend's bits, as small as can be
+  if (change > 8) change -= 16;
   if ((half & 0x7fff) + change < 0) change += 16;
   return unsigned(half + change) << 16 | __half_as_ushort(coarse);
 }
 __device__ inline float fine_steps(unsigned word) { return float(int(word << 12) >> 28); }
 // Those of two words, or of one, as halves: 1032 more, which differences do not have.
 __device__ inline __half2 fine_steps(unsigned a, unsigned b) {
-  return as_half2((a >> 16 & 0xf | b & 0xf0000) ^ 0x64086408u);
+  return as_half2((((a >> 16) & 0xf) | (b & 0xf0000)) ^ 0x64086408u);
 }
 
 #if __CUDA_ARCH__ >= 800
