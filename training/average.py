@@ -13,6 +13,7 @@ import torch
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.models import SplatterNet
+from training.command import with_line_errors
 
 
 @torch.no_grad()
@@ -30,6 +31,7 @@ def average(first: SplatterNet, second: SplatterNet, share: float) -> SplatterNe
     return first
 
 
+@with_line_errors("training.average")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m training.average", description=__doc__,
@@ -39,13 +41,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--share", type=float, default=0.5, metavar="0..1", help="of the second (default: %(default)s)")
     parser.add_argument("-o", "--output", type=Path, required=True, help="where to write the mean, in float16")
     options = parser.parse_args(arguments)
-    try:
-        nets = [SplatterNet.from_pretrained(path) for path in (options.first, options.second)]
-        notes = {"average": f"{1 - options.share:g} {options.first.name} + {options.share:g} {options.second.name}"}
-        average(*nets, options.share).save(options.output, notes)
-    except InputError as error:
-        print(f"training.average: error: {error}", file=sys.stderr)
-        return 2
+    nets = [SplatterNet.from_pretrained(path) for path in (options.first, options.second)]
+    notes = {"average": f"{1 - options.share:g} {options.first.name} + {options.share:g} {options.second.name}"}
+    average(*nets, options.share).save(options.output, notes)
     return 0
 
 

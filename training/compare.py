@@ -30,6 +30,7 @@ from pathlib import Path
 import torch
 
 from lightfield_gs.errors import InputError
+from training.command import with_line_errors
 from training.compare_report import is_finished, write_report
 from training.config import TrainingConfig
 from training.loop import train
@@ -94,24 +95,21 @@ def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, arg
     return Experiment(Path(common.output_dir), runs, scored), options
 
 
+@with_line_errors("training.compare")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
-    try:
-        experiment, options = read_experiment(arguments)
-        if int(os.environ.get("WORLD_SIZE", 1)) > 1:
-            raise InputError("a comparison runs in one process: start one for each arm (--arm), each with a GPU "
-                             "(CUDA_VISIBLE_DEVICES), instead of torchrun")
-        for name in [] if options.report_only else [options.arm] if options.arm else experiment.runs:
-            if is_finished(experiment.runs[name]):
-                continue
-            print(f"arm {name}", flush=True)
-            if train(experiment.runs[name]) is None:
-                return 0
-            torch.compiler.reset()  # what was compiled for one arm's network is of no use to the next
-        print(write_report(experiment.output_dir, experiment.runs, experiment.scored))
-    except InputError as error:
-        print(f"training.compare: error: {error}", file=sys.stderr)
-        return 2
+    experiment, options = read_experiment(arguments)
+    if int(os.environ.get("WORLD_SIZE", 1)) > 1:
+        raise InputError("a comparison runs in one process: start one for each arm (--arm), each with a GPU "
+                         "(CUDA_VISIBLE_DEVICES), instead of torchrun")
+    for name in [] if options.report_only else [options.arm] if options.arm else experiment.runs:
+        if is_finished(experiment.runs[name]):
+            continue
+        print(f"arm {name}", flush=True)
+        if train(experiment.runs[name]) is None:
+            return 0
+        torch.compiler.reset()  # what was compiled for one arm's network is of no use to the next
+    print(write_report(experiment.output_dir, experiment.runs, experiment.scored))
     return 0
 
 

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.errors import InputError
+from training.command import with_line_errors
 
 
 def _table(report: dict[str, Any]) -> str:
@@ -26,6 +26,7 @@ def _table(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+@with_line_errors("training.evaluate")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m training.evaluate", description=__doc__,
@@ -46,19 +47,15 @@ def main(arguments: list[str] | None = None) -> int:
     from lightfield_gs.io.atomic import atomic_path, check_output_path
     from lightfield_gs.models import SplatterNet
     from training.evaluation import score_folder
-    try:
-        check_output_path(options.json)
-        device = choose_device(options.device)
-        net = SplatterNet.from_pretrained(options.checkpoint).to(device)
-        report = score_folder(net, options.data, limit=options.limit, save_renders=options.save_renders,
-                              split=options.split, device=device, supersampling=options.supersampling)
-        report |= {"data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained"),
-                   "supersampling": options.supersampling}
-        with atomic_path(options.json) as temporary:
-            temporary.write_text(json.dumps(report, indent=1) + "\n")
-    except InputError as error:
-        print(f"training.evaluate: error: {error}", file=sys.stderr)
-        return 2
+    check_output_path(options.json)
+    device = choose_device(options.device)
+    net = SplatterNet.from_pretrained(options.checkpoint).to(device)
+    report = score_folder(net, options.data, limit=options.limit, save_renders=options.save_renders,
+                          split=options.split, device=device, supersampling=options.supersampling)
+    report |= {"data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained"),
+               "supersampling": options.supersampling}
+    with atomic_path(options.json) as temporary:
+        temporary.write_text(json.dumps(report, indent=1) + "\n")
     print(_table(report))
     return 0
 

@@ -9,6 +9,7 @@ import sys
 from itertools import islice
 
 from lightfield_gs.errors import InputError
+from training.command import with_line_errors
 from training.config import TrainingConfig
 from training.data.batches import make_batch
 from training.distributed import join_team
@@ -49,21 +50,18 @@ def table(parts: list[PartTime]) -> str:
                       line("all", parts), f"rasterizer: {share:.2f} of {whole:.2f} ms, {100 * share / whole:.0f} %"])
 
 
+@with_line_errors("training.profile")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     from jsonargparse import ArgumentParser
     parser = ArgumentParser(prog="python -m training.profile", description=__doc__, exit_on_error=False)
     parser.add_argument("--steps", type=int, default=100, help="steps to measure")
     parser.add_argument("--warm-up", type=int, default=30, help="steps before these")
-    try:
-        config, options = parse(parser, arguments)
-        if options.steps < 2 or options.warm_up < 0 or options.steps + options.warm_up > config.total_steps:
-            raise InputError(f"--steps and --warm-up: expected at least 2 and 0, not more together than the "
-                             f"{config.total_steps} steps of the run, got {options.steps} and {options.warm_up}")
-        found = profile(config, options.steps, options.warm_up)
-    except InputError as error:
-        print(f"training.profile: error: {error}", file=sys.stderr)
-        return 2
+    config, options = parse(parser, arguments)
+    if options.steps < 2 or options.warm_up < 0 or options.steps + options.warm_up > config.total_steps:
+        raise InputError(f"--steps and --warm-up: expected at least 2 and 0, not more together than the "
+                         f"{config.total_steps} steps of the run, got {options.steps} and {options.warm_up}")
+    found = profile(config, options.steps, options.warm_up)
     if found is not None:
         print(table(found))
     return 0

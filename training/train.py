@@ -10,6 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from lightfield_gs.errors import InputError
+from training.command import with_line_errors
 from training.config import TrainingConfig
 from training.loop import train
 
@@ -40,13 +41,10 @@ def parse(parser: ArgumentParser, arguments: list[str] | None) -> tuple[Training
     return TrainingConfig(**fields), options
 
 
+@with_line_errors("training.train")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
-    try:
-        weights = train(read_config(arguments))
-    except InputError as error:
-        print(f"training.train: error: {error}", file=sys.stderr)
-        return 2
+    weights = train(read_config(arguments))
     if weights is not None:
         print(f"weights: {weights}")
     return 0

@@ -22,6 +22,7 @@ import numpy as np
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rig import Rig
+from training.command import with_line_errors
 from training.data.transforms import OBJECT_DISTANCE, TO_OPENCV
 
 FOCAL = 1.025  # of the image's side: the unit-diagonal object fits from OBJECT_DISTANCE, whichever way it is turned
@@ -90,6 +91,7 @@ def _check(good: bool, option: str, expected: str, found: str) -> None:
         raise InputError(f"{option}: expected {expected}, got {found}")
 
 
+@with_line_errors("training.blender.plan")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m training.blender.plan", description=__doc__,
@@ -107,16 +109,12 @@ def main(arguments: list[str] | None = None) -> int:
         parser.add_argument(f"--{option}", type=int, default=default, help=f"{text} (default: {default})")
     options = parser.parse_args(arguments)
     from lightfield_gs.io.atomic import atomic_path
-    try:
-        plan = make_plan(Panel.load(options.panel), None if options.rig is None else Rig.from_yaml(options.rig),
-                         cone_margin=options.cone_margin, columns=options.columns, rows=options.rows,
-                         row_step_deg=options.row_step, elevation_deg=options.elevation,
-                         directions=options.directions, size_px=options.size, focal=options.focal)
-        with atomic_path(options.output) as temporary:
-            temporary.write_text(json.dumps(plan, indent=1) + "\n")
-    except InputError as error:
-        print(f"training.blender.plan: error: {error}", file=sys.stderr)
-        return 2
+    plan = make_plan(Panel.load(options.panel), None if options.rig is None else Rig.from_yaml(options.rig),
+                     cone_margin=options.cone_margin, columns=options.columns, rows=options.rows,
+                     row_step_deg=options.row_step, elevation_deg=options.elevation,
+                     directions=options.directions, size_px=options.size, focal=options.focal)
+    with atomic_path(options.output) as temporary:
+        temporary.write_text(json.dumps(plan, indent=1) + "\n")
     print(f"{options.output}: {len(plan['frames'])} cameras")
     return 0
 
