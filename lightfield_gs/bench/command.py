@@ -35,6 +35,10 @@ BENCH_METHODS = (*METHODS, *peers.PEERS)
 COUNTERS = ("stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes", "memory_bytes",
             "memory_bytes_unchunked")  # of encode's stats; None where a method does not tell
 DEFAULT_SCENES, DEFAULT_METHODS = ("sheet:128",), ("direct",)
+_DRAWN = ("light-field", "paper")
+OPTIONS_OF = {"scene": (*_DRAWN, "pareto", "skips"), "cone": (*_DRAWN, "pareto", "skips"),
+              "sh_degree": (*_DRAWN, "skips"), "methods": _DRAWN, "memory_budget": _DRAWN, "oracle_samples": _DRAWN,
+              "photo": ("photo", "pareto"), "model": ("photo",), "plot": ("pareto",)}  # that not every benchmark takes
 
 
 @dataclass(frozen=True)
@@ -150,9 +154,7 @@ def run(args: argparse.Namespace) -> int:
     threads = _numbers("--threads", args.threads, int)
     if args.json is not None:
         check_output_path(args.json)
-    drawn = ("light-field", "paper")
-    for option, kinds in (("photo", ("photo", "pareto")), ("model", ("photo",)), ("plot", ("pareto",)),
-                          ("memory_budget", drawn), ("oracle_samples", drawn)):
+    for option, kinds in OPTIONS_OF.items():
         if getattr(args, option) is not None and args.what not in kinds:
             name = option.replace("_", "-")
             raise InputError(f"--{name} is for `bench {'` and `bench '.join(kinds)}`; leave it out")
@@ -177,7 +179,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of the training step, gsplat's too where it can be had on CUDA, and their text."""
-    _refuse(args, "scene", "cone", "sh_degree", "methods")
     if args.device == "cpu":
         rows = training.cpu_rows(threads, args.repeats)
     else:
@@ -191,7 +192,6 @@ def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple
 
 def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every photo, and their text."""
-    _refuse(args, "scene", "cone", "sh_degree", "methods")
     photos = [str(photo.EXAMPLE)] if args.photo is None else args.photo.split(",")
     _check_files(photos)
     rows = photo.rows(photos, args.model, Panel.load(args.panel), args.device, args.repeats, threads)
@@ -200,7 +200,6 @@ def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[st
 
 def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every scene, photo, cone and setting, and their text; draws the plot."""
-    _refuse(args, "sh_degree", "methods")
     if args.plot is not None:
         check_plot(args.plot)
     photos = [] if args.scene and not args.photo else (args.photo or str(photo.EXAMPLE)).split(",")
@@ -219,7 +218,6 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
 
 def _skips(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every skip, for every scene and cone, and their text."""
-    _refuse(args, "methods")
     scenes, panel = skips.SCENES if args.scene is None else args.scene.split(","), Panel.load(args.panel)
     cones, count, rows = _cones(args.cone), _one_thread_count(args, threads), []
     for scene in scenes:
@@ -237,12 +235,6 @@ def _one_thread_count(args: argparse.Namespace, threads: list[int | None]) -> in
     if len(threads) > 1:
         raise InputError(f"--threads: expected one number for a light-field image, got {args.threads}")
     return threads[0]
-
-
-def _refuse(args: argparse.Namespace, *options: str) -> None:
-    for option in options:
-        if getattr(args, option) is not None:
-            raise InputError(f"--{option.replace('_', '-')} is for light-field images, not for {args.what}")
 
 
 def _check_files(photos: list[str]) -> None:
