@@ -190,7 +190,6 @@ T of_lane(T value, int source) {
 #define blockDim (emulation::block_size)
 #define gridDim (emulation::grid_size)
 inline void __threadfence() {}
-inline void __nanosleep(unsigned) { abort(); }  // blocks run one after the other: what one waits for is there
 inline void __syncthreads() { emulation::barrier(false); }
 inline int __syncthreads_and(int v) { return emulation::barrier(v), emulation::block->was_all; }
 inline int __syncthreads_or(int v) { return emulation::barrier(v), emulation::block->was_any; }
