@@ -181,23 +181,12 @@ struct FloatSamples {
 
   // Over the background.
   template <class Out>
-  __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) {
-    auto shown = [&](int r, int p, int k) {
-      return fmaf(transmittance[r][p][k], last_step<C>(staged, background, s[r][p][k], k), colour[r][p][k]);
-    };
-    if (__any_sync(~0u, any_below(float(kMinTransmittance))))  // few scenes hide what is behind them
-      pixels.for_each([&](int r, int p, int k) {
-        const float drawn = shown(r, p, k);
-        colour[r][p][k] += ended(drawn, transmittance[r][p][k], part(background, k)) - drawn;
-      });
-    pixels.store(lens, out, shown);
-  }
-
- private:
-  __device__ bool any_below(float limit) const {
-    bool any = false;
-    pixels.for_each([&](int r, int p, int k) { any = any || transmittance[r][p][k] < limit; });
-    return any;
+  __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) const {
+    pixels.store(lens, out, [&](int r, int p, int k) {
+      const float T = transmittance[r][p][k];
+      const float shown = fmaf(T, last_step<C>(staged, background, s[r][p][k], k), colour[r][p][k]);
+      return ended(shown, T, part(background, k));
+    });
   }
 };
 
