@@ -19,7 +19,7 @@ from lightfield_gs.workspace import Scene, State, Stats, Workspace, check
 
 COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a rig
 # The same for frames on CUDA, which remember the order that was good enough
-FRAME_COLOUR_ORDERS = (4, 8, 12, 16)
+FRAME_COLOUR_ORDERS = (2, 4, 8, 12, 16)
 
 
 def _workspace(scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, threads: int,

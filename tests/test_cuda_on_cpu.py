@@ -6,6 +6,7 @@ import platform
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,19 @@ def test_a_frame_with_other_places_type_or_colour_order(module, tmp_path):
         # What a polynomial errs by at most: the estimate of the frame, and the powers left out
         allowed = sum(f["colour_error"] + frame_cuda._COLOUR_TOLERANCE for f in (frame, finer))
         assert 0 < (finer["image"] - frame["image"]).abs().max() <= allowed < 1 / 1000
+
+
+def test_parabolas_of_colours_are_within_their_bound(module, tmp_path):
+    bounds = []
+    for (kernel, cone_deg), (parabola, finer) in zip(cases.PARABOLAS, drawn(module, "parabolas", tmp_path), strict=True):
+        panel = replace(cases.panel_of("default"), cone_deg=cone_deg)
+        expected = encode(cases.scene_of(3), panel, cases.rig_of(panel), background=cases.BACKGROUND, output="float32")
+        assert parabola["kernel"] == kernel
+        assert ((parabola["image"] - expected) ** 2).mean() < 1e-8, kernel
+        bounds.append(parabola["colour_error"])
+        assert (parabola["image"] - finer["image"]).abs().max() < bounds[-1] + 1e-5, kernel
+    # The bound is of third order in the cone
+    assert bounds[0] == bounds[1] and 0 < 7 * bounds[0] < bounds[2] == bounds[3] < 9 * bounds[0] < 1e-2
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,8 @@ constexpr float kMostHalfSweep = 16;             // change of d over half the ri
 constexpr float kMostHalfColour = 2;             // sums of brighter ones have too few digits
 constexpr float kStraightColour = 2.5e-4f;       // s^2 of a colour that is left out: on average a quarter is the error
 
+constexpr float kSmallEdge = 4e-3f;               // slope of a colour at zero: at most a quarter is the error
+
 // How samples are evaluated: with a straight line for r = S^(-1/2); with a parabola for splats of which that is too
 // rough; with a straight line in half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
@@ -23,6 +25,8 @@ struct Config {
   static constexpr bool Quadratic = evaluation == Evaluation::kQuadratic, Half = evaluation == Evaluation::kHalf;
   static constexpr bool Harmonics = Harmonics_, Bends = Harmonics && Quadratic;  // colours may be parabolas
   static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
+  // Slopes of colours with the rest of a hit's fit, read at once: quicker in small patches, slower in large ones.
+  static constexpr bool SlopesInFit = Harmonics && !Quadratic && lane_rows == 1;
   static constexpr LensKernel kernel =
       lane_rows == 1 ? (Quadratic ? LensKernel::kPixelQuadraticSmall : LensKernel::kPixelSmall)
                      : (Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel);
@@ -37,7 +41,7 @@ struct ColourFit {
 template <bool Harmonics>
 struct Staged {
   float4 fit[4][32];                 // of 32 hits, see shape_polynomial() and put_halves()
-  float4 slope[Harmonics ? 32 : 1], bend[Harmonics ? 32 : 1];  // of colours in s and s^2, as steps
+  float4 slope[Harmonics ? 32 : 1], bend[Harmonics ? 32 : 1];  // of colours in s and s^2, as steps; see SlopesInFit
   ColourFit colour;                  // of the last hit so far; of a careful one nothing
   uint32_t ids[64];                  // hits that wait: fewer than 32, and those of one cull
 };
@@ -58,7 +62,8 @@ __device__ inline float3 root_fit(const Splat<float>& s, bool curved) {
 
 // The polynomial of d and the rest of what a sample needs:
 //   d = (f0.x + f1.y x + f0.y y) + s (f0.z + f1.z x + f0.w y) + s^2 (f1.x + [f3.y x + f3.z y]) + [s^3 f3.w],
-//   exponent = f1.w - (f2.x + f2.y y)^2 - d^2;   step of the colour (f2.z, f2.w, f3.x). [] only when curved.
+//   exponent = f1.w - (f2.x + f2.y y)^2 - d^2;   step of the colour (f2.z, f2.w, f3.x). [] only when curved; straight
+// kernels may have the step of the colour's slope in (f3.y, f3.z, f3.w).
 __device__ inline void shape_polynomial(const Splat<float>& s, float3 r, float4 fit[4]) {
   const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du);
   const float t = s.tau * fast_rsqrt(fmaxf(s.tau, 1e-37f));
@@ -106,7 +111,11 @@ __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) 
     const float even = fmaf(square, p4, p2);
     value = bent ? p0 : fmaf(square, even, p0), slope = fmaf(square, p3, p1), bend = bent ? even : 0.f;
     if (value + fabsf(slope) + fmaxf(bend, 0.f) <= 0) value = slope = bend = 0;
-    good = good && value + fminf(bend, 0.f) >= fabsf(slope);  // a colour that ends within the rig has an edge
+    if (value + fminf(bend, 0.f) >= fabsf(slope)) return;
+    // A colour that ends within the rig has an edge. Where that is small, the line goes through what shows at its places
+    good = good && !bent && fabsf(slope) <= kSmallEdge;
+    const float high = fmaxf(fmaf(kLinePlace, slope, value), 0.f), low = fmaxf(fmaf(-kLinePlace, slope, value), 0.f);
+    value = 0.5f * (high + low), slope = (0.5f / kLinePlace) * (high - low);
   };
   channel(c0.x, c1.x, c2.x, c3.x, c4.x, fit.value.x, fit.slope.x, fit.bend.x);
   channel(c0.y, c1.y, c2.y, c3.y, c4.y, fit.value.y, fit.slope.y, fit.bend.y);
@@ -162,8 +171,10 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   const float4 step = step_of(colour.value, staged.colour.value);
   fit[2].z = step.x, fit[2].w = step.y, fit[3].x = step.z;
   float4 slope = colour.slope, bend = colour.bend;
-  if constexpr (C::Harmonics) staged.slope[lane] = slope = step_of(slope, staged.colour.slope);
+  if constexpr (C::Harmonics) slope = step_of(slope, staged.colour.slope);
+  if constexpr (C::Harmonics && !C::SlopesInFit) staged.slope[lane] = slope;
   if constexpr (C::Bends) staged.bend[lane] = bend = step_of(bend, staged.colour.bend);
+  if constexpr (!C::Quadratic) fit[3] = make_float4(step.z, slope.x, slope.y, slope.z);
   if (C::Half) put_halves(fit, slope, half_unit(frame.optics));
 #pragma unroll
   for (int k = 0; k < (C::Half ? 3 : 4); ++k) staged.fit[k][lane] = fit[k];

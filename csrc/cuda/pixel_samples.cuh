@@ -124,7 +124,9 @@ struct FloatSamples {
 
     __device__ Step(const Staged<C::Harmonics>& staged, int i)
         : value(make_float4(staged.fit[2][i].z, staged.fit[2][i].w, staged.fit[3][i].x, 0)),
-          slope(C::Harmonics ? staged.slope[i] : value), bend(C::Harmonics ? staged.bend[i] : value) {}
+          slope(C::SlopesInFit ? shifted(staged.fit[3][i]) : C::Harmonics ? staged.slope[i] : value),
+          bend(C::Harmonics ? staged.bend[i] : value) {}
+    __device__ static float4 shifted(float4 f) { return make_float4(f.y, f.z, f.w, 0); }
     template <bool Bent>
     __device__ float at(int k, float s) const {
       const float line = C::Bends && Bent ? fmaf(s, part(bend, k), part(slope, k)) : part(slope, k);

@@ -41,6 +41,9 @@ def panel_of(name: str) -> Panel:
     return Panel(**{**LENS, **PANELS[name]})
 
 
+# Kernels, and cones (degrees) in which a colour is nearly a parabola
+PARABOLAS = [("pixel", 1.0), ("pixel-small", 1.0), ("pixel-quadratic", 2.0), ("ordinal", 2.0)]
+
 # Kernel that draws what is not smooth, quality, views, panel: see lattice_frame
 LATTICE_FRAMES = [("pixel", "high", "integer", dict(cone_deg=1.0)),
                   ("pixel-quadratic", "fast", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18)),

@@ -10,6 +10,7 @@ import importlib.util
 import os
 import sys
 import types
+from dataclasses import replace
 
 import torch
 
@@ -69,6 +70,13 @@ def settings(kernel: str) -> list[dict[str, object]]:
     return [drawn(scene, panel, cases.rig_of(panel), "integer", kernel, EXACT, *option) for option in options]
 
 
+def parabolas(kernel: str, cone_deg: float) -> list[dict[str, object]]:
+    """A frame of which colours are parabolas over a small rig, and with polynomials of a higher order."""
+    panel = replace(cases.panel_of("default"), cone_deg=cone_deg)
+    return [drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", kernel, EXACT, 1.0, colour_order=order)
+            for order in (2, 8)]
+
+
 def recoloured(kernel: str, quality: str, views: str, changes: dict, share: float) -> dict[str, object]:
     """An image with other harmonics than the frame was binned with, and that of a frame that begins with them."""
     scene, panel, rig = cases.lattice_frame(changes, 1)
@@ -115,6 +123,8 @@ def main(what: str) -> object:
         return [group_norm.group_norm_silu(*cases.norm_case(*case)) for case in cases.NORMS]
     if what == "settings":
         return [settings(kernel) for kernel in ("pixel-quadratic", "ordinal")]
+    if what == "parabolas":
+        return [parabolas(*case) for case in cases.PARABOLAS]
     if what == "shapes":
         return [drawn(*case(), "integer", kernel, EXACT, 1.0) for kernel, case in cases.SHAPES_THAT_VARY]
     return [frame(what, *case) for case in cases.frames_of(what)]
