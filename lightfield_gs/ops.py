@@ -224,8 +224,9 @@ def native_lens(lens: list[int], lens_shape: list[float]) -> Any:
 
 
 def lens_forward(*arguments: Any, as_bytes: bool = False, quality: Quality = EXACT, stats: Stats | None = None,
-                 threads: int | None = None) -> Tensor:
-    """render_lens without autograd; see there. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`.
+                 threads: int | None = None, out: Tensor | None = None) -> Tensor:
+    """render_lens without autograd; see there. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`, and `out`
+    where it is given: an image of that size and type, checked.
 
     On CUDA the image is that of the fast kernels, within 1/255 but where a sample sits on a threshold.
     """
@@ -233,15 +234,16 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, quality: Quality = EXA
     with stats.stage("plan"):
         job = LensArguments(*arguments)
     if job.scene.tensors[0].is_cuda:
-        return draw_frame(job, frame_kind(job, quality), as_bytes, stats)
-    return draw_lens(job, as_bytes, quality, stats, threads)
+        return draw_frame(job, frame_kind(job, quality), as_bytes, stats, out)
+    return draw_lens(job, as_bytes, quality, stats, threads, out)
 
 
-def draw_lens(job: LensArguments, as_bytes: bool, quality: Quality, stats: Stats, threads: int) -> Tensor:
+def draw_lens(job: LensArguments, as_bytes: bool, quality: Quality, stats: Stats, threads: int,
+              out: Tensor | None = None) -> Tensor:
     """The image of a light field on the CPU."""
     work = _lens_workspace(job, stats, threads, quality)
     with stats.stage("composite"):
-        out = job.image(as_bytes)
+        out = job.image(as_bytes) if out is None else out
         work.composite_lens(job.lens, quality, job.background, out)
     return out
 
@@ -255,11 +257,11 @@ def frame_kind(job: LensArguments, quality: Quality, moving: bool = False) -> An
     return find(job.scene, job.numbers, job.rig, job.lens, orders, quality)
 
 
-def draw_frame(job: LensArguments, kind: Any, as_bytes: bool, stats: Stats) -> Tensor:
+def draw_frame(job: LensArguments, kind: Any, as_bytes: bool, stats: Stats, out: Tensor | None = None) -> Tensor:
     """The image of a frame of this kind, on CUDA."""
     with job.scene.guard:
         with stats.stage("plan"):
-            frame, out = kind.frame(job.scene), job.image(as_bytes)
+            frame, out = kind.frame(job.scene), job.image(as_bytes) if out is None else out
         frame.draw(job.background, out, stats)
         kind.note(frame)
         if stats.device is not None:

@@ -61,6 +61,23 @@ def test_encode_options(options, words):
         encode(scene(), PANEL, RIG, **options)
 
 
+@pytest.mark.parametrize("out, options, words", [
+    (torch.empty(16, 24, 3), {}, "uint8"), (torch.empty(24, 16, 3, dtype=torch.uint8), {}, r"\[16, 24, 3\]"),
+    (torch.empty(16, 3, 24, dtype=torch.uint8).transpose(1, 2), {}, "strides"), (np.empty((16, 24, 3)), {}, "out"),
+    (torch.empty(16, 24, 3, dtype=torch.uint8, device="meta"), {}, "meta"),
+    (torch.empty(16, 24, 3, dtype=torch.uint8), dict(method="sorted"), "direct"),
+    (torch.empty(16, 24, 3, requires_grad=True), dict(output="float32"), "gradients")])
+def test_images_that_cannot_be_drawn_over(out, options, words):
+    with pytest.raises(InputError, match=words):
+        encode(scene(), PANEL, RIG, out=out, **options)
+
+
+def test_an_image_with_gradients_is_a_new_one():
+    drawn = scene(means=torch.tensor([[0.0, 0, 2], [0.1, 0, 3]], requires_grad=True))
+    with pytest.raises(InputError, match="no_grad"):
+        encode(drawn, PANEL, RIG, output="float32", out=torch.empty(16, 24, 3))
+
+
 def test_a_batch_is_not_encoded():
     with pytest.raises(InputError):
         encode(Gaussians(*(tensor[None] for tensor in scene().fields().values())), PANEL, RIG)

@@ -190,6 +190,14 @@ def test_stats_tell_what_was_done(method):
         assert skipped["tiles"]["drawn"] > 0 and skipped["lattices"] == {"fit": 0, "split": 0, "refused": 0}
 
 
+@pytest.mark.parametrize("output", ["uint8", "float32", "float64"])
+def test_an_image_is_drawn_over(output):
+    shown, scene = panel(), random_scene(50, 1, dtype=torch.float32)
+    expected = encode(scene, shown, rig(shown), output=output)
+    out = torch.full_like(expected, 7)
+    assert encode(scene, shown, rig(shown), output=output, out=out) is out and torch.equal(out, expected)
+
+
 def test_stats_count_the_sub_pixels_that_ended_early():
     shown, scene, stats = panel(), random_scene(1, extent=0.01, size=0.3, dtype=torch.float32), {}
     scene.opacities[:], scene.sh[:] = 0.98, -9  # black

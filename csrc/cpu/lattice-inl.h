@@ -58,6 +58,7 @@ class LatticeNodes {
   const float* colours(int channel, int plane, int row) const {
     return colours_.data.get() + channel * stride_ + at(plane, row);
   }
+  float* colours(int channel, int plane, int row) { return colours_.data.get() + channel * stride_ + at(plane, row); }
   // Whether no node takes any more light.
   bool opaque() const {
     const D d;
@@ -219,6 +220,53 @@ class LatticeNodes {
   Buffer<Block> list_;
   Buffer<float> splat_colours_;             // on planes
   Buffer<float> transmittance_, colours_;   // [stride], [3, stride]
+};
+
+// Errors at the middles of cells, [3][planes - 1][down - 1][row], and what they are round a node.
+class LatticeErrors {
+ public:
+  using D = Tag<float>;
+  using V = hn::Vec<D>;
+  static constexpr int kLanes = LatticeNodes::kLanes;
+
+  // Lays the cells out, as the plan of their middles says.
+  void lay(const LatticePlan& middles) {
+    cells_ = middles.across, down_ = middles.down, planes_ = middles.planes;
+    // So far is a node from its cells, or a vector's last from its first
+    spare_ = 2 * middles.margin + kLanes + 1, wide_ = cells_ + 2 * spare_;
+    errors_.resize(size_t(3 * planes_ * down_) * size_t(wide_));
+  }
+  float* row(int channel, int plane, int row) {
+    return errors_.data() + size_t((channel * planes_ + plane) * down_ + row) * size_t(wide_) + spare_;
+  }
+  // Beyond the ends of rows is what is there.
+  void widen() {
+    for (float* row = errors_.data() + spare_; row < errors_.data() + errors_.size(); row += wide_)
+      std::fill_n(row - spare_, spare_, row[0]), std::fill_n(row + cells_, spare_, row[cells_ - 1]);
+  }
+  // The mean over the cells round nodes from i on, of a row of a plane of nodes; 0 where they have both signs.
+  HWY_INLINE V round(int channel, int plane, int row_, int i, const LatticePlan& nodes) {
+    const D d;
+    V low = hn::Set(d, 1e9f), high = hn::Set(d, -1e9f), sum = hn::Zero(d);
+    int count = 0;
+    for (int k = std::max(plane - 1, 0); k <= std::min(plane, planes_ - 1); ++k) {
+      // Of the cells between planes, how far is the first on this one from those that lean nowhere
+      const int lean = int(nodes.lean[k]) * (k == plane ? 1 : -1);
+      const int right = i - nodes.margin + (lean >> 1), left = right - (lean % 2 == 0);
+      for (int j = std::max(row_ - 1, 0); j <= std::min(row_, down_ - 1); ++j)
+        for (int from : {left, right}) {
+          const V error = hn::LoadU(d, row(channel, k, j) + from);
+          low = hn::Min(low, error), high = hn::Max(high, error), sum = hn::Add(sum, error), ++count;
+        }
+    }
+    const auto one_sign = hn::Gt(hn::Mul(low, high), hn::Zero(d));
+    return hn::IfThenElseZero(one_sign, hn::Mul(sum, hn::Set(d, 1.f / float(count))));
+  }
+  int64_t bytes() const { return int64_t(errors_.capacity() * sizeof(float)); }
+
+ private:
+  int cells_ = 0, down_ = 0, planes_ = 0, spare_ = 0, wide_ = 0;
+  std::vector<float> errors_;
 };
 
 // Colours between the nodes, a row at a time, in 16 bits: 256 times those of 8 bits, and a half. Nodes are of 8 bits,

@@ -34,7 +34,8 @@ class LensLattice {
         pixels_(quality.lattice > 0 ? size_t(lens.width_px + kLanes) * 3 : 0) {}
 
   int64_t bytes() const {
-    return int64_t(pixels_.capacity() * sizeof(float)) + nodes_.bytes() + middles_.bytes() + row_.bytes();
+    return int64_t(pixels_.capacity() * sizeof(float)) + nodes_.bytes() + middles_.bytes() + errors_.bytes() +
+           row_.bytes();
   }
 
   // A stop that is seen would be taken for an edge.
@@ -64,10 +65,11 @@ class LensLattice {
       if (double(plan.nodes()) + double(middles.nodes()) > most) break;
       draw(nodes_, plan, splats, begin, end, background);
       draw(middles_, middles, splats, begin, end, background);
+      const float moved = share_errors();
       // As a share of what is allowed, and how much finer or coarser the next lattice may be for it
       const Error at_middles = error_at_middles();
-      const float error = std::max(std::max(at_middles.largest, kMeanShare * at_middles.mean) / float(quality_.lattice),
-                                   1e-6f);
+      const float largest = std::max(at_middles.largest, moved);
+      const float error = std::max(std::max(largest, kMovedShare * at_middles.mean) / float(quality_.lattice), 1e-6f);
       const float better = kBackOff / std::sqrt(error);
       fineness = std::clamp(fineness * std::clamp(better, 0.4f, 1.25f), 0.01f, kMostFineness);
       if (error <= 1) return refused_ = 0, Verdict::kFits;
@@ -109,7 +111,30 @@ class LensLattice {
     nodes.finish(background);
   }
 
-  // Between the middles of cells and what their corners make of them: the largest, and the root mean square.
+  // Moves every node by its share of the errors at the middles round it, see kNodeShare; the largest move. Nodes round
+  // which the field errs both ways, as it does at an edge, stay.
+  float share_errors() {
+    const Tag<float> d;
+    const LatticePlan& plan = nodes_.plan();
+    errors_.lay(middles_.plan());
+    error_at_middles();
+    errors_.widen();
+    auto most = hn::Zero(d);
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < plan.planes; ++k)
+        for (int j = 0; j < plan.down; ++j) {
+          float* row = nodes_.colours(c, k, j);
+          for (int i = 0; i < plan.across; i += kLanes) {
+            const auto move = hn::Mul(errors_.round(c, k, j, i, plan), hn::Set(d, kNodeShare));
+            hn::StoreU(hn::Sub(hn::LoadU(d, row + i), move), d, row + i);
+            most = hn::Max(most, hn::Abs(move));
+          }
+        }
+    return hn::GetLane(hn::MaxOfLanes(d, most));
+  }
+
+  // Between the middles of cells and what their corners make of them, kept in errors_: the largest, and the root mean
+  // square.
   struct Error {
     float largest, mean;
   };
@@ -130,6 +155,7 @@ class LensLattice {
             const auto is = hn::GatherIndex(d, middles_.colours(c, k, j), index);
             const auto made = colour_of_bits(row_.at(c, along, hn::Set(d, float(k) + 0.5f)));
             const auto error = hn::Sub(made, shown(is));
+            hn::StoreU(error, d, errors_.row(c, k, j) + i);
             worst = hn::Max(worst, hn::Abs(error)), squares = hn::MulAdd(error, error, squares);
           }
           count += 3 * kLanes;
@@ -211,6 +237,7 @@ class LensLattice {
   int refused_ = 0;  // runs since one fitted
   double x0_ = 0, y0_ = 0;  // what places are about
   LatticeNodes nodes_, middles_;
+  LatticeErrors errors_;
   LatticeRow row_;
   std::vector<float> pixels_;  // of a row
 };

@@ -6,6 +6,7 @@
 // are refused are left to the kernel chosen. Some rows of tiles go first: where few of theirs fit, the rows between do
 // without trying.
 #include "cuda/check.h"
+#include "cuda/lattice_errors.cuh"
 #include "cuda/lattice_interpolate.cuh"
 
 namespace lfgs::cuda {
@@ -15,25 +16,6 @@ constexpr int kBlocks = 6;  // on a multiprocessor; loops that are short or rare
 constexpr int kAttempts = 2;
 constexpr unsigned kLeastListed = 8;   // a tile of fewer splats is drawn before a lattice is laid
 constexpr unsigned kLeastFitting = 3;  // one in so many tiles with splats of a probed row
-
-// A node of a section's lattice, or the middle of a cell.
-struct Point {
-  bool node, middle;
-  int i, j, k, half_plane;
-  float x, y, s;
-
-  __device__ Point(const Lattice& lattice, int number) {
-    node = number < lattice.nodes(), middle = !node && number < lattice.points();
-    const int n = node ? number : number - lattice.nodes();
-    const int across = node ? lattice.across : lattice.cells(), down = lattice.down - !node;
-    i = n % across, j = n / across % down, k = n / (across * down);
-    half_plane = node || middle ? 2 * k + !node : 0;
-    const float half = node ? 0.f : 0.5f;
-    if (!node) i += lattice.margin;
-    x = fmaf(float(i) + half, lattice.step_x, lattice.x0), y = fmaf(float(j) + half, lattice.step_y, lattice.y0);
-    s = fmaf(float(k) + half, lattice.step_s, lattice.s0);
-  }
-};
 
 __device__ void stage(const List& list, unsigned begin, int count, const Lattice& lattice, Staged& staged) {
   const int half_planes = 2 * lattice.planes - 1;
@@ -80,50 +62,29 @@ __device__ float3 draw(const List& list, const Lattice& lattice, const Point& po
                      __saturatef(fmaf(transmittance, background.z, colour.z)));
 }
 
-// first: where the nodes of its plane begin.
-__device__ void store_node(const Lattice& lattice, const Point& point, float3 colour, int first, Memory& memory) {
-  const int at = first + point.j * lattice.across + point.i;
-  const float values[3] = {colour.x, colour.y, colour.z};
-#pragma unroll
-  for (int c = 0; c < 3; ++c) {
-    const __half value = __float2half_rn(values[c]);
-    Corners* corners = memory.corners[c] + at;
-    corners[0].low.x = value;
-    if (point.i > 0) corners[-1].low.y = value;
-    if (point.j > 0) corners[-lattice.across].high.x = value;
-    if (point.i > 0 && point.j > 0) corners[-lattice.across - 1].high.y = value;
-  }
-}
-
-// Draws a section's nodes and the middles of its cells. The error there, as a share of what is allowed.
+// Draws a section's nodes and the middles of its cells. The error there, as a share of what is allowed; if it is more
+// than that, nodes are moved, and it is what is left, or the largest move.
 __device__ float draw_lattice(const LensFrame& frame, const List& list, int section, float4 background,
                               Memory& memory) {
   const Lattice& lattice = memory.lattices[section];
   const float stop = fminf(frame.stop, fmaxf(0.1f * frame.lattice, float(kMinTransmittance)));
-  float largest = 0, squares = 0;
-  const int points = lattice.points();
+  const int nodes = lattice.nodes(), points = lattice.points(), numbers = 3 * (points - nodes);
+  ErrorSums sums;
   for (int first = 0; first < points; first += kThreads) {
-    const Point point(lattice, first + int(threadIdx.x));
-    const float3 is = draw(list, lattice, point, stop, background, memory.staged);
-    if (point.node)
-      store_node(lattice, point, is, memory.first_node[section] + lattice.plane[point.k].first, memory);
+    const int number = first + int(threadIdx.x);
+    const Point point(lattice, number);
+    const float3 colour = draw(list, lattice, point, stop, background, memory.staged);
+    if (point.node) store_node(lattice, point, colour, place_of(memory, lattice, section, point), memory);
     __syncthreads();
-    if (!point.middle) continue;
-    const Nodes nodes(memory, section);
-    for (int c = 0; c < 3; ++c) {
-      const float made = nodes.at(nodes.row_of(c, point.j), __float2half2_rn(0.5f), float(point.i) + 0.5f,
-                                  Seen(lattice.plane[point.k], 0.5f));
-      const float error = made - (c == 0 ? is.x : c == 1 ? is.y : is.z);
-      largest = fmaxf(largest, fabsf(error)), squares = fmaf(error, error, squares);
-    }
+    if (point.middle)
+      sums.add(store_middle(lattice, Nodes(memory, section), point, colour, number - nodes, memory));
   }
-  largest = warp_max(largest), squares = warp_sum(squares);
-  if (threadIdx.x % 32 == 0) memory.errors[threadIdx.x / 32] = largest, memory.squares[threadIdx.x / 32] = squares;
+  const float error = sums.of_block(memory, numbers, kMeanShare) / frame.lattice;
+  if (error <= 1) return error;
+  sums = {share_errors(lattice, section, memory), 0};
   __syncthreads();
-  largest = squares = 0;
-  for (int w = 0; w < kWarps; ++w) largest = fmaxf(largest, memory.errors[w]), squares += memory.squares[w];
-  const float mean = sqrtf(squares / float(3 * (points - lattice.nodes())));
-  return fmaxf(largest, kMeanShare * mean) / frame.lattice;
+  measure_errors(lattice, section, memory, sums);
+  return sums.of_block(memory, numbers, kMovedShare) / frame.lattice;
 }
 
 // Draws the lattice that was laid through a section, or if need be a finer one. By all threads of the block.

@@ -6,7 +6,7 @@
 namespace lfgs::cuda {
 
 constexpr int kMostLatticePlanes = 16;
-constexpr int kMostNodes = 1024;  // of a tile; nodes and middles of a section likewise: a sixth of its sub-pixels
+constexpr int kMostNodes = 640;  // of a tile: a tenth of its sub-pixels
 
 // A plane of nodes: what is seen at one of them is seen on the next plane `aside` nodes on; where its first is stored.
 // These two are stride() places apart for every plane.

@@ -46,16 +46,28 @@ struct alignas(8) Corners {
   __half2 low, high;
 };
 
+// The three channels at a place, in halves.
+struct alignas(8) Triple {
+  __half2 red_green, blue;
+
+  __device__ Triple() {}
+  __device__ explicit Triple(float3 c) : red_green(__floats2half2_rn(c.x, c.y)), blue(__floats2half2_rn(c.z, 0.f)) {}
+  __device__ float3 floats() const {
+    return make_float3(__low2float(red_green), __high2float(red_green), __low2float(blue));
+  }
+};
+
 constexpr int kChannelNodes = kMostNodes + 5;  // so that the same node of another channel is in another bank
 
 struct Memory {
   Corners corners[3][kChannelNodes];  // from each node on: sections, planes, rows, nodes
+  Triple middles[kMostNodes], errors[kMostNodes];  // of the section at hand, see lattice_errors.cuh
   Lattice lattices[kMostSections];
   Seen seen[kMostTableViews];         // of the section at hand, from every view
   int first_node[kMostSections];
   int2 rows[kTileRows];          // sub-pixels, from x to before y; beyond the panel too
   int low, high;                 // columns of pixels
-  float errors[kWarps], squares[kWarps];
+  float largest[kWarps], squares[kWarps];
   alignas(16) union {
     alignas(8) char planner[sizeof(LatticePlanner)];
     Staged staged;

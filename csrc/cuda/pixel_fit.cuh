@@ -174,7 +174,7 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   if constexpr (C::Harmonics) slope = step_of(slope, staged.colour.slope);
   if constexpr (C::Harmonics && !C::SlopesInFit) staged.slope[lane] = slope;
   if constexpr (C::Bends) staged.bend[lane] = bend = step_of(bend, staged.colour.bend);
-  if constexpr (!C::Quadratic) fit[3] = make_float4(step.z, slope.x, slope.y, slope.z);
+  if constexpr (C::SlopesInFit) fit[3] = make_float4(step.z, slope.x, slope.y, slope.z);
   if (C::Half) put_halves(fit, slope, half_unit(frame.optics));
 #pragma unroll
   for (int k = 0; k < (C::Half ? 3 : 4); ++k) staged.fit[k][lane] = fit[k];

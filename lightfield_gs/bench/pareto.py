@@ -34,8 +34,8 @@ SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
 KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut",
          "evaluation_error")
 # Of no name: they pay in few scenes
-STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 40, 1 / 11)
-PRUNED = (3e-4, 1e-3)
+STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 40, 1 / 12)
+PRUNED = (3e-4, 1e-3, 3e-3)
 
 
 @dataclass(frozen=True)
@@ -122,17 +122,17 @@ def rows(subject: Subject, chosen: dict[str, Setting], repeats: int | None,
     oracle = oracle_samples(subject.gaussians, subject.panel, subject.rig)
     what = {"scene": subject.name, "panel": subject.panel.name,
             "cone_deg": subject.rig.cone_deg, "device": subject.gaussians.means.device.type}
-    found, calls, scenes = [], [], {0.0: subject}
+    found, calls, scenes, out = [], [], {0.0: subject}, None
     for name, (quality, cut) in chosen.items():
         if cut not in scenes:
             scenes[cut] = replace(subject, gaussians=prune(subject.gaussians, subject.panel, subject.rig, cut))
         drawn, stats = scenes[cut], {}
-        image = encode(drawn.gaussians, drawn.panel, drawn.rig, quality=quality, threads=threads, stats=stats)
+        out = encode(drawn.gaussians, drawn.panel, drawn.rig, quality=quality, threads=threads, stats=stats, out=out)
         found.append({**what, "setting": name, "gaussians": drawn.gaussians.count,
-                      "named": name in QUALITIES, **oracle.errors(image),
+                      "named": name in QUALITIES, **oracle.errors(out),
                       "pairs": stats["pairs"], "evaluations_per_subpixel": stats["evaluations_per_subpixel"],
                       "skipped": stats["skipped"]})
-        calls.append(drawing(drawn, quality, threads))
+        calls.append(drawing(drawn, quality, threads, out))
     _, times = timed_in_turn(calls, subject.gaussians.means.is_cuda, repeats)
     for row, taken in zip(found, zip(*times)):
         row |= {"ms": min(taken), "runs": len(taken)}
@@ -142,11 +142,12 @@ def rows(subject: Subject, chosen: dict[str, Setting], repeats: int | None,
     return found
 
 
-def drawing(subject: Subject, quality: Quality = EXACT, threads: int | None = None) -> Callable[[], Tensor]:
-    """A call that draws a subject; on CUDA an Encoder's replayed frame."""
+def drawing(subject: Subject, quality: Quality = EXACT, threads: int | None = None,
+            out: Tensor | None = None) -> Callable[[], Tensor]:
+    """A call that draws a subject; on CUDA an Encoder's replayed frame, on the CPU over `out`."""
     if subject.gaussians.means.is_cuda:
         return partial(Encoder(subject.panel, subject.rig, quality=quality), subject.gaussians)
-    return partial(encode, subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads)
+    return partial(encode, subject.gaussians, subject.panel, subject.rig, quality=quality, threads=threads, out=out)
 
 
 def on_front(row: dict[str, Any], found: list[dict[str, Any]]) -> bool:

@@ -124,7 +124,7 @@ def speckled() -> tuple[Gaussians, Panel, Rig]:
     """Gaussians large enough for lattices, of colours that none of them shows well enough."""
     _, panel, rig = wide_rig()
     scene = sheet(16, 11)
-    scene.sh = 2 * torch.randn(scene.sh.shape, generator=torch.Generator().manual_seed(2))
+    scene.sh = 4 * torch.randn(scene.sh.shape, generator=torch.Generator().manual_seed(2))
     return scene, panel, rig
 
 

@@ -20,6 +20,15 @@ inline float __high2float(__half2 h) { return __half2float(h.y); }
 inline __half2 __hsub2(__half2 a, __half2 b) {
   return __floats2half2_rn(__low2float(a) - __low2float(b), __high2float(a) - __high2float(b));
 }
+inline __half2 __hadd2(__half2 a, __half2 b) {
+  return __floats2half2_rn(__low2float(a) + __low2float(b), __high2float(a) + __high2float(b));
+}
+inline __half2 __hmin2(__half2 a, __half2 b) {
+  return __floats2half2_rn(fminf(__low2float(a), __low2float(b)), fminf(__high2float(a), __high2float(b)));
+}
+inline __half2 __hmax2(__half2 a, __half2 b) {
+  return __floats2half2_rn(fmaxf(__low2float(a), __low2float(b)), fmaxf(__high2float(a), __high2float(b)));
+}
 inline __half2 __hfma2(__half2 a, __half2 b, __half2 c) {
   return __floats2half2_rn(fmaf(__low2float(a), __low2float(b), __low2float(c)),
                            fmaf(__high2float(a), __high2float(b), __high2float(c)));
