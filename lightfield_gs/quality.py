@@ -25,10 +25,12 @@ class Quality:
         it takes what light is left: an error of at most the stop. Pays where scenes are deep and opaque.
     colour_error: 0..1; of the polynomials that stand for spherical harmonics over the rig, hence of the image.
     lattice_error: 0..1; where the light field is smooth it is evaluated on a coarse lattice in (x, y, view) only, and
-        interpolated. The middle of every cell is evaluated too: nowhere there is the error larger than this, nor its
-        root mean square over a run of tiles (on CUDA: a tile) larger than a fifth; else the lattice is refined, split
-        or given up. Between corners and middles it is what a smooth field leaves it, not bounded. Colours on a lattice
-        end at 0 and 1; on the CPU its nodes have 8 bits. 0: no lattice.
+        interpolated. The middle of every cell is evaluated too, and nodes are moved by two thirds of the errors round
+        them (on CUDA, if those are too large), which makes bends err to both sides: nowhere in the middles is what is
+        left larger than this, nor its root mean square over a run of tiles (on CUDA: a tile) larger than a fifth, nor
+        is a node moved farther; else the lattice is refined, split or given up. Between corners and middles the error
+        is what a smooth field leaves it, not bounded. Colours on a lattice end at 0 and 1; on the CPU its nodes have 8
+        bits. 0: no lattice.
     contribution_cut: 0..1; a Gaussian is left out whose alphas, summed over all sub-pixels of the panel as if nothing
         hid it, are less than its even share of this: contribution_cut * sub-pixels / Gaussians. A sample changes by at
         most the sum of the alphas left out there, and the mean of all samples by at most this; for the sums are taken

@@ -11,6 +11,7 @@
 #include <type_traits>
 
 #include "cpu/lens_job.h"
+#include "cpu/lens_lines-inl.h"
 #include "cpu/lens_splat-inl.h"
 #include "cpu/lens_tile-inl.h"
 #include "hwy/highway.h"
@@ -139,12 +140,17 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
     }
   }
   auto write = [&](const auto* from, auto* image) {
-    tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
-      auto* to = image + row * 3 * job.lens->width_px + m;
-      for (int64_t t = 0; t < count; ++t) to[t] = from[sample + t * kLanes];
+    tile.for_each_run([&](const auto& run) {
+      auto* to = image + run.row * 3 * job.lens->width_px + run.first;
+      for (int64_t t = 0, sample = tile.sample(run); t < run.count; ++t) to[t] = from[sample + t * kLanes];
     });
   };
-  job.out8 ? write(bytes, job.out8) : write(tile.colour.get(), job.out);
+  if (!job.out8)
+    write(tile.colour.get(), job.out);
+  else if (LensLines<T>::pays(tile.ordinals()))
+    LensLines<T>(tile, bytes, reinterpret_cast<uint8_t*>(tile.s.get())).write(job.out8, 3 * job.lens->width_px);
+  else
+    write(bytes, job.out8);
   return stopped;
 }
 
@@ -216,9 +222,10 @@ template <class T>
 void LoadGradients(const LensJob<T>& job, LensTile<T>& tile, int64_t samples) {
   constexpr int kLanes = LensTile<T>::kLanes;
   for (auto* a : {&tile.gradient, &tile.total, &tile.prefix}) std::fill(a->get(), a->get() + samples, T(0));
-  tile.for_each_run([&](int64_t row, int64_t m, int64_t count, int64_t sample) {
-    for (int64_t t = 0; t < count; ++t, sample += kLanes) {
-      const int64_t from = row * 3 * job.lens->width_px + (m + t) / 3 * 3 + tile.channel[sample];
+  tile.for_each_run([&](const auto& run) {
+    int64_t sample = tile.sample(run);
+    for (int64_t m = run.first; m < run.first + run.count; ++m, sample += kLanes) {
+      const int64_t from = run.row * 3 * job.lens->width_px + m / 3 * 3 + tile.channel[sample];
       tile.gradient[sample] = job.gradient[from];
       tile.total[sample] = job.gradient[from] * job.image[from];
     }

@@ -150,19 +150,32 @@ class LensTile {
       if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit))) retire(uint16_t(v));
   }
 
-  // Calls visit(row, first sub-pixel, count, first sample) for every run of sub-pixels: one cell of one row. Sub-pixel
-  // k of the run is the sample first + k * kLanes.
+  // A run of sub-pixels: of one cell in one row, the first at this ordinal; its neighbours belong to the tile up to
+  // before `tile_end`.
+  struct Run {
+    int64_t row, first, count, tile_end, patch, ordinal, lane;
+  };
+  // Calls visit(run) for all runs on the panel, those of a row from left to right. What visits write as bytes could be
+  // anything to the compiler, so it reads what it needs first.
   template <class Visit>
-  void for_each_run(const Visit& visit) const {
-    for (int64_t r = 0; r < kBandRows && row0_ + r < lens_.height_px; ++r)
-      for (int64_t c = 0; c < layout_.cells_per_tile; ++c) {
-        const int64_t begin = std::max<int64_t>(start(r, c), 0), end = std::min(start(r, c + 1), 3 * lens_.width_px);
-        if (begin >= end) continue;
-        const int64_t patch = r / kRows * across_ + c / kCellsPerPatch;
-        const int64_t lane = r % kRows * kCellsPerPatch + c % kCellsPerPatch;
-        visit(row0_ + r, begin, end - begin, (patch * layout_.ordinals + begin - start(r, c)) * kLanes + lane);
+  HWY_INLINE void for_each_run(const Visit& visit) const {
+    const int64_t cells = layout_.cells_per_tile, width = 3 * lens_.width_px, across = across_, row0 = row0_;
+    const int64_t rows = std::min<int64_t>(kBandRows, lens_.height_px - row0);
+    const int64_t* starts = starts_.data();
+    for (int64_t r = 0; r < rows; ++r, starts += cells + 1) {
+      const int64_t tile_end = std::min(starts[cells], width), patch = r / kRows * across, lane = r % kRows * kCellsPerPatch;
+      for (int64_t c = 0; c < cells; ++c) {
+        const int64_t begin = std::max<int64_t>(starts[c], 0), end = std::min(starts[c + 1], width);
+        if (begin < end)
+          visit(Run{row0 + r, begin, end - begin, tile_end, patch + c / kCellsPerPatch, begin - starts[c],
+                    lane + c % kCellsPerPatch});
       }
+    }
   }
+  // The sample of a run's first sub-pixel; that of the next is kLanes on.
+  int64_t sample(const Run& run) const { return (run.patch * layout_.ordinals + run.ordinal) * kLanes + run.lane; }
+  int64_t patches() const { return patches_; }
+  int ordinals() const { return layout_.ordinals; }
 
  private:
   // First sub-pixel of cell c of the tile in its row r.
@@ -219,12 +232,14 @@ class LensTile {
     alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
     alignas(64) T columns[kLanes];
     alignas(64) uint64_t phases[kLanes];
+    constexpr uint64_t kAbove = uint64_t(3) << 32;  // no cell begins so far left of the panel: divided without a sign
+    const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
     for (int lane = 0; lane < kLanes; ++lane) {
       const int64_t r = down * kRows + lane / kCellsPerPatch, c = across * kCellsPerPatch + lane % kCellsPerPatch;
-      const int64_t row = row0_ + r, first = start(r, c), place = (first % 3 + 3) % 3;
-      const int64_t all = row < lens_.height_px ? 3 * lens_.width_px : 0;
+      const int64_t row = row0_ + r, first = start(r, c), all = row < lens_.height_px ? width : 0;
+      const uint64_t above = uint64_t(first) + kAbove, pixel = above / 3;
       outside[lane] = TI(-first - 1), ends[lane] = TI(std::min(start(r, c + 1), all) - first);
-      places[lane] = TI(place), columns[lane] = T(double((first - place) / 3) + 0.5 - x0_);
+      places[lane] = TI(above - 3 * pixel), columns[lane] = T(int32_t(int64_t(pixel) - left)) + T(0.5);
       phases[lane] = lens_.phase_at(row, first);
     }
 
