@@ -204,7 +204,7 @@ class LensBands {
       }
       const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
       const int64_t pair = job_.first_pair[*id] + own_band;
-      BackwardSplat(job_, tile_, *id, job_.pair_gradients + pair * pair_gradient_size(job_.splats.colour_order), count);
+      BackwardSplat(job_, tile_, *id, job_.pair_gradients + pair * pair_gradient_size(job_.splats.colour_order));
     }
     if (job_.backward)
       BackgroundGradient(tile_, layout_.samples(), job_.band_background + 3 * band_);
@@ -225,7 +225,7 @@ class LensBands {
     const int64_t count = tile_.find(splat, footprint.units());
     counters_.evaluations += count * LensTile<T>::kLanes;
     with_order(job_.splats.orders[id],
-               [&](auto order) { RoughSplat<Footprint, order>(job_, tile_, id, footprint, count); });
+               [&](auto order) { RoughSplat<Footprint, order>(job_, tile_, id, footprint); });
     if (++blended_ % kLookOut == 0) tile_.retire_below(float(job_.quality.darkest()));
     return true;
   }

@@ -96,8 +96,7 @@ void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int3
 
 // Blends a splat by a rough footprint. Samples that stop are not looked for here: see LensTile::retire_below.
 template <class Footprint, int kOrder>
-HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, int32_t id, const Footprint& shape,
-                             int64_t count) {
+HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, int32_t id, const Footprint& shape) {
   const Tag<float> d;
   const hn::RebindToSigned<Tag<float>> di;
   const Footprint footprint = shape;
@@ -105,14 +104,17 @@ HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, i
   float *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
   const int32_t* channels = tile.channel.get();
   const int order = job.splats.orders[id];
-  for (const uint16_t *list = tile.list(), *end = list + count; list < end; ++list) {
-    const int64_t i = int64_t(*list) * LensTile<float>::kLanes;
-    const auto s = hn::Load(d, ss + i), before = hn::Load(d, transmittances + i);
-    const auto weight = footprint.weight(hn::Load(d, xs + i), s, tile.rows(*list), before);
-    const auto c = ColourAt<kOrder>(d, colour, order, hn::Load(di, channels + i), s);
-    hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
-    hn::Store(hn::Sub(before, weight), d, transmittances + i);
-  }
+  tile.for_each_group([&](const auto& of_group, const uint16_t* list, const uint16_t* end) {
+    const RowVectors<Tag<float>> rows(of_group);
+    for (; list < end; ++list) {
+      const int64_t i = int64_t(*list) * LensTile<float>::kLanes;
+      const auto s = hn::Load(d, ss + i), before = hn::Load(d, transmittances + i);
+      const auto weight = footprint.weight(hn::Load(d, xs + i), s, rows, before);
+      const auto c = ColourAt<kOrder>(d, colour, order, hn::Load(di, channels + i), s);
+      hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+      hn::Store(hn::Sub(before, weight), d, transmittances + i);
+    }
+  });
 }
 
 // Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel. Returns how many samples
@@ -156,7 +158,7 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
 
 // See BackwardTile of the dense sensor for the formula; here a sample has one channel.
 template <class T>
-void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out, int64_t count) {
+void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out) {
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
@@ -168,10 +170,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
   V g_colour[3 * (kMaxColourOrder + 1)];
   for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
-  for (int64_t step = 0; step < count; ++step) {
-    const auto vector = tile.list()[step];
+  auto reverse = [&](uint16_t vector, const RowVectors<Tag<T>>& rows, V dy) {
     const int64_t i = int64_t(vector) * LensTile<T>::kLanes;
-    const auto& rows = tile.rows(vector);
     const V s = hn::Load(d, &tile.s[i]);
     V dx, inverse_S;
     const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
@@ -189,7 +189,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     hn::Store(hn::IfThenZeroElse(stop, after), d, &tile.transmittance[i]);
     alpha = hn::IfThenZeroElse(stop, alpha);
     const auto lit = hn::Gt(alpha, hn::Zero(d));
-    if (hn::AllFalse(d, lit)) continue;
+    if (hn::AllFalse(d, lit)) return;
     touched = true;
 
     const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s)
@@ -201,7 +201,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
     const V g_alpha = hn::MulSub(before, v, later);
     const auto free = hn::And(lit, hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
     const V g_power = hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
-    sums.Add(g_power, hn::Load(d, rows.dy), hn::Mul(dx, inverse_S), s);
+    sums.Add(g_power, dy, hn::Mul(dx, inverse_S), s);
 
     // Colour coefficients, unless the clamp at zero holds (order 0 was clamped, and is masked, at projection)
     V g_c = hn::Mul(g, weight);
@@ -211,7 +211,11 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out,
       for (int p = 0; p <= order; ++p, term = hn::Mul(term, s))
         g_colour[3 * p + k] = hn::Add(g_colour[3 * p + k], term);
     }
-  }
+  };
+  tile.for_each_group([&](const auto& of_group, const uint16_t* list, const uint16_t* end) {
+    const RowVectors<Tag<T>> rows(of_group);
+    for (; list < end; ++list) reverse(*list, rows, hn::Load(d, of_group.dy));
+  });
   if (!touched) return;
   sums.Reduce(d, splat, out);
   for (int k = 0; k < 3 * (order + 1); ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));

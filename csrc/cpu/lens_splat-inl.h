@@ -38,11 +38,11 @@ HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::
   return hn::Max(c, hn::Zero(d));
 }
 
-// px - m(s)
-template <class T>
-HWY_INLINE hn::Vec<Tag<T>> DistanceX(hn::Vec<Tag<T>> x, hn::Vec<Tag<T>> s, const typename LensTile<T>::Rows& rows) {
+// px - m(s); rows: RowTerms or RowVectors.
+template <class T, class Rows>
+HWY_INLINE hn::Vec<Tag<T>> DistanceX(hn::Vec<Tag<T>> x, hn::Vec<Tag<T>> s, const Rows& rows) {
   const Tag<T> d;
-  return hn::NegMulAdd(s, hn::Load(d, rows.M1), hn::Sub(x, hn::Load(d, rows.M0)));
+  return hn::NegMulAdd(s, Term(d, rows.M1), hn::Sub(x, Term(d, rows.M0)));
 }
 
 // The footprint as it is written.
@@ -57,14 +57,16 @@ struct ExactFootprint {
     S0 = hn::Set(d, s.S0), S1 = hn::Set(d, s.S1), S2 = hn::Set(d, s.S2), cut = hn::Set(d, log2_cut);
   }
   // log2 of opacity * weight; also dx = px - m(s) and 1 / S(s).
-  HWY_INLINE V power(V x, V s, const typename LensTile<T>::Rows& rows, V& dx, V& inverse_S) const {
+  template <class Rows>
+  HWY_INLINE V power(V x, V s, const Rows& rows, V& dx, V& inverse_S) const {
     const D d;
     dx = DistanceX<T>(x, s, rows);
     inverse_S = Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
-    return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, hn::Load(d, rows.A));
+    return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, Term(d, rows.A));
   }
   // alpha * transmittance
-  HWY_INLINE V weight(V x, V s, const typename LensTile<T>::Rows& rows, V transmittance) const {
+  template <class Rows>
+  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
     V dx, inverse_S;
     return hn::Mul(Alpha(D(), power(x, s, rows, dx, inverse_S), cut), transmittance);
   }
@@ -84,10 +86,11 @@ struct PlainFootprint {
   static bool fits(const Splat<T>& s, const InverseRoot<T>& root) {
     return root.error < T(kMostRootError) && s.log2_opacity <= T(kLog2MaxAlpha);
   }
-  HWY_INLINE V weight(V x, V s, const typename LensTile<T>::Rows& rows, V transmittance) const {
+  template <class Rows>
+  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
     const D d;
     const V e = hn::Mul(DistanceX<T>(x, s, rows), hn::MulAdd(hn::MulAdd(s, r2, r1), s, r0));
-    const V power = hn::NegMulAdd(e, e, hn::Load(d, rows.A));
+    const V power = hn::NegMulAdd(e, e, Term(d, rows.A));
     return hn::IfThenElseZero(hn::Ge(power, cut), hn::Mul(Exp2<4>(d, power), transmittance));
   }
 };
@@ -111,14 +114,15 @@ class RoughFootprint {
   }
   RowUnits<T> units() const { return {kGain, kLevel, kEven ? -root_ : T(1)}; }
 
-  HWY_INLINE V weight(V x, V s, const typename LensTile<T>::Rows& rows, V transmittance) const {
+  template <class Rows>
+  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
     const D d;
     V e;
     if constexpr (kEven)
-      e = hn::MulAdd(x, hn::Set(d, root_), hn::MulAdd(s, hn::Load(d, rows.M1), hn::Load(d, rows.M0)));
+      e = hn::MulAdd(x, hn::Set(d, root_), hn::MulAdd(s, Term(d, rows.M1), Term(d, rows.M0)));
     else
       e = hn::Mul(DistanceX<T>(x, s, rows), hn::MulAdd(s, hn::Set(d, lean_), hn::Set(d, root_)));
-    const V power = hn::NegMulAdd(e, e, hn::Load(d, rows.A));
+    const V power = hn::NegMulAdd(e, e, Term(d, rows.A));
     V y = hn::MulAdd(power, power, hn::Set(d, kRest));
     for (int k = 0; k < 4; ++k) y = hn::Mul(y, y);
     y = hn::Min(y, hn::Set(d, T(kMaxAlpha)));

@@ -32,6 +32,25 @@ struct RowTerms {
   alignas(64) T dy[kLanes];
 };
 
+// The same in registers, for all vectors of the group.
+template <class D>
+struct RowVectors {
+  hn::Vec<D> A, M0, M1;
+
+  template <class Rows>
+  HWY_INLINE explicit RowVectors(const Rows& rows)
+      : A(hn::Load(D(), rows.A)), M0(hn::Load(D(), rows.M0)), M1(hn::Load(D(), rows.M1)) {}
+};
+
+template <class D>
+HWY_INLINE hn::Vec<D> Term(D d, const hn::TFromD<D>* term) {
+  return hn::Load(d, term);
+}
+template <class D>
+HWY_INLINE hn::Vec<D> Term(D, hn::Vec<D> term) {
+  return term;
+}
+
 // In what units a splat is read off its RowTerms: A as power * (A + level), M0 and M1 times `place`.
 template <class T>
 struct RowUnits {
@@ -135,6 +154,16 @@ class LensTile {
 
   const uint16_t* list() const { return list_.get(); }
   const Rows& rows(uint16_t vector) const { return rows_[row_of_vector_[vector]]; }
+  // Calls visit(rows, begin, end) for the groups of rows, with the vectors in each that find listed.
+  template <class Visit>
+  HWY_INLINE void for_each_group(const Visit& visit) const {
+    const uint16_t* begin = list_.get();
+    for (int down = 0; down < kDown; ++down) {
+      const uint16_t* end = list_.get() + ends_[down];
+      if (begin < end) visit(rows_[down], begin, end);
+      begin = end;
+    }
+  }
 
   // No sample of this vector takes light any more: leaves it out of later lists.
   void retire(uint16_t vector) {
@@ -205,19 +234,25 @@ class LensTile {
     const auto eight = hn::Set(d16, uint16_t(8));
     uint16_t* list = list_.get();
     int64_t size = 0;
-    for (int64_t p = 0; p < patches_; ++p) {
-      auto entries = hn::Iota(d16, uint16_t(p * layout_.ordinals + low_[p]));
-      for (int k = 0; k < layout_.ordinals; k += 8, entries = hn::Add(entries, eight))
-        hn::StoreU(entries, d16, list + size + k);
-      size += count_[p];
+    for (int64_t p = 0, down = 0; down < kDown; ++down) {
+      for (const int64_t end = p + across_; p < end; ++p) {
+        auto entries = hn::Iota(d16, uint16_t(p * layout_.ordinals + low_[p]));
+        for (int k = 0; k < layout_.ordinals; k += 8, entries = hn::Add(entries, eight))
+          hn::StoreU(entries, d16, list + size + k);
+        size += count_[p];
+      }
+      ends_[down] = size;
     }
     // Samples that take no light do no harm: a few are quicker blended than looked for
     if (HWY_LIKELY(8 * open > 7 * int(alive_.size()))) return size;
     int64_t kept = 0;
-    for (int64_t k = 0; k < size; ++k) {
-      const uint16_t vector = list[k];
-      list[kept] = vector;
-      kept += alive_[vector];
+    for (int64_t k = 0, down = 0; down < kDown; ++down) {
+      for (const int64_t end = ends_[down]; k < end; ++k) {
+        const uint16_t vector = list[k];
+        list[kept] = vector;
+        kept += alive_[vector];
+      }
+      ends_[down] = kept;
     }
     return kept;
   }
@@ -307,6 +342,7 @@ class LensTile {
   hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_x_, patch_s_, patch_half_s_;
   hwy::AlignedFreeUniquePtr<TI[]> low_, count_;  // range of ordinals per patch
   hwy::AlignedFreeUniquePtr<uint16_t[]> list_;   // of vectors
+  int64_t ends_[kDown] = {};                     // in the list, of the groups of rows
   std::vector<uint8_t> alive_, row_of_vector_;
   std::vector<int64_t> starts_;
 };
