@@ -1,4 +1,4 @@
-// Bytes of a lens tile turned from vectors of one ordinal into runs of sub-pixels, 16 at a time, and copied to the image.
+// Bytes of a lens tile, turned from vectors of an ordinal into runs of sub-pixels 16 at a time and copied to the image.
 
 #if defined(LFGS_CPU_LENS_LINES_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_LENS_LINES_INL_H_
@@ -56,7 +56,7 @@ class LensLines {
  private:
   static constexpr int kBlock = kLine * kLanes;  // [lane][ordinal]
 
-  // [16 ordinals][lane] -> [lane][16 ordinals]: each riffle of the two halves moves a bit of the ordinal behind those of
+  // [16 ordinals][lane] -> [lane][16 ordinals]: a riffle of the two halves moves a bit of the ordinal behind those of
   // the lane. What lies behind the last ordinal is of the next patch, and never copied.
   static HWY_INLINE void turn(const uint8_t* HWY_RESTRICT from, uint8_t* HWY_RESTRICT to) {
     if constexpr (kLanes >= 4) {

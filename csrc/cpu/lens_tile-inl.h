@@ -42,6 +42,7 @@ struct RowVectors {
       : A(hn::Load(D(), rows.A)), M0(hn::Load(D(), rows.M0)), M1(hn::Load(D(), rows.M1)) {}
 };
 
+// One of either.
 template <class D>
 HWY_INLINE hn::Vec<D> Term(D d, const hn::TFromD<D>* term) {
   return hn::Load(d, term);
@@ -192,7 +193,8 @@ class LensTile {
     const int64_t rows = std::min<int64_t>(kBandRows, lens_.height_px - row0);
     const int64_t* starts = starts_.data();
     for (int64_t r = 0; r < rows; ++r, starts += cells + 1) {
-      const int64_t tile_end = std::min(starts[cells], width), patch = r / kRows * across, lane = r % kRows * kCellsPerPatch;
+      const int64_t tile_end = std::min(starts[cells], width);
+      const int64_t patch = r / kRows * across, lane = r % kRows * kCellsPerPatch;
       for (int64_t c = 0; c < cells; ++c) {
         const int64_t begin = std::max<int64_t>(starts[c], 0), end = std::min(starts[c + 1], width);
         if (begin < end)

@@ -1,4 +1,4 @@
-// Errors of a lattice at the middles of its cells, and nodes moved for them: twin of LatticeErrors in cpu/lattice-inl.h.
+// Errors of a lattice at the middles of its cells, and nodes moved for them; twin of LatticeErrors on the CPU.
 #pragma once
 
 #include "cuda/lattice_tile.cuh"

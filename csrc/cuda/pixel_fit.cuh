@@ -111,7 +111,7 @@ __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) 
     value = bent ? p0 : fmaf(square, even, p0), slope = fmaf(square, p3, p1), bend = bent ? even : 0.f;
     if (value + fabsf(slope) + fmaxf(bend, 0.f) <= 0) value = slope = bend = 0;
     if (value + fminf(bend, 0.f) >= fabsf(slope)) return;
-    // A colour that ends within the rig has an edge. Where that is small, the line goes through what shows at its places
+    // A colour that ends within the rig has an edge. Where that is small, the line goes through what shows at places
     good = good && !bent && fabsf(slope) <= kSmallEdge;
     const float high = fmaxf(fmaf(kLinePlace, slope, value), 0.f), low = fmaxf(fmaf(-kLinePlace, slope, value), 0.f);
     value = 0.5f * (high + low), slope = (0.5f / kLinePlace) * (high - low);

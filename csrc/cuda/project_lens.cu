@@ -20,7 +20,7 @@ constexpr int kThreads = 128;
 
 // What interpolation at the three nodes of order 2 leaves of a colour at most. Cameras on a line see a mean from
 // directions on a great circle, where the bands above 0 are a trigonometric polynomial of degree 3: it is at most
-// sqrt(15 / 4 pi) times their norm, by the addition theorem, and its derivatives 3, 9, 27 times as much (Bernstein). The
+// sqrt(15 / 4 pi) times their norm, by the addition theorem, its derivatives 3, 9, 27 times as much (Bernstein). The
 // angle's own, an arctangent of s, are at most slope, 0.65 slope^2, 2 slope^3; the error is f''' / 24.
 __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const vec3& mean, const View<float>& rig) {
   constexpr float kBound = 2.31f;

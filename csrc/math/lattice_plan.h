@@ -15,11 +15,11 @@ struct LatticePart {
   float x_low, x_high, y_low, y_high, s_low, s_high;
 };
 
-// The root mean square of a lattice's errors must be so many times smaller; where nodes were moved for them, between the
-// middles more is left than there.
+// The root mean square of a lattice's errors must be so many times smaller; where nodes were moved for them, more is
+// left between the middles than there.
 constexpr float kMeanShare = 5, kMovedShare = 8;
-// What is interpolated straight between the nodes of a bent field errs to one side: as f = x (1 - x) in every direction,
-// 3/4 in the middle of a cell where the three are alike, 1/2 on average. So much of the error at the middles round it a
+// What is interpolated straight between the nodes of a bent field errs to one side: by x (1 - x) in every direction,
+// 3/4 in the middle of a cell where the three are alike, 1/2 on average. So much of the errors at the middles round it a
 // node is moved by; what is left is a quarter of the root mean square.
 constexpr float kNodeShare = 2.f / 3;
 constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // steps in standard deviations; of the finer ones tried next

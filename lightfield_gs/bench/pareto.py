@@ -35,7 +35,7 @@ KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "
          "evaluation_error")
 # Of no name: they pay in few scenes
 STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 40, 1 / 32, 1 / 12)
-PRUNED = (3e-4, 1e-3, 3e-3)
+LATTICE, PRUNED = 0.1, (3e-4, 1e-3, 3e-3)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _qualities() -> dict[str, Quality]:
         found |= {f"{knob} {_value(value)}": Quality(**{knob: value}) for value in values}
     for rough in map(_rough, CUTS):  # what of Gaussians does not overlap much bears more than the names take
         found[_knobs(rough)] = rough
-        found[f"{_knobs(rough)}, lattice"] = replace(rough, lattice_error=QUALITIES["fast"].lattice_error)
+        found[f"{_knobs(rough)}, lattice_error {_value(LATTICE)}"] = replace(rough, lattice_error=LATTICE)
     for knob in KNOBS:
         for name, quality in QUALITIES.items():
             value, without = getattr(quality, knob), getattr(EXACT, knob)
