@@ -20,7 +20,7 @@ from lightfield_gs.workspace import Scene, Stats
 
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share
 _LEAST_PAIRS = 1 << 12
-_MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 16  # numbered with 32 bits; with what sorting takes
+_MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 12  # numbered with 32 bits
 _MOST_KNOWN = 64
 # Of exact frames, whose other errors leave less room than on the CPU: what the order of colours may leave, and what is
 # left out of each splat's; the latter adds up over all of them
@@ -53,29 +53,29 @@ class Frame:
         return torch.cuda.current_stream(self.work.device).cuda_stream
 
     def project(self, keep_lists: bool = False) -> None:
-        """keep_lists: only colours are others than when these splats were ordered and binned."""
+        """keep_lists: only colours are others than when these splats were binned and ordered."""
         _core.cuda.frame_project(self.native, self.scene.native(), keep_lists, self.stream)
-
-    def order(self) -> None:
-        _core.cuda.frame_order(self.native, self.stream)
 
     def bin(self) -> None:
         _core.cuda.frame_bin(self.native, self.stream)
+
+    def order(self) -> None:
+        _core.cuda.frame_order(self.native, self.stream)
 
     def composite(self, background: Tensor, out: Tensor) -> None:
         floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
         _core.cuda.frame_composite(self.native, background.data_ptr(), floats, bytes_, self.stream)
 
     def draw(self, background: Tensor, out: Tensor, stats: Stats | None = None, keep_lists: bool = False) -> None:
-        """All stages, in order; keep_lists: see project, without order and bin."""
+        """All stages, in order; keep_lists: see project, without bin and order."""
         stats = stats or Stats()
         with stats.stage("project"):
             self.project(keep_lists)
         if not keep_lists:
-            with stats.stage("order"):
-                self.order()
             with stats.stage("bin"):
                 self.bin()
+            with stats.stage("order"):
+                self.order()
         with stats.stage("composite"):
             self.composite(background, out)
 
@@ -146,7 +146,6 @@ class FrameKind:
         while True:
             frame = self._frame(scene, 0)
             frame.project()
-            frame.order()
             frame.bin()  # without places it only says how many pairs there are
             order = self.colour_order
             self._needs(frame.state())

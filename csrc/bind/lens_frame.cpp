@@ -52,9 +52,9 @@ void bind_lens_frame(py::module_ m) {
     cuda::frame_project(frame, {g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh}, keep_lists,
                         at<void>(stream));
   }, NoGil());
-  m.def("frame_order", [](const LensFrame& frame, Address stream) { cuda::frame_order(frame, at<void>(stream)); },
-        NoGil());
   m.def("frame_bin", [](const LensFrame& frame, Address stream) { cuda::frame_bin(frame, at<void>(stream)); },
+        NoGil());
+  m.def("frame_order", [](const LensFrame& frame, Address stream) { cuda::frame_order(frame, at<void>(stream)); },
         NoGil());
   m.def("frame_composite", [](const LensFrame& frame, Address background, Address out, Address out8, Address stream) {
     cuda::frame_composite(frame, at<float>(background), at<float>(out), at<uint8_t>(out8), at<void>(stream));

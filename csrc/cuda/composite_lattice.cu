@@ -128,9 +128,6 @@ __device__ bool worth_trying(const FrameState& state, const Tiling& tiling, int 
   return fits(above) || fits(below);
 }
 
-__device__ const Tiling& tiling_of(const LensFrame& frame) {
-  return frame.state->kernel == int(LensKernel::kOrdinal) ? frame.ordinal : frame.pixel;
-}
 // By one thread: leaves a tile to the kernel chosen.
 __device__ void refuse(const LensFrame& frame, int tile) {
   frame.refused[atomicAdd(&frame.state->refused_tiles, 1u)] = unsigned(tile);
@@ -149,7 +146,7 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   __shared__ LatticePlanner planners[kWarps];
   __shared__ Lattice laid[kWarps];
   if (!frame.state->lattices) return;
-  const Tiling& tiling = tiling_of(frame);
+  const Tiling& tiling = frame.tiling();
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, number = int(blockIdx.x) * kWarps + warp;
   if (number >= tiling.across * tiling.down) return;
   Tile tile(frame, tiling, number);
@@ -180,7 +177,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   __shared__ Memory memory;
   FrameState& state = *frame.state;
   if (!state.lattices) return;
-  const Tiling& tiling = tiling_of(frame);
+  const Tiling& tiling = frame.tiling();
   const int row = row_of<rows>(int(blockIdx.x) / tiling.across);
   if (row >= tiling.down) return;
   Tile tile(frame, tiling, row * tiling.across + int(blockIdx.x) % tiling.across);

@@ -15,9 +15,8 @@ struct Lists {
   unsigned drawn;
 
   __device__ explicit Lists(const LensFrame& frame) {
-    const bool none = frame.state->pairs > frame.capacity;
-    ids = none ? frame.order : frame.sorted_values, drawn = frame.state->drawn;
-    ranges = none ? nullptr : reinterpret_cast<const uint2*>(frame.ranges);
+    ids = frame.ids, drawn = frame.state->drawn;
+    ranges = frame.overfull() ? nullptr : reinterpret_cast<const uint2*>(frame.ranges);
   }
   // First and end of a list.
   __device__ uint2 range(int64_t number) const { return ranges ? ranges[number] : make_uint2(0, drawn); }

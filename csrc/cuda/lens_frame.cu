@@ -6,7 +6,6 @@
 
 #include "base/error.h"
 #include "cuda/lattice.cuh"
-#include "cuda/lens_lists.h"
 #include "cuda/lens_rig.cuh"
 
 namespace lfgs::cuda {
@@ -102,13 +101,12 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
           "the panel has too many rows: " + std::to_string(lens.height_px));
   require(most_tiles() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_tiles()));
   splats.images = 1, splats.count = gaussians, splats.colour_order = colour_order;
-  key_bytes = most_tiles() < (1 << 16) ? 2 : 4;
 }
 
 size_t LensFrame::place(void* work) {
   Parts parts{static_cast<char*>(work)};
   const int64_t n = splats.count;
-  parts.take(state, 1), parts.take(prefixes, most_pieces(*this)), parts.take(ranges, 2 * most_tiles());
+  parts.take(state, 1), parts.take(ranges, 2 * most_tiles());
   cleared_bytes = parts.used;
   parts.take(splats.splats, n);
   parts.take(splats.colours, n * (splats.colour_order + 1) * kColourStride);
@@ -118,16 +116,9 @@ size_t LensFrame::place(void* work) {
     const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
     parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
   }
-  parts.take(depths, n), parts.take(sorted_depths, n), parts.take(indices, n), parts.take(order, n);
-  char *unsorted = nullptr, *sorted = nullptr;
-  parts.take(unsorted, capacity * key_bytes), parts.take(sorted, capacity * key_bytes);
-  keys = unsorted, sorted_keys = sorted;
-  parts.take(values, capacity), parts.take(sorted_values, capacity);
+  const int64_t places = std::max(capacity, n);
+  parts.take(keys, places), parts.take(ids, places), parts.take(long_lists, most_tiles());
   if (lattice > 0) parts.take(lattices, most_tiles()), parts.take(refused, most_tiles());
-  temporary_bytes = lists_temporary_bytes(*this);
-  char* scratch = nullptr;
-  parts.take(scratch, int64_t(temporary_bytes));
-  temporary = scratch;
   return parts.used;
 }
 

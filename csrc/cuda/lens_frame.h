@@ -1,4 +1,4 @@
-// A light-field frame on the device, forward only: project -> order -> bin -> composite without the host in between.
+// A light-field frame on the device, forward only: project -> bin -> order -> composite without the host in between.
 // All sizes are fixed when the frame is made, nothing waits for the device, and every decision that depends on the
 // scene is taken there: so a frame can be captured in a CUDA graph and replayed.
 #pragma once
@@ -15,14 +15,16 @@ namespace lfgs::cuda {
 // quadratic in s (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
 enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadraticSmall, kOrdinal, kCount };
 
+constexpr unsigned kShortList = 256;   // splats of a list that a warp sorts
 constexpr int kMostProbeRows = 256;  // see kProbeRows: of 65,536 rows of pixels
 
-// What one frame found out: written on the device, read by the host when it likes. The first three come from bin,
+// What one frame found out: written on the device, read by the host when it likes. The first four come from bin,
 // the rest from project and composite.
 struct FrameState {
   unsigned long long pairs;      // (tile, splat) pairs; when more than the capacity, composite walks all splats
   unsigned drawn;                // splats
-  unsigned next_piece;           // of bin
+  unsigned next_splat;           // of the list of all
+  unsigned long_lists;           // of more than kShortList splats
   unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
   int kernel;                    // LensKernel chosen
   float straight, careful;       // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
@@ -39,7 +41,6 @@ struct FrameState {
   unsigned long long sums[13];   // see FrameSum, fixed point
 };
 
-constexpr uint32_t kNotDrawn = ~0u;  // depth of a splat that is not drawn: sorted last
 constexpr int kMostOrdinals = 32;
 constexpr int kPixelTileWidth = 64, kPixelTileHeight = 32;
 
@@ -81,7 +82,6 @@ struct LensFrame {
   int forced = -1;           // a LensKernel, or -1: chosen by cost
   int sh_degree = 0;
   int64_t capacity = 0;      // pairs
-  int key_bytes = 4;
   float tolerance = 0;       // of colour polynomials
   float cut = 0, stop = 0;   // of Quality: log2 of the opacity cut, transmittance at which a sample may end
   float hit_cut = 0;         // log2 of the alpha from which a splat that reaches a patch counts at a sample
@@ -89,23 +89,20 @@ struct LensFrame {
   float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
   bool in_half = false;      // of Quality: kPixel and kPixelSmall evaluate in half precision, and `cut` is for patches
 
-  // Parts of the work buffer. The state and the two after it project clears, with one launch
+  // Parts of the work buffer. The state and the ranges project clears, with one launch
   FrameState* state = nullptr;
-  uint64_t* prefixes = nullptr;                                                                // [pieces]: see bin
-  uint32_t* ranges = nullptr;                                                                  // [tiles, 2]
+  uint32_t* ranges = nullptr;      // [tiles, 2]: first and end of every list
   size_t cleared_bytes = 0;
   Splats<float> splats;
-  uint32_t *depths = nullptr, *sorted_depths = nullptr, *indices = nullptr, *order = nullptr;  // [N]
-  void *keys = nullptr, *sorted_keys = nullptr;                                                // [capacity]
-  uint32_t *values = nullptr, *sorted_values = nullptr;                                        // [capacity]
+  uint64_t* keys = nullptr;        // [capacity, or N if more]: depth and number of the lists' splats, unsorted
+  uint32_t* ids = nullptr;         // the numbers, nearest first
+  uint32_t* long_lists = nullptr;  // [tiles]: which lists these are, in any order
   // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
   // first place in the fourth number of a colour)
   float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
   uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
   Lattice* lattices = nullptr;  // [tiles], where any are laid: see composite_lattice.cu
   uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order, where lattices are laid
-  void* temporary = nullptr;
-  size_t temporary_bytes = 0;
 
   LensFrame() = default;
   // Throws Error when the sizes do not fit 32 bits.
@@ -113,15 +110,18 @@ struct LensFrame {
             int64_t capacity, const Quality& quality, double tolerance);
   // Lays the parts out in `work` (null: only counts); returns the bytes.
   size_t place(void* work);
+  // On the device: those of the kernel chosen; whether there are more pairs than places.
+  LFGS_HD const Tiling& tiling() const { return state->kernel == int(LensKernel::kOrdinal) ? ordinal : pixel; }
+  LFGS_HD bool overfull() const { return state->pairs > static_cast<unsigned long long>(capacity); }
   int64_t most_tiles() const { return std::max(pixel.tiles(), has_ordinal ? ordinal.tiles() : 0); }
 };
 
 // The stages, in this order. gaussians: the frame's count and degree. Colours at order > 0: sh_degree > 0.
-// keep_lists: order and bin will not follow, for only colours have changed since they last did.
+// keep_lists: bin and order will not follow, for only colours have changed since they last did.
 // Otherwise bin follows once: project has cleared what it counts with.
 void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream);
-void frame_order(const LensFrame& frame, Stream stream);
 void frame_bin(const LensFrame& frame, Stream stream);  // after it state->pairs is known
+void frame_order(const LensFrame& frame, Stream stream);
 void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 
 // Parts of frame_composite. The lattice first, if the frame has one; then each of the others draws what the lattice

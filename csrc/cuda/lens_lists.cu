@@ -1,41 +1,37 @@
-// Stages order and bin of a light-field frame. A splat's pairs (tile, splat) are written in depth order and sorted by
-// tile, stably. Which tiles those are, of pixels or of lenses, the frame has decided on the device.
-#include "cuda/lens_lists.h"
-
-#include <cub/device/device_radix_sort.cuh>
-
+// Stage bin of a light-field frame: for every tile (and group of ordinals) the splats that may touch it, in no order yet.
+// Pairs (tile, splat) are counted by tile, every list gets its place, and the pairs are gone through once more to fill
+// it. Which tiles those are, of pixels or of lenses, the frame has decided on the device.
 #include <algorithm>
-#include <bit>
 
 #include "cuda/check.h"
 #include "cuda/gaussian_io.cuh"
+#include "cuda/lens_frame.h"
 #include "cuda/lens_optics.cuh"
-#include "cuda/look_back.cuh"
 #include "cuda/strip.cuh"
 
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kThreads = 256, kWarps = kThreads / 32, kMostLanes = 4;
-constexpr int kKeptRuns = 4, kKeysEach = 8;
-constexpr int64_t kCrowd = 1 << 18;  // splats that fill the device with a lane each
+constexpr int kThreads = 256, kMostLanes = 8;
+constexpr int64_t kCrowd = 1 << 18;  // threads that fill the device
 
 __device__ bool ordinal_chosen(const LensFrame& frame) {
   return frame.state->kernel == int(LensKernel::kOrdinal);
 }
 
-// How many lanes share a splat: groups of ordinals give it more runs of tiles, small splats have one or two.
+// Lanes that share a splat: groups of ordinals give it more runs of tiles, small splats have one or two.
 __device__ int lanes_of(const LensFrame& frame) {
-  return ordinal_chosen(frame) ? kMostLanes : frame.splats.count < kCrowd ? 2 : 1;
+  int lanes = ordinal_chosen(frame) ? 4 : 1;
+  while (lanes < kMostLanes && frame.splats.count * lanes < kCrowd) lanes *= 2;
+  return lanes;
 }
 
 // Calls visit(first, last) for the runs of tiles, tile row by tile row and group by group, that a splat may touch: for
 // every `lanes`-th of them from number `lane`. Tiles of a run are as far apart as there are groups.
 template <class Visit>
 __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int lane, int lanes, const Visit& visit) {
-  if (!(s.reach_y >= 0)) return;
   const bool by_lens = ordinal_chosen(frame);
-  const Tiling& tiling = by_lens ? frame.ordinal : frame.pixel;
+  const Tiling& tiling = frame.tiling();
   const float height = float(tiling.height);
   const int first = max(0, int(floorf((s.v0 - s.reach_y + 0.5f) / height)));
   const int last = min(tiling.down - 1, int(floorf((s.v0 + s.reach_y - 0.5f) / height)));
@@ -56,149 +52,81 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
   }
 }
 
-// Where the pairs of this thread begin, in the order of pieces and threads. By all threads of a block.
-__device__ int64_t place_of_pairs(const LensFrame& frame, int64_t piece, int64_t pieces, int64_t count) {
-  __shared__ int64_t warps[kWarps];
-  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  const int64_t sum = sum_to_lane(count);
-  if (lane == 31) warps[warp] = sum;
-  __syncthreads();
-  if (warp == 0) {
-    const int64_t of_warp = lane < kWarps ? warps[lane] : 0, to_warp = sum_to_lane(of_warp);
-    const int64_t all = __shfl_sync(~0u, to_warp, 31);
-    volatile uint64_t* words = frame.prefixes;
-    if (lane == 0) words[piece] = flagged(all, kOfPiece);
-    const int64_t before = sum_before(words, piece);
-    if (lane == 0) words[piece] = flagged(before + all, kOfAll);
-    if (lane == 0 && piece == pieces - 1) frame.state->pairs = before + all;
-    if (lane < kWarps) warps[lane] = before + to_warp - of_warp;
+// The sum of the numbers of a warp's lanes, up to one's own.
+__device__ unsigned long long sum_to_lane(unsigned long long number) {
+  for (int step = 1; step < 32; step *= 2) {
+    const unsigned long long other = __shfl_up_sync(~0u, number, step);
+    if (int(threadIdx.x % 32) >= step) number += other;
   }
-  __syncthreads();
-  return warps[warp] + sum - count;
+  return number;
 }
 
-// Writes the pairs in depth order, in one pass: a block takes a piece of the splats, counts its pairs, learns from the
-// pieces before where they begin. Places that stay empty hold the largest key, beyond every tile. Where the frame has
-// more pairs than places, composite walks all splats and needs none of this. 256 threads: blocks of more wait longer
-// for their slowest splat, pieces of fewer have more words to look back through.
-template <class Key>
-__global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__ LensFrame frame) {
-  __shared__ unsigned next;
-  __shared__ int64_t pairs;
-  __shared__ int2 kept[kKeptRuns][kThreads];  // so that few look for their runs again to write them
-  FrameState& state = *frame.state;
-  const int lanes = lanes_of(frame), lane = threadIdx.x % lanes;
-  const int64_t n = frame.splats.count, pieces = blocks_for(n * lanes, kThreads);
-  const int stride = ordinal_chosen(frame) ? frame.ordinal.groups : frame.pixel.groups;
-  Key* keys = static_cast<Key*>(frame.keys);
-  for (;;) {
-    if (threadIdx.x == 0) next = atomicAdd(&state.next_piece, 1u);
-    __syncthreads();
-    const int64_t piece = next;
-    if (piece >= pieces) break;
-    const int64_t i = (piece * kThreads + threadIdx.x) / lanes;
-    const bool inside = i < n && frame.sorted_depths[i] != kNotDrawn;
-    if (inside && lane == 0 && (i == n - 1 || frame.sorted_depths[i + 1] == kNotDrawn)) state.drawn = unsigned(i + 1);
-    const uint32_t id = inside ? frame.order[i] : 0;
-    int runs = 0;
-    int64_t count = 0;
-    if (inside)
-      for_each_run(read_splat(frame.splats.splats + id), frame, lane, lanes, [&](int first, int last) {
-        if (runs < kKeptRuns) kept[runs][threadIdx.x] = make_int2(first, last);
-        ++runs, count += (last - first) / stride + 1;
-      });
-    int64_t at = place_of_pairs(frame, piece, pieces, count);
-    auto write = [&](int first, int last) {
-      for (int tile = first; tile <= last && at < frame.capacity; tile += stride, ++at)
-        keys[at] = Key(tile), frame.values[at] = id;
-    };
-    if (runs <= kKeptRuns)
-      for (int k = 0; k < runs; ++k) write(kept[k][threadIdx.x].x, kept[k][threadIdx.x].y);
-    else
-      for_each_run(read_splat(frame.splats.splats + id), frame, lane, lanes, write);
-  }
-  if (threadIdx.x < 32) {
-    const int64_t all = sum_before(frame.prefixes, pieces);
-    if (threadIdx.x == 0) pairs = all;
-  }
-  __syncthreads();
-  const int64_t step = int64_t(gridDim.x) * kThreads;
-  for (int64_t at = pairs + int64_t(blockIdx.x) * kThreads + threadIdx.x; at < frame.capacity; at += step)
-    keys[at] = Key(~Key(0)), frame.values[at] = 0;
-}
+// kCount counts pairs where the ends of lists will stand; kFill fills the lists, or where the frame has more pairs than
+// places, one list of all that is drawn. One kernel for both, so that they find the same tiles to the last bit.
+enum class Pass { kCount, kFill };
 
-template <class Key>
-__global__ void ranges_kernel(const __grid_constant__ LensFrame frame) {
-  const int64_t pairs = int64_t(frame.state->pairs), i = (int64_t(blockIdx.x) * kThreads + threadIdx.x) * kKeysEach;
-  if (i >= pairs || pairs > frame.capacity) return;
-  const Key* keys = static_cast<const Key*>(frame.sorted_keys);
+__global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__ LensFrame frame, Pass pass) {
   uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
-  Key before = i ? keys[i - 1] : Key(~Key(0));
-#pragma unroll
-  for (int k = 0; k < kKeysEach; ++k) {
-    if (i + k >= pairs) break;
-    const Key tile = keys[i + k];
-    if (tile != before) {
-      ranges[tile].x = uint32_t(i + k);
-      if (i + k) ranges[before].y = uint32_t(i + k);
+  const int lanes = lanes_of(frame), lane = int(threadIdx.x) % lanes, groups = frame.tiling().groups;
+  const bool fill = pass == Pass::kFill, overfull = fill && frame.overfull();
+  const int64_t step = int64_t(gridDim.x) * kThreads / lanes;
+  unsigned drawn = 0;
+  for (int64_t id = (int64_t(blockIdx.x) * kThreads + threadIdx.x) / lanes; id < frame.splats.count; id += step) {
+    const Splat<float> splat = read_splat(frame.splats.splats + id);
+    if (!(splat.reach_y >= 0)) continue;
+    drawn += lane == 0;
+    const uint64_t key = uint64_t(__float_as_uint(splat.depth)) << 32 | uint64_t(id);
+    if (overfull) {
+      if (lane == 0) frame.keys[atomicAdd(&frame.state->next_splat, 1u)] = key;
+      continue;
     }
-    before = tile;
+    for_each_run(splat, frame, lane, lanes, [&](int first, int last) {
+      for (int tile = first; tile <= last; tile += groups) {
+        if (fill)
+          frame.keys[atomicAdd(&ranges[tile].y, 1u)] = key;
+        else
+          atomicAdd(&ranges[tile].y, 1u);
+      }
+    });
   }
-  if (i + kKeysEach >= pairs) ranges[before].y = uint32_t(pairs);
+  const unsigned of_warp = fill ? 0 : unsigned(sum_to_lane(drawn));
+  if (threadIdx.x % 32 == 31 && of_warp) atomicAdd(&frame.state->drawn, of_warp);
 }
 
-template <class Key>
-size_t sort_bytes(int64_t items) {
-  size_t bytes = 0;
-  check(cub::DeviceRadixSort::SortPairs(nullptr, bytes, (Key*)nullptr, (Key*)nullptr, (uint32_t*)nullptr,
-                                        (uint32_t*)nullptr, items),
-        "lists: size of a sort");
-  return bytes;
-}
-
-template <class Key>
-void bin(const LensFrame& frame, cudaStream_t stream) {
-  const int64_t capacity = frame.capacity;
-  auto* kernel = pairs_kernel<Key>;
-  const int64_t blocks = std::min<int64_t>(resident_blocks(kernel, kThreads, 0), most_pieces(frame));
-  kernel<<<unsigned(blocks), kThreads, 0, stream>>>(frame);
-  check_launch("bin: pairs");
-  if (capacity == 0) return;
-  size_t bytes = frame.temporary_bytes;
-  const int bits = std::bit_width(uint64_t(frame.most_tiles()));
-  check(cub::DeviceRadixSort::SortPairs(frame.temporary, bytes, static_cast<Key*>(frame.keys),
-                                        static_cast<Key*>(frame.sorted_keys), frame.values, frame.sorted_values,
-                                        capacity, 0, bits, stream),
-        "bin: sort");
-  ranges_kernel<Key><<<unsigned(blocks_for(capacity, kThreads * kKeysEach)), kThreads, 0, stream>>>(frame);
-  check_launch("bin: ranges");
+// Gives every list a place, empty at first; a warp's lists lie side by side, warps come as they come.
+__global__ void __launch_bounds__(kThreads) place_lists_kernel(const __grid_constant__ LensFrame frame) {
+  const int64_t list = int64_t(blockIdx.x) * kThreads + threadIdx.x;
+  const int lane = threadIdx.x % 32;
+  const bool inside = list < frame.tiling().tiles();
+  uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
+  const unsigned pairs = inside ? ranges[list].y : 0;
+  const unsigned long long to_here = sum_to_lane(pairs);
+  const bool is_long = pairs > kShortList;
+  const unsigned longs = __ballot_sync(~0u, is_long);
+  unsigned long long first = 0;
+  unsigned first_long = 0;
+  if (lane == 31 && to_here) first = atomicAdd(&frame.state->pairs, to_here);
+  if (lane == 31 && longs) first_long = atomicAdd(&frame.state->long_lists, unsigned(__popc(longs)));
+  first = __shfl_sync(~0u, first, 31), first_long = __shfl_sync(~0u, first_long, 31);
+  if (is_long) frame.long_lists[first_long + __popc(longs & ((1u << lane) - 1))] = uint32_t(list);
+  const uint32_t begin = uint32_t(first + to_here - pairs);  // past 2^32 where nobody asks
+  if (inside) ranges[list] = make_uint2(begin, begin);
 }
 
 }  // namespace
 
-int64_t most_pieces(const LensFrame& frame) { return blocks_for(frame.splats.count * kMostLanes, kThreads); }
-
-size_t lists_temporary_bytes(const LensFrame& frame) {
-  const int64_t capacity = frame.capacity;
-  const size_t pairs = frame.key_bytes == 2 ? sort_bytes<uint16_t>(capacity) : sort_bytes<uint32_t>(capacity);
-  return std::max(sort_bytes<uint32_t>(frame.splats.count), pairs);
-}
-
-void frame_order(const LensFrame& frame, Stream stream) {
-  if (frame.splats.count == 0) return;
-  size_t bytes = frame.temporary_bytes;
-  // What is not drawn has the largest key and comes last
-  check(cub::DeviceRadixSort::SortPairs(frame.temporary, bytes, frame.depths, frame.sorted_depths, frame.indices,
-                                        frame.order, frame.splats.count, 0, 32, cudaStream_t(stream)),
-        "order");
-}
-
 void frame_bin(const LensFrame& frame, Stream stream) {
-  if (frame.splats.count == 0) return;
-  if (frame.key_bytes == 2)
-    bin<uint16_t>(frame, cudaStream_t(stream));
-  else
-    bin<uint32_t>(frame, cudaStream_t(stream));
+  const int64_t count = frame.splats.count;
+  if (count == 0) return;
+  const int64_t most = blocks_for(count * kMostLanes, kThreads);
+  const unsigned blocks = unsigned(std::min<int64_t>(resident_blocks(pairs_kernel, kThreads, 0), most));
+  pairs_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame, Pass::kCount);
+  check_launch("bin: count");
+  const unsigned list_blocks = unsigned(blocks_for(frame.most_tiles(), kThreads));
+  place_lists_kernel<<<list_blocks, kThreads, 0, cudaStream_t(stream)>>>(frame);
+  check_launch("bin: place");
+  pairs_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame, Pass::kFill);
+  check_launch("bin: fill");
 }
 
 }  // namespace lfgs::cuda
