@@ -37,6 +37,7 @@ target_sources(_core PRIVATE
   csrc/cuda/project_lens.cu
   csrc/cuda/lens_frame.cu
   csrc/cuda/lens_lists.cu
+  csrc/cuda/lens_order.cu
   csrc/cuda/composite_lattice.cu
   csrc/cuda/composite_pixel.cu
   csrc/cuda/composite_ordinal.cu

@@ -154,6 +154,18 @@ def test_a_sample_that_ends_leaves_its_rest_to_the_background(module, tmp_path):
         assert ended.mean() > 0.3 and np.abs(frame["image"].numpy().ravel() - expected)[ended].mean() < 1e-5, kernel
 
 
+def test_lists_of_any_length_are_in_order(module, tmp_path):
+    scene, panel, rig = cases.crowd()
+    expected = encode(scene, panel, rig, background=cases.BACKGROUND, output="float32")
+    reverse = [field.flip(0) for field in scene.fields().values()]
+    swapped = encode(type(scene)(*reverse), panel, rig, background=cases.BACKGROUND, output="float32")
+    assert ((swapped - expected) ** 2).mean() > 1e-6  # it shows in which order those of one depth are
+    listed, walked = drawn(module, "crowd", tmp_path)
+    assert cases.CROWD + 600 < listed["pairs"] == walked["pairs"] < 2 * cases.CROWD  # more than are sorted at a time
+    for frame in (listed, walked):
+        assert ((frame["image"] - expected) ** 2).mean() < 1e-8 and frame["drawn"] == cases.CROWD
+
+
 def test_a_lattice_is_within_its_bound_of_the_oracle(lattice_frames):
     (_, quality, _, changes), image = cases.LATTICE_FRAMES[0], lattice_frames[0]["image"]
     scene, panel, rig = cases.lattice_frame(changes, 0)

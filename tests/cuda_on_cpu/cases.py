@@ -98,6 +98,19 @@ def opaque(name: str) -> tuple[Gaussians, Panel, Rig]:
     return scene, panel, rig_of(panel)
 
 
+CROWD = 4900
+
+
+def crowd() -> tuple[Gaussians, Panel, Rig]:
+    """Faint small Gaussians at three depths, hundreds in the lower of two tiles and thousands in the upper."""
+    panel, random = panel_of("narrow cone"), torch.Generator().manual_seed(3)
+    scene = cloud(CROWD, 11)
+    depths = 1.9 + 0.1 * torch.randint(3, (CROWD,), generator=random)
+    place = torch.rand(CROWD, 2, generator=random) * torch.tensor([1.8, 1.1]) - torch.tensor([0.95, 0.55])
+    return replace(scene, means=torch.cat([place, depths[:, None]], 1), scales=torch.full((CROWD, 3), 0.05),
+                   opacities=0.01 + 0.05 * scene.opacities), panel, rig_of(panel)
+
+
 def needles() -> tuple[Gaussians, Panel, Rig]:
     """A sheet of flat Gaussians, and four that point at a narrow rig: their S is about 1 + s^2 / 3."""
     panel, flat = panel_of("narrow cone"), sheet(48)

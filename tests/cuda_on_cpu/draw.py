@@ -56,7 +56,7 @@ def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32,
         return frame_cuda.Frame(job.scene, job.rig, job.lens, order, quality, places, kernel)
 
     probe = with_places(0)
-    probe.project(), probe.order(), probe.bin()
+    probe.project(), probe.bin()
     image = torch.full((job.height, job.width, 3), 7, dtype=dtype)
     frame = with_places(int(share * probe.state()["pairs"]))
     frame.draw(job.background, image)
@@ -113,6 +113,8 @@ def main(what: str) -> object:
         return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
     if what == "opaque":
         return [drawn(*cases.opaque(name), "integer", kernel, EXACT, 1.0) for kernel, name in cases.OPAQUE_FRAMES]
+    if what == "crowd":
+        return [drawn(*cases.crowd(), "integer", "pixel-quadratic", EXACT, share) for share in (1.0, 0.5)]
     if what == "pruned":
         panel = cases.panel_of("default")
         return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
