@@ -1,8 +1,11 @@
 // Stage order of a light-field frame: every list by depth, nearest first, ties by number.
 //
-// Short lists are sorted by a warp each, long ones by a block, which goes through those beyond what it keeps in shared
-// memory piece by piece. All by bitonic merging (Batcher 1968, "Sorting networks and their applications"), in the form
-// in which every comparison sorts upwards: what lies beyond a list's end then counts as the largest, and needs no place.
+// A list is spread over buckets of depth, mostly of a splat or two each, within which every splat counts those before
+// it. Where depths crowd, and beyond what fits shared memory, it is sorted by bitonic merging (Batcher 1968, "Sorting
+// networks and their applications"), in the form in which every comparison sorts upwards: what lies beyond the end then
+// counts as the largest, and needs no place. Short lists are sorted by a warp each, long ones by a block.
+#include <algorithm>
+
 #include "cuda/check.h"
 #include "cuda/lens_frame.h"
 
@@ -10,29 +13,37 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 256, kWarps = kThreads / 32;
-constexpr unsigned kKept = kWarps * kShortList;  // keys in shared memory: of a long list's piece, or of a list a warp
+constexpr unsigned kEach = kShortList / 32;       // keys, and buckets, of a thread
+constexpr unsigned kKept = kThreads * kEach;      // keys in shared memory: of a block, or of all its warps
+constexpr unsigned kCrowd = 16;                   // keys of a bucket that count each other
 
 // Who sorts a list.
 struct Warp {
   static constexpr unsigned kSize = 32;
   __device__ static unsigned rank() { return threadIdx.x % 32; }
   __device__ static void wait() { __syncwarp(); }
+  __device__ static bool any(bool value) { return __any_sync(~0u, value); }
 };
 struct Block {
   static constexpr unsigned kSize = kThreads;
   __device__ static unsigned rank() { return threadIdx.x; }
   __device__ static void wait() { __syncthreads(); }
+  __device__ static bool any(bool value) { return __syncthreads_or(value); }
 };
 
-enum class Partner { kMirrored, kSame };  // of a key in the first half: as far from the end, or from the beginning
+// What a team has in shared memory.
+struct Memory {
+  uint64_t* keys;     // [kEach * kSize]
+  unsigned* buckets;  // the same
+  unsigned* warps;    // [2 * kWarps], of a block
+};
 
-// Of every 2 * half keys: compares those of the first half with those of the second.
-template <class Team, Partner partner>
-__device__ void compare_halves(uint64_t* keys, unsigned count, unsigned half) {
-  const unsigned pairs = (count + 2 * half - 1) / (2 * half) * half;
+// Of every 2 * half keys: compares those of the first half with those of the second; mirrored: as far from the end.
+template <class Team>
+__device__ void compare_halves(uint64_t* keys, unsigned count, unsigned half, bool mirrored) {
+  const unsigned pairs = (count + 2 * half - 1) / (2 * half) * half, partner = mirrored ? 2 * half - 1 : half;
   for (unsigned pair = Team::rank(); pair < pairs; pair += Team::kSize) {
-    const unsigned at = pair & (half - 1), first = 2 * (pair - at), low = first + at;
-    const unsigned high = partner == Partner::kMirrored ? first + 2 * half - 1 - at : low + half;
+    const unsigned low = pair + (pair & ~(half - 1)), high = low ^ partner;
     if (high >= count) continue;
     const uint64_t a = keys[low], b = keys[high];
     if (b < a) keys[low] = b, keys[high] = a;
@@ -43,13 +54,13 @@ __device__ void compare_halves(uint64_t* keys, unsigned count, unsigned half) {
 // Sorts runs of 2 * half keys that merging has sorted to within `half`.
 template <class Team>
 __device__ void finish_runs(uint64_t* keys, unsigned count, unsigned half) {
-  for (; half > 0; half /= 2) compare_halves<Team, Partner::kSame>(keys, count, half);
+  for (; half > 0; half /= 2) compare_halves<Team>(keys, count, half, false);
 }
 
 template <class Team>
-__device__ void sort_kept(uint64_t* keys, unsigned count) {
+__device__ void merge_all(uint64_t* keys, unsigned count) {
   for (unsigned run = 1; run < count; run *= 2) {
-    compare_halves<Team, Partner::kMirrored>(keys, count, run);
+    compare_halves<Team>(keys, count, run, true);
     finish_runs<Team>(keys, count, run / 2);
   }
 }
@@ -69,53 +80,146 @@ __device__ void in_shared_memory(uint64_t* keys, uint32_t* ids, unsigned count, 
 }
 
 // By a block. A list of n keys beyond those kept takes log2(n / kept)^2 / 2 rounds through memory.
-__device__ void sort_long(uint64_t* keys, uint32_t* ids, unsigned count, uint64_t* kept) {
+__device__ void sort_in_pieces(uint64_t* keys, uint32_t* ids, unsigned count, uint64_t* kept) {
   auto in_pieces = [&](auto sort) {
     for (unsigned first = 0; first < count; first += kKept)
-      in_shared_memory<Block>(keys + first, ids + first, min(kKept, count - first), count > kKept, kept, sort);
+      in_shared_memory<Block>(keys + first, ids + first, min(kKept, count - first), true, kept, sort);
   };
-  in_pieces(sort_kept<Block>);
+  in_pieces(merge_all<Block>);
   for (unsigned run = kKept; run < count; run *= 2) {
-    compare_halves<Block, Partner::kMirrored>(keys, count, run);
-    for (unsigned half = run / 2; half >= kKept; half /= 2)
-      compare_halves<Block, Partner::kSame>(keys, count, half);
+    compare_halves<Block>(keys, count, run, true);
+    for (unsigned half = run / 2; half >= kKept; half /= 2) compare_halves<Block>(keys, count, half, false);
     in_pieces([](uint64_t* piece, unsigned n) { finish_runs<Block>(piece, n, kKept / 2); });
   }
 }
 
-// The first `long_blocks` blocks sort long lists, the others a short one by each warp.
-__global__ void __launch_bounds__(kThreads)
-    sort_lists_kernel(const __grid_constant__ LensFrame frame, unsigned long_blocks) {
-  __shared__ uint64_t kept[kKept];
+__device__ float depth_of(uint64_t key) { return __uint_as_float(unsigned(key >> 32)); }
+
+// The least and the largest depth of a team.
+template <class Team>
+__device__ void find_extent(float& nearest, float& farthest, const Memory& memory) {
+  for (int step = 16; step > 0; step /= 2) {
+    nearest = fminf(nearest, __shfl_xor_sync(~0u, nearest, step));
+    farthest = fmaxf(farthest, __shfl_xor_sync(~0u, farthest, step));
+  }
+  if constexpr (Team::kSize > 32) {
+    float* of_warps = reinterpret_cast<float*>(memory.warps);
+    if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = nearest, of_warps[kWarps + threadIdx.x / 32] = farthest;
+    Team::wait();
+    for (int warp = 0; warp < kWarps; ++warp)
+      nearest = fminf(nearest, of_warps[warp]), farthest = fmaxf(farthest, of_warps[kWarps + warp]);
+    Team::wait();
+  }
+}
+
+// Counts in buckets -> where each begins.
+template <class Team>
+__device__ void sum_buckets(const Memory& memory) {
+  unsigned* mine = memory.buckets + kEach * Team::rank();
+  unsigned counts[kEach], sum = 0;
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) counts[k] = mine[k], sum += counts[k];
+  unsigned to_here = sum;
+  for (int step = 1; step < 32; step *= 2) {
+    const unsigned other = __shfl_up_sync(~0u, to_here, step);
+    if (int(threadIdx.x % 32) >= step) to_here += other;
+  }
+  unsigned first = to_here - sum;
+  if constexpr (Team::kSize > 32) {
+    if (threadIdx.x % 32 == 31) memory.warps[threadIdx.x / 32] = to_here;
+    Team::wait();
+    for (unsigned warp = 0; warp < threadIdx.x / 32; ++warp) first += memory.warps[warp];
+  }
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) mine[k] = first, first += counts[k];
+  Team::wait();
+}
+
+// At most kEach * kSize keys. False: they crowd, and nothing is done.
+template <class Team>
+__device__ bool sort_by_buckets(const uint64_t* keys, uint32_t* ids, unsigned count, const Memory& memory) {
+  constexpr unsigned kBuckets = kEach * Team::kSize, kBucketBits = 16, kBucket = (1u << kBucketBits) - 1;
+  uint64_t mine[kEach];
+  unsigned bucket[kEach];  // and above it the place there
+  float nearest = INFINITY, farthest = 0;
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) {
+    const unsigned i = k * Team::kSize + Team::rank();
+    memory.buckets[i] = 0;
+    mine[k] = i < count ? keys[i] : 0;
+    if (i < count) nearest = fminf(nearest, depth_of(mine[k])), farthest = fmaxf(farthest, depth_of(mine[k]));
+  }
+  find_extent<Team>(nearest, farthest, memory);
+  Team::wait();
+  const float per_depth = fminf(float(kBuckets) / (farthest - nearest), 3e38f);  // of one depth: 0 times that is 0
+  bool crowd = false;
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) {
+    if (k * Team::kSize + Team::rank() >= count) break;
+    bucket[k] = min(unsigned((depth_of(mine[k]) - nearest) * per_depth), kBuckets - 1);
+    const unsigned place = atomicAdd(&memory.buckets[bucket[k]], 1u);
+    crowd |= place >= kCrowd, bucket[k] |= place << kBucketBits;
+  }
+  if (Team::any(crowd)) return false;
+  sum_buckets<Team>(memory);
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k)
+    if (k * Team::kSize + Team::rank() < count) memory.keys[memory.buckets[bucket[k] & kBucket] + (bucket[k] >> kBucketBits)] = mine[k];
+  Team::wait();
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) {
+    if (k * Team::kSize + Team::rank() >= count) break;
+    const unsigned of = bucket[k] & kBucket, first = memory.buckets[of];
+    const unsigned end = of + 1 < kBuckets ? memory.buckets[of + 1] : count;
+    unsigned before = 0;
+    for (unsigned i = first; i < end; ++i) before += memory.keys[i] < mine[k];
+    ids[first + before] = uint32_t(mine[k]);
+  }
+  Team::wait();
+  return true;
+}
+
+template <class Team>
+__device__ void sort_kept(uint64_t* keys, uint32_t* ids, unsigned count, const Memory& memory) {
+  if (!sort_by_buckets<Team>(keys, ids, count, memory))
+    in_shared_memory<Team>(keys, ids, count, false, memory.keys, merge_all<Team>);
+}
+
+// By whole blocks the long lists, by every warp then short ones.
+__global__ void __launch_bounds__(kThreads, 4) sort_lists_kernel(const __grid_constant__ LensFrame frame) {
+  __shared__ uint64_t keys[kKept];
+  __shared__ unsigned buckets[kKept], warps[2 * kWarps];
   const FrameState& state = *frame.state;
   if (frame.overfull()) {
-    if (blockIdx.x == 0) sort_long(frame.keys, frame.ids, state.drawn, kept);
+    if (blockIdx.x == 0) sort_in_pieces(frame.keys, frame.ids, state.drawn, keys);
     return;
   }
   const uint2* ranges = reinterpret_cast<const uint2*>(frame.ranges);
-  if (blockIdx.x < long_blocks) {
-    for (unsigned i = blockIdx.x; i < state.long_lists; i += long_blocks) {
-      const uint2 range = ranges[frame.long_lists[i]];
-      sort_long(frame.keys + range.x, frame.ids + range.x, range.y - range.x, kept);
-    }
-    return;
+  for (unsigned i = blockIdx.x; i < state.long_lists; i += gridDim.x) {
+    const uint2 range = ranges[frame.long_lists[i]];
+    const unsigned count = range.y - range.x;
+    if (count <= kKept)
+      sort_kept<Block>(frame.keys + range.x, frame.ids + range.x, count, {keys, buckets, warps});
+    else
+      sort_in_pieces(frame.keys + range.x, frame.ids + range.x, count, keys);
   }
-  const unsigned warp = threadIdx.x / 32;
-  const int64_t list = int64_t(blockIdx.x - long_blocks) * kWarps + warp;
-  if (list >= frame.tiling().tiles()) return;
-  const uint2 range = ranges[list];
-  if (range.y - range.x <= kShortList)
-    in_shared_memory<Warp>(frame.keys + range.x, frame.ids + range.x, range.y - range.x, false,
-                           kept + warp * kShortList, sort_kept<Warp>);
+  const unsigned warp = threadIdx.x / 32, mine = warp * kShortList;
+  const int64_t lists = frame.tiling().tiles(), step = int64_t(gridDim.x) * kWarps;
+  for (int64_t list = int64_t(blockIdx.x) * kWarps + warp; list < lists; list += step) {
+    const uint2 range = ranges[list];
+    const unsigned count = range.y - range.x;
+    if (count > 0 && count <= kShortList)
+      sort_kept<Warp>(frame.keys + range.x, frame.ids + range.x, count, {keys + mine, buckets + mine, nullptr});
+  }
 }
 
 }  // namespace
 
 void frame_order(const LensFrame& frame, Stream stream) {
   if (frame.splats.count == 0) return;
-  const unsigned long_blocks = resident_blocks(sort_lists_kernel, kThreads, 0);
-  const unsigned blocks = long_blocks + unsigned(blocks_for(frame.most_tiles(), kWarps));
-  sort_lists_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame, long_blocks);
+  const int64_t most = blocks_for(frame.most_tiles(), kWarps);
+  const unsigned blocks = unsigned(std::min<int64_t>(resident_blocks(sort_lists_kernel, kThreads, 0), most));
+  sort_lists_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame);
   check_launch("order");
 }
 
