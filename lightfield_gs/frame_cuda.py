@@ -20,7 +20,7 @@ from lightfield_gs.workspace import Scene, Stats
 
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share
 _LEAST_PAIRS = 1 << 12
-_MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 12  # numbered with 32 bits
+_MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # numbered with 32 bits
 _MOST_KNOWN = 64
 # Of exact frames, whose other errors leave less room than on the CPU: what the order of colours may leave, and what is
 # left out of each splat's; the latter adds up over all of them

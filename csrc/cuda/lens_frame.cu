@@ -116,8 +116,7 @@ size_t LensFrame::place(void* work) {
     const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
     parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
   }
-  const int64_t places = std::max(capacity, n);
-  parts.take(keys, places), parts.take(ids, places), parts.take(long_lists, most_tiles());
+  parts.take(depths, n), parts.take(ids, std::max(capacity, n)), parts.take(long_lists, most_tiles());
   if (lattice > 0) parts.take(lattices, most_tiles()), parts.take(refused, most_tiles());
   return parts.used;
 }

@@ -94,8 +94,8 @@ struct LensFrame {
   uint32_t* ranges = nullptr;      // [tiles, 2]: first and end of every list
   size_t cleared_bytes = 0;
   Splats<float> splats;
-  uint64_t* keys = nullptr;        // [capacity, or N if more]: depth and number of the lists' splats, unsorted
-  uint32_t* ids = nullptr;         // the numbers, nearest first
+  uint32_t* depths = nullptr;      // [N]: bits of the splats' depths
+  uint32_t* ids = nullptr;         // [capacity, or N if more]: the lists' splats, nearest first
   uint32_t* long_lists = nullptr;  // [tiles]: which lists these are, in any order
   // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
   // first place in the fourth number of a colour)

@@ -75,15 +75,14 @@ __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__
     const Splat<float> splat = read_splat(frame.splats.splats + id);
     if (!(splat.reach_y >= 0)) continue;
     drawn += lane == 0;
-    const uint64_t key = uint64_t(__float_as_uint(splat.depth)) << 32 | uint64_t(id);
     if (overfull) {
-      if (lane == 0) frame.keys[atomicAdd(&frame.state->next_splat, 1u)] = key;
+      if (lane == 0) frame.ids[atomicAdd(&frame.state->next_splat, 1u)] = uint32_t(id);
       continue;
     }
     for_each_run(splat, frame, lane, lanes, [&](int first, int last) {
       for (int tile = first; tile <= last; tile += groups) {
         if (fill)
-          frame.keys[atomicAdd(&ranges[tile].y, 1u)] = key;
+          frame.ids[atomicAdd(&ranges[tile].y, 1u)] = uint32_t(id);
         else
           atomicAdd(&ranges[tile].y, 1u);
       }

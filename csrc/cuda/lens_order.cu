@@ -38,15 +38,24 @@ struct Memory {
   unsigned* warps;    // [2 * kWarps], of a block
 };
 
-// Of every 2 * half keys: compares those of the first half with those of the second; mirrored: as far from the end.
-template <class Team>
-__device__ void compare_halves(uint64_t* keys, unsigned count, unsigned half, bool mirrored) {
+// What lists are sorted by: depth, which is positive, then number.
+struct Keys {
+  const uint32_t* depths;
+  __device__ uint64_t operator()(uint32_t id) const { return uint64_t(depths[id]) << 32 | id; }
+};
+struct Same {
+  __device__ uint64_t operator()(uint64_t key) const { return key; }
+};
+
+// Of every 2 * half items: compares those of the first half with those of the second; mirrored: as far from the end.
+template <class Team, class Item, class KeyOf = Same>
+__device__ void compare_halves(Item* items, unsigned count, unsigned half, bool mirrored, const KeyOf& key_of = {}) {
   const unsigned pairs = (count + 2 * half - 1) / (2 * half) * half, partner = mirrored ? 2 * half - 1 : half;
   for (unsigned pair = Team::rank(); pair < pairs; pair += Team::kSize) {
     const unsigned low = pair + (pair & ~(half - 1)), high = low ^ partner;
     if (high >= count) continue;
-    const uint64_t a = keys[low], b = keys[high];
-    if (b < a) keys[low] = b, keys[high] = a;
+    const Item a = items[low], b = items[high];
+    if (key_of(b) < key_of(a)) items[low] = b, items[high] = a;
   }
   Team::wait();
 }
@@ -65,30 +74,26 @@ __device__ void merge_all(uint64_t* keys, unsigned count) {
   }
 }
 
-// Brings keys to shared memory, has them sorted, stores the numbers of their splats and, if asked, the keys.
+// Has a list sorted in shared memory.
 template <class Team, class Sort>
-__device__ void in_shared_memory(uint64_t* keys, uint32_t* ids, unsigned count, bool keep_keys, uint64_t* kept,
-                                 const Sort& sort) {
-  for (unsigned i = Team::rank(); i < count; i += Team::kSize) kept[i] = keys[i];
+__device__ void in_shared_memory(uint32_t* ids, unsigned count, const Keys& key_of, uint64_t* kept, const Sort& sort) {
+  for (unsigned i = Team::rank(); i < count; i += Team::kSize) kept[i] = key_of(ids[i]);
   Team::wait();
   sort(kept, count);
-  for (unsigned i = Team::rank(); i < count; i += Team::kSize) {
-    ids[i] = uint32_t(kept[i]);
-    if (keep_keys) keys[i] = kept[i];
-  }
+  for (unsigned i = Team::rank(); i < count; i += Team::kSize) ids[i] = uint32_t(kept[i]);
   Team::wait();
 }
 
 // By a block. A list of n keys beyond those kept takes log2(n / kept)^2 / 2 rounds through memory.
-__device__ void sort_in_pieces(uint64_t* keys, uint32_t* ids, unsigned count, uint64_t* kept) {
+__device__ void sort_in_pieces(uint32_t* ids, unsigned count, const Keys& key_of, uint64_t* kept) {
   auto in_pieces = [&](auto sort) {
     for (unsigned first = 0; first < count; first += kKept)
-      in_shared_memory<Block>(keys + first, ids + first, min(kKept, count - first), true, kept, sort);
+      in_shared_memory<Block>(ids + first, min(kKept, count - first), key_of, kept, sort);
   };
   in_pieces(merge_all<Block>);
   for (unsigned run = kKept; run < count; run *= 2) {
-    compare_halves<Block>(keys, count, run, true);
-    for (unsigned half = run / 2; half >= kKept; half /= 2) compare_halves<Block>(keys, count, half, false);
+    compare_halves<Block>(ids, count, run, true, key_of);
+    for (unsigned half = run / 2; half >= kKept; half /= 2) compare_halves<Block>(ids, count, half, false, key_of);
     in_pieces([](uint64_t* piece, unsigned n) { finish_runs<Block>(piece, n, kKept / 2); });
   }
 }
@@ -137,7 +142,7 @@ __device__ void sum_buckets(const Memory& memory) {
 
 // At most kEach * kSize keys. False: they crowd, and nothing is done.
 template <class Team>
-__device__ bool sort_by_buckets(const uint64_t* keys, uint32_t* ids, unsigned count, const Memory& memory) {
+__device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_of, const Memory& memory) {
   constexpr unsigned kBuckets = kEach * Team::kSize, kBucketBits = 16, kBucket = (1u << kBucketBits) - 1;
   uint64_t mine[kEach];
   unsigned bucket[kEach];  // and above it the place there
@@ -146,7 +151,7 @@ __device__ bool sort_by_buckets(const uint64_t* keys, uint32_t* ids, unsigned co
   for (unsigned k = 0; k < kEach; ++k) {
     const unsigned i = k * Team::kSize + Team::rank();
     memory.buckets[i] = 0;
-    mine[k] = i < count ? keys[i] : 0;
+    mine[k] = i < count ? key_of(ids[i]) : 0;
     if (i < count) nearest = fminf(nearest, depth_of(mine[k])), farthest = fmaxf(farthest, depth_of(mine[k]));
   }
   find_extent<Team>(nearest, farthest, memory);
@@ -180,9 +185,9 @@ __device__ bool sort_by_buckets(const uint64_t* keys, uint32_t* ids, unsigned co
 }
 
 template <class Team>
-__device__ void sort_kept(uint64_t* keys, uint32_t* ids, unsigned count, const Memory& memory) {
-  if (!sort_by_buckets<Team>(keys, ids, count, memory))
-    in_shared_memory<Team>(keys, ids, count, false, memory.keys, merge_all<Team>);
+__device__ void sort_kept(uint32_t* ids, unsigned count, const Keys& key_of, const Memory& memory) {
+  if (!sort_by_buckets<Team>(ids, count, key_of, memory))
+    in_shared_memory<Team>(ids, count, key_of, memory.keys, merge_all<Team>);
 }
 
 // By whole blocks the long lists, by every warp then short ones.
@@ -190,8 +195,9 @@ __global__ void __launch_bounds__(kThreads, 4) sort_lists_kernel(const __grid_co
   __shared__ uint64_t keys[kKept];
   __shared__ unsigned buckets[kKept], warps[2 * kWarps];
   const FrameState& state = *frame.state;
+  const Keys key_of{frame.depths};
   if (frame.overfull()) {
-    if (blockIdx.x == 0) sort_in_pieces(frame.keys, frame.ids, state.drawn, keys);
+    if (blockIdx.x == 0) sort_in_pieces(frame.ids, state.drawn, key_of, keys);
     return;
   }
   const uint2* ranges = reinterpret_cast<const uint2*>(frame.ranges);
@@ -199,9 +205,9 @@ __global__ void __launch_bounds__(kThreads, 4) sort_lists_kernel(const __grid_co
     const uint2 range = ranges[frame.long_lists[i]];
     const unsigned count = range.y - range.x;
     if (count <= kKept)
-      sort_kept<Block>(frame.keys + range.x, frame.ids + range.x, count, {keys, buckets, warps});
+      sort_kept<Block>(frame.ids + range.x, count, key_of, {keys, buckets, warps});
     else
-      sort_in_pieces(frame.keys + range.x, frame.ids + range.x, count, keys);
+      sort_in_pieces(frame.ids + range.x, count, key_of, keys);
   }
   const unsigned warp = threadIdx.x / 32, mine = warp * kShortList;
   const int64_t lists = frame.tiling().tiles(), step = int64_t(gridDim.x) * kWarps;
@@ -209,7 +215,7 @@ __global__ void __launch_bounds__(kThreads, 4) sort_lists_kernel(const __grid_co
     const uint2 range = ranges[list];
     const unsigned count = range.y - range.x;
     if (count > 0 && count <= kShortList)
-      sort_kept<Warp>(frame.keys + range.x, frame.ids + range.x, count, {keys + mine, buckets + mine, nullptr});
+      sort_kept<Warp>(frame.ids + range.x, count, key_of, {keys + mine, buckets + mine, nullptr});
   }
 }
 

@@ -127,6 +127,7 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
                                frame.tolerance, frame.cut, frame.in_half, frame.least_light, i, frame.splats,
                                &frame.state->colour_error);
     if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
+    frame.depths[i] = __float_as_uint(splat.depth);
   }
   const unsigned stride = sample_stride(gaussians.count);
   if (blockIdx.x % stride) return;
