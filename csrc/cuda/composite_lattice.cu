@@ -12,23 +12,30 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kBlocks = 6;  // on a multiprocessor; loops that are short or rare are not unrolled for its registers
+constexpr int kBlocks = 7;  // on a multiprocessor; loops that are short or rare are not unrolled for its registers
 constexpr int kAttempts = 2;
 constexpr unsigned kLeastListed = 8;   // a tile of fewer splats is drawn before a lattice is laid
 constexpr unsigned kLeastFitting = 3;  // one in so many tiles with splats of a probed row
 
 __device__ void stage(const List& list, unsigned begin, int count, const Lattice& lattice, Staged& staged) {
-  const int half_planes = 2 * lattice.planes - 1;
-#pragma unroll 1
-  for (int i = threadIdx.x; i < count; i += kThreads) {
-    const Splat<float> s = list.splat(begin + i);
-    staged.place[i] = make_float4(s.u0, s.du, s.v0, s.log2_opacity);
-    staged.form[i] = make_float4(s.tau, s.c0, s.c1, 0);
+  const int half_planes = 2 * lattice.planes - 1, shapes = count * half_planes;
+  static_assert(kBatch % kWarps == 0);
+  int n = threadIdx.x;
+  uint32_t id = n < shapes ? list.ids[begin + n / half_planes] : 0;  // asked for early
+  // Some splats by every warp, so that none waits for all of them before it goes on
+  const int lane = threadIdx.x % 32, mine = int(threadIdx.x) / 32 * (kBatch / kWarps) + lane;
+  if (lane < kBatch / kWarps && mine < count) {
+    const Splat<float> s = list.splat(begin + mine);
+    staged.place[mine] = make_float4(s.u0, s.du, s.v0, s.log2_opacity);
+    staged.form[mine] = make_float4(s.tau, s.c0, s.c1, 0);
   }
 #pragma unroll 1
-  for (int n = threadIdx.x; n < count * half_planes; n += kThreads) {
+  while (n < shapes) {
     const float s = fmaf(0.5f * float(n % half_planes), lattice.step_s, lattice.s0);
-    staged.shapes[n] = list.shape(begin + n / half_planes, s);
+    const float4 shape = list.shape(id, s);
+    const int next = n + kThreads;
+    id = next < shapes ? list.ids[begin + next / half_planes] : 0;
+    staged.shapes[n] = shape, n = next;
   }
 }
 
@@ -76,14 +83,16 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
     const float3 colour = draw(list, lattice, point, stop, background, memory.staged);
     if (point.node) store_node(lattice, point, colour, place_of(memory, lattice, section, point), memory);
     __syncthreads();
-    if (point.middle)
-      sums.add(store_middle(lattice, Nodes(memory, section), point, colour, number - nodes, memory));
+    if (point.middle) {
+      sums.add(difference(interpolated(lattice, Nodes(memory, section), point), colour));
+      memory.middles[number - nodes] = Triple(colour);
+    }
   }
   const float error = sums.of_block(memory, numbers, kMeanShare) / frame.lattice;
   if (error <= 1) return error;
   sums = {share_errors(lattice, section, memory), 0};
   __syncthreads();
-  measure_errors(lattice, section, memory, sums);
+  for_each_error(lattice, section, memory, [&](int, float3 e) { sums.add(e); });
   return sums.of_block(memory, numbers, kMovedShare) / frame.lattice;
 }
 

@@ -54,14 +54,6 @@ __device__ inline float3 interpolated(const Lattice& lattice, const Nodes& nodes
   return make_float3(channel(0), channel(1), channel(2));
 }
 
-// Its error.
-__device__ inline float3 store_middle(const Lattice& lattice, const Nodes& nodes, const Point& middle, float3 colour,
-                                      int number, Memory& memory) {
-  const float3 error = difference(interpolated(lattice, nodes, middle), colour);
-  memory.middles[number] = Triple(colour), memory.errors[number] = Triple(error);
-  return error;
-}
-
 // The largest of a thread's errors, and the sum of their squares.
 struct ErrorSums {
   float largest = 0, squares = 0;
@@ -113,9 +105,22 @@ __device__ inline float3 errors_round(const Lattice& lattice, const Point& node,
                      mean(__low2float(low[1]), __low2float(high[1]), __low2float(sum[1])));
 }
 
+// Calls visit(number, error) for a thread's middles.
+template <class Visit>
+__device__ void for_each_error(const Lattice& lattice, int section, const Memory& memory, const Visit& visit) {
+  const Nodes nodes(memory, section);
+  const int first = lattice.nodes(), points = lattice.points();
+#pragma unroll 1
+  for (int n = first + int(threadIdx.x); n < points; n += kThreads)
+    visit(n - first,
+          difference(interpolated(lattice, nodes, Point(lattice, n)), memory.middles[n - first].floats()));
+}
+
 // Moves every node by its share of the errors at the middles round it, see kNodeShare; a thread's largest move. Nodes
 // round which the field errs both ways, as it does at an edge, stay.
 __device__ float share_errors(const Lattice& lattice, int section, Memory& memory) {
+  for_each_error(lattice, section, memory, [&](int number, float3 e) { memory.errors[number] = Triple(e); });
+  __syncthreads();
   float largest = 0;
 #pragma unroll 1
   for (int n = threadIdx.x; n < lattice.nodes(); n += kThreads) {
@@ -129,15 +134,6 @@ __device__ float share_errors(const Lattice& lattice, int section, Memory& memor
     store_node(lattice, node, make_float3(moved(0, mean.x), moved(1, mean.y), moved(2, mean.z)), place, memory);
   }
   return largest;
-}
-
-// Adds the errors at a thread's middles.
-__device__ void measure_errors(const Lattice& lattice, int section, const Memory& memory, ErrorSums& sums) {
-  const Nodes nodes(memory, section);
-  const int first = lattice.nodes(), points = lattice.points();
-#pragma unroll 1
-  for (int n = first + int(threadIdx.x); n < points; n += kThreads)
-    sums.add(difference(interpolated(lattice, nodes, Point(lattice, n)), memory.middles[n - first].floats()));
 }
 
 }  // namespace

@@ -70,18 +70,18 @@ __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int 
       const int m = first + n % kWords * kWord;
       if (m < width)
         *reinterpret_cast<uint4*>(out + int64_t(tile.top + top + n / kWords) * width + m) =
-            reinterpret_cast<const uint4*>(memory.bytes)[n];
+            reinterpret_cast<const uint4*>(memory.interpolated.bytes)[n];
     }
     return;
   }
   for (int r = top + int(threadIdx.x) / 32; r < end; r += kWarps)
-    store_row(tile.lens, tile.top + r, memory.rows[r], memory.bytes + (r - top) * row_bytes, out);
+    store_row(tile.lens, tile.top + r, memory.rows[r], memory.interpolated.bytes + (r - top) * row_bytes, out);
 }
 
 // Interpolates the sub-pixels of a tile.
 template <class Out>
 __device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
-  const int row_bytes = tile.row_bytes(), fitting = min(int(sizeof memory.bytes) / row_bytes, tile.rows);
+  const int row_bytes = tile.row_bytes(), fitting = min(int(sizeof memory.interpolated.bytes) / row_bytes, tile.rows);
   for (int top = 0; top < tile.rows; top += fitting) {
     const int end = min(top + fitting, tile.rows);
     for (int section = 0; section < tile.sections; ++section) {
@@ -90,7 +90,7 @@ __device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
       views.tabulate(memory);
       auto put = [&](int r, int at, float colour) {
         if constexpr (sizeof(Out) == 1)
-          memory.bytes[(r - top) * row_bytes + at] = byte_of(colour);
+          memory.interpolated.bytes[(r - top) * row_bytes + at] = byte_of(colour);
         else
           out[int64_t(tile.top + r) * 3 * tile.lens.width_px + in_image(tile.lens, memory.rows[r].x + at)] =
               __saturatef(colour);

@@ -18,9 +18,8 @@ struct List {
   float2 origin;
 
   __device__ Splat<float> splat(unsigned i) const { return splat_about(splats, ids[i], origin); }
-  // At the offset s, no channel below zero; w: 1 / S.
-  __device__ float4 shape(unsigned i, float s) const {
-    const uint32_t id = ids[i];
+  // Of a splat at the offset s, no channel below zero; w: 1 / S.
+  __device__ float4 shape(uint32_t id, float s) const {
     const float4 S = reinterpret_cast<const float4*>(splats.splats + id)[1];
     const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
     const int order = splats.orders ? splats.orders[id] : 0;

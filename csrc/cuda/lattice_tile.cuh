@@ -34,7 +34,7 @@ struct Seen {
   float aside;
   unsigned first_and_part;
 
-  __device__ Seen() {}
+  Seen() = default;
   __device__ Seen(const LatticePlane& plane, float part)
       : aside(plane.aside * part), first_and_part(unsigned(plane.first) | bits(__floats2half2_rn(0.f, part))) {}
   __device__ unsigned first() const { return first_and_part & 0xffffu; }
@@ -50,7 +50,7 @@ struct alignas(8) Corners {
 struct alignas(8) Triple {
   __half2 red_green, blue;
 
-  __device__ Triple() {}
+  Triple() = default;
   __device__ explicit Triple(float3 c) : red_green(__floats2half2_rn(c.x, c.y)), blue(__floats2half2_rn(c.z, 0.f)) {}
   __device__ float3 floats() const {
     return make_float3(__low2float(red_green), __high2float(red_green), __low2float(blue));
@@ -59,11 +59,16 @@ struct alignas(8) Triple {
 
 constexpr int kChannelNodes = kMostNodes + 5;  // so that the same node of another channel is in another bank
 
+// Runs that are being interpolated.
+struct Interpolated {
+  Seen seen[kMostTableViews];  // of the section at hand, from every view
+  alignas(16) uint8_t bytes[sizeof(Staged) - sizeof seen];  // of as many rows as fit
+};
+
 struct Memory {
   Corners corners[3][kChannelNodes];  // from each node on: sections, planes, rows, nodes
-  Triple middles[kMostNodes], errors[kMostNodes];  // of the section at hand, see lattice_errors.cuh
+  Triple middles[kMostNodes];         // of the section at hand, see lattice_errors.cuh
   Lattice lattices[kMostSections];
-  Seen seen[kMostTableViews];         // of the section at hand, from every view
   int first_node[kMostSections];
   int2 rows[kTileRows];          // sub-pixels, from x to before y; beyond the panel too
   int low, high;                 // columns of pixels
@@ -71,7 +76,8 @@ struct Memory {
   alignas(16) union {
     alignas(8) char planner[sizeof(LatticePlanner)];
     Staged staged;
-    uint8_t bytes[sizeof(Staged)];  // of as many rows as fit
+    Triple errors[kMostNodes];  // at the middles
+    Interpolated interpolated;
   };
 };
 
@@ -233,8 +239,8 @@ struct Views {
   // Makes a table, if they are few. By all threads of the block.
   __device__ void tabulate(Memory& memory) {
     if (whole > kMostTableViews) return;
-    for (unsigned number = threadIdx.x; number < whole; number += kThreads) memory.seen[number] = from(number);
-    table = memory.seen;
+    for (unsigned number = threadIdx.x; number < whole; number += kThreads) memory.interpolated.seen[number] = from(number);
+    table = memory.interpolated.seen;
     __syncthreads();
   }
   template <bool Table>
