@@ -12,7 +12,7 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kBlocks = 7;  // on a multiprocessor; loops that are short or rare are not unrolled for its registers
+constexpr int kBlocks = 6;  // on a multiprocessor; loops that are short or rare are not unrolled for its registers
 constexpr int kAttempts = 2;
 constexpr unsigned kLeastListed = 8;   // a tile of fewer splats is drawn before a lattice is laid
 constexpr unsigned kLeastFitting = 3;  // one in so many tiles with splats of a probed row
@@ -122,19 +122,39 @@ __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart
   }
 }
 
-// The rows of tiles that are drawn first, to learn where lattices are worth trying; and those between.
-enum class Rows { kProbe, kBetween };
-
-template <Rows rows>
-__device__ int row_of(int i) {
-  return rows == Rows::kProbe ? i * kProbeRows : i / (kProbeRows - 1) * kProbeRows + i % (kProbeRows - 1) + 1;
+// Some rows of tiles go first, to learn where lattices are worth trying: the i-th row that is drawn.
+__device__ int row_of(int i, int probes) {
+  const int between = i - probes;
+  return i < probes ? i * kProbeRows : between / (kProbeRows - 1) * kProbeRows + between % (kProbeRows - 1) + 1;
 }
 
-// Whether enough tiles of a row that was probed, above or below this one, have a lattice that fits.
-__device__ bool worth_trying(const FrameState& state, const Tiling& tiling, int row) {
+// What the probed rows above and below a row say of it: whether in one of them enough tiles have a lattice that fits.
+enum Verdict : int { kUnknown, kWorth, kNotWorth };
+
+__device__ Verdict verdict_on(const FrameState& state, const Tiling& tiling, int row) {
+  auto probed = [&](Probed what, int probe) {
+    return static_cast<const volatile unsigned&>(state.probed[what][probe]);
+  };
   const int above = row / kProbeRows, below = min(above + 1, (tiling.down - 1) / kProbeRows);
-  auto fits = [&](int probe) { return kLeastFitting * state.probed[1][probe] >= state.probed[0][probe]; };
-  return fits(above) || fits(below);
+  bool all = true;
+  for (int probe = above; probe <= below; ++probe) {
+    if (probed(kDone, probe) < unsigned(tiling.across)) {
+      all = false;
+      continue;
+    }
+    __threadfence();  // between this and what was counted before it
+    if (kLeastFitting * probed(kFitting, probe) >= probed(kTried, probe)) return kWorth;
+  }
+  return all ? kNotWorth : kUnknown;
+}
+
+// By one thread of every tile of a probed row, at its end.
+__device__ void report_probe(FrameState& state, int row, bool tried, bool fits) {
+  const int probe = row / kProbeRows;
+  if (tried) atomicAdd(&state.probed[kTried][probe], 1u);
+  if (fits) atomicAdd(&state.probed[kFitting][probe], 1u);
+  __threadfence();
+  atomicAdd(&state.probed[kDone][probe], 1u);
 }
 
 // By one thread: leaves a tile to the kernel chosen.
@@ -180,35 +200,56 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   if (lane == 0 && !pays) lattices->planes = !seen ? kUnseen : !tried ? kUntried : kPaysNot;
 }
 
-template <Rows rows, class Out>
+// Draws a tile from its lattices; false where one does not fit.
+__device__ bool draw_tile(const LensFrame& frame, Tile& tile, const Lattice* laid, const float* background,
+                          Memory& memory) {
+  tile.lay_rows(memory);
+  const Lists lists(frame);
+  const float4 behind = make_float4(background[0], background[1], background[2], 0);
+  for (int section = 0, first = 0; section < tile.sections; ++section) {
+    if (threadIdx.x == 0) memory.first_node[section] = first;
+    const List list = list_of(frame, lists, tile, section);
+    if (!fits(frame, list, tile.part(section), laid[section], section, behind, memory)) return false;
+    first += memory.lattices[section].places();
+  }
+  return true;
+}
+
+// Blocks of probed rows are the first. Those between know by then whether lattices are worth it; who does not tries, and
+// asks again. Nobody waits for a block of a higher number, and lower ones are running: blocks are started in turn.
+template <class Out>
 __global__ void __launch_bounds__(kThreads, kBlocks)
     composite_lattice_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   __shared__ Memory memory;
   FrameState& state = *frame.state;
   if (!state.lattices) return;
   const Tiling& tiling = frame.tiling();
-  const int row = row_of<rows>(int(blockIdx.x) / tiling.across);
+  const int probes = (tiling.down + kProbeRows - 1) / kProbeRows, i = int(blockIdx.x) / tiling.across;
+  const int row = row_of(i, probes);
   if (row >= tiling.down) return;
+  const bool probe = i < probes, first = threadIdx.x == 0;
   Tile tile(frame, tiling, row * tiling.across + int(blockIdx.x) % tiling.across);
   const Lattice* laid = frame.lattices + int64_t(tile.number) * tile.sections;
-  if (laid->planes == kUnseen) return;
-  const bool tried = laid->planes != kUntried && (rows == Rows::kProbe || worth_trying(state, tiling, row));
-  bool good = tried && laid->planes != kPaysNot;
-  if (good) tile.lay_rows(memory);
-  const Lists lists(frame);
-  const float4 behind = make_float4(background[0], background[1], background[2], 0);
-  for (int section = 0, first = 0; good && section < tile.sections; ++section) {
-    if (threadIdx.x == 0) memory.first_node[section] = first;
-    const List list = list_of(frame, lists, tile, section);
-    good = fits(frame, list, tile.part(section), laid[section], section, behind, memory);
-    first += good ? memory.lattices[section].places() : 0;
+  const int planes = laid->planes;
+  bool tried = planes != kUnseen && planes != kUntried;
+  if (tried && !probe) {
+    if (first) memory.verdict = verdict_on(state, tiling, row);
+    __syncthreads();
+    tried = memory.verdict != kNotWorth;
   }
-  if (threadIdx.x == 0) {
-    if (!good) refuse(frame, tile.number);
+  bool good = tried && planes != kPaysNot && draw_tile(frame, tile, laid, background, memory);
+  if (tried && !probe && memory.verdict == kUnknown) {
+    __syncthreads();  // all have read it
+    if (first)
+      while (memory.verdict == kUnknown) memory.verdict = verdict_on(state, tiling, row);
+    __syncthreads();
+    tried = memory.verdict == kWorth, good &= tried;
+  }
+  if (first) {
+    if (!good && planes != kUnseen) refuse(frame, tile.number);
     if (good) atomicAdd(&state.lattice_tiles, 1u);
     if (tried) atomicAdd(&state.tried_tiles, 1u);
-    if (rows == Rows::kProbe && tried) atomicAdd(&state.probed[0][row / kProbeRows], 1u);
-    if (rows == Rows::kProbe && good) atomicAdd(&state.probed[1][row / kProbeRows], 1u);
+    if (probe) report_probe(state, row, tried, good);
   }
   if (!good) return;
   __syncthreads();
@@ -216,31 +257,20 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 }
 
 // Of the tiling that has more of them.
-template <class Tiles>
-unsigned most_of(const LensFrame& frame, const Tiles& tiles) {
+unsigned most_tiles(const LensFrame& frame) {
+  auto tiles = [](const Tiling& tiling) { return tiling.across * tiling.down; };
   return unsigned(std::max(tiles(frame.pixel), frame.has_ordinal ? tiles(frame.ordinal) : 0));
-}
-
-template <Rows rows, class Out>
-void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  const unsigned tiles = most_of(frame, [](const Tiling& tiling) {
-    const int probes = (tiling.down + kProbeRows - 1) / kProbeRows;
-    return tiling.across * (rows == Rows::kProbe ? probes : tiling.down - probes);
-  });
-  if (tiles == 0) return;
-  composite_lattice_kernel<rows><<<tiles, kThreads, 0, stream>>>(frame, background, out);
-  check_launch("composite_lattice");
 }
 
 }  // namespace
 
 void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
-  const unsigned tiles = most_of(frame, [](const Tiling& tiling) { return tiling.across * tiling.down; });
+  const unsigned tiles = most_tiles(frame);
   plan_lattices_kernel<<<(tiles + kWarps - 1) / kWarps, kThreads, 0, cudaStream_t(stream)>>>(frame);
   check_launch("composite_lattice: plan");
   auto draw = [&](auto* image) {
-    launch<Rows::kProbe>(frame, background, image, cudaStream_t(stream));
-    launch<Rows::kBetween>(frame, background, image, cudaStream_t(stream));
+    composite_lattice_kernel<<<tiles, kThreads, 0, cudaStream_t(stream)>>>(frame, background, image);
+    check_launch("composite_lattice");
   };
   out8 ? draw(out8) : draw(out);
 }

@@ -72,6 +72,7 @@ struct Memory {
   int first_node[kMostSections];
   int2 rows[kTileRows];          // sub-pixels, from x to before y; beyond the panel too
   int low, high;                 // columns of pixels
+  int verdict;                   // see verdict_on
   float largest[kWarps], squares[kWarps];
   alignas(16) union {
     alignas(8) char planner[sizeof(LatticePlanner)];
