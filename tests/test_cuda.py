@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from cuda_on_cpu.cases import (BACKGROUND, HALF_FRAMES, HALF_MEAN_SQUARE, HALF_MOST, HALF_QUALITY, LATTICE_FRAMES,
-                               half_frame, lattice_frame)
+                               crowd, half_frame, lattice_frame)
 from cuda_on_cpu.cases import rig_of as rig
 
 from lightfield_gs import Encoder, Gaussians, InputError, Panel, Quality, _core, encode, frame_cuda, prune, render
@@ -107,6 +107,14 @@ def test_a_frame_with_too_few_places_is_drawn_right(scene, kernel, monkeypatch):
     assert most_apart(encode(on_gpu(scene), panel, rig(panel)), expected) <= 1  # other batches, other rounding
     torch.cuda.synchronize()
     assert kind.adapt() and kind.capacity > 10
+
+
+@pytest.mark.parametrize("kernel", _core.cuda.FRAME_KERNELS if hasattr(_core, "cuda") else [])
+def test_lists_of_any_length_are_in_order(kernel, monkeypatch):
+    monkeypatch.setattr(frame_cuda, "forced_kernel", kernel)
+    scene, panel, fan = crowd()
+    expected, found = (encode(s, panel, fan, background=BACKGROUND, output="float32") for s in (scene, on_gpu(scene)))
+    assert ((expected - found.cpu()) ** 2).mean() < (1e-7 if kernel in ("pixel", "pixel-small") else 1e-8)
 
 
 @pytest.mark.parametrize("degree", [0, 1])
