@@ -87,7 +87,7 @@ struct Parts {
 
 LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const View<double>& rig_, const Lens& lens,
                      int64_t capacity_, const Quality& quality, double tolerance_)
-    : rig(rounded(rig_)), optics(optics_of(lens)), pixel(pixel_tiling(lens)), ordinal(ordinal_tiling(lens, optics)),
+    : rig(rig_), optics(optics_of(lens)), pixel(pixel_tiling(lens)), ordinal(ordinal_tiling(lens, optics)),
       sh_degree(sh_degree_), capacity(capacity_), tolerance(float(tolerance_)), cut(float(quality.log2_cut)),
       stop(float(quality.stop)), hit_cut(float(quality.hit_cut())),
       least_light(float(quality.least_light(lens.width_px, lens.height_px, gaussians))),

@@ -76,7 +76,7 @@ struct Tiling {
 struct Lattice;
 
 struct LensFrame {
-  View<float> rig;
+  View<double> rig;
   LensOptics optics;
   Tiling pixel, ordinal;
   bool has_ordinal = false;  // whether kOrdinal can draw this lens on this device

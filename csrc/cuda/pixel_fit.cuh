@@ -13,7 +13,7 @@ constexpr float kFaint = -3;                     // log2 of an opacity that is l
 constexpr float kMostHalfSweep = 16;             // change of d over half the rig: halves below have steps of 2^-7
 constexpr float kMostHalfColour = 2;             // sums of brighter ones have too few digits
 constexpr float kStraightColour = 2.5e-4f;       // s^2 of a colour that is left out: on average a quarter is the error
-constexpr float kSmallEdge = 1.5e-3f;            // slope of a colour at zero: at most a quarter is the error
+constexpr float kSmallEdge = 3e-3f;            // slope of a colour at zero: at most a quarter is the error
 
 // How samples are evaluated: with a straight line for r = S^(-1/2); with a parabola for splats of which that is too
 // rough; with a straight line in half precision.

@@ -83,14 +83,31 @@ __device__ void store_colour(const Gaussians<const float>& gaussians, int64_t i,
   reinterpret_cast<float4*>(out.colours)[i] = make_float4(colour.x, colour.y, colour.z, 0);
 }
 
+// Where the mean is seen, in double and rounded once: on a panel of thousands of pixels the last digits of a float are
+// seen in small splats, by half a dB.
+__device__ void place(const View<double>& rig, const vec3& mean, Splat<float>& splat) {
+  const glm::dvec3 t = rig.rotation * glm::dvec3(mean) + rig.translation;
+  const double iz = 1 / t.z;
+  splat.u0 = float(rig.fx * t.x * iz + rig.cx), splat.v0 = float(rig.fy * t.y * iz + rig.cy);
+  splat.du = float(rig.sweep * rig.fx * (rig.inverse_zero_depth - iz));
+}
+
+// A rig for kernels: what is not places, is rounded.
+struct Rig {
+  View<double> exact;
+  View<float> rounded;
+};
+
 // Projects, culls and stores splat i; returns it (reach_y < 0: not drawn).
 template <int Order>
-__device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const View<float>& rig, int64_t width_px,
+__device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, float tolerance, float cut,
                                     bool by_patches, float least_light, int64_t i, const Splats<float>& out,
                                     unsigned* error) {
+  const View<float>& rig = rigs.rounded;
   const Shape<float> shape = shape_of(gaussians, i);
   Splat<float> splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
+  if (splat.reach_y >= 0) place(rigs.exact, shape.mean, splat);
   const bool pruned = least_light > 0 && light_of(splat) < least_light;
   if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut, by_patches);
   cull_outside(splat, width_px, height_px);
@@ -106,9 +123,9 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
 }
 
 template <int Order>
-__global__ void project_lens_kernel(Gaussians<const float> gaussians, View<float> rig, int64_t width_px,
-                                    int64_t height_px, const __grid_constant__ BasisTable basis, float tolerance,
-                                    Splats<float> out, uint64_t* keys, unsigned* error) {
+__global__ void project_lens_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig,
+                                    int64_t width_px, int64_t height_px, const __grid_constant__ BasisTable basis,
+                                    float tolerance, Splats<float> out, uint64_t* keys, unsigned* error) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
   const Splat<float> splat = store_splat<Order>(gaussians, rig, width_px, height_px, basis, tolerance,
@@ -118,12 +135,12 @@ __global__ void project_lens_kernel(Gaussians<const float> gaussians, View<float
 
 template <int Order>
 __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __grid_constant__ LensFrame frame,
-                                     const __grid_constant__ BasisTable basis) {
+                                     const __grid_constant__ Rig rig, const __grid_constant__ BasisTable basis) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   Splat<float> splat;
   splat.reach_y = -1;
   if (i < gaussians.count) {
-    splat = store_splat<Order>(gaussians, frame.rig, frame.optics.width_px, frame.optics.height_px, basis,
+    splat = store_splat<Order>(gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis,
                                frame.tolerance, frame.cut, frame.in_half, frame.least_light, i, frame.splats,
                                &frame.state->colour_error);
     if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
@@ -162,7 +179,7 @@ void project_lens(const Gaussians<const float>& gaussians, const View<double>& r
   const BasisTable basis{ColourBasis(out.colour_order)};
   with_order(out.colour_order, [&](auto order) {
     project_lens_kernel<order><<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-        gaussians, rounded(rig), lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
+        gaussians, {rig, rounded(rig)}, lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
         reinterpret_cast<unsigned*>(error));
   });
   check_launch("project_lens");
@@ -180,7 +197,8 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
   const BasisTable basis{ColourBasis(frame.splats.colour_order)};
   const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // of none too, one chooses
   with_order(frame.splats.colour_order, [&](auto order) {
-    frame_project_kernel<order><<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(gaussians, frame, basis);
+    frame_project_kernel<order><<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(
+        gaussians, frame, {frame.rig, rounded(frame.rig)}, basis);
   });
   check_launch("frame_project");
 }
