@@ -3,6 +3,7 @@
 
 #include "cuda/blend.cuh"
 #include "cuda/check.h"
+#include "cuda/halves.cuh"
 #include "cuda/lens_frame.h"
 #include "math/projection.h"
 
@@ -44,12 +45,20 @@ __device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
   return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
 }
 
-// A splat, its centre about a point.
+// A splat, its centre about a point. In a frame, what rounding took from u0 and v0 stands where its depth was, as halves:
+// small splats need it, bounds do not.
 __device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
   const float4* source = reinterpret_cast<const float4*>(splats.splats + id);
   float4 a = source[0];
   a.x -= centre.x, a.z -= centre.y;
   return assembled(a, source[1], source[2]);
+}
+
+__device__ inline Splat<float> whole_splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
+  Splat<float> splat = splat_about(splats, id, centre);
+  const __half2 rest = unpacked(splat.depth);
+  splat.u0 += __low2float(rest), splat.v0 += __high2float(rest);
+  return splat;
 }
 
 // Two neighbouring pixels, the first in an even column; values by place.

@@ -39,7 +39,7 @@ struct FrameState {
   unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
   unsigned blocks_summed;        // of project
-  unsigned long long sums[13];   // see FrameSum, fixed point
+  unsigned long long sums[14];   // see FrameSum, fixed point
 };
 
 constexpr int kMostOrdinals = 32;

@@ -22,7 +22,10 @@ struct Warp {
   static constexpr unsigned kSize = 32;
   __device__ static unsigned rank() { return threadIdx.x % 32; }
   __device__ static void wait() { __syncwarp(); }
-  __device__ static bool any(bool value) { return __any_sync(~0u, value); }
+  __device__ static bool any(bool value) {
+    wait();  // a vote orders nothing
+    return __any_sync(~0u, value);
+  }
 };
 struct Block {
   static constexpr unsigned kSize = kThreads;

@@ -39,7 +39,8 @@ enum FrameSum {
   kArea, kHalfWidth, kHalfHeight, kDisparity, kDisparityHeight,
   kLinearError, kLinearCareful,  // of the linear fit, where it is good enough; splats that are evaluated carefully
   kMixedError, kMixedCareful = kMixedError + kLevels, kCurved = kMixedCareful + kLevels,  // at every level's limits
-  kSums = kCurved + kLevels
+  kOrdinalError = kCurved + kLevels,
+  kSums
 };
 static_assert(kSums <= sizeof(FrameState::sums) / sizeof(unsigned long long));
 constexpr float kSumUnit = 1 << 4, kErrorUnit = 1 << 30;  // fixed point, so that sums have no order
@@ -58,6 +59,25 @@ struct ShapeError {
   }
 };
 
+// Of r as the ordinal kernel has it, at the ends and in the middle of the rig: what the third and fourth order leave,
+// and the coefficient of v^3 in half precision. It has no careful way: 1 where one is no number there.
+__device__ inline float ordinal_error(const LensOptics& lens, const Splat<float>& s) {
+  constexpr float kMostHalf = 3e4f, kHalfDigit = 1.2e-4f;
+  const float unit = lens.s_step / lens.ordinals.view_unit, sweep = unit * (fabsf(s.du) + fabsf(s.c1) * kTileRows);
+  float worst = 0;
+  for (float centre = -1; centre <= 1; ++centre) {
+    const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), inverse = fast_reciprocal(S);
+    const float a1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, a2 = s.S2 * unit * unit * inverse;
+    const float square = a1 * a1, p2 = fmaf(0.375f, square, -0.5f * a2);
+    const float p3 = a1 * fmaf(-0.3125f, square, 0.75f * a2);
+    const float p4 = a2 * (0.375f * a2 - 0.9375f * square) + 0.2734375f * square * square;
+    const float swept = fabsf(sweep) * fast_rsqrt(S);
+    const bool none = fabsf(a1) + fabsf(a2) > 0.5f || !(swept < kMostHalf);
+    worst = fmaxf(worst, none ? 1.f : 0.25f * fabsf(p3) + fabsf(p4) + kHalfDigit * fabsf(p2) * swept);
+  }
+  return fminf(worst, 1.f);
+}
+
 __host__ __device__ inline unsigned sample_stride(int64_t count) { return unsigned(count / kSampledSplats + 1); }
 
 // Adds a splat's terms, all between 0 and 1 but for those of geometry.
@@ -75,6 +95,7 @@ __device__ inline void shape_terms(const LensFrame& frame, const Splat<float>& s
         shape_limits(level).careful);
     terms[kCurved + level] = float(curved);
   }
+  terms[kOrdinalError] = frame.has_ordinal ? ordinal_error(frame.optics, s) : 0.f;
 }
 
 // By all threads of a block; what is not drawn adds nothing.
@@ -166,7 +187,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
-  cost[int(LensKernel::kOrdinal)] = frame.has_ordinal
+  cost[int(LensKernel::kOrdinal)] = frame.has_ordinal && mean(kOrdinalError) <= kMeanShapeError
       ? tasks * (60 * hits(across, 15, narrowing * 7 / 6) + 360) / rate : INFINITY;
 
   int best = int(LensKernel::kPixelQuadratic);

@@ -152,7 +152,7 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   const int lane = threadIdx.x % 32;
   const bool inside = lane < count;
   const uint32_t id = staged.ids[inside ? lane : 0];
-  const Splat<float> splat = splat_about(frame.splats, id, centre);
+  const Splat<float> splat = whole_splat_about(frame.splats, id, centre);
   const ShapeError error(splat);
   const bool curved = C::Quadratic && error.linear > frame.state->straight;
   bool careful = (!C::Half && splat.log2_opacity >= kCarefulOpacity) ||

@@ -81,7 +81,7 @@ struct CarefulHit {
   float4 highest, background;
 
   __device__ CarefulHit(const LensFrame& frame, uint32_t id, float2 centre, float4 background)
-      : frame(frame), splat(splat_about(frame.splats, id, centre)), order(Harmonics ? frame.splats.orders[id] : 0),
+      : frame(frame), splat(whole_splat_about(frame.splats, id, centre)), order(Harmonics ? frame.splats.orders[id] : 0),
         powers(reinterpret_cast<const float4*>(frame.splats.colours) + int64_t(id) * (frame.splats.colour_order + 1)),
         highest(by_place(frame.optics, powers[order])), background(background) {}
 

@@ -1,6 +1,7 @@
 // Stage project for the lens sensor on the device: a thread per Gaussian. Arithmetic is float.
 #include "cuda/check.h"
 #include "cuda/gaussian_io.cuh"
+#include "cuda/halves.cuh"
 #include "cuda/lens_frame.h"
 #include "cuda/lens_plan.cuh"
 #include "cuda/lens_rig.cuh"
@@ -83,13 +84,17 @@ __device__ void store_colour(const Gaussians<const float>& gaussians, int64_t i,
   reinterpret_cast<float4*>(out.colours)[i] = make_float4(colour.x, colour.y, colour.z, 0);
 }
 
-// Where the mean is seen, in double and rounded once: on a panel of thousands of pixels the last digits of a float are
-// seen in small splats, by half a dB.
-__device__ void place(const View<double>& rig, const vec3& mean, Splat<float>& splat) {
+// Where the mean is seen, in double: on a panel of thousands of pixels the last digits of a float show in small splats,
+// by a dB. Returns what rounding took from u0 and v0.
+__device__ float2 place(const View<double>& rig, const vec3& mean, Splat<float>& splat) {
   const glm::dvec3 t = rig.rotation * glm::dvec3(mean) + rig.translation;
-  const double iz = 1 / t.z;
-  splat.u0 = float(rig.fx * t.x * iz + rig.cx), splat.v0 = float(rig.fy * t.y * iz + rig.cy);
-  splat.du = float(rig.sweep * rig.fx * (rig.inverse_zero_depth - iz));
+  const double iz = 1 / t.z, u = rig.fx * t.x * iz + rig.cx, v = rig.fy * t.y * iz + rig.cy;
+  splat.u0 = float(u), splat.v0 = float(v), splat.du = float(rig.sweep * rig.fx * (rig.inverse_zero_depth - iz));
+  auto rest = [](double exact, float rounded) {
+    const float r = float(exact - double(rounded));
+    return fabsf(r) < 1 ? r : 0.f;  // beyond, nothing of it is near the panel
+  };
+  return make_float2(rest(u, splat.u0), rest(v, splat.v0));
 }
 
 // A rig for kernels: what is not places, is rounded.
@@ -98,21 +103,24 @@ struct Rig {
   View<float> rounded;
 };
 
-// Projects, culls and stores splat i; returns it (reach_y < 0: not drawn).
+// Projects, culls and stores splat i; returns it (reach_y < 0: not drawn). depths: where its depth goes instead, see
+// whole_splat_about(), or null.
 template <int Order>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, float tolerance, float cut,
                                     bool by_patches, float least_light, int64_t i, const Splats<float>& out,
-                                    unsigned* error) {
+                                    uint32_t* depths, unsigned* error) {
   const View<float>& rig = rigs.rounded;
   const Shape<float> shape = shape_of(gaussians, i);
   Splat<float> splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
-  if (splat.reach_y >= 0) place(rigs.exact, shape.mean, splat);
+  const float2 rest = splat.reach_y >= 0 ? place(rigs.exact, shape.mean, splat) : make_float2(0, 0);
   const bool pruned = least_light > 0 && light_of(splat) < least_light;
   if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut, by_patches);
   cull_outside(splat, width_px, height_px);
   if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
-  write_splat(splat, out.splats + i);
+  Splat<float> stored = splat;
+  if (depths) depths[i] = __float_as_uint(splat.depth), stored.depth = packed(rest.x, rest.y);
+  write_splat(stored, out.splats + i);
   if (out.orders) out.orders[i] = 0;
   if (splat.reach_y < 0) return splat;
   if constexpr (Order == 0)
@@ -129,7 +137,7 @@ __global__ void project_lens_kernel(Gaussians<const float> gaussians, const __gr
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
   const Splat<float> splat = store_splat<Order>(gaussians, rig, width_px, height_px, basis, tolerance,
-                                                float(kLog2MinAlpha), false, 0, i, out, error);
+                                                float(kLog2MinAlpha), false, 0, i, out, nullptr, error);
   keys[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : ~uint64_t(0);
 }
 
@@ -142,9 +150,8 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   if (i < gaussians.count) {
     splat = store_splat<Order>(gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis,
                                frame.tolerance, frame.cut, frame.in_half, frame.least_light, i, frame.splats,
-                               &frame.state->colour_error);
+                               frame.depths, &frame.state->colour_error);
     if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
-    frame.depths[i] = __float_as_uint(splat.depth);
   }
   const unsigned stride = sample_stride(gaussians.count);
   if (blockIdx.x % stride) return;
@@ -179,7 +186,7 @@ void project_lens(const Gaussians<const float>& gaussians, const View<double>& r
   const BasisTable basis{ColourBasis(out.colour_order)};
   with_order(out.colour_order, [&](auto order) {
     project_lens_kernel<order><<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-        gaussians, {rig, rounded(rig)}, lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
+        gaussians, Rig{rig, rounded(rig)}, lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
         reinterpret_cast<unsigned*>(error));
   });
   check_launch("project_lens");
@@ -198,7 +205,7 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
   const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // of none too, one chooses
   with_order(frame.splats.colour_order, [&](auto order) {
     frame_project_kernel<order><<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(
-        gaussians, frame, {frame.rig, rounded(frame.rig)}, basis);
+        gaussians, frame, Rig{frame.rig, rounded(frame.rig)}, basis);
   });
   check_launch("frame_project");
 }
