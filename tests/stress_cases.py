@@ -22,6 +22,9 @@ BACKGROUND = (0.1, 0.6, 0.3)
 SETTLED = 5e-3
 BACKENDS = [*build_info()["simd_targets"], "cuda"]
 EXACT, SINGLE = 1e-8, 5e-5  # bounds of float64 and float32
+# Of a light-field frame on CUDA, which draws shapes as polynomials in s: those of which an alpha would be off by more
+# are evaluated as they are (ShapeLimits in csrc/cuda/lens_plan.cuh)
+POLYNOMIALS = 2e-3
 
 Change = Callable[[Gaussians], None]
 
@@ -48,6 +51,9 @@ class Case:
     def view(self) -> tuple[Panel, Rig]:
         shown = panel_of(**{"width_px": 50, "height_px": 34, "views": 24, **self.panel})
         return shown, rig(shown, 0.05, -0.1)
+
+    def frame_bound(self, device: torch.device) -> float:
+        return max(self.single, POLYNOMIALS) if device.type == "cuda" else self.single
 
     def smaller(self) -> Case:
         """With an oracle whose gradients take no long time."""

@@ -65,6 +65,12 @@ def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(module, tmp_
         assert (found["image"] - expected).abs().max() < 0.4 / 255, kernel
 
 
+def test_shapes_that_vary_within_an_ordinal_are_for_other_kernels(module, tmp_path):
+    for cone, found in zip(cases.WIDEST_DEG, drawn(module, "widest", tmp_path), strict=True):
+        expected = encode(*cases.widest(cone), background=cases.BACKGROUND, output="float32")
+        assert found["kernel"] != "ordinal" and (found["image"] - expected).abs().max() < 0.4 / 255, cone
+
+
 def test_half_precision_is_within_its_bound(module, tmp_path):
     for (kernel, changes, degree, views, brightness), found in zip(cases.HALF_FRAMES, drawn(module, "half", tmp_path),
                                                                    strict=True):
@@ -196,6 +202,12 @@ def test_images_and_gradients_are_those_of_float64(module, tmp_path):
     for name, expected in cases.dense_step(torch.float64).items():
         error = (found[name].double() - expected).norm() / expected.norm()
         assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
+
+
+def test_gradients_of_long_needles_are_those_of_float64(module, tmp_path):
+    found = drawn(module, "lens step", tmp_path)
+    for name, expected in cases.lens_step(torch.float64).items():
+        assert (found[name].double() - expected).norm() < 1e-3 * expected.norm(), name
 
 
 def test_group_norm_and_silu(module, tmp_path):

@@ -42,7 +42,7 @@ def test_float32_is_near_the_oracle(name, device):
     scene, shown, fan, want, margin = oracle(name)
     image = encode(scene.to(device, torch.float32), shown, fan, background=BACKGROUND, output="float32").cpu()
     assert torch.isfinite(image).all() and (margin > SETTLED).mean() > 0.6
-    assert np.abs(image.numpy().ravel() - want)[margin > SETTLED].max() < CASES[name].single
+    assert np.abs(image.numpy().ravel() - want)[margin > SETTLED].max() < CASES[name].frame_bound(device)
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -72,7 +72,7 @@ def test_no_quality_gives_up_more_than_it_states(name, quality, device):
                    quality=quality).cpu()
     assert torch.isfinite(image).all()
     error = np.abs(image.numpy().ravel() - want.clip(0, 1))
-    bound = CASES[name].single + given_up(name, QUALITIES[quality])
+    bound = CASES[name].frame_bound(device) + given_up(name, QUALITIES[quality])
     assert (error <= bound)[margin > SETTLED].all()
 
 

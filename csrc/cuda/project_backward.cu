@@ -34,10 +34,12 @@ __device__ Splat<float> splat_gradient(const Splat<float>& s, const float* slot_
   return g;
 }
 
-__device__ void store(const Shape<float>& g, const Gaussians<float>& out, int64_t i) {
-  for (int c = 0; c < 3; ++c) out.means[3 * i + c] = g.mean[c], out.scales[3 * i + c] = g.scale[c];
+template <class R>
+__device__ void store(const Shape<R>& g, const Gaussians<float>& out, int64_t i) {
+  for (int c = 0; c < 3; ++c)
+    out.means[3 * i + c] = saturated<float>(g.mean[c]), out.scales[3 * i + c] = saturated<float>(g.scale[c]);
   for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] = saturated<float>(g.quaternion[c]);
-  out.opacities[i] = g.opacity;
+  out.opacities[i] = saturated<float>(g.opacity);
 }
 
 __global__ void __launch_bounds__(kThreads)
@@ -91,8 +93,9 @@ __global__ void __launch_bounds__(kThreads)
 }
 
 __global__ void __launch_bounds__(kThreads)
-    project_lens_backward_kernel(Gaussians<const float> gaussians, View<float> rig, BasisTable basis,
-                                 Splats<float> splats, const SlotRange* slot_ranges, const float* slot_gradients,
+    project_lens_backward_kernel(Gaussians<const float> gaussians, const __grid_constant__ View<double> rig,
+                                 const __grid_constant__ View<float> rounded_rig,
+                                 const __grid_constant__ BasisTable basis, Splats<float> splats, const SlotRange* slot_ranges, const float* slot_gradients,
                                  Gaussians<float> out) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
@@ -100,20 +103,22 @@ __global__ void __launch_bounds__(kThreads)
   if (slots.first == slots.last) return;
   const Splat<float> s = splats.splats[i];
   const int order = basis.order, nodes = order + 1, all_sums = kLensSums + 3 * nodes, kept = splats.orders[i];
-  float sum[kLensSums + 3 * (kMaxColourOrder + 1)];
+  double sum[kLensSums + 3 * (kMaxColourOrder + 1)];
   for (int f = 0; f < all_sums; ++f) sum[f] = 0;
   for (int64_t slot = slots.first; slot < slots.last; ++slot)
     for (int f = 0; f < all_sums; ++f) sum[f] += slot_gradients[slot * all_sums + f];
 
-  Splat<float> g_splat{};
+  // In double: the covariance of a long needle has no digits left in float, and there is but one projection a Gaussian
+  Splat<double> g_splat{};
   g_splat.u0 = -sum[3], g_splat.du = -sum[4], g_splat.c0 = -sum[5], g_splat.c1 = -sum[6];
   g_splat.v0 = 2 * s.tau * sum[1] + s.c0 * sum[3] + s.c1 * sum[4];
   g_splat.log2_opacity = sum[0], g_splat.tau = -sum[2];
   g_splat.S0 = sum[7], g_splat.S1 = sum[8], g_splat.S2 = sum[9];
   const Shape<float> shape = shape_of(gaussians, i);
-  Shape<float> g{vec3(0), glm::vec4(0), vec3(0), 0};
-  ViewAdjoint<float> unused;
-  Projection<float>(rig, shape).adjoint(rig, shape, g_splat, g, unused);
+  const Shape<double> exact{shape.mean, shape.quaternion, shape.scale, shape.opacity};
+  Shape<double> g{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
+  ViewAdjoint<double> unused;
+  Projection<double>(rig, exact).adjoint(rig, exact, g_splat, g, unused);
 
   // Powers of s -> Chebyshev -> node values -> harmonics
   const float* colours = splats.colours + i * nodes * kColourStride;
@@ -122,14 +127,14 @@ __global__ void __launch_bounds__(kThreads)
     g_chebyshev[k] = vec3(0);
     for (int p = 0; p <= k; ++p)
       for (int c = 0; c < 3; ++c)
-        if (kept || colours[c] > 0) g_chebyshev[k][c] += basis.to_powers[p * nodes + k] * sum[kLensSums + 3 * p + c];
+        if (kept || colours[c] > 0) g_chebyshev[k][c] += basis.to_powers[p * nodes + k] * float(sum[kLensSums + 3 * p + c]);
   }
   const int64_t first = 3 * gaussians.sh_count() * i;
   for (int j = 0; j < nodes; ++j) {
     vec3 g_value(0);
     for (int k = 0; k <= kept; ++k) g_value += basis.to_chebyshev[k * nodes + j] * g_chebyshev[k];
-    g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean, eye_at(rig, basis.nodes[j]),
-                                g_value, out.sh + first);
+    g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean,
+                                eye_at(rounded_rig, basis.nodes[j]), g_value, out.sh + first);
   }
   store(g, out, i);
 }
@@ -153,7 +158,7 @@ void project_lens_backward(const Gaussians<const float>& gaussians, const View<d
                            const Gaussians<float>& out, Stream stream) {
   if (gaussians.count == 0) return;
   project_lens_backward_kernel<<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-      gaussians, rounded(rig), BasisTable{ColourBasis(splats.colour_order)}, splats, slot_ranges, slot_gradients, out);
+      gaussians, rig, rounded(rig), BasisTable{ColourBasis(splats.colour_order)}, splats, slot_ranges, slot_gradients, out);
   check_launch("project_lens_backward");
 }
 

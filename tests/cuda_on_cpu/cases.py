@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import Gaussians, Panel, Quality, Rig
+from lightfield_gs import Gaussians, Panel, Quality, Rig, encode
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
 from lightfield_gs.quality import QUALITIES
 
@@ -96,6 +96,33 @@ def opaque(name: str) -> tuple[Gaussians, Panel, Rig]:
     scene = replace(scene, scales=scene.scales.clamp_min(0.15), opacities=0.1 + 0.3 * scene.opacities,
                     sh=torch.full_like(scene.sh, 1.5))
     return scene, panel, rig_of(panel)
+
+
+WIDEST_DEG = (150.0, 179.9)
+
+
+def widest(cone_deg: float) -> tuple[Gaussians, Panel, Rig]:
+    """Gaussians of which S varies by orders of magnitude from one end of the rig to the other."""
+    panel, scene = replace(panel_of("default"), cone_deg=cone_deg), sheet(8, 11)
+    return scene, panel, rig_of(panel)
+
+
+def blades(dtype: torch.dtype) -> tuple[Gaussians, Panel, Rig]:
+    """Lines thousands of pixels long, at every angle."""
+    panel, scene = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0}), cloud(30, 11)
+    angle = torch.linspace(0, math.pi, scene.count)
+    turns = torch.stack([(angle / 2).cos(), 0 * angle, 0 * angle, (angle / 2).sin()], 1)
+    scene = replace(scene, scales=torch.tensor([100.0, 1e-6, 1e-6]).expand(scene.count, 3).contiguous(), quaternions=turns)
+    return scene.to(dtype=dtype), panel, rig_of(panel)
+
+
+def lens_step(dtype: torch.dtype) -> dict[str, Tensor]:
+    """The gradients of a loss on a light-field image of blades."""
+    scene, panel, rig = blades(dtype)
+    leaves = {name: field.clone().requires_grad_() for name, field in scene.fields().items()}
+    image = encode(Gaussians(**leaves), panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."))
+    loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
+    return dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values()))))
 
 
 CROWD = 4900

@@ -47,7 +47,7 @@ def lattice_frame(kernel: str, quality: str, views: str, changes: dict, degree: 
 
 
 def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32, colour_order=8) -> dict[str, object]:
-    """share: of the places that the pairs need."""
+    """kernel: None, if the frame chooses. share: of the places that the pairs need."""
     job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND),
                             *lens_arguments(panel, rig, views == "continuous"))
 
@@ -113,6 +113,10 @@ def main(what: str) -> object:
         return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
     if what == "opaque":
         return [drawn(*cases.opaque(name), "integer", kernel, EXACT, 1.0) for kernel, name in cases.OPAQUE_FRAMES]
+    if what == "lens step":
+        return cases.lens_step(torch.float32)
+    if what == "widest":
+        return [drawn(*cases.widest(cone), "integer", None, EXACT, 1.0) for cone in cases.WIDEST_DEG]
     if what == "crowd":
         return [drawn(*cases.crowd(), "integer", "pixel-quadratic", EXACT, share) for share in (1.0, 0.5)]
     if what == "pruned":
