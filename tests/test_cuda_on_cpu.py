@@ -127,6 +127,21 @@ def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
     assert ((255 * found[0]["image"].clamp(0, 1)).round() - bytes_["image"]).abs().sum() <= 3
 
 
+def test_tiles_with_nothing_in_them_are_background(module, tmp_path):
+    frames = iter(drawn(module, "half empty", tmp_path))
+    for kernel, quality, views, changes in cases.LATTICE_FRAMES:
+        scene, panel, rig = cases.half_empty(changes)
+        expected = encode(scene, panel, rig, views=views, background=cases.BACKGROUND, output="float32",
+                          quality=quality)
+        floats, bytes_ = next(frames), next(frames)
+        right, background = slice(120, None), torch.tensor(cases.BACKGROUND)
+        assert (floats["image"][:, right] - background).abs().max() < 1e-3, kernel
+        assert (bytes_["image"][:, right] - 255 * background).abs().max() <= 0.5 + 1e-3 * 255, kernel
+        assert (floats["image"].clamp(0, 1) - expected.clamp(0, 1)).abs().max() < 4 * QUALITIES[quality].lattice_error
+        drawn_tiles = floats["lattice_tiles"] + floats["refused_tiles"]
+        assert 2 <= drawn_tiles <= (-(-120 // 64) * -(-71 // 32) if kernel != "ordinal" else 8)
+
+
 def test_where_no_lattice_fits_few_are_tried(lattice_frames):
     rough, small = lattice_frames[-2:]
     _, panel, _ = cases.speckled()

@@ -167,8 +167,8 @@ __device__ List list_of(const LensFrame& frame, const Lists& lists, const Tile& 
 }
 
 // What becomes of a tile whose first section has no lattice, in the place of its planes: nothing of it is on the panel;
-// it is left to the kernel chosen, untried; none pays there.
-enum Unlaid : int { kUnseen = -2, kUntried = -1, kPaysNot = 0 };
+// nothing is in it; it is left to the kernel chosen, untried; none pays there.
+enum Unlaid : int { kUnseen = -3, kEmpty = -2, kUntried = -1, kPaysNot = 0 };
 
 // Lays lattices through the sections of tiles, of which a warp has one.
 __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_constant__ LensFrame frame) {
@@ -181,11 +181,11 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   Tile tile(frame, tiling, number);
   const bool seen = tile.find_columns(tile.row(lane));
   const Lists lists(frame);
-  bool tried = seen && lists.ranges != nullptr;  // a list of all splats is for nobody
+  const bool listed_apart = seen && lists.ranges != nullptr;  // a list of all splats is for nobody
   unsigned listed = 0;
-  for (int section = 0; tried && section < tile.sections; ++section)
+  for (int section = 0; listed_apart && section < tile.sections; ++section)
     listed += list_of(frame, lists, tile, section).count;
-  tried = tried && listed >= kLeastListed;
+  const bool empty = listed_apart && listed == 0, tried = listed_apart && listed >= kLeastListed;
   Lattice* lattices = frame.lattices + int64_t(number) * tile.sections;
   bool pays = tried;
   for (int section = tile.sections - 1, places = 0; pays && section >= 0; --section) {
@@ -197,19 +197,17 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
       reinterpret_cast<int*>(lattices + section)[k] = reinterpret_cast<const int*>(&lattice)[k];
     __syncwarp();
   }
-  if (lane == 0 && !pays) lattices->planes = !seen ? kUnseen : !tried ? kUntried : kPaysNot;
+  if (lane == 0 && !pays) lattices->planes = !seen ? kUnseen : empty ? kEmpty : !tried ? kUntried : kPaysNot;
 }
 
 // Draws a tile from its lattices; false where one does not fit.
-__device__ bool draw_tile(const LensFrame& frame, Tile& tile, const Lattice* laid, const float* background,
-                          Memory& memory) {
+__device__ bool draw_tile(const LensFrame& frame, Tile& tile, const Lattice* laid, float4 background, Memory& memory) {
   tile.lay_rows(memory);
   const Lists lists(frame);
-  const float4 behind = make_float4(background[0], background[1], background[2], 0);
   for (int section = 0, first = 0; section < tile.sections; ++section) {
     if (threadIdx.x == 0) memory.first_node[section] = first;
     const List list = list_of(frame, lists, tile, section);
-    if (!fits(frame, list, tile.part(section), laid[section], section, behind, memory)) return false;
+    if (!fits(frame, list, tile.part(section), laid[section], section, background, memory)) return false;
     first += memory.lattices[section].places();
   }
   return true;
@@ -231,13 +229,14 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   Tile tile(frame, tiling, row * tiling.across + int(blockIdx.x) % tiling.across);
   const Lattice* laid = frame.lattices + int64_t(tile.number) * tile.sections;
   const int planes = laid->planes;
-  bool tried = planes != kUnseen && planes != kUntried;
+  const float4 behind = make_float4(background[0], background[1], background[2], 0);
+  bool tried = planes >= kPaysNot;
   if (tried && !probe) {
     if (first) memory.verdict = verdict_on(state, tiling, row);
     __syncthreads();
     tried = memory.verdict != kNotWorth;
   }
-  bool good = tried && planes != kPaysNot && draw_tile(frame, tile, laid, background, memory);
+  bool good = tried && planes != kPaysNot && draw_tile(frame, tile, laid, behind, memory);
   if (tried && !probe && memory.verdict == kUnknown) {
     __syncthreads();  // all have read it
     if (first)
@@ -246,14 +245,17 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     tried = memory.verdict == kWorth, good &= tried;
   }
   if (first) {
-    if (!good && planes != kUnseen) refuse(frame, tile.number);
+    if (!good && planes >= kUntried) refuse(frame, tile.number);
     if (good) atomicAdd(&state.lattice_tiles, 1u);
     if (tried) atomicAdd(&state.tried_tiles, 1u);
     if (probe) report_probe(state, row, tried, good);
   }
-  if (!good) return;
-  __syncthreads();
-  interpolate(tile, memory, out);
+  if (planes == kEmpty) {
+    tile.lay_rows(memory);
+    fill(tile, memory, behind, out);
+  } else if (good) {
+    interpolate(tile, memory, out);
+  }
 }
 
 // Of the tiling that has more of them.

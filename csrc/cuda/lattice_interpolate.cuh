@@ -1,4 +1,5 @@
-// How a block of composite_lattice fills a tile from its nodes: runs of sub-pixels side by side, then rows at once.
+// How a block of composite_lattice fills a tile from its nodes: runs of sub-pixels side by side, then rows at once; or
+// with the background.
 #pragma once
 
 #include "cuda/lattice_tile.cuh"
@@ -78,23 +79,35 @@ __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int 
     store_row(tile.lens, tile.top + r, memory.rows[r], memory.interpolated.bytes + (r - top) * row_bytes, out);
 }
 
+// Draws a tile some rows at a time: draw(top, end, put) for the rows from `top` to before `end`, with put(row, place in
+// it, colour). By all threads of the block, which wait for each other before and after.
+template <class Out, class Draw>
+__device__ void draw_rows(const Tile& tile, Memory& memory, Out* out, const Draw& draw) {
+  const int row_bytes = tile.row_bytes();
+  const int fitting = min(int(sizeof memory.interpolated.bytes) / row_bytes, tile.rows);
+  for (int top = 0; top < tile.rows; top += fitting) {
+    const int end = min(top + fitting, tile.rows);
+    __syncthreads();
+    draw(top, end, [&](int r, int at, float colour) {
+      if constexpr (sizeof(Out) == 1)
+        memory.interpolated.bytes[(r - top) * row_bytes + at] = byte_of(colour);
+      else
+        out[int64_t(tile.top + r) * 3 * tile.lens.width_px + in_image(tile.lens, memory.rows[r].x + at)] =
+            __saturatef(colour);
+    });
+    __syncthreads();
+    if constexpr (sizeof(Out) == 1) store_rows(tile, memory, top, end, row_bytes, out);
+  }
+}
+
 // Interpolates the sub-pixels of a tile.
 template <class Out>
 __device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
-  const int row_bytes = tile.row_bytes(), fitting = min(int(sizeof memory.interpolated.bytes) / row_bytes, tile.rows);
-  for (int top = 0; top < tile.rows; top += fitting) {
-    const int end = min(top + fitting, tile.rows);
+  draw_rows(tile, memory, out, [&](int top, int end, const auto& put) {
     for (int section = 0; section < tile.sections; ++section) {
-      __syncthreads();
+      if (section > 0) __syncthreads();
       Views views(tile.lens, memory, section);
       views.tabulate(memory);
-      auto put = [&](int r, int at, float colour) {
-        if constexpr (sizeof(Out) == 1)
-          memory.interpolated.bytes[(r - top) * row_bytes + at] = byte_of(colour);
-        else
-          out[int64_t(tile.top + r) * 3 * tile.lens.width_px + in_image(tile.lens, memory.rows[r].x + at)] =
-              __saturatef(colour);
-      };
       if (views.table && !tile.by_lens)
         interpolate_section<true, true>(tile, memory, views, section, top, end, put);
       else if (views.table)
@@ -102,9 +115,22 @@ __device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
       else
         interpolate_section<false, false>(tile, memory, views, section, top, end, put);
     }
-    __syncthreads();
-    if constexpr (sizeof(Out) == 1) store_rows(tile, memory, top, end, row_bytes, out);
-  }
+  });
+}
+
+// Fills a tile with the background.
+template <class Out>
+__device__ void fill(const Tile& tile, Memory& memory, float4 background, Out* out) {
+  const float4 shown = by_place(tile.lens, background);
+  draw_rows(tile, memory, out, [&](int top, int end, const auto& put) {
+    for (int r = top + int(threadIdx.x) / 32; r < end; r += kWarps) {
+      const int first = max(memory.rows[r].x, 0), last = min(memory.rows[r].y, 3 * tile.lens.width_px);
+      for (int m = first + int(threadIdx.x) % 32; m < last; m += 32) {
+        const int place = m % 3;
+        put(r, m - memory.rows[r].x, __saturatef(place == 0 ? shown.x : place == 1 ? shown.y : shown.z));
+      }
+    }
+  });
 }
 
 }  // namespace

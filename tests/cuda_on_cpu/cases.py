@@ -70,6 +70,14 @@ def lattice_frame(changes: dict[str, Any], degree: int) -> tuple[Gaussians, Pane
     return (with_harmonics(scene, degree) if degree else scene), panel, rig
 
 
+def half_empty(changes: dict[str, Any]) -> tuple[Gaussians, Panel, Rig]:
+    """A frame with a lattice, and nothing before its right half."""
+    scene, panel, rig = lattice_frame(changes, 0)
+    x, z = scene.means[:, 0], scene.means[:, 2]
+    shown = rig.focal_px[0] * (x + 4 * scene.scales.max(1).values) / z + rig.principal_point_px[0] < 100
+    return Gaussians(*(field[shown] for field in scene.fields().values())), panel, rig
+
+
 def harmonic_piece() -> tuple[Gaussians, Panel, Rig]:
     """A piece of the benchmark's frame of a cloud with harmonics in a wide cone, and what of the cloud may touch it."""
     scene, left, top = with_harmonics(cloud(1 << 18), 3), 5119, 3065

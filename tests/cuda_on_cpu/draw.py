@@ -113,6 +113,9 @@ def main(what: str) -> object:
         return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
     if what == "opaque":
         return [drawn(*cases.opaque(name), "integer", kernel, EXACT, 1.0) for kernel, name in cases.OPAQUE_FRAMES]
+    if what == "half empty":
+        return [drawn(*cases.half_empty(changes), views, kernel, Quality.of(quality), 1.0, dtype)
+                for kernel, quality, views, changes in cases.LATTICE_FRAMES for dtype in (torch.float32, torch.uint8)]
     if what == "lens step":
         return cases.lens_step(torch.float32)
     if what == "widest":
