@@ -22,9 +22,8 @@ BACKGROUND = (0.1, 0.6, 0.3)
 SETTLED = 5e-3
 BACKENDS = [*build_info()["simd_targets"], "cuda"]
 EXACT, SINGLE = 1e-8, 5e-5  # bounds of float64 and float32
-# Of a light-field frame on CUDA, which draws shapes as polynomials in s: those of which an alpha would be off by more
-# are evaluated as they are (ShapeLimits in csrc/cuda/lens_plan.cuh)
-POLYNOMIALS = 2e-3
+# Of a light-field frame on CUDA, which draws shapes as polynomials in s: what is promised of its bytes
+POLYNOMIALS = 1 / 255
 
 Change = Callable[[Gaussians], None]
 

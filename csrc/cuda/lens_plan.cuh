@@ -59,6 +59,10 @@ struct ShapeError {
   }
 };
 
+// Of the ordinal kernel, the mean of the below: captures in cones of 60 degrees stay under it, and off by 1/255 at most;
+// beyond, in cones of 150, errors grow to 3 and more of these.
+constexpr float kMostOrdinalError = 0.06f;
+
 // Of r as the ordinal kernel has it, at the ends and in the middle of the rig: what the third and fourth order leave,
 // and the coefficient of v^3 in half precision. It has no careful way: 1 where one is no number there.
 __device__ inline float ordinal_error(const LensOptics& lens, const Splat<float>& s) {
@@ -72,7 +76,7 @@ __device__ inline float ordinal_error(const LensOptics& lens, const Splat<float>
     const float p3 = a1 * fmaf(-0.3125f, square, 0.75f * a2);
     const float p4 = a2 * (0.375f * a2 - 0.9375f * square) + 0.2734375f * square * square;
     const float swept = fabsf(sweep) * fast_rsqrt(S);
-    const bool none = fabsf(a1) + fabsf(a2) > 0.5f || !(swept < kMostHalf);
+    const bool none = fabsf(a1) + fabsf(a2) > 1.5f || !(swept < kMostHalf);
     worst = fmaxf(worst, none ? 1.f : 0.25f * fabsf(p3) + fabsf(p4) + kHalfDigit * fabsf(p2) * swept);
   }
   return fminf(worst, 1.f);
@@ -187,7 +191,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
-  cost[int(LensKernel::kOrdinal)] = frame.has_ordinal && mean(kOrdinalError) <= kMeanShapeError
+  cost[int(LensKernel::kOrdinal)] = frame.has_ordinal && mean(kOrdinalError) <= kMostOrdinalError
       ? tasks * (60 * hits(across, 15, narrowing * 7 / 6) + 360) / rate : INFINITY;
 
   int best = int(LensKernel::kPixelQuadratic);
