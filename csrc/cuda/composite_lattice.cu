@@ -239,8 +239,12 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   bool good = tried && planes != kPaysNot && draw_tile(frame, tile, laid, behind, memory);
   if (tried && !probe && memory.verdict == kUnknown) {
     __syncthreads();  // all have read it
-    if (first)
-      while (memory.verdict == kUnknown) memory.verdict = verdict_on(state, tiling, row);
+    if (first) {
+      Verdict verdict;
+      do verdict = verdict_on(state, tiling, row);
+      while (verdict == kUnknown);
+      memory.verdict = verdict;
+    }
     __syncthreads();
     tried = memory.verdict == kWorth, good &= tried;
   }
