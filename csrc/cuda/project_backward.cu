@@ -15,10 +15,10 @@ using glm::vec3;
 constexpr int kThreads = 128, kWarps = kThreads / 32, kViewNumbers = 12;
 
 // Sum over a splat's slots, turned into the gradient of the splat and of its colour.
-__device__ Splat<float> splat_gradient(const Splat<float>& s, const float* slot_gradients, SlotRange slots,
-                                       vec3& colour) {
+template <class R>
+__device__ Splat<R> splat_gradient(const Splat<float>& s, const float* slot_gradients, SlotRange slots, vec3& colour) {
   static_assert(kDenseSums % 2 == 0);
-  float sum[kDenseSums] = {};
+  R sum[kDenseSums] = {};
   for (uint32_t slot = slots.first; slot < slots.last; ++slot) {
     const float2* own = reinterpret_cast<const float2*>(slot_gradients + int64_t(slot) * kDenseSums);
     for (int f = 0; f < kDenseSums / 2; ++f) {
@@ -26,7 +26,7 @@ __device__ Splat<float> splat_gradient(const Splat<float>& s, const float* slot_
       sum[2 * f] += two.x, sum[2 * f + 1] += two.y;
     }
   }
-  Splat<float> g{};
+  Splat<R> g{};
   g.u0 = -sum[3];
   g.v0 = 2 * s.tau * sum[1] + s.c0 * sum[3];
   g.log2_opacity = sum[0], g.tau = -sum[2], g.c0 = -sum[4], g.S0 = sum[5], g.depth = sum[6];
@@ -42,7 +42,45 @@ __device__ void store(const Shape<R>& g, const Gaussians<float>& out, int64_t i)
   out.opacities[i] = saturated<float>(g.opacity);
 }
 
-__global__ void __launch_bounds__(kThreads)
+// Whether a splat is so long that its covariance has few digits left in float: rho^2 / (1 - rho^2), rho the correlation
+// of x and y.
+__device__ bool is_needle(const Splat<float>& s) {
+  constexpr float kLong = 300;
+  return !(s.c0 * s.c0 <= kLong * s.tau * s.S0);
+}
+
+__device__ View<double> widened(const View<float>& v) {
+  View<double> view;
+  view.rotation = glm::dmat3(v.rotation), view.translation = glm::dvec3(v.translation);
+  view.fx = v.fx, view.fy = v.fy, view.cx = v.cx, view.cy = v.cy, view.offset = v.offset;
+  view.x_low = v.x_low, view.x_high = v.x_high, view.y_low = v.y_low, view.y_high = v.y_high;
+  view.sweep = v.sweep, view.inverse_zero_depth = v.inverse_zero_depth;
+  return view;
+}
+
+// The adjoint of projection from sums over slots on, in double and rounded; not inlined, for it is rarely called and
+// takes many registers.
+__device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Shape<float>& shape,
+                                               const Splat<float>& splat, const float* slot_gradients, SlotRange slots,
+                                               Shape<float>& g, ViewAdjoint<float>& g_view, vec3& g_colour) {
+  const View<double> exact = widened(view);
+  const Shape<double> wide{shape.mean, shape.quaternion, shape.scale, shape.opacity};
+  const Splat<double> gradient = splat_gradient<double>(splat, slot_gradients, slots, g_colour);
+  Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
+  ViewAdjoint<double> of_view;
+  Projection<double>(exact, wide).adjoint(exact, wide, gradient, sum, of_view);
+  auto add = [](float& to, double what) { to += saturated<float>(what); };
+  for (int c = 0; c < 3; ++c) add(g.mean[c], sum.mean[c]), add(g.scale[c], sum.scale[c]);
+  for (int c = 0; c < 4; ++c) add(g.quaternion[c], sum.quaternion[c]);
+  add(g.opacity, sum.opacity);
+  for (int c = 0; c < 3; ++c) {
+    add(g_view.translation[c], of_view.translation[c]);
+    for (int r = 0; r < 3; ++r) add(g_view.rotation[c][r], of_view.rotation[c][r]);
+  }
+}
+
+// Three blocks on a multiprocessor: the registers that it takes without needles.
+__global__ void __launch_bounds__(kThreads, 3)
     project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
                                   const SlotRange* slot_ranges, const float* slot_gradients, Gaussians<float> out,
                                   float* view_partials) {
@@ -63,8 +101,13 @@ __global__ void __launch_bounds__(kThreads)
     ViewAdjoint<float> g_view;
     if (slots.first < slots.last) {
       vec3 g_colour;
-      const Splat<float> g_splat = splat_gradient(read_splat(splats.splats + index), slot_gradients, slots, g_colour);
-      Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
+      const Splat<float> splat = read_splat(splats.splats + index);
+      if (is_needle(splat)) {
+        add_exact_adjoint(view, shape, splat, slot_gradients, slots, g, g_view, g_colour);
+      } else {
+        const Splat<float> g_splat = splat_gradient<float>(splat, slot_gradients, slots, g_colour);
+        Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
+      }
 
       // Colours, through their clamp at zero; eye = -R^T t
       const float* colour = splats.colours + index * kColourStride;

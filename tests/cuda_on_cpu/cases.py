@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import Gaussians, Panel, Quality, Rig, encode
+from lightfield_gs import Gaussians, Panel, Quality, Rig, encode, render
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
 from lightfield_gs.quality import QUALITIES
 
@@ -124,11 +124,15 @@ def blades(dtype: torch.dtype) -> tuple[Gaussians, Panel, Rig]:
     return scene.to(dtype=dtype), panel, rig_of(panel)
 
 
-def lens_step(dtype: torch.dtype) -> dict[str, Tensor]:
-    """The gradients of a loss on a light-field image of blades."""
+def blade_gradients(sensor: str, dtype: torch.dtype) -> dict[str, Tensor]:
+    """Those of a loss on a light-field image ("lens") or on ordinary images ("dense") of blades."""
     scene, panel, rig = blades(dtype)
     leaves = {name: field.clone().requires_grad_() for name, field in scene.fields().items()}
-    image = encode(Gaussians(**leaves), panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."))
+    given = Gaussians(**leaves)
+    if sensor == "lens":
+        image = encode(given, panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."))
+    else:
+        image = render(given, rig.cameras(panel, [0, 11, 23]).to(dtype=dtype), background=BACKGROUND)
     loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
     return dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values()))))
 

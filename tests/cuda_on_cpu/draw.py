@@ -116,8 +116,8 @@ def main(what: str) -> object:
     if what == "half empty":
         return [drawn(*cases.half_empty(changes), views, kernel, Quality.of(quality), 1.0, dtype)
                 for kernel, quality, views, changes in cases.LATTICE_FRAMES for dtype in (torch.float32, torch.uint8)]
-    if what == "lens step":
-        return cases.lens_step(torch.float32)
+    if what == "blades":
+        return [cases.blade_gradients(sensor, torch.float32) for sensor in ("lens", "dense")]
     if what == "widest":
         return [drawn(*cases.widest(cone), "integer", None, EXACT, 1.0) for cone in cases.WIDEST_DEG]
     if what == "crowd":

@@ -19,6 +19,7 @@
 #define __host__
 #define __shared__ static
 #define __grid_constant__
+#define __noinline__
 #define __launch_bounds__(...)
 
 struct alignas(8) float2 { float x, y; };
