@@ -213,8 +213,8 @@ __device__ bool draw_tile(const LensFrame& frame, Tile& tile, const Lattice* lai
   return true;
 }
 
-// Blocks of probed rows are the first. Those between know by then whether lattices are worth it; who does not tries, and
-// asks again. Nobody waits for a block of a higher number, and lower ones are running: blocks are started in turn.
+// Blocks of probed rows are the first. Those between know by then whether lattices are worth it; who does not, tries,
+// and asks again. Nobody waits for a block of a higher number, and lower ones are running: blocks are started in turn.
 template <class Out>
 __global__ void __launch_bounds__(kThreads, kBlocks)
     composite_lattice_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {

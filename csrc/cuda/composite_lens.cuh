@@ -45,8 +45,8 @@ __device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
   return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
 }
 
-// A splat, its centre about a point. In a frame, what rounding took from u0 and v0 stands where its depth was, as halves:
-// small splats need it, bounds do not.
+// A splat, its centre about a point. In a frame, what rounding took from u0 and v0 stands where its depth was, as
+// halves: small splats need it, bounds do not.
 __device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
   const float4* source = reinterpret_cast<const float4*>(splats.splats + id);
   float4 a = source[0];

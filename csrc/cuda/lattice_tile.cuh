@@ -240,8 +240,9 @@ struct Views {
   // Makes a table, if they are few. By all threads of the block.
   __device__ void tabulate(Memory& memory) {
     if (whole > kMostTableViews) return;
-    for (unsigned number = threadIdx.x; number < whole; number += kThreads) memory.interpolated.seen[number] = from(number);
-    table = memory.interpolated.seen;
+    Seen* seen = memory.interpolated.seen;
+    for (unsigned number = threadIdx.x; number < whole; number += kThreads) seen[number] = from(number);
+    table = seen;
     __syncthreads();
   }
   template <bool Table>

@@ -99,14 +99,14 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
   has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
   require(std::max(pixel.down, ordinal.down) <= kProbeRows * kMostProbeRows,
           "the panel has too many rows: " + std::to_string(lens.height_px));
-  require(most_tiles() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_tiles()));
+  require(most_lists() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_lists()));
   splats.images = 1, splats.count = gaussians, splats.colour_order = colour_order;
 }
 
 size_t LensFrame::place(void* work) {
   Parts parts{static_cast<char*>(work)};
   const int64_t n = splats.count;
-  parts.take(state, 1), parts.take(ranges, 2 * most_tiles());
+  parts.take(state, 1), parts.take(ranges, 2 * most_lists());
   cleared_bytes = parts.used;
   parts.take(splats.splats, n);
   parts.take(splats.colours, n * (splats.colour_order + 1) * kColourStride);
@@ -116,8 +116,8 @@ size_t LensFrame::place(void* work) {
     const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
     parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
   }
-  parts.take(depths, n), parts.take(ids, std::max(capacity, n)), parts.take(long_lists, most_tiles());
-  if (lattice > 0) parts.take(lattices, most_tiles()), parts.take(refused, most_tiles());
+  parts.take(depths, n), parts.take(ids, std::max(capacity, n)), parts.take(long_lists, most_lists());
+  if (lattice > 0) parts.take(lattices, most_lists()), parts.take(refused, most_lists());
   return parts.used;
 }
 

@@ -92,12 +92,12 @@ struct LensFrame {
 
   // Parts of the work buffer. The state and the ranges project clears, with one launch
   FrameState* state = nullptr;
-  uint32_t* ranges = nullptr;      // [tiles, 2]: first and end of every list
+  uint32_t* ranges = nullptr;      // [lists, 2]: first and end of every list
   size_t cleared_bytes = 0;
   Splats<float> splats;
   uint32_t* depths = nullptr;      // [N]: bits of the splats' depths
   uint32_t* ids = nullptr;         // [capacity, or N if more]: the lists' splats, nearest first
-  uint32_t* long_lists = nullptr;  // [tiles]: which lists these are, in any order
+  uint32_t* long_lists = nullptr;  // [lists]: which of them are long, in any order
   // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
   // first place in the fourth number of a colour)
   float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
@@ -114,7 +114,7 @@ struct LensFrame {
   // On the device: those of the kernel chosen; whether there are more pairs than places.
   LFGS_HD const Tiling& tiling() const { return state->kernel == int(LensKernel::kOrdinal) ? ordinal : pixel; }
   LFGS_HD bool overfull() const { return state->pairs > static_cast<unsigned long long>(capacity); }
-  int64_t most_tiles() const { return std::max(pixel.tiles(), has_ordinal ? ordinal.tiles() : 0); }
+  int64_t most_lists() const { return std::max(pixel.tiles(), has_ordinal ? ordinal.tiles() : 0); }
 };
 
 // The stages, in this order. gaussians: the frame's count and degree. Colours at order > 0: sh_degree > 0.

@@ -1,6 +1,6 @@
-// Stage bin of a light-field frame: for every tile (and group of ordinals) the splats that may touch it, in no order yet.
-// Pairs (tile, splat) are counted by tile, every list gets its place, and the pairs are gone through once more to fill
-// it. Which tiles those are, of pixels or of lenses, the frame has decided on the device.
+// Stage bin of a light-field frame: for every tile (and group of ordinals) the splats that may touch it, in no order
+// yet. Pairs (tile, splat) are counted by tile, every list gets its place, and the pairs are gone through once more to
+// fill it. Which tiles those are, of pixels or of lenses, the frame has decided on the device.
 #include <algorithm>
 
 #include "cuda/check.h"
@@ -121,7 +121,7 @@ void frame_bin(const LensFrame& frame, Stream stream) {
   const unsigned blocks = unsigned(std::min<int64_t>(resident_blocks(pairs_kernel, kThreads, 0), most));
   pairs_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame, Pass::kCount);
   check_launch("bin: count");
-  const unsigned list_blocks = unsigned(blocks_for(frame.most_tiles(), kThreads));
+  const unsigned list_blocks = unsigned(blocks_for(frame.most_lists(), kThreads));
   place_lists_kernel<<<list_blocks, kThreads, 0, cudaStream_t(stream)>>>(frame);
   check_launch("bin: place");
   pairs_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame, Pass::kFill);

@@ -171,8 +171,10 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_o
   if (Team::any(crowd)) return false;
   sum_buckets<Team>(memory);
 #pragma unroll
-  for (unsigned k = 0; k < kEach; ++k)
-    if (k * Team::kSize + Team::rank() < count) memory.keys[memory.buckets[bucket[k] & kBucket] + (bucket[k] >> kBucketBits)] = mine[k];
+  for (unsigned k = 0; k < kEach; ++k) {
+    if (k * Team::kSize + Team::rank() >= count) break;
+    memory.keys[memory.buckets[bucket[k] & kBucket] + (bucket[k] >> kBucketBits)] = mine[k];
+  }
   Team::wait();
 #pragma unroll
   for (unsigned k = 0; k < kEach; ++k) {
@@ -226,7 +228,7 @@ __global__ void __launch_bounds__(kThreads, 4) sort_lists_kernel(const __grid_co
 
 void frame_order(const LensFrame& frame, Stream stream) {
   if (frame.splats.count == 0) return;
-  const int64_t most = blocks_for(frame.most_tiles(), kWarps);
+  const int64_t most = blocks_for(frame.most_lists(), kWarps);
   const unsigned blocks = unsigned(std::min<int64_t>(resident_blocks(sort_lists_kernel, kThreads, 0), most));
   sort_lists_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame);
   check_launch("order");
