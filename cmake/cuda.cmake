@@ -36,7 +36,7 @@ target_sources(_core PRIVATE
   csrc/cuda/project.cu
   csrc/cuda/project_lens.cu
   csrc/cuda/lens_frame.cu
-  csrc/cuda/lens_lists.cu
+  csrc/cuda/lens_bin.cu
   csrc/cuda/lens_order.cu
   csrc/cuda/composite_lattice.cu
   csrc/cuda/composite_pixel.cu
