@@ -12,6 +12,7 @@ from torch import Tensor
 
 from lightfield_gs import Gaussians, Panel, Quality, Rig, encode, render
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
+from lightfield_gs.panel import DEFAULT_PANEL
 from lightfield_gs.quality import QUALITIES
 
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
@@ -104,6 +105,15 @@ def opaque(name: str) -> tuple[Gaussians, Panel, Rig]:
     scene = replace(scene, scales=scene.scales.clamp_min(0.15), opacities=0.1 + 0.3 * scene.opacities,
                     sh=torch.full_like(scene.sh, 1.5))
     return scene, panel, rig_of(panel)
+
+
+def wide_frames() -> list[tuple[Gaussians, Panel, Rig]]:
+    """Scenes before whole panels, the default one and one with a cone of 53 degrees; the last of each is of thin discs."""
+    panels = [Panel.load(DEFAULT_PANEL), Panel(7680, 3840, 96, 16.013, math.tan(0.18), cone_deg=53.0)]
+    flat = cloud(8192)
+    flat.scales[:, 2] = 1e-4
+    return [(scene, panel, benchmark_rig("cloud:8192", scene, panel, panel.cone_deg))
+            for panel in panels for scene in (sheet(96), cloud(8192), flat)]
 
 
 WIDEST_DEG = (150.0, 179.9)

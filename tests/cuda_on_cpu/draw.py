@@ -63,6 +63,14 @@ def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32,
     return {"image": image, **frame.state()}
 
 
+def chosen(scene, panel, rig) -> str:
+    """The kernel that a frame chooses; it is not drawn."""
+    job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND), *lens_arguments(panel, rig, False))
+    frame = frame_cuda.Frame(job.scene, job.rig, job.lens, 0, EXACT, 0)
+    frame.project()
+    return frame.state()["kernel"]
+
+
 def settings(kernel: str) -> list[dict[str, object]]:
     """A frame with harmonics: as it is, with more places, as bytes, with polynomials of another order."""
     panel, scene = cases.panel_of("default"), cases.scene_of(3)
@@ -118,6 +126,8 @@ def main(what: str) -> object:
                 for kernel, quality, views, changes in cases.LATTICE_FRAMES for dtype in (torch.float32, torch.uint8)]
     if what == "blades":
         return [cases.blade_gradients(sensor, torch.float32) for sensor in ("lens", "dense")]
+    if what == "chosen":
+        return [chosen(*case) for case in cases.wide_frames()]
     if what == "widest":
         return [drawn(*cases.widest(cone), "integer", None, EXACT, 1.0) for cone in cases.WIDEST_DEG]
     if what == "crowd":
