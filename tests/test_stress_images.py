@@ -87,4 +87,4 @@ def test_gradients_are_finite_and_those_of_the_oracle(name, device):
 
     double = gradients(draw, case.scene())
     single = gradients(draw, case.scene().to(device, torch.float32))
-    check_gradients(case, want, single, double)
+    check_gradients(case, want, single, double, case.gradient_cuda if device.type == "cuda" else 0)

@@ -72,4 +72,14 @@ __device__ inline float warp_max(float v) {
   return v;
 }
 
+// The sum of the numbers of a warp's lanes, up to one's own.
+template <class T>
+__device__ T sum_to_lane(T number) {
+  for (int step = 1; step < 32; step *= 2) {
+    const T other = __shfl_up_sync(~0u, number, step);
+    if (int(threadIdx.x % 32) >= step) number += other;
+  }
+  return number;
+}
+
 }  // namespace lfgs::cuda

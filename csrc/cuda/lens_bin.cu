@@ -3,6 +3,7 @@
 // fill it. Which tiles those are, of pixels or of lenses, the frame has decided on the device.
 #include <algorithm>
 
+#include "cuda/blend.cuh"
 #include "cuda/check.h"
 #include "cuda/gaussian_io.cuh"
 #include "cuda/lens_frame.h"
@@ -52,15 +53,6 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
   }
 }
 
-// The sum of the numbers of a warp's lanes, up to one's own.
-__device__ unsigned long long sum_to_lane(unsigned long long number) {
-  for (int step = 1; step < 32; step *= 2) {
-    const unsigned long long other = __shfl_up_sync(~0u, number, step);
-    if (int(threadIdx.x % 32) >= step) number += other;
-  }
-  return number;
-}
-
 // kCount counts pairs where the ends of lists will stand; kFill fills the lists, or where the frame has more pairs than
 // places, one list of all that is drawn. One kernel for both, so that they find the same tiles to the last bit.
 enum class Pass { kCount, kFill };
@@ -88,7 +80,7 @@ __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__
       }
     });
   }
-  const unsigned of_warp = fill ? 0 : unsigned(sum_to_lane(drawn));
+  const unsigned of_warp = fill ? 0 : sum_to_lane(drawn);
   if (threadIdx.x % 32 == 31 && of_warp) atomicAdd(&frame.state->drawn, of_warp);
 }
 
@@ -99,7 +91,7 @@ __global__ void __launch_bounds__(kThreads) place_lists_kernel(const __grid_cons
   const bool inside = list < frame.tiling().tiles();
   uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
   const unsigned pairs = inside ? ranges[list].y : 0;
-  const unsigned long long to_here = sum_to_lane(pairs);
+  const unsigned long long to_here = sum_to_lane<unsigned long long>(pairs);
   const bool is_long = pairs > kShortList;
   const unsigned longs = __ballot_sync(~0u, is_long);
   unsigned long long first = 0;

@@ -58,4 +58,7 @@ __device__ inline float4 by_place(const LensOptics& lens, float4 c) {
   return lens.bgr ? make_float4(c.z, c.y, c.x, c.w) : c;
 }
 
+// Offset that v = 1 of an ordinal stands for.
+__device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.ordinals.view_unit; }
+
 }  // namespace lfgs::cuda

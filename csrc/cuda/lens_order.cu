@@ -6,6 +6,7 @@
 // counts as the largest, and needs no place. Short lists are sorted by a warp each, long ones by a block.
 #include <algorithm>
 
+#include "cuda/blend.cuh"
 #include "cuda/check.h"
 #include "cuda/lens_frame.h"
 
@@ -116,8 +117,8 @@ __device__ void find_extent(float& nearest, float& farthest, const Memory& memor
     Team::wait();
     for (int warp = 0; warp < kWarps; ++warp)
       nearest = fminf(nearest, of_warps[warp]), farthest = fmaxf(farthest, of_warps[kWarps + warp]);
-    Team::wait();
   }
+  Team::wait();
 }
 
 // Counts in buckets -> where each begins.
@@ -127,11 +128,7 @@ __device__ void sum_buckets(const Memory& memory) {
   unsigned counts[kEach], sum = 0;
 #pragma unroll
   for (unsigned k = 0; k < kEach; ++k) counts[k] = mine[k], sum += counts[k];
-  unsigned to_here = sum;
-  for (int step = 1; step < 32; step *= 2) {
-    const unsigned other = __shfl_up_sync(~0u, to_here, step);
-    if (int(threadIdx.x % 32) >= step) to_here += other;
-  }
+  const unsigned to_here = sum_to_lane(sum);
   unsigned first = to_here - sum;
   if constexpr (Team::kSize > 32) {
     if (threadIdx.x % 32 == 31) memory.warps[threadIdx.x / 32] = to_here;
@@ -158,7 +155,6 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_o
     if (i < count) nearest = fminf(nearest, depth_of(mine[k])), farthest = fmaxf(farthest, depth_of(mine[k]));
   }
   find_extent<Team>(nearest, farthest, memory);
-  Team::wait();
   const float per_depth = fminf(float(kBuckets) / (farthest - nearest), 3e38f);  // of one depth: 0 times that is 0
   bool crowd = false;
 #pragma unroll

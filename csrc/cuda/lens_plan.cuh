@@ -8,6 +8,7 @@
 
 #include "cuda/blend.cuh"
 #include "cuda/lens_frame.h"
+#include "cuda/lens_optics.cuh"
 #include "math/constants.h"
 #include "math/footprint.h"
 #include "math/lattice_plan.h"
@@ -45,15 +46,25 @@ enum FrameSum {
 static_assert(kSums <= sizeof(FrameState::sums) / sizeof(unsigned long long));
 constexpr float kSumUnit = 1 << 4, kErrorUnit = 1 << 30;  // fixed point, so that sums have no order
 
+// Sizes of the p of (1 + a1 s + a2 s^2)^(-1/2).
+struct RootSeries {
+  float p2, p3, p4;
+
+  __device__ RootSeries(float a1, float a2) {
+    const float square = a1 * a1;
+    p2 = fabsf(0.375f * square - 0.5f * a2), p3 = fabsf(a1 * (-0.3125f * square + 0.75f * a2));
+    p4 = fabsf(a2 * (0.375f * a2 - 0.9375f * square) + 0.2734375f * square * square);
+  }
+};
+
 struct ShapeError {
   float linear, quadratic;
 
   __device__ explicit ShapeError(const Splat<float>& s) {
-    const float inverse = fast_reciprocal(s.S0), a1 = s.S1 * inverse, a2 = s.S2 * inverse, square = a1 * a1;
-    const float p2 = fabsf(0.375f * square - 0.5f * a2), p3 = fabsf(a1 * (-0.3125f * square + 0.75f * a2));
-    const float p4 = fabsf(a2 * (0.375f * a2 - 0.9375f * square) + 0.2734375f * square * square);
-    linear = 0.75f * (p2 + p3);
-    quadratic = 0.5f * (p3 + p4);
+    const float inverse = fast_reciprocal(s.S0), a1 = s.S1 * inverse, a2 = s.S2 * inverse;
+    const RootSeries series(a1, a2);
+    linear = 0.75f * (series.p2 + series.p3);
+    quadratic = 0.5f * (series.p3 + series.p4);
     // Series of what varies much say little
     if (fabsf(a1) + fabsf(a2) > 0.5f) linear = quadratic = 1;
   }
@@ -68,17 +79,15 @@ __device__ inline float most_ordinal_error(const LensFrame& frame) { return fram
 // and the coefficient of v^3 in half precision. It has no careful way: 1 where one is no number there.
 __device__ inline float ordinal_error(const LensOptics& lens, const Splat<float>& s) {
   constexpr float kMostHalf = 3e4f, kHalfDigit = 1.2e-4f;
-  const float unit = lens.s_step / lens.ordinals.view_unit, sweep = unit * (fabsf(s.du) + fabsf(s.c1) * kTileRows);
+  const float unit = offset_unit(lens), sweep = unit * (fabsf(s.du) + fabsf(s.c1) * kTileRows);
   float worst = 0;
   for (float centre = -1; centre <= 1; ++centre) {
     const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), inverse = fast_reciprocal(S);
     const float a1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, a2 = s.S2 * unit * unit * inverse;
-    const float square = a1 * a1, p2 = fmaf(0.375f, square, -0.5f * a2);
-    const float p3 = a1 * fmaf(-0.3125f, square, 0.75f * a2);
-    const float p4 = a2 * (0.375f * a2 - 0.9375f * square) + 0.2734375f * square * square;
+    const RootSeries series(a1, a2);
     const float swept = fabsf(sweep) * fast_rsqrt(S);
     const bool none = fabsf(a1) + fabsf(a2) > 1.5f || !(swept < kMostHalf);
-    worst = fmaxf(worst, none ? 1.f : 0.25f * fabsf(p3) + fabsf(p4) + kHalfDigit * fabsf(p2) * swept);
+    worst = fmaxf(worst, none ? 1.f : 0.25f * series.p3 + series.p4 + kHalfDigit * series.p2 * swept);
   }
   return fminf(worst, 1.f);
 }

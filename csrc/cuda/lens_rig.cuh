@@ -31,6 +31,14 @@ inline View<float> rounded(const View<double>& rig) {
   return view;
 }
 
+// A rig as it is, and rounded, for what does not need its last digits.
+struct Rig {
+  View<double> exact;
+  View<float> rounded;
+
+  explicit Rig(const View<double>& rig) : exact(rig), rounded(cuda::rounded(rig)) {}
+};
+
 // Where the camera at the normalized offset s stands; view.sweep is the rig's reach.
 __device__ inline glm::vec3 eye_at(const View<float>& rig, float s) {
   const glm::vec3 right(rig.rotation[0][0], rig.rotation[1][0], rig.rotation[2][0]);

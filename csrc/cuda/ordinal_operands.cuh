@@ -22,9 +22,6 @@ template <bool Harmonics>
 constexpr int kBatch = Harmonics ? 400 : 416;
 constexpr int kPage = 256;
 
-// Offset that v = 1 stands for.
-__device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.ordinals.view_unit; }
-
 // What a warp keeps in shared memory.
 template <bool Harmonics>
 struct WarpMemory {

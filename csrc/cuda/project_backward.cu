@@ -57,6 +57,7 @@ __device__ View<double> widened(const View<float>& v) {
   view.sweep = v.sweep, view.inverse_zero_depth = v.inverse_zero_depth;
   return view;
 }
+__device__ Shape<double> widened(const Shape<float>& s) { return {s.mean, s.quaternion, s.scale, s.opacity}; }
 
 // The adjoint of projection from sums over slots on, in double and rounded; not inlined, for it is rarely called and
 // takes many registers.
@@ -64,7 +65,7 @@ __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Sh
                                                const Splat<float>& splat, const float* slot_gradients, SlotRange slots,
                                                Shape<float>& g, ViewAdjoint<float>& g_view, vec3& g_colour) {
   const View<double> exact = widened(view);
-  const Shape<double> wide{shape.mean, shape.quaternion, shape.scale, shape.opacity};
+  const Shape<double> wide = widened(shape);
   const Splat<double> gradient = splat_gradient<double>(splat, slot_gradients, slots, g_colour);
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> of_view;
@@ -136,10 +137,9 @@ __global__ void __launch_bounds__(kThreads, 3)
 }
 
 __global__ void __launch_bounds__(kThreads)
-    project_lens_backward_kernel(Gaussians<const float> gaussians, const __grid_constant__ View<double> rig,
-                                 const __grid_constant__ View<float> rounded_rig,
-                                 const __grid_constant__ BasisTable basis, Splats<float> splats, const SlotRange* slot_ranges, const float* slot_gradients,
-                                 Gaussians<float> out) {
+    project_lens_backward_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig,
+                                 const __grid_constant__ BasisTable basis, Splats<float> splats,
+                                 const SlotRange* slot_ranges, const float* slot_gradients, Gaussians<float> out) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
   const SlotRange slots = slot_ranges[i];
@@ -158,10 +158,10 @@ __global__ void __launch_bounds__(kThreads)
   g_splat.log2_opacity = sum[0], g_splat.tau = -sum[2];
   g_splat.S0 = sum[7], g_splat.S1 = sum[8], g_splat.S2 = sum[9];
   const Shape<float> shape = shape_of(gaussians, i);
-  const Shape<double> exact{shape.mean, shape.quaternion, shape.scale, shape.opacity};
+  const Shape<double> exact = widened(shape);
   Shape<double> g{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> unused;
-  Projection<double>(rig, exact).adjoint(rig, exact, g_splat, g, unused);
+  Projection<double>(rig.exact, exact).adjoint(rig.exact, exact, g_splat, g, unused);
 
   // Powers of s -> Chebyshev -> node values -> harmonics
   const float* colours = splats.colours + i * nodes * kColourStride;
@@ -170,14 +170,15 @@ __global__ void __launch_bounds__(kThreads)
     g_chebyshev[k] = vec3(0);
     for (int p = 0; p <= k; ++p)
       for (int c = 0; c < 3; ++c)
-        if (kept || colours[c] > 0) g_chebyshev[k][c] += basis.to_powers[p * nodes + k] * float(sum[kLensSums + 3 * p + c]);
+        if (kept || colours[c] > 0)
+          g_chebyshev[k][c] += basis.to_powers[p * nodes + k] * float(sum[kLensSums + 3 * p + c]);
   }
   const int64_t first = 3 * gaussians.sh_count() * i;
   for (int j = 0; j < nodes; ++j) {
     vec3 g_value(0);
     for (int k = 0; k <= kept; ++k) g_value += basis.to_chebyshev[k * nodes + j] * g_chebyshev[k];
     g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean,
-                                eye_at(rounded_rig, basis.nodes[j]), g_value, out.sh + first);
+                                eye_at(rig.rounded, basis.nodes[j]), g_value, out.sh + first);
   }
   store(g, out, i);
 }
@@ -201,7 +202,7 @@ void project_lens_backward(const Gaussians<const float>& gaussians, const View<d
                            const Gaussians<float>& out, Stream stream) {
   if (gaussians.count == 0) return;
   project_lens_backward_kernel<<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-      gaussians, rig, rounded(rig), BasisTable{ColourBasis(splats.colour_order)}, splats, slot_ranges, slot_gradients, out);
+      gaussians, Rig(rig), BasisTable{ColourBasis(splats.colour_order)}, splats, slot_ranges, slot_gradients, out);
   check_launch("project_lens_backward");
 }
 

@@ -1,4 +1,5 @@
-// Stage project for the lens sensor on the device: a thread per Gaussian. Arithmetic is float.
+// Stage project for the lens sensor on the device: a thread per Gaussian. Arithmetic is float, but
+// for where the mean is seen.
 #include "cuda/check.h"
 #include "cuda/gaussian_io.cuh"
 #include "cuda/halves.cuh"
@@ -97,12 +98,6 @@ __device__ float2 place(const View<double>& rig, const vec3& mean, Splat<float>&
   return make_float2(rest(u, splat.u0), rest(v, splat.v0));
 }
 
-// A rig for kernels: what is not places, is rounded.
-struct Rig {
-  View<double> exact;
-  View<float> rounded;
-};
-
 // Projects, culls and stores splat i; returns it (reach_y < 0: not drawn). depths: where its depth goes instead, see
 // whole_splat_about(), or null.
 template <int Order>
@@ -186,7 +181,7 @@ void project_lens(const Gaussians<const float>& gaussians, const View<double>& r
   const BasisTable basis{ColourBasis(out.colour_order)};
   with_order(out.colour_order, [&](auto order) {
     project_lens_kernel<order><<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-        gaussians, Rig{rig, rounded(rig)}, lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
+        gaussians, Rig(rig), lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
         reinterpret_cast<unsigned*>(error));
   });
   check_launch("project_lens");
@@ -205,7 +200,7 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
   const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // of none too, one chooses
   with_order(frame.splats.colour_order, [&](auto order) {
     frame_project_kernel<order><<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(
-        gaussians, frame, Rig{frame.rig, rounded(frame.rig)}, basis);
+        gaussians, frame, Rig(frame.rig), basis);
   });
   check_launch("frame_project");
 }

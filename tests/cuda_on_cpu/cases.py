@@ -108,7 +108,7 @@ def opaque(name: str) -> tuple[Gaussians, Panel, Rig]:
 
 
 def wide_frames() -> list[tuple[Gaussians, Panel, Rig]]:
-    """Scenes before whole panels, the default one and one with a cone of 53 degrees; the last of each is of thin discs."""
+    """Scenes before whole panels, the default one and one with a cone of 53 degrees; the last of each has thin discs."""
     panels = [Panel.load(DEFAULT_PANEL), Panel(7680, 3840, 96, 16.013, math.tan(0.18), cone_deg=53.0)]
     flat = cloud(8192)
     flat.scales[:, 2] = 1e-4
@@ -130,8 +130,8 @@ def blades(dtype: torch.dtype) -> tuple[Gaussians, Panel, Rig]:
     panel, scene = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0}), cloud(30, 11)
     angle = torch.linspace(0, math.pi, scene.count)
     turns = torch.stack([(angle / 2).cos(), 0 * angle, 0 * angle, (angle / 2).sin()], 1)
-    scene = replace(scene, scales=torch.tensor([100.0, 1e-6, 1e-6]).expand(scene.count, 3).contiguous(), quaternions=turns)
-    return scene.to(dtype=dtype), panel, rig_of(panel)
+    lines = torch.tensor([100.0, 1e-6, 1e-6]).expand(scene.count, 3).contiguous()
+    return replace(scene, scales=lines, quaternions=turns).to(dtype=dtype), panel, rig_of(panel)
 
 
 def blade_gradients(sensor: str, dtype: torch.dtype) -> dict[str, Tensor]:

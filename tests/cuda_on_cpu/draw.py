@@ -65,7 +65,8 @@ def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32,
 
 def chosen(scene, panel, rig) -> str:
     """The kernel that a frame chooses; it is not drawn."""
-    job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND), *lens_arguments(panel, rig, False))
+    job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND),
+                            *lens_arguments(panel, rig, False))
     frame = frame_cuda.Frame(job.scene, job.rig, job.lens, 0, EXACT, 0)
     frame.project()
     return frame.state()["kernel"]
