@@ -39,7 +39,7 @@ struct FrameState {
   unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
   unsigned blocks_summed;        // of project
-  unsigned long long sums[14];   // see FrameSum, fixed point
+  unsigned long long sums[15];   // see FrameSum, fixed point
 };
 
 constexpr int kMostOrdinals = 32;
@@ -53,6 +53,7 @@ struct Ordinals {
   float view[kMostOrdinals];                         // of the camera coordinate, at the centre
   float view_unit;                                   // a power of 2 that scales its distance from there to about 1
   float cubic;                                       // `cubic` v is next to v^3, v that distance in an ordinal
+  float most_bend;                                   // of S: beyond, a hit is evaluated carefully
   LFGS_HD int columns() const { return groups * per_group; }  // count, and what fills the last group
 };
 

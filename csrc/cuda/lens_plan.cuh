@@ -40,7 +40,7 @@ enum FrameSum {
   kArea, kHalfWidth, kHalfHeight, kDisparity, kDisparityHeight,
   kLinearError, kLinearCareful,  // of the linear fit, where it is good enough; splats that are evaluated carefully
   kMixedError, kMixedCareful = kMixedError + kLevels, kCurved = kMixedCareful + kLevels,  // at every level's limits
-  kOrdinalError = kCurved + kLevels,
+  kOrdinalCareful = kCurved + kLevels, kOrdinalLost,  // in the ordinal kernel: evaluated carefully; beyond its halves
   kSums
 };
 static_assert(kSums <= sizeof(FrameState::sums) / sizeof(unsigned long long));
@@ -70,26 +70,16 @@ struct ShapeError {
   }
 };
 
-// Of the ordinal kernel, the mean of the below. Photos have up to 0.005, and nothing off by more than 1/255; a capture of
-// thin discs 0.03 in a cone of 40 degrees and 0.05 in 53, with some sub-pixels in 10,000 off by 10/255; cones of 150
-// degrees 0.2 and more, with edges off by half of all.
-__device__ inline float most_ordinal_error(const LensFrame& frame) { return frame.in_half ? 0.06f : 0.015f; }
-
-// Of r as the ordinal kernel has it, at the ends and in the middle of the rig: what the third and fourth order leave,
-// and the coefficient of v^3 in half precision. It has no careful way: 1 where one is no number there.
-__device__ inline float ordinal_error(const LensOptics& lens, const Splat<float>& s) {
-  constexpr float kMostHalf = 3e4f, kHalfDigit = 1.2e-4f;
+// In the ordinal kernel, at the ends and in the middle of the rig: the share that is careful there; whether the sweep in
+// standard deviations is no number in half precision, so that the splat would be lost.
+__device__ inline void ordinal_terms(const LensOptics& lens, const Splat<float>& s, float& careful, float& lost) {
+  constexpr float kMostHalf = 3e4f;
   const float unit = offset_unit(lens), sweep = unit * (fabsf(s.du) + fabsf(s.c1) * kTileRows);
-  float worst = 0;
   for (float centre = -1; centre <= 1; ++centre) {
-    const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), inverse = fast_reciprocal(S);
-    const float a1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, a2 = s.S2 * unit * unit * inverse;
-    const RootSeries series(a1, a2);
-    const float swept = fabsf(sweep) * fast_rsqrt(S);
-    const bool none = fabsf(a1) + fabsf(a2) > 1.5f || !(swept < kMostHalf);
-    worst = fmaxf(worst, none ? 1.f : 0.25f * series.p3 + series.p4 + kHalfDigit * series.p2 * swept);
+    const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0);
+    if (s.S2 * unit * unit > lens.ordinals.most_bend * S) careful += 1 / 3.f;
+    if (!(sweep * fast_rsqrt(S) < kMostHalf)) lost = 1;
   }
-  return fminf(worst, 1.f);
 }
 
 __host__ __device__ inline unsigned sample_stride(int64_t count) { return unsigned(count / kSampledSplats + 1); }
@@ -109,7 +99,7 @@ __device__ inline void shape_terms(const LensFrame& frame, const Splat<float>& s
         shape_limits(level).careful);
     terms[kCurved + level] = float(curved);
   }
-  terms[kOrdinalError] = frame.has_ordinal ? ordinal_error(frame.optics, s) : 0.f;
+  if (frame.has_ordinal) ordinal_terms(frame.optics, s, terms[kOrdinalCareful], terms[kOrdinalLost]);
 }
 
 // By all threads of a block; what is not drawn adds nothing.
@@ -201,8 +191,11 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
-  cost[int(LensKernel::kOrdinal)] = frame.has_ordinal && mean(kOrdinalError) <= most_ordinal_error(frame)
-      ? tasks * (60 * hits(across, 15, narrowing * 7 / 6) + 360) / rate : INFINITY;
+  // A careful hit makes so of the 8 of its batch; two square roots a sample take their time
+  const float careful_batches = 1 - powf(1 - fminf(mean(kOrdinalCareful), 1.f), 8);
+  const float ordinal_each = 60 * (1 + 0.75f * careful_batches);
+  cost[int(LensKernel::kOrdinal)] = frame.has_ordinal && sums[kOrdinalLost] == 0
+      ? tasks * (ordinal_each * hits(across, 15, narrowing * 7 / 6) + 360) / rate : INFINITY;
 
   int best = int(LensKernel::kPixelQuadratic);
   for (int k = 0; k < int(LensKernel::kCount); ++k)

@@ -46,13 +46,17 @@ struct Task : Patch<Harmonics> {
   }
 
   // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the offset centre; unit is
-  // the offset that v = 1 stands for.
-  __device__ void coefficients(const Splat<float>& s, float centre, float unit, float x_centre, uint4& low,
-                               uint4& high, uint4& exponent) const {
+  // the offset that v = 1 stands for. Where no polynomial is good, returns true, and d lacks a factor: 1 / sqrt(1 + s1 v
+  // + s2 v^2).
+  __device__ bool coefficients(const Splat<float>& s, float centre, float unit, float x_centre, uint4& low, uint4& high,
+                               uint4& exponent, float& s1, float& s2) const {
     const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), r = fast_rsqrt(S), inverse = r * r;
-    const float s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
-    const float p2 = fmaf(0.375f * s1, s1, -0.5f * s2), p3 = s1 * fmaf(-0.3125f * s1, s1, 0.75f * s2);
-    const float p1 = fmaf(frame.optics.ordinals.cubic, p3, -0.5f * s1);  // what of the third order is next to the first
+    s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
+    const bool careful = s2 > frame.optics.ordinals.most_bend;
+    const float p3 = s1 * fmaf(-0.3125f * s1, s1, 0.75f * s2);
+    const float p2 = careful ? 0.f : fmaf(0.375f * s1, s1, -0.5f * s2);
+    // What of the third order is next to the first
+    const float p1 = careful ? 0.f : fmaf(frame.optics.ordinals.cubic, p3, -0.5f * s1);
     const float Y = middle_y - s.v0, tilt = fmaf(centre, s.c1, s.c0);
     const float E = fmaf(-tilt, Y, fmaf(-centre, s.du, x_centre - s.u0)), sweep = unit * fmaf(s.c1, Y, s.du);
     const float turn = unit * s.c1;
@@ -64,6 +68,7 @@ struct Task : Patch<Harmonics> {
     low = make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv));
     high = make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632));
     exponent = make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0);
+    return careful;
   }
 
   // The colour of a staged splat, for all cameras; number kBatch is black.
@@ -100,6 +105,14 @@ struct Task : Patch<Harmonics> {
   // v and v^2 of an accumulated sample, as halves; they stand in the last columns of its features.
   __device__ unsigned view_of(const unsigned (&features)[kFragments][2], int sample) const {
     return __shfl_sync(~0u, features[sample / 2][sample % 2], lane | 3);
+  }
+
+  // The whole v of an accumulated sample, out of its features of d.
+  __device__ float exact_view_of(const unsigned (&features)[kFragments][4], int sample) const {
+    const unsigned(&of_fragment)[4] = features[sample / 2];
+    const float v = __low2float(as_half2(__shfl_sync(~0u, of_fragment[sample % 2], lane | 3)));
+    const float rest = __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));
+    return frame.optics.continuous ? v + rest : v;
   }
 
   // What the colours of hits are multiplied by: lane `quad` of each quad has values, slopes and bends of that place, the
@@ -154,9 +167,10 @@ struct Task : Patch<Harmonics> {
         slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
       }
       __syncwarp();
-      bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       uint4 low, high, exponent;
-      coefficients(splat, centre, unit, x_centre, low, high, exponent);
+      float s1, s2;
+      const bool careful = coefficients(splat, centre, unit, x_centre, low, high, exponent, s1, s2) && valid;
+      const bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
       if constexpr (Harmonics) {
         const int turn = begin / 8 % 2 * 32;
@@ -169,9 +183,8 @@ struct Task : Patch<Harmonics> {
         store_operands(low, high, exponent, colour(hit), colour(before(hit, kept)));
       }
       __syncwarp();
-      limit = __any_sync(~0u, limit);
       const int batches = min(4, (quarter - begin + 1) / 2);
-      auto batch = [&](int b, auto limited) {
+      auto batch = [&](int b, auto limited, const auto&... factors) {
         const char* at = own.operands + quad / 2 * kHighOffset + (8 * b + row) * 16 + quad % 2 * 8;
         const uint2 d_b = *reinterpret_cast<const uint2*>(at);
         const int word = (8 * b + row) * 4 + quad;
@@ -190,13 +203,14 @@ struct Task : Patch<Harmonics> {
             multiply(c, one_hot, c_b);
           }
           constexpr bool Limit = decltype(limited)::value;
+          (factors(d, f), ...);
           blend<Limit>(d[0], A[0], c[0], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
           blend<Limit>(d[2], A[2], c[2], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
           blend<Limit>(d[1], A[1], c[1], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
           blend<Limit>(d[3], A[3], c[3], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
         }
       };
-      if (!limit) {
+      if (!__any_sync(~0u, limit || careful)) {
         batch(0, std::false_type{});
         if (batches > 1) {
           batch(1, std::false_type{});
@@ -204,8 +218,26 @@ struct Task : Patch<Harmonics> {
           if (batches > 3) batch(3, std::false_type{});
         }
       } else {
+        const unsigned of_careful = __ballot_sync(~0u, careful);
+        if (!careful) s1 = s2 = 0;
 #pragma unroll 1
-        for (int b = 0; b < batches; ++b) batch(b, std::true_type{});
+        for (int b = 0; b < batches; ++b) {
+          if (!(of_careful >> 8 * b & 0xff)) {
+            batch(b, std::true_type{});
+            continue;
+          }
+          const int at = 8 * b + 2 * quad;
+          const float first1 = __shfl_sync(~0u, s1, at), first2 = __shfl_sync(~0u, s2, at);
+          const float second1 = __shfl_sync(~0u, s1, at + 1), second2 = __shfl_sync(~0u, s2, at + 1);
+          batch(b, std::true_type{}, [&](float (&d)[4], int f) {
+#pragma unroll
+            for (int h = 0; h < 2; ++h) {
+              const float v = exact_view_of(d_features, 2 * f + h);
+              d[2 * h] *= fast_rsqrt(fmaf(v, fmaf(v, first2, first1), 1.f));
+              d[2 * h + 1] *= fast_rsqrt(fmaf(v, fmaf(v, second2, second1), 1.f));
+            }
+          });
+        }
       }
     }
     if (quarter % 2 == 0) {

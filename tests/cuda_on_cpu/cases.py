@@ -108,7 +108,8 @@ def opaque(name: str) -> tuple[Gaussians, Panel, Rig]:
 
 
 def wide_frames() -> list[tuple[Gaussians, Panel, Rig]]:
-    """Scenes before whole panels, the default one and one with a cone of 53 degrees; the last of each has thin discs."""
+    """Scenes before whole panels, the default one and one with a cone of 53 degrees; the last of each has thin discs,
+    of which S varies much."""
     panels = [Panel.load(DEFAULT_PANEL), Panel(7680, 3840, 96, 16.013, math.tan(0.18), cone_deg=53.0)]
     flat = cloud(8192)
     flat.scales[:, 2] = 1e-4
@@ -116,7 +117,9 @@ def wide_frames() -> list[tuple[Gaussians, Panel, Rig]]:
             for panel in panels for scene in (sheet(96), cloud(8192), flat)]
 
 
-WIDEST_DEG = (150.0, 179.9)
+# Kernel (None: the frame chooses), cone in degrees, views
+WIDEST = [(kernel, cone_deg, views) for kernel in ("ordinal", None) for cone_deg in (150.0, 179.9)
+          for views in ("integer", "continuous")]
 
 
 def widest(cone_deg: float) -> tuple[Gaussians, Panel, Rig]:
