@@ -6,6 +6,7 @@
 // are inner products of features of the sample with coefficients of the splat: d has 16 of them, A has 8, in half
 // precision, large coefficients as the sum of two halves; the tensor cores multiply, in float. So do the colours: of
 // each sample's features only those of its own channel are not zero. Colours enter as differences to the splat before.
+// Where S varies too much within the ordinal, d gets its S^(-1/2) sample by sample: such hits are *careful*.
 //
 // A tile has 16 lenses x 32 rows, 8 warps; its ordinals come in groups, each with a list of splats. Lane t of each quad
 // takes one contiguous quarter of a task's hits; over is associative, the quarters are joined once.

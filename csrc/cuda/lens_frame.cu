@@ -17,9 +17,8 @@ constexpr int64_t kMostTiles = int64_t(1) << 31;
 double tilt(const Lens& lens) { return 3 * lens.slant_tan * double(lens.height_px - 1); }
 double lowest_phase(const Lens& lens) { return std::min(0.0, tilt(lens)); }
 
-// Of S = S0 (1 + s1 v + s2 v^2) over an ordinal: s2 at its ends. S is nowhere below zero, so that |s1| < 2 sqrt(s2), and s2
-// alone bounds what a parabola leaves of S^(-1/2): up to here 0.0026 of it, and alpha is off by less than 0.5/255.
-constexpr double kMostOrdinalBend = 0.03;
+// See needs_care(); alpha is off by less than 0.42/255. The bend is that of the worst S, the square of a line.
+constexpr float kMostParabolaError = 0.002f, kLeastBend = 0.026f;
 
 Ordinals ordinals_of(const Lens& lens) {
   Ordinals out{};
@@ -28,18 +27,20 @@ Ordinals ordinals_of(const Lens& lens) {
   out.first_lens = int(std::floor(lowest_phase(lens) / lens.line_number));
   const double views_each = double(lens.views) / lens.line_number, last = double(lens.views) - 1;
   out.view_unit = float(std::exp2(-std::ceil(std::log2((views_each + (lens.continuous ? 0 : 1)) / 2))));
-  const double reach = views_each / 2 * out.view_unit;
-  out.cubic = float(0.6 * reach * reach), out.most_bend = float(kMostOrdinalBend / (reach * reach));
   for (int t = 0; t < std::min(out.count, kMostOrdinals); ++t) {
     double low = t * views_each, high = (t + 1) * views_each;
     if (!lens.continuous) low = std::floor(low - 1e-6) + 0.5, high = std::floor(high + 1e-6) + 0.5;
     const double least = lens.continuous ? 0 : 0.5, most = lens.continuous ? last + 1 : last + 0.5;
     low = std::clamp(low, least, most), high = std::clamp(high, low, most);
     const double view = (low + high) / 2;
+    out.reach = std::max(out.reach, float((high - low) / 2 * out.view_unit));
     out.view[t] = float(view);
     out.centre[t] = float(lens.s_start() + lens.s_step() * view);
     out.half[t] = float(std::fabs(lens.s_step()) * (high - low) / 2);
   }
+  const float reach = std::max(out.reach, 1e-3f), square = reach * reach;  // one view sees nothing vary
+  out.cubic = 0.6f * square;
+  out.most_bend = kLeastBend / square, out.most_left = kMostParabolaError / (0.4f * square * reach);
   return out;
 }
 

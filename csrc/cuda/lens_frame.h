@@ -53,7 +53,8 @@ struct Ordinals {
   float view[kMostOrdinals];                         // of the camera coordinate, at the centre
   float view_unit;                                   // a power of 2 that scales its distance from there to about 1
   float cubic;                                       // `cubic` v is next to v^3, v that distance in an ordinal
-  float most_bend;                                   // of S: beyond, a hit is evaluated carefully
+  float reach;                                       // of v
+  float most_bend, most_left;                        // see needs_care()
   LFGS_HD int columns() const { return groups * per_group; }  // count, and what fills the last group
 };
 

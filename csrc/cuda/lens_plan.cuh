@@ -74,10 +74,11 @@ struct ShapeError {
 // standard deviations is no number in half precision, so that the splat would be lost.
 __device__ inline void ordinal_terms(const LensOptics& lens, const Splat<float>& s, float& careful, float& lost) {
   constexpr float kMostHalf = 3e4f;
-  const float unit = offset_unit(lens), sweep = unit * (fabsf(s.du) + fabsf(s.c1) * kTileRows);
+  const float unit = offset_unit(lens), sweep = fabsf(unit) * (fabsf(s.du) + fabsf(s.c1) * kTileRows);
   for (float centre = -1; centre <= 1; ++centre) {
-    const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0);
-    if (s.S2 * unit * unit > lens.ordinals.most_bend * S) careful += 1 / 3.f;
+    const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), inverse = fast_reciprocal(S);
+    const float s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
+    if (needs_care(lens.ordinals, s.log2_opacity, s1, s2)) careful += 1 / 3.f;
     if (!(sweep * fast_rsqrt(S) < kMostHalf)) lost = 1;
   }
 }
@@ -193,7 +194,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
   // A careful hit makes so of the 8 of its batch; two square roots a sample take their time
   const float careful_batches = 1 - powf(1 - fminf(mean(kOrdinalCareful), 1.f), 8);
-  const float ordinal_each = 60 * (1 + 0.75f * careful_batches);
+  const float ordinal_each = 60 * (1 + 0.6f * careful_batches);
   cost[int(LensKernel::kOrdinal)] = frame.has_ordinal && sums[kOrdinalLost] == 0
       ? tasks * (ordinal_each * hits(across, 15, narrowing * 7 / 6) + 360) / rate : INFINITY;
 

@@ -46,17 +46,16 @@ struct Task : Patch<Harmonics> {
   }
 
   // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the offset centre; unit is
-  // the offset that v = 1 stands for. Where no polynomial is good, returns true, and d lacks a factor: 1 / sqrt(1 + s1 v
-  // + s2 v^2).
-  __device__ bool coefficients(const Splat<float>& s, float centre, float unit, float x_centre, uint4& low, uint4& high,
+  // the offset that v = 1 stands for. Those of a careful hit are without the factor (1 + s1 v + s2 v^2)^(-1/2) of d.
+  template <bool Careful>
+  __device__ void coefficients(const Splat<float>& s, float centre, float unit, float x_centre, uint4& low, uint4& high,
                                uint4& exponent, float& s1, float& s2) const {
     const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), r = fast_rsqrt(S), inverse = r * r;
     s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
-    const bool careful = s2 > frame.optics.ordinals.most_bend;
     const float p3 = s1 * fmaf(-0.3125f * s1, s1, 0.75f * s2);
-    const float p2 = careful ? 0.f : fmaf(0.375f * s1, s1, -0.5f * s2);
+    const float p2 = Careful ? 0.f : fmaf(0.375f * s1, s1, -0.5f * s2);
     // What of the third order is next to the first
-    const float p1 = careful ? 0.f : fmaf(frame.optics.ordinals.cubic, p3, -0.5f * s1);
+    const float p1 = Careful ? 0.f : fmaf(frame.optics.ordinals.cubic, p3, -0.5f * s1);
     const float Y = middle_y - s.v0, tilt = fmaf(centre, s.c1, s.c0);
     const float E = fmaf(-tilt, Y, fmaf(-centre, s.du, x_centre - s.u0)), sweep = unit * fmaf(s.c1, Y, s.du);
     const float turn = unit * s.c1;
@@ -68,7 +67,6 @@ struct Task : Patch<Harmonics> {
     low = make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv));
     high = make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632));
     exponent = make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0);
-    return careful;
   }
 
   // The colour of a staged splat, for all cameras; number kBatch is black.
@@ -111,8 +109,8 @@ struct Task : Patch<Harmonics> {
   __device__ float exact_view_of(const unsigned (&features)[kFragments][4], int sample) const {
     const unsigned(&of_fragment)[4] = features[sample / 2];
     const float v = __low2float(as_half2(__shfl_sync(~0u, of_fragment[sample % 2], lane | 3)));
-    const float rest = __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));
-    return frame.optics.continuous ? v + rest : v;
+    if (!frame.optics.continuous) return v;
+    return v + __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));
   }
 
   // What the colours of hits are multiplied by: lane `quad` of each quad has values, slopes and bends of that place, the
@@ -169,8 +167,17 @@ struct Task : Patch<Harmonics> {
       __syncwarp();
       uint4 low, high, exponent;
       float s1, s2;
-      const bool careful = coefficients(splat, centre, unit, x_centre, low, high, exponent, s1, s2) && valid;
-      const bool limit = valid && splat.log2_opacity > float(kLog2MaxAlpha);
+      coefficients<false>(splat, centre, unit, x_centre, low, high, exponent, s1, s2);
+      bool special = valid && (splat.log2_opacity > float(kLog2MaxAlpha) || s2 > frame.optics.ordinals.most_bend);
+      special = __any_sync(~0u, special);
+      unsigned careful = 0;  // a bit for each lane
+      if (special) {
+        const bool mine = valid && needs_care(frame.optics.ordinals, splat.log2_opacity, s1, s2);
+        careful = __ballot_sync(~0u, mine);
+        special = careful || __any_sync(~0u, valid && splat.log2_opacity > float(kLog2MaxAlpha));
+        if (mine) coefficients<true>(splat, centre, unit, x_centre, low, high, exponent, s1, s2);
+        if (!mine) s1 = s2 = 0;
+      }
       if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
       if constexpr (Harmonics) {
         const int turn = begin / 8 % 2 * 32;
@@ -210,7 +217,7 @@ struct Task : Patch<Harmonics> {
           blend<Limit>(d[3], A[3], c[3], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
         }
       };
-      if (!__any_sync(~0u, limit || careful)) {
+      if (!special) {
         batch(0, std::false_type{});
         if (batches > 1) {
           batch(1, std::false_type{});
@@ -218,11 +225,9 @@ struct Task : Patch<Harmonics> {
           if (batches > 3) batch(3, std::false_type{});
         }
       } else {
-        const unsigned of_careful = __ballot_sync(~0u, careful);
-        if (!careful) s1 = s2 = 0;
 #pragma unroll 1
         for (int b = 0; b < batches; ++b) {
-          if (!(of_careful >> 8 * b & 0xff)) {
+          if (!(careful >> 8 * b & 0xff)) {
             batch(b, std::true_type{});
             continue;
           }
