@@ -123,7 +123,8 @@ def _sh_extremes(scene: Gaussians) -> None:
 
 
 CASES = {
-    **{f"scales {s:g}": Case(_all("scales", s), no_rotation=True, single_cuda=POLYNOMIALS if s == 1 else 0) for s in (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6)},
+    **{f"scales {s:g}": Case(_all("scales", s), no_rotation=True, single_cuda=POLYNOMIALS if s == 1 else 0)
+       for s in (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6)},
     **{f"ratio 1e8 at {s:g}": Case(_all("scales", [s, s * 1e-4, s * 1e-8]), gradient=1e-4 if s < 1e6 else 2e-3,
                                  single_cuda=POLYNOMIALS if s in (1.0, 1e2) else 0)
        for s in (1e-3, 1.0, 1e2, 1e6)},

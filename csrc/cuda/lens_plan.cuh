@@ -70,8 +70,8 @@ struct ShapeError {
   }
 };
 
-// In the ordinal kernel, at the ends and in the middle of the rig: the share that is careful there; whether the sweep in
-// standard deviations is no number in half precision, so that the splat would be lost.
+// In the ordinal kernel, at the ends and in the middle of the rig: the share that is careful there; whether the sweep
+// in standard deviations is no number in half precision, so that the splat would be lost.
 __device__ inline void ordinal_terms(const LensOptics& lens, const Splat<float>& s, float& careful, float& lost) {
   constexpr float kMostHalf = 3e4f;
   const float unit = offset_unit(lens), sweep = fabsf(unit) * (fabsf(s.du) + fabsf(s.c1) * kTileRows);

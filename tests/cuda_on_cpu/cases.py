@@ -117,15 +117,15 @@ def wide_frames() -> list[tuple[Gaussians, Panel, Rig]]:
             for panel in panels for scene in (sheet(96), cloud(8192), flat)]
 
 
-# Kernel (None: the frame chooses), panel, views
-WIDEST = [(kernel, changes, views) for kernel in ("ordinal", None) for views in ("integer", "continuous")
+# Kernel (None: the frame chooses), views, panel
+WIDEST = [(*how, changes) for how in (("ordinal", "integer"), ("ordinal", "continuous"), (None, "integer"))
           for changes in (dict(cone_deg=150.0), dict(cone_deg=179.9), dict(views=2))]
 
 
 def widest(changes: dict[str, Any]) -> tuple[Gaussians, Panel, Rig]:
-    """Gaussians of which S varies by orders of magnitude from one end of the rig to the other, or much from one view to the
+    """Gaussians of which S varies by orders of magnitude from one end of a rig to the other, or much from one view to the
     next."""
-    panel, scene = replace(panel_of("default"), **changes), sheet(24, 11)
+    panel, scene = replace(panel_of("default"), **changes), sheet(12, 11)
     return scene, panel, rig_of(panel)
 
 

@@ -130,7 +130,7 @@ def main(what: str) -> object:
     if what == "chosen":
         return [chosen(*case) for case in cases.wide_frames()]
     if what == "widest":
-        return [drawn(*cases.widest(changes), views, kernel, EXACT, 1.0) for kernel, changes, views in cases.WIDEST]
+        return [drawn(*cases.widest(changes), views, kernel, EXACT, 1.0) for kernel, views, changes in cases.WIDEST]
     if what == "crowd":
         return [drawn(*cases.crowd(), "integer", "pixel-quadratic", EXACT, share) for share in (1.0, 0.5)]
     if what == "pruned":
