@@ -76,10 +76,9 @@ __device__ inline void ordinal_terms(const LensOptics& lens, const Splat<float>&
   constexpr float kMostHalf = 3e4f;
   const float unit = offset_unit(lens), sweep = fabsf(unit) * (fabsf(s.du) + fabsf(s.c1) * kTileRows);
   for (float centre = -1; centre <= 1; ++centre) {
-    const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), inverse = fast_reciprocal(S);
-    const float s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
-    if (needs_care(lens.ordinals, s.log2_opacity, s1, s2)) careful += 1 / 3.f;
-    if (!(sweep * fast_rsqrt(S) < kMostHalf)) lost = 1;
+    const OrdinalShape shape(s, centre, unit);
+    if (shape.needs_care(lens.ordinals, s.log2_opacity)) careful += 1 / 3.f;
+    if (!(sweep * shape.r < kMostHalf)) lost = 1;
   }
 }
 

@@ -114,6 +114,11 @@ __device__ inline void blend(float d, float A, float change, float cut, float& c
   if (power >= cut) transmittance = fmaf(-alpha, transmittance, transmittance);
 }
 
+// A hit's coefficients as halves: of d in two parts, of the exponent.
+struct Operands {
+  uint4 low, high, exponent;
+};
+
 // Of the three places of a pixel, as a parabola in v: value + slope v + bend v^2; without harmonics the value.
 struct Colour {
   float value[3];

@@ -46,16 +46,13 @@ struct Task : Patch<Harmonics> {
   }
 
   // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the offset centre; unit is
-  // the offset that v = 1 stands for. Those of a careful hit are without the factor (1 + s1 v + s2 v^2)^(-1/2) of d.
+  // the offset that v = 1 stands for. The d of a careful hit lacks a factor, see complete().
   template <bool Careful>
-  __device__ void coefficients(const Splat<float>& s, float centre, float unit, float x_centre, uint4& low, uint4& high,
-                               uint4& exponent, float& s1, float& s2) const {
-    const float S = fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0), r = fast_rsqrt(S), inverse = r * r;
-    s1 = fmaf(2 * centre, s.S2, s.S1) * unit * inverse, s2 = s.S2 * unit * unit * inverse;
-    const float p3 = s1 * fmaf(-0.3125f * s1, s1, 0.75f * s2);
-    const float p2 = Careful ? 0.f : fmaf(0.375f * s1, s1, -0.5f * s2);
+  __device__ Operands coefficients(const Splat<float>& s, const OrdinalShape& shape, float centre, float unit,
+                                   float x_centre) const {
+    const float r = shape.r, p2 = Careful ? 0.f : shape.p2();
     // What of the third order is next to the first
-    const float p1 = Careful ? 0.f : fmaf(frame.optics.ordinals.cubic, p3, -0.5f * s1);
+    const float p1 = Careful ? 0.f : fmaf(frame.optics.ordinals.cubic, shape.p3(), shape.p1());
     const float Y = middle_y - s.v0, tilt = fmaf(centre, s.c1, s.c0);
     const float E = fmaf(-tilt, Y, fmaf(-centre, s.du, x_centre - s.u0)), sweep = unit * fmaf(s.c1, Y, s.du);
     const float turn = unit * s.c1;
@@ -64,9 +61,9 @@ struct Task : Patch<Harmonics> {
     // The second half of vv, or where v itself is not exact in half the coefficient of what is left of it
     const unsigned v_ = split(v), vv_ = split(vv), yv_ = split(yv);
     const unsigned rest = frame.optics.continuous ? v_ << 16 : vv_;
-    low = make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv));
-    high = make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632));
-    exponent = make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0);
+    return {make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv)),
+            make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632)),
+            make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0)};
   }
 
   // The colour of a staged splat, for all cameras; number kBatch is black.
@@ -113,6 +110,18 @@ struct Task : Patch<Harmonics> {
     return v + __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));
   }
 
+  // Gives d, of two hits at two samples of a fragment, its factor (1 + s1 v + s2 v^2)^(-1/2) where it lacks it; s: s1
+  // and s2 of the hits, zero where d has it.
+  __device__ void complete(float (&d)[4], const unsigned (&features)[kFragments][4], int fragment,
+                           const float2 (&s)[2]) const {
+#pragma unroll
+    for (int sample = 0; sample < 2; ++sample) {
+      const float v = exact_view_of(features, 2 * fragment + sample);
+#pragma unroll
+      for (int i = 0; i < 2; ++i) d[2 * sample + i] *= fast_rsqrt(fmaf(v, fmaf(v, s[i].y, s[i].x), 1.f));
+    }
+  }
+
   // What the colours of hits are multiplied by: lane `quad` of each quad has values, slopes and bends of that place, the
   // last the fine steps of all slopes, see slope_and_bend.
   __device__ void colour_features_at(int ordinal, const unsigned (&A)[kFragments][2],
@@ -142,7 +151,8 @@ struct Task : Patch<Harmonics> {
     const float x_centre = floorf(x_first + (ordinal + 0.5f) * (1.f / 3));
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
     features(ordinal, x_centre, d_features, A_features);
-    const float centre = frame.optics.ordinals.centre[ordinal], unit = offset_unit(frame.optics);
+    const Ordinals& ordinals = frame.optics.ordinals;
+    const float centre = ordinals.centre[ordinal], unit = offset_unit(frame.optics);
     colour_features_at(ordinal, A_features, colour_features);
 
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
@@ -165,33 +175,32 @@ struct Task : Patch<Harmonics> {
         slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
       }
       __syncwarp();
-      uint4 low, high, exponent;
-      float s1, s2;
-      coefficients<false>(splat, centre, unit, x_centre, low, high, exponent, s1, s2);
-      bool special = valid && (splat.log2_opacity > float(kLog2MaxAlpha) || s2 > frame.optics.ordinals.most_bend);
+      OrdinalShape shape(splat, centre, unit);
+      Operands operands = coefficients<false>(splat, shape, centre, unit, x_centre);
+      bool special = valid && (splat.log2_opacity > float(kLog2MaxAlpha) || shape.s2 > ordinals.most_bend);
       special = __any_sync(~0u, special);
       unsigned careful = 0;  // a bit for each lane
       if (special) {
-        const bool mine = valid && needs_care(frame.optics.ordinals, splat.log2_opacity, s1, s2);
+        const bool mine = valid && shape.needs_care(ordinals, splat.log2_opacity);
         careful = __ballot_sync(~0u, mine);
         special = careful || __any_sync(~0u, valid && splat.log2_opacity > float(kLog2MaxAlpha));
-        if (mine) coefficients<true>(splat, centre, unit, x_centre, low, high, exponent, s1, s2);
-        if (!mine) s1 = s2 = 0;
+        if (mine) operands = coefficients<true>(splat, shape, centre, unit, x_centre);
+        if (!mine) shape.s1 = shape.s2 = 0;
       }
-      if (!valid) exponent = make_uint4(kNothing, 0, 0, 0);
+      if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
       if constexpr (Harmonics) {
         const int turn = begin / 8 % 2 * 32;
         keep(turn + lane, c, slopes);
         __syncwarp();
         const Colour last = kept_colour((first_of_quarter() ? 32 - turn : turn) + lane_before());
-        store_operands(low, high, exponent, whole(c, slopes), last);
+        store_operands(operands, whole(c, slopes), last);
       } else {
         kept = hit, hit = valid ? i : kBatch<Harmonics>;
-        store_operands(low, high, exponent, colour(hit), colour(before(hit, kept)));
+        store_operands(operands, colour(hit), colour(before(hit, kept)));
       }
       __syncwarp();
       const int batches = min(4, (quarter - begin + 1) / 2);
-      auto batch = [&](int b, auto limited, const auto&... factors) {
+      auto batch = [&](int b, auto limited, const auto&... completed) {
         const char* at = own.operands + quad / 2 * kHighOffset + (8 * b + row) * 16 + quad % 2 * 8;
         const uint2 d_b = *reinterpret_cast<const uint2*>(at);
         const int word = (8 * b + row) * 4 + quad;
@@ -210,7 +219,7 @@ struct Task : Patch<Harmonics> {
             multiply(c, one_hot, c_b);
           }
           constexpr bool Limit = decltype(limited)::value;
-          (factors(d, f), ...);
+          (completed(d, f), ...);
           blend<Limit>(d[0], A[0], c[0], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
           blend<Limit>(d[2], A[2], c[2], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
           blend<Limit>(d[1], A[1], c[1], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
@@ -232,16 +241,11 @@ struct Task : Patch<Harmonics> {
             continue;
           }
           const int at = 8 * b + 2 * quad;
-          const float first1 = __shfl_sync(~0u, s1, at), first2 = __shfl_sync(~0u, s2, at);
-          const float second1 = __shfl_sync(~0u, s1, at + 1), second2 = __shfl_sync(~0u, s2, at + 1);
-          batch(b, std::true_type{}, [&](float (&d)[4], int f) {
+          float2 s[2];
 #pragma unroll
-            for (int h = 0; h < 2; ++h) {
-              const float v = exact_view_of(d_features, 2 * f + h);
-              d[2 * h] *= fast_rsqrt(fmaf(v, fmaf(v, first2, first1), 1.f));
-              d[2 * h + 1] *= fast_rsqrt(fmaf(v, fmaf(v, second2, second1), 1.f));
-            }
-          });
+          for (int i = 0; i < 2; ++i)
+            s[i] = make_float2(__shfl_sync(~0u, shape.s1, at + i), __shfl_sync(~0u, shape.s2, at + i));
+          batch(b, std::true_type{}, [&](float (&d)[4], int f) { complete(d, d_features, f, s); });
         }
       }
     }
@@ -263,11 +267,10 @@ struct Task : Patch<Harmonics> {
   }
 
   // One hit's operands; its colour as the difference to the hit before it in its quarter.
-  __device__ void store_operands(const uint4& low, const uint4& high, const uint4& exponent, const Colour& now,
-                                 const Colour& before) {
-    reinterpret_cast<uint4*>(own.operands)[lane] = low;
-    reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = high;
-    reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = exponent;
+  __device__ void store_operands(const Operands& operands, const Colour& now, const Colour& before) {
+    reinterpret_cast<uint4*>(own.operands)[lane] = operands.low;
+    reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = operands.high;
+    reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
     auto value = [&](int c) { return split(now.value[c] - before.value[c]); };
     auto slope = [&](int c) { return bits(__hsub2(as_half2(now.slope[c]), as_half2(before.slope[c]))); };
     auto fine = [&](int a, int b) {
