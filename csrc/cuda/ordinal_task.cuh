@@ -122,8 +122,8 @@ struct Task : Patch<Harmonics> {
     }
   }
 
-  // What the colours of hits are multiplied by: lane `quad` of each quad has values, slopes and bends of that place, the
-  // last the fine steps of all slopes, see slope_and_bend.
+  // What the colours of hits are multiplied by: lane `quad` of each quad has values, slopes and bends of that place,
+  // the last the fine steps of all slopes, see slope_and_bend.
   __device__ void colour_features_at(int ordinal, const unsigned (&A)[kFragments][2],
                                      unsigned (&out)[kFragments][4]) const {
     const int quad = lane % 4;
