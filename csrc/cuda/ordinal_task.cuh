@@ -177,13 +177,13 @@ struct Task : Patch<Harmonics> {
       __syncwarp();
       OrdinalShape shape(splat, centre, unit);
       Operands operands = coefficients<false>(splat, shape, centre, unit, x_centre);
-      bool special = valid && (splat.log2_opacity > float(kLog2MaxAlpha) || shape.s2 > ordinals.most_bend);
-      special = __any_sync(~0u, special);
+      const bool opaque = valid && splat.log2_opacity > float(kLog2MaxAlpha);
+      bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
       unsigned careful = 0;  // a bit for each lane
       if (special) {
         const bool mine = valid && shape.needs_care(ordinals, splat.log2_opacity);
         careful = __ballot_sync(~0u, mine);
-        special = careful || __any_sync(~0u, valid && splat.log2_opacity > float(kLog2MaxAlpha));
+        special = careful || __any_sync(~0u, opaque);
         if (mine) operands = coefficients<true>(splat, shape, centre, unit, x_centre);
         if (!mine) shape.s1 = shape.s2 = 0;
       }
