@@ -1,14 +1,15 @@
 // How composite goes about a frame: errors and costs of its kernels, averaged over splats.
 //
 // A kernel evaluates r = S^(-1/2) as a polynomial in s; with relative error e of r, alpha is wrong by less than 0.74 e.
-// From S = S0 (1 + a1 s + a2 s^2): r = S0^(-1/2) (1 + p1 s + p2 s^2 + p3 s^3 + p4 s^4 ...). Interpolation leaves at
-// most about 3/4 (p2 + p3) with a straight line through -+ 1/2, 1/2 (p3 + p4) with a parabola through 0 and
-// -+ sqrt(1/2); a third on average. One term alone says little: p2 is zero where a2 = 3/4 a1^2, p3 where a1 = 0.
+// With the p of RootSeries, interpolation leaves at most about 3/4 (p2 + p3) with a straight line through -+ 1/2, 1/2 (p3
+// + p4) with a parabola through 0 and -+ sqrt(1/2); a third on average. One term alone says little: p2 is zero where s2 =
+// 3/4 s1^2, p3 where s1 = 0.
 #pragma once
 
 #include "cuda/blend.cuh"
 #include "cuda/lens_frame.h"
 #include "cuda/lens_optics.cuh"
+#include "cuda/root_series.cuh"
 #include "math/constants.h"
 #include "math/footprint.h"
 #include "math/lattice_plan.h"
@@ -46,27 +47,16 @@ enum FrameSum {
 static_assert(kSums <= sizeof(FrameState::sums) / sizeof(unsigned long long));
 constexpr float kSumUnit = 1 << 4, kErrorUnit = 1 << 30;  // fixed point, so that sums have no order
 
-// Sizes of the p of (1 + a1 s + a2 s^2)^(-1/2).
-struct RootSeries {
-  float p2, p3, p4;
-
-  __device__ RootSeries(float a1, float a2) {
-    const float square = a1 * a1;
-    p2 = fabsf(0.375f * square - 0.5f * a2), p3 = fabsf(a1 * (-0.3125f * square + 0.75f * a2));
-    p4 = fabsf(a2 * (0.375f * a2 - 0.9375f * square) + 0.2734375f * square * square);
-  }
-};
-
 struct ShapeError {
   float linear, quadratic;
 
   __device__ explicit ShapeError(const Splat<float>& s) {
-    const float inverse = fast_reciprocal(s.S0), a1 = s.S1 * inverse, a2 = s.S2 * inverse;
-    const RootSeries series(a1, a2);
-    linear = 0.75f * (series.p2 + series.p3);
-    quadratic = 0.5f * (series.p3 + series.p4);
+    const float inverse = fast_reciprocal(s.S0);
+    const RootSeries series{s.S1 * inverse, s.S2 * inverse};
+    linear = 0.75f * (fabsf(series.p2()) + fabsf(series.p3()));
+    quadratic = 0.5f * (fabsf(series.p3()) + fabsf(series.p4()));
     // Series of what varies much say little
-    if (fabsf(a1) + fabsf(a2) > 0.5f) linear = quadratic = 1;
+    if (fabsf(series.s1) + fabsf(series.s2) > 0.5f) linear = quadratic = 1;
   }
 };
 

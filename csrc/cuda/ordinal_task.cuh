@@ -2,6 +2,7 @@
 #pragma once
 
 #include "cuda/ordinal_patch.cuh"
+#include "cuda/root_series.cuh"
 
 namespace lfgs::cuda {
 
