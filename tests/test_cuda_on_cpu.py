@@ -69,11 +69,13 @@ def test_shapes_that_vary_within_an_ordinal_are_evaluated_as_they_are(module, tm
     assert set(drawn(module, "chosen", tmp_path)) == {"ordinal"}
     for (kernel, views, changes), found in zip(cases.WIDEST, drawn(module, "widest", tmp_path), strict=True):
         expected = encode(*cases.widest(changes), background=cases.BACKGROUND, output="float32", views=views)
-        assert found["kernel"] == kernel or kernel is None
         error = (found["image"] - expected).abs()
+        if kernel is None:  # so much varies that frames choose other kernels
+            assert found["kernel"] != "ordinal" and error.max() < 0.4 / 255, changes
+            continue
         # Some alphas are on the cut
-        assert (error > 1 / 255).float().mean() < 1e-3 and error.max() < 1.5 / 255, (kernel, changes, views)
-        assert error.mean() < 1.2e-4, (kernel, changes, views)
+        assert (error > 1 / 255).float().mean() < 1e-3 and error.max() < 1.5 / 255, (changes, views)
+        assert found["kernel"] == kernel and error.mean() < 1.2e-4, (changes, views)
 
 
 def test_half_precision_is_within_its_bound(module, tmp_path):

@@ -7,6 +7,7 @@
 #include "base/error.h"
 #include "cuda/lattice.cuh"
 #include "cuda/lens_rig.cuh"
+#include "cuda/root_series.cuh"
 
 namespace lfgs::cuda {
 namespace {
@@ -16,9 +17,6 @@ constexpr int64_t kMostTiles = int64_t(1) << 31;
 // By how many sub-pixels the lenses lean over the height; the smallest D - origin of the panel.
 double tilt(const Lens& lens) { return 3 * lens.slant_tan * double(lens.height_px - 1); }
 double lowest_phase(const Lens& lens) { return std::min(0.0, tilt(lens)); }
-
-// See needs_care(); alpha is off by less than 0.42/255. The bend is that of the worst S, the square of a line.
-constexpr float kMostParabolaError = 0.002f, kLeastBend = 0.026f;
 
 Ordinals ordinals_of(const Lens& lens) {
   Ordinals out{};
@@ -38,9 +36,9 @@ Ordinals ordinals_of(const Lens& lens) {
     out.centre[t] = float(lens.s_start() + lens.s_step() * view);
     out.half[t] = float(std::fabs(lens.s_step()) * (high - low) / 2);
   }
-  const float reach = std::max(out.reach, 1e-3f), square = reach * reach;  // one view sees nothing vary
+  const float square = out.reach * out.reach;
   out.cubic = 0.6f * square;
-  out.most_bend = kLeastBend / square, out.most_left = kMostParabolaError / (0.4f * square * reach);
+  out.most_bend = kLeastBend / std::max(square, 1e-6f);  // one view sees nothing vary
   return out;
 }
 

@@ -54,7 +54,7 @@ struct Ordinals {
   float view_unit;                                   // a power of 2 that scales its distance from there to about 1
   float cubic;                                       // `cubic` v is next to v^3, v that distance in an ordinal
   float reach;                                       // of v
-  float most_bend, most_left;                        // see needs_care()
+  float most_bend;                                   // where s2 is no larger, none is careful; see kLeastBend
   LFGS_HD int columns() const { return groups * per_group; }  // count, and what fills the last group
 };
 

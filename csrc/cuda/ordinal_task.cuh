@@ -182,7 +182,7 @@ struct Task : Patch<Harmonics> {
       bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
       unsigned careful = 0;  // a bit for each lane
       if (special) {
-        const bool mine = valid && shape.needs_care(ordinals, splat.log2_opacity);
+        const bool mine = valid && shape.parabola_error(ordinals, splat.log2_opacity) > kMostParabolaError;
         careful = __ballot_sync(~0u, mine);
         special = careful || __any_sync(~0u, opaque);
         if (mine) operands = coefficients<true>(splat, shape, centre, unit, x_centre);
