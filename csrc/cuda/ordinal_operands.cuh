@@ -39,6 +39,7 @@ struct WarpMemory {
   // compiler would rather compute them again for every ordinal than keep so many registers.
   int start[kHalves][32], length[kHalves][32];
   uint64_t phase[kHalves][32];
+  float x_first;  // x of ordinal -1/2 in the middle row
 };
 
 static_assert(kBatch<false> * sizeof(uint16_t) <= sizeof(WarpMemory<false>::operands) && kBatch<false> <= 2 * kPage);

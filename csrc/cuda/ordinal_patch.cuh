@@ -16,7 +16,6 @@ struct Patch {
   int lane, row0, lens0;             // of the patch
   float middle_y;
   float x_sheared, half_x;           // of ordinal -1/2, x + tan y; half width to the outermost pixel centres
-  float x_first;                     // x of ordinal -1/2 in the middle row
   unsigned places;                   // bit 8 p + s: the lens of sample s that this lane accumulates starts at place p
 
   __device__ Patch(const LensFrame& frame_, Memory<Harmonics>& memory_, int tile_x, int tile_y)
@@ -28,7 +27,7 @@ struct Patch {
     middle_y = row0 + 0.5f * kWarpRows;
     const float phase0 = fmaf(lens0 + 0.5f * (kWarpLenses - 1), lens.line_number, -lens.origin);
     x_sheared = phase0 / 3 + 0.5f * lens.slant_tan + 1.f / 6;
-    x_first = x_sheared - lens.slant_tan * middle_y;
+    own.x_first = x_sheared - lens.slant_tan * middle_y;
     half_x = (0.5f * (kWarpLenses - 1) * lens.line_number + 0.5f) / 3 + 1.f / 3 + 0.01f;
     for (int h = 0; h < kHalves; ++h) {
       const int row = row0 + lane / kWarpLenses + 8 * h, number = lens0 + lane % kWarpLenses;

@@ -10,7 +10,7 @@ namespace lfgs::cuda {
 template <bool Harmonics>
 struct Task : Patch<Harmonics> {
   using Base = Patch<Harmonics>;
-  using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::middle_y, Base::x_first, Base::places;
+  using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::middle_y, Base::places;
   using Base::staged, Base::queued;
 
   // Features of the samples at an ordinal as operands of the tensor cores.
@@ -149,7 +149,7 @@ struct Task : Patch<Harmonics> {
   // Adds the n hits at ordinal t of the group to the samples' state.
   __device__ void draw(int t, int n, int ordinal) {
     const int quad = lane % 4, row = lane / 4;
-    const float x_centre = floorf(x_first + (ordinal + 0.5f) * (1.f / 3));
+    const float x_centre = floorf(own.x_first + (ordinal + 0.5f) * (1.f / 3));
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
     features(ordinal, x_centre, d_features, A_features);
     const Ordinals& ordinals = frame.optics.ordinals;
@@ -176,18 +176,10 @@ struct Task : Patch<Harmonics> {
         slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
       }
       __syncwarp();
-      OrdinalShape shape(splat, centre, unit);
+      const OrdinalShape shape(splat, centre, unit);
       Operands operands = coefficients<false>(splat, shape, centre, unit, x_centre);
       const bool opaque = valid && splat.log2_opacity > float(kLog2MaxAlpha);
-      bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
-      unsigned careful = 0;  // a bit for each lane
-      if (special) {
-        const bool mine = valid && shape.parabola_error(ordinals, splat.log2_opacity) > kMostParabolaError;
-        careful = __ballot_sync(~0u, mine);
-        special = careful || __any_sync(~0u, opaque);
-        if (mine) operands = coefficients<true>(splat, shape, centre, unit, x_centre);
-        if (!mine) shape.s1 = shape.s2 = 0;
-      }
+      const bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
       if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
       if constexpr (Harmonics) {
         const int turn = begin / 8 % 2 * 32;
@@ -235,6 +227,14 @@ struct Task : Patch<Harmonics> {
           if (batches > 3) batch(3, std::false_type{});
         }
       } else {
+        // Once more from the splat on: what is rarely needed takes no registers before
+        const Splat<float> again = staged(i);
+        OrdinalShape varying(again, centre, unit);
+        const bool mine = valid && varying.parabola_error(ordinals, again.log2_opacity) > kMostParabolaError;
+        const unsigned careful = __ballot_sync(~0u, mine);  // a bit for each lane
+        if (mine) store_shape(coefficients<true>(again, varying, centre, unit, x_centre));
+        if (!mine) varying.s1 = varying.s2 = 0;
+        __syncwarp();
 #pragma unroll 1
         for (int b = 0; b < batches; ++b) {
           if (!(careful >> 8 * b & 0xff)) {
@@ -245,7 +245,7 @@ struct Task : Patch<Harmonics> {
           float2 s[2];
 #pragma unroll
           for (int i = 0; i < 2; ++i)
-            s[i] = make_float2(__shfl_sync(~0u, shape.s1, at + i), __shfl_sync(~0u, shape.s2, at + i));
+            s[i] = make_float2(__shfl_sync(~0u, varying.s1, at + i), __shfl_sync(~0u, varying.s2, at + i));
           batch(b, std::true_type{}, [&](float (&d)[4], int f) { complete(d, d_features, f, s); });
         }
       }
@@ -267,10 +267,14 @@ struct Task : Patch<Harmonics> {
     return __shfl_sync(~0u, last ? kept : hit, lane_before());
   }
 
-  // One hit's operands; its colour as the difference to the hit before it in its quarter.
-  __device__ void store_operands(const Operands& operands, const Colour& now, const Colour& before) {
+  // One hit's coefficients of d.
+  __device__ void store_shape(const Operands& operands) {
     reinterpret_cast<uint4*>(own.operands)[lane] = operands.low;
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = operands.high;
+  }
+  // All of one hit's operands; its colour as the difference to the hit before it in its quarter.
+  __device__ void store_operands(const Operands& operands, const Colour& now, const Colour& before) {
+    store_shape(operands);
     reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
     auto value = [&](int c) { return split(now.value[c] - before.value[c]); };
     auto slope = [&](int c) { return bits(__hsub2(as_half2(now.slope[c]), as_half2(before.slope[c]))); };

@@ -42,11 +42,13 @@ __device__ void store(const Shape<R>& g, const Gaussians<float>& out, int64_t i)
   out.opacities[i] = saturated<float>(g.opacity);
 }
 
-// Whether a splat is so long that its covariance has few digits left in float: rho^2 / (1 - rho^2), rho the correlation
-// of x and y.
-__device__ bool is_needle(const Splat<float>& s) {
-  constexpr float kLong = 300;
-  return !(s.c0 * s.c0 <= kLong * s.tau * s.S0);
+// Whether float is not enough for the adjoint of a splat: it is so long that its covariance has few digits left, by
+// rho^2 / (1 - rho^2), rho the correlation of x and y; or its quaternion so short that gradients from single cameras may
+// be infinite.
+__device__ bool needs_double(const Splat<float>& s, const Shape<float>& shape) {
+  constexpr float kLong = 300, kShort = 1e-35f;
+  const glm::vec4 q = glm::abs(shape.quaternion);
+  return !(s.c0 * s.c0 <= kLong * s.tau * s.S0) || fmaxf(fmaxf(q.x, q.y), fmaxf(q.z, q.w)) < kShort;
 }
 
 __device__ View<double> widened(const View<float>& v) {
@@ -70,7 +72,7 @@ __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Sh
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> of_view;
   Projection<double>(exact, wide).adjoint(exact, wide, gradient, sum, of_view);
-  auto add = [](float& to, double what) { to += saturated<float>(what); };
+  auto add = [](float& to, double what) { to = saturated<float>(to + what); };
   for (int c = 0; c < 3; ++c) add(g.mean[c], sum.mean[c]), add(g.scale[c], sum.scale[c]);
   for (int c = 0; c < 4; ++c) add(g.quaternion[c], sum.quaternion[c]);
   add(g.opacity, sum.opacity);
@@ -80,7 +82,7 @@ __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Sh
   }
 }
 
-// Three blocks on a multiprocessor: the registers that it takes without needles.
+// Three blocks on a multiprocessor: the registers that it takes without exact adjoints.
 __global__ void __launch_bounds__(kThreads, 3)
     project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
                                   const SlotRange* slot_ranges, const float* slot_gradients, Gaussians<float> out,
@@ -103,7 +105,7 @@ __global__ void __launch_bounds__(kThreads, 3)
     if (slots.first < slots.last) {
       vec3 g_colour;
       const Splat<float> splat = read_splat(splats.splats + index);
-      if (is_needle(splat)) {
+      if (needs_double(splat, shape)) {
         add_exact_adjoint(view, shape, splat, slot_gradients, slots, g, g_view, g_colour);
       } else {
         const Splat<float> g_splat = splat_gradient<float>(splat, slot_gradients, slots, g_colour);
