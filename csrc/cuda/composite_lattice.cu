@@ -8,6 +8,7 @@
 #include "cuda/check.h"
 #include "cuda/lattice_errors.cuh"
 #include "cuda/lattice_interpolate.cuh"
+#include "cuda/lattice_rows.cuh"
 
 namespace lfgs::cuda {
 namespace {
@@ -257,8 +258,10 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   if (planes == kEmpty) {
     tile.lay_rows(memory);
     fill(tile, memory, behind, out);
+  } else if (good && tile.by_lens) {
+    interpolate_lenses(tile, memory, out);
   } else if (good) {
-    interpolate(tile, memory, out);
+    interpolate_pixels(tile, memory, out);
   }
 }
 

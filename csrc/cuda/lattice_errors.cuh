@@ -49,7 +49,7 @@ __device__ inline float3 difference(float3 a, float3 b) { return make_float3(a.x
 __device__ inline float3 interpolated(const Lattice& lattice, const Nodes& nodes, const Point& middle) {
   auto channel = [&](int c) {
     return nodes.at(nodes.row_of(c, middle.j), __float2half2_rn(0.5f), float(middle.i) + 0.5f,
-                    Seen(lattice.plane[middle.k], 0.5f));
+                    Seen(lattice, middle.k, 0.5f));
   };
   return make_float3(channel(0), channel(1), channel(2));
 }

@@ -1,5 +1,5 @@
-// How a block of composite_lattice fills a tile from its nodes: runs of sub-pixels side by side, then rows at once; or
-// with the background.
+// How a block of composite_lattice interpolates a tile of lenses, runs of sub-pixels side by side and then rows at once,
+// or fills a tile with the background.
 #pragma once
 
 #include "cuda/lattice_tile.cuh"
@@ -10,12 +10,12 @@ namespace {
 // A colour in 0..1 -> stored(), without a conversion.
 __device__ inline uint8_t byte_of(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, Place::kMagic))); }
 
-// Interpolates a run of sub-pixels of row r, the first with this phase: put(m, colour). Whole: it has whole pixels.
-template <bool Table, bool Whole, class Put>
-__device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const Views& views, unsigned phase, int r,
+// Interpolates a run of sub-pixels of row r of a tile of lenses, the first with this phase: put(m, colour).
+template <bool Table, class Put>
+__device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const Views<Seen>& views, unsigned phase, int r,
                                 int2 ends, const Put& put) {
   __half2 part;
-  const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3, place = Whole ? 0 : ends.x - 3 * pixel;
+  const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3, place = ends.x - 3 * pixel;
   const float x_first = (float(pixel) + 0.5f - tile.origin().x - nodes.x0) * nodes.per_x;
   unsigned channels[3];
   float x[3];
@@ -30,33 +30,30 @@ __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const View
     float colours[3];
 #pragma unroll
     for (int i = 0; i < 3; ++i) {  // all of them, to have several reads under way
-      colours[i] = nodes.at(channels[i], part, nodes.within(x[Whole ? 0 : i]), views.at<Table>(phase));
+      colours[i] = nodes.at(channels[i], part, nodes.within(x[i]), views.at<Table>(phase));
       phase += views.step;
     }
 #pragma unroll
     for (int i = 0; i < 3; ++i) {
-      if (Whole || m + i < ends.y) put(m + i, colours[i]);
+      if (m + i < ends.y) put(m + i, colours[i]);
       x[i] += nodes.per_x;
     }
   }
 }
 
-// The same for all runs of the rows from `top` to before `end` that a section serves: put(r, at, colour), with the
-// place in the row.
-template <bool Table, bool Whole, class Put>
-__device__ void interpolate_section(const Tile& tile, const Memory& memory, const Views& views, int section, int top,
-                                    int end, const Put& put) {
+// The same for all of the rows from `top` to before `end` that a section has: put(r, at, colour), with the place in the
+// row.
+template <bool Table, class Put>
+__device__ void interpolate_section(const Tile& tile, const Memory& memory, const Views<Seen>& views, int section,
+                                    int top, int end, const Put& put) {
   const Nodes nodes(memory, section);
-  const int runs = tile.runs, rows_on = kThreads / runs, runs_on = kThreads % runs;
-  int r = top + int(threadIdx.x) / runs, n = int(threadIdx.x) % runs;
-  while (r < end) {
-    const int2 row = memory.rows[r];
-    const unsigned phase = unsigned(phase_at(tile.lens, tile.top + r, row.x) >> 32);
-    const int2 ends = tile.run(row, r, section, n, phase);
-    interpolate_run<Table, Whole>(tile, nodes, views, phase + views.step * unsigned(ends.x - row.x), r, ends,
-                                  [&](int m, float colour) { put(r, m - row.x, colour); });
-    r += rows_on, n += runs_on;
-    if (n >= runs) n -= runs, ++r;
+  const int n = int(threadIdx.x) % kTileLenses;
+  for (int r = top + int(threadIdx.x) / kTileLenses; r < end; r += kThreads / kTileLenses) {
+    const int first = memory.rows[r].x;
+    const int2 ends = tile.run(r, section, n);
+    const unsigned phase = memory.phases[r] + views.step * unsigned(ends.x - first);
+    interpolate_run<Table>(tile, nodes, views, phase, r, ends,
+                           [&](int m, float colour) { put(r, m - first, colour); });
   }
 }
 
@@ -100,20 +97,18 @@ __device__ void draw_rows(const Tile& tile, Memory& memory, Out* out, const Draw
   }
 }
 
-// Interpolates the sub-pixels of a tile.
+// Interpolates the sub-pixels of a tile of lenses.
 template <class Out>
-__device__ void interpolate(const Tile& tile, Memory& memory, Out* out) {
+__device__ void interpolate_lenses(const Tile& tile, Memory& memory, Out* out) {
   draw_rows(tile, memory, out, [&](int top, int end, const auto& put) {
     for (int section = 0; section < tile.sections; ++section) {
       if (section > 0) __syncthreads();
-      Views views(tile.lens, memory, section);
-      views.tabulate(memory);
-      if (views.table && !tile.by_lens)
-        interpolate_section<true, true>(tile, memory, views, section, top, end, put);
-      else if (views.table)
-        interpolate_section<true, false>(tile, memory, views, section, top, end, put);
+      Views<Seen> views(tile.lens, memory.lattices[section]);
+      views.tabulate(memory.interpolated.seen);
+      if (views.table)
+        interpolate_section<true>(tile, memory, views, section, top, end, put);
       else
-        interpolate_section<false, false>(tile, memory, views, section, top, end, put);
+        interpolate_section<false>(tile, memory, views, section, top, end, put);
     }
   });
 }

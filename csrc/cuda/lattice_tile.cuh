@@ -35,10 +35,41 @@ struct Seen {
   unsigned first_and_part;
 
   Seen() = default;
-  __device__ Seen(const LatticePlane& plane, float part)
-      : aside(plane.aside * part), first_and_part(unsigned(plane.first) | bits(__floats2half2_rn(0.f, part))) {}
+  __device__ Seen(const Lattice& lattice, int plane, float part)
+      : aside(lattice.plane[plane].aside * part),
+        first_and_part(unsigned(lattice.plane[plane].first) | bits(__floats2half2_rn(0.f, part))) {}
   __device__ unsigned first() const { return first_and_part & 0xffffu; }
   __device__ __half2 part() const { return __high2half2(as_half2(first_and_part)); }
+};
+
+// A number of nodes in 65536ths; half a 1024th more, of which numbers are made later.
+__device__ inline unsigned fixed(float nodes) { return unsigned(int(fmaf(nodes, 65536.f, 32.f))); }
+
+// The same in rows of pixels, see lattice_rows.cuh: how far on what is seen is stored, and the part.
+struct RowSeen {
+  unsigned on;
+  __half2 part;
+
+  RowSeen() = default;
+  __device__ RowSeen(const Lattice& lattice, int plane, float part_)
+      : on((plane * lattice.across << 16) - unsigned(int(rintf(lattice.plane[plane].aside * part_ * 65536.f)))),
+        part(__float2half2_rn(part_)) {}
+};
+
+// Colours between a node and the next along x, in a row of pixels: at t = 1 .. 2, from the one to the other, first + t
+// step. How both change to the next plane.
+struct alignas(8) Between {
+  __half2 first_and_step, change;
+
+  Between() = default;
+  __device__ Between(__half2 near, __half2 far)
+      : first_and_step(line(near)), change(__hsub2(line(far), first_and_step)) {}
+
+ private:
+  static __device__ __half2 line(__half2 ends) {
+    const __half step = __hsub(__high2half(ends), __low2half(ends));
+    return __halves2half2(__hsub(__low2half(ends), step), step);
+  }
 };
 
 // Colours, 0..1, of a node and of the next along x, in a row and in the next: what a place between needs, read at once.
@@ -59,11 +90,21 @@ struct alignas(8) Triple {
 
 constexpr int kChannelNodes = kMostNodes + 5;  // so that the same node of another channel is in another bank
 
-// Runs that are being interpolated.
+// What is being interpolated: what is seen of the section at hand from every view, then as many rows as fit.
 struct Interpolated {
-  Seen seen[kMostTableViews];  // of the section at hand, from every view
-  alignas(16) uint8_t bytes[sizeof(Staged) - sizeof seen];  // of as many rows as fit
+  static constexpr int kRowBytes = sizeof(Staged) - kMostTableViews * sizeof(Seen);
+  union {
+    Seen seen[kMostTableViews];
+    RowSeen row_seen[kMostTableViews];
+  };
+  alignas(16) union {
+    uint8_t bytes[kRowBytes];
+    Between between[kRowBytes / sizeof(Between)];
+  };
 };
+// Of a row of pixels; a lattice of two rows of nodes has as many, all nodes but those of the last plane.
+constexpr int kMostBetween = Interpolated::kRowBytes / sizeof(Between);
+static_assert(kMostBetween >= 3 * kMostNodes / 2);
 
 struct Memory {
   Corners corners[3][kChannelNodes];  // from each node on: sections, planes, rows, nodes
@@ -71,6 +112,7 @@ struct Memory {
   Lattice lattices[kMostSections];
   int first_node[kMostSections];
   int2 rows[kTileRows];          // sub-pixels, from x to before y; beyond the panel too
+  unsigned phases[kTileRows];    // of the first of these, without the last 32 bits
   int low, high;                 // columns of pixels
   int verdict;                   // see verdict_on
   float largest[kWarps], squares[kWarps];
@@ -88,20 +130,11 @@ struct Tile {
   bool by_lens;
   int number, top, rows, sections, first_lens;
   int low = 0, high = -1;  // columns of pixels
-  // Runs of neighbouring sub-pixels of a row that one section serves. In tiles of pixels they are the whole pixels of
-  // about a lens, of some narrow ones or of a part of a wide one: what threads side by side look at lies side by side.
-  int runs;
-  float run_width;
 
   __device__ Tile(const LensFrame& frame, const Tiling& tiling_, int number_)
       : lens(frame.optics), tiling(tiling_), by_lens(&tiling == &frame.ordinal), number(number_),
         top(number / tiling.across * tiling.height), rows(min(tiling.height, lens.height_px - top)),
-        sections(tiling.groups), first_lens(lens.ordinals.first_lens + number % tiling.across * kTileLenses) {
-    constexpr float kUsual = 24;
-    const float width = lens.line_number;
-    run_width = width < kUsual ? width * floorf(kUsual / width) : width / ceilf(width / kUsual);
-    runs = by_lens ? kTileLenses : int(3 * kPixelTileWidth / run_width) + 2;
-  }
+        sections(tiling.groups), first_lens(lens.ordinals.first_lens + number % tiling.across * kTileLenses) {}
 
   // The sub-pixels of a row, from x to before y.
   __device__ int2 row(int r) const {
@@ -122,8 +155,10 @@ struct Tile {
   // The same by a block, which keeps the rows.
   __device__ void lay_rows(Memory& memory) {
     if (threadIdx.x < 32) {
-      memory.rows[threadIdx.x] = row(threadIdx.x);
-      find_columns(memory.rows[threadIdx.x]);
+      const int2 ends = row(threadIdx.x);
+      memory.rows[threadIdx.x] = ends;
+      memory.phases[threadIdx.x] = unsigned(phase_at(lens, top + int(threadIdx.x), ends.x) >> 32);
+      find_columns(ends);
       if (threadIdx.x == 0) memory.low = low, memory.high = high;
     }
     __syncthreads();
@@ -146,19 +181,10 @@ struct Tile {
     return by_lens ? lens_row_bytes(lens.line_number) : 3 * kPixelTileWidth;
   }
 
-  // First and end on the panel of the n-th run; row: of the row's sub-pixels, with the phase of the first.
-  __device__ int2 run(int2 row, int r, int section, int n, unsigned phase) const {
-    int begin, end;
-    if (by_lens) {
-      begin = lens_start(lens, top + r, first_lens + n) + kGroupOrdinals * section, end = begin + kGroupOrdinals;
-      if (section == sections - 1) end = lens_start(lens, top + r, first_lens + n + 1);
-    } else {
-      const float of_lens = float(phase) * (1.f / 4294967296.f) * lens.line_number;
-      const float before = of_lens - floorf(of_lens / run_width) * run_width;
-      auto pixel = [&](int k) { return row.x + 3 * int(ceilf((float(k) * run_width - before) * (1.f / 3))); };
-      begin = n == 0 ? row.x : min(max(pixel(n), row.x), row.y);
-      end = n == runs - 1 ? row.y : min(max(pixel(n + 1), row.x), row.y);
-    }
+  // First and end on the panel of what the n-th lens of row r has of a section.
+  __device__ int2 run(int r, int section, int n) const {
+    const int begin = lens_start(lens, top + r, first_lens + n) + kGroupOrdinals * section;
+    const int end = section == sections - 1 ? lens_start(lens, top + r, first_lens + n + 1) : begin + kGroupOrdinals;
     return make_int2(max(begin, 0), min(end, 3 * lens.width_px));
   }
 };
@@ -217,36 +243,35 @@ struct Nodes {
   static __device__ __half2 mixed(__half2 a, __half2 b, __half2 part) { return __hfma2(part, __hsub2(b, a), a); }
 };
 
-// What sub-pixels of a section see, by their phases. The last 32 bits of these are left out: that matters to a view now
-// and then at its border.
+// What sub-pixels of a section see, as Seen or RowSeen, by their phases. The last 32 bits of these are left out: that
+// matters to a view now and then at its border.
+template <class S>
 struct Views {
-  const LatticePlane* planes;
-  const Seen* table;  // or null
+  const Lattice& lattice;
+  const S* table = nullptr;
   unsigned step, whole;  // so many offsets in a lens: views, or enough to be continuous
   float slope, base, last_up;
 
-  __device__ Views(const LensOptics& lens, const Memory& memory, int section)
-      : planes(memory.lattices[section].plane), table(nullptr), step(unsigned(lens.phase_x >> 32)),
+  __device__ Views(const LensOptics& lens, const Lattice& lattice_)
+      : lattice(lattice_), step(unsigned(lens.phase_x >> 32)),
         whole(lens.continuous ? 1u << 24 : unsigned(lens.views)) {
-    const Lattice& lattice = memory.lattices[section];
     slope = lens.s_step / lattice.step_s * float(lens.views) / float(whole);
     base = fmaf(lens.continuous ? 0.f : 0.5f, slope, (lens.s_start - lattice.s0) / lattice.step_s);
     last_up = float(lattice.planes - 1) - 1e-3f;
   }
-  __device__ Seen from(unsigned number) const {
+  __device__ S from(unsigned number) const {
     const Place plane(fminf(fmaxf(fmaf(float(number), slope, base), 0.f), last_up));
-    return {planes[plane.bits - Place::kMagicBits], plane.part};
+    return {lattice, int(plane.bits - Place::kMagicBits), plane.part};
   }
   // Makes a table, if they are few. By all threads of the block.
-  __device__ void tabulate(Memory& memory) {
+  __device__ void tabulate(S (&seen)[kMostTableViews]) {
     if (whole > kMostTableViews) return;
-    Seen* seen = memory.interpolated.seen;
     for (unsigned number = threadIdx.x; number < whole; number += kThreads) seen[number] = from(number);
     table = seen;
     __syncthreads();
   }
   template <bool Table>
-  __device__ Seen at(unsigned phase) const {
+  __device__ S at(unsigned phase) const {
     const unsigned number = __umulhi(phase, whole);
     return Table ? table[number] : from(number);
   }

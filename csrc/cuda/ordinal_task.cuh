@@ -179,7 +179,7 @@ struct Task : Patch<Harmonics> {
       const OrdinalShape shape(splat, centre, unit);
       Operands operands = coefficients<false>(splat, shape, centre, unit, x_centre);
       const bool opaque = valid && splat.log2_opacity > float(kLog2MaxAlpha);
-      const bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
+      bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
       if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
       if constexpr (Harmonics) {
         const int turn = begin / 8 % 2 * 32;
@@ -190,6 +190,15 @@ struct Task : Patch<Harmonics> {
       } else {
         kept = hit, hit = valid ? i : kBatch<Harmonics>;
         store_operands(operands, colour(hit), colour(before(hit, kept)));
+      }
+      unsigned careful = 0;  // a bit for each lane
+      if (special) {         // rarely: once more from the splat on, so that nothing of it takes registers before
+        const Splat<float> varying = staged(i);
+        const OrdinalShape again(varying, centre, unit);
+        const bool mine = valid && again.parabola_error(ordinals, varying.log2_opacity) > kMostParabolaError;
+        careful = __ballot_sync(~0u, mine);
+        special = careful || __any_sync(~0u, opaque);
+        if (mine) store_shape(coefficients<true>(varying, again, centre, unit, x_centre));
       }
       __syncwarp();
       const int batches = min(4, (quarter - begin + 1) / 2);
@@ -227,14 +236,8 @@ struct Task : Patch<Harmonics> {
           if (batches > 3) batch(3, std::false_type{});
         }
       } else {
-        // Once more from the splat on: what is rarely needed takes no registers before
-        const Splat<float> again = staged(i);
-        OrdinalShape varying(again, centre, unit);
-        const bool mine = valid && varying.parabola_error(ordinals, again.log2_opacity) > kMostParabolaError;
-        const unsigned careful = __ballot_sync(~0u, mine);  // a bit for each lane
-        if (mine) store_shape(coefficients<true>(again, varying, centre, unit, x_centre));
-        if (!mine) varying.s1 = varying.s2 = 0;
-        __syncwarp();
+        OrdinalShape varying(staged(i), centre, unit);
+        if (!(careful >> lane & 1)) varying.s1 = varying.s2 = 0;
 #pragma unroll 1
         for (int b = 0; b < batches; ++b) {
           if (!(careful >> 8 * b & 0xff)) {

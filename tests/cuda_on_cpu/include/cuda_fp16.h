@@ -38,6 +38,10 @@ inline __half2 __hfma2_relu(__half2 a, __half2 b, __half2 c) {
   auto or_zero = [](__half h) { return __half2float(h) < 0 ? __half{0} : h; };
   return {or_zero(sum.x), or_zero(sum.y)};
 }
+inline __half2 __hfma2_sat(__half2 a, __half2 b, __half2 c) {
+  const __half2 sum = __hfma2(a, b, c);
+  return __floats2half2_rn(fminf(fmaxf(__low2float(sum), 0), 1), fminf(fmaxf(__high2float(sum), 0), 1));
+}
 inline __half2 __hmul2(__half2 a, __half2 b) {
   return __floats2half2_rn(__low2float(a) * __low2float(b), __high2float(a) * __high2float(b));
 }
@@ -45,6 +49,12 @@ inline __half2 __hneg2(__half2 a) {
   a.x.bits ^= 0x8000, a.y.bits ^= 0x8000;
   return a;
 }
+inline __half __hsub(__half a, __half b) { return __float2half_rn(__half2float(a) - __half2float(b)); }
+inline __half __low2half(__half2 a) { return a.x; }
+inline __half __high2half(__half2 a) { return a.y; }
+inline __half2 __halves2half2(__half a, __half b) { return {a, b}; }
+inline __half2 __lows2half2(__half2 a, __half2 b) { return {a.x, b.x}; }
+inline __half2 __highs2half2(__half2 a, __half2 b) { return {a.y, b.y}; }
 inline __half2 __low2half2(__half2 a) { return {a.x, a.x}; }
 inline __half2 __high2half2(__half2 a) { return {a.y, a.y}; }
 inline unsigned __hge2_mask(__half2 a, __half2 b) {
