@@ -30,7 +30,7 @@ struct Staged {
 
 // An offset between two planes: the nodes that a sample lies aside on the nearer of them, and where that is stored
 // (16 bits) under the part of the way to the next (a half).
-struct Seen {
+struct alignas(8) Seen {
   float aside;
   unsigned first_and_part;
 
@@ -46,7 +46,7 @@ struct Seen {
 __device__ inline unsigned fixed(float nodes) { return unsigned(int(fmaf(nodes, 65536.f, 32.f))); }
 
 // The same in rows of pixels, see lattice_rows.cuh: how far on what is seen is stored, and the part.
-struct RowSeen {
+struct alignas(8) RowSeen {
   unsigned on;
   __half2 part;
 
