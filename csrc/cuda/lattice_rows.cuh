@@ -29,7 +29,7 @@ struct NodeRows {
     const int fit = min(kMostBetween / of_row, rows);
     return fit < rows && fit > kRowsOn ? fit / kRowsOn * kRowsOn : fit;
   }
-  __device__ const Between* row(int r) const { return between + (r - top) * of_row; }
+  __device__ int first_of(int row) const { return (row - top) * of_row; }
 
   // Lays rows from top_ to before `end`. By all threads of the block.
   __device__ void lay(int top_, int end) {
@@ -49,7 +49,7 @@ struct NodeRows {
       for (int r = top + first; r < end; r += rows_on) {
         __half2 part;
         const int row = nodes.row(float(r) + 0.5f, part) * lattice.across;
-        between[(r - top) * of_row + n] = Between(mixed(near[row], part), mixed(far[row], part));
+        between[first_of(r) + n] = Between(mixed(near[row], part), mixed(far[row], part));
       }
     }
   }
@@ -66,56 +66,54 @@ __device__ inline unsigned bytes_of(__half2 first, __half2 second) {
   return __byte_perm(bits(__hfma2(first, scale, magic)), bits(__hfma2(second, scale, magic)), 0x6420);
 }
 
-// Puts four colours of a row of the image where they belong, from sub-pixel m on. Words: bytes of red, green, blue that
-// may be stored four at a time.
+// Puts four colours of a row of the image where they belong, from number `first` of the row on. Words: bytes that may be
+// stored four at a time.
 template <bool Words, class Out>
-__device__ void put_four(const LensOptics& lens, int m, __half2 first, __half2 second, Out* row) {
+__device__ void put_four(int width, int first, __half2 low, __half2 high, Out* row) {
   if constexpr (Words) {
-    *reinterpret_cast<unsigned*>(row + m) = bytes_of(first, second);
+    *reinterpret_cast<unsigned*>(row + first) = bytes_of(low, high);
     return;
   }
-  const float colours[4] = {__low2float(first), __high2float(first), __low2float(second), __high2float(second)};
+  const float colours[4] = {__low2float(low), __high2float(low), __low2float(high), __high2float(high)};
   for (int i = 0; i < 4; ++i)
-    if (m + i < 3 * lens.width_px) row[in_image(lens, m + i)] = stored(colours[i], row);
-}
-template <class Out>
-__device__ bool in_words(const LensOptics& lens, const Out* out) {
-  return sizeof(Out) == 1 && !lens.bgr && lens.width_px % 4 == 0 && reinterpret_cast<uintptr_t>(out) % 4 == 0;
+    if (first + i < width) row[first + i] = stored(colours[i], row);
 }
 
-// The tile's sub-pixels in rows that were laid, to before `end`.
+// The tile's sub-pixels in rows that were laid, to before `end`, in the order of the image.
 template <bool Table, bool Words, class Out>
 __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const Views<RowSeen>& views,
                                  const NodeRows& rows, int end, Out* out) {
   const LensOptics& lens = tile.lens;
   const Nodes& nodes = rows.nodes;
-  const int first_m = memory.rows[0].x, width = 3 * lens.width_px;
+  const int tile_first = memory.rows[0].x, width = 3 * lens.width_px;
 #pragma unroll 1
   for (int n = threadIdx.x; n < kColumns * kThreads; n += kThreads) {
-    const int word = n % kWords, place = word % 3, m = first_m + 4 * word;
-    if (m >= width) continue;
+    const int word = n % kWords, channel = word % 3, pixel = word + word / 3, first = tile_first + 4 * word;
+    if (first >= width) continue;
     // Of the first one's pixel and of the next, in nodes
-    const float x = float(first_m / 3 + word + word / 3) + 0.5f - tile.origin().x - nodes.x0;
+    const float x = float(tile_first / 3 + pixel) + 0.5f - tile.origin().x - nodes.x0;
     const unsigned here = fixed(nodes.within(x * nodes.per_x)), next = fixed(nodes.within((x + 1) * nodes.per_x));
-    unsigned along[4];  // and from channel to channel
+    unsigned along[4], phase_on[4];  // from channel to channel; from the row's first
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
-      const int at = place + i < 3 ? place + i : place + i - 3, channel = lens.bgr ? 2 - at : at;
-      along[i] = (place + i < 3 ? here : next) + (unsigned(channel * rows.of_channel) << 16);
+      const bool inside = channel + i < 3;
+      const int c = inside ? channel + i : channel + i - 3;
+      along[i] = (inside ? here : next) + (unsigned(c * rows.of_channel) << 16);
+      phase_on[i] = views.step * unsigned(3 * (inside ? pixel : pixel + 1) + (lens.bgr ? 2 - c : c));
     }
-    const unsigned phase_on = views.step * unsigned(4 * word);
     int r = rows.top + n / kWords;
-    const Between* between = rows.row(r);
+    unsigned base = rows.first_of(r);
     Out* row = out + int64_t(tile.top + r) * width;
 #pragma unroll 1
-    for (; r < end; r += kRowsOn, between += kRowsOn * rows.of_row, row += kRowsOn * width) {
-      unsigned phase = memory.phases[r] + phase_on, at[4];
+    for (; r < end; r += kRowsOn, base += kRowsOn * rows.of_row, row += kRowsOn * width) {
+      const unsigned phase = memory.phases[r];
+      unsigned at[4];
       __half2 pair[4];
 #pragma unroll
-      for (int i = 0; i < 4; ++i, phase += views.step) {
-        const RowSeen seen = views.at<Table>(phase);
+      for (int i = 0; i < 4; ++i) {
+        const RowSeen seen = views.at<Table>(phase + phase_on[i]);
         at[i] = along[i] + seen.on;
-        const Between line = between[at[i] >> 16];
+        const Between line = rows.between[base + (at[i] >> 16)];
         pair[i] = __hfma2(seen.part, line.change, line.first_and_step);
       }
       auto colours = [&](int i) {
@@ -123,7 +121,7 @@ __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const V
         return __hfma2_sat(as_half2(parts | 0x3c003c00u), __highs2half2(pair[i], pair[i + 1]),
                            __lows2half2(pair[i], pair[i + 1]));
       };
-      put_four<Words>(lens, m, colours(0), colours(2), row);
+      put_four<Words>(width, first, colours(0), colours(2), row);
     }
   }
 }
@@ -138,12 +136,13 @@ __device__ void interpolate_pixels(const Tile& tile, Memory& memory, Out* out) {
   Views<RowSeen> views(tile.lens, lattice);
   views.tabulate(memory.interpolated.row_seen);
   const int fitting = rows.fitting(tile.rows);
+  const bool words = sizeof(Out) == 1 && tile.lens.width_px % 4 == 0 && reinterpret_cast<uintptr_t>(out) % 4 == 0;
   for (int top = 0; top < tile.rows; top += fitting) {
     const int end = min(top + fitting, tile.rows);
     if (top > 0) __syncthreads();
     rows.lay(top, end);
     __syncthreads();
-    if (views.table && in_words(tile.lens, out))
+    if (views.table && words)
       interpolate_rows<true, sizeof(Out) == 1>(tile, memory, views, rows, end, out);
     else if (views.table)
       interpolate_rows<true, false>(tile, memory, views, rows, end, out);
