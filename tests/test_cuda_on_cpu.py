@@ -134,6 +134,16 @@ def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
     assert ((255 * found[0]["image"].clamp(0, 1)).round() - bytes_["image"]).abs().sum() <= 3
 
 
+def test_bytes_of_a_lattice_are_its_colours_rounded_where_four_are_stored_at_a_time(module, tmp_path):
+    frames = iter(drawn(module, "words", tmp_path))
+    for changes in cases.WORDS:
+        floats, bytes_ = next(frames), next(frames)
+        assert floats["lattice_tiles"] >= 2 and floats["lattice_tiles"] == bytes_["lattice_tiles"]
+        assert ((255 * floats["image"].clamp(0, 1)).round() - bytes_["image"]).abs().sum() <= 3
+        expected = encode(*cases.lattice_frame(changes, 0), background=cases.BACKGROUND, output="float32")
+        assert ((floats["image"].clamp(0, 1) - expected.clamp(0, 1))**2).mean() < 1e-4  # 40 dB
+
+
 def test_tiles_with_nothing_in_them_are_background(module, tmp_path):
     frames = iter(drawn(module, "half empty", tmp_path))
     for kernel, quality, views, changes in cases.LATTICE_FRAMES:

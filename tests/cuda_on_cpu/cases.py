@@ -53,6 +53,9 @@ LATTICE_FRAMES = [("pixel", "high", "integer", dict(cone_deg=1.0)),
                   ("pixel", "high", "integer", dict(line_number=61.7)),
                   ("pixel", "fast", "integer", dict(line_number=0.7, cone_deg=4.0))]
 
+# Panels of whose images four bytes may be stored at a time
+WORDS = [dict(width_px=208), dict(width_px=208, subpixel_order="BGR")]
+
 
 def lattice_frame(changes: dict[str, Any], degree: int) -> tuple[Gaussians, Panel, Rig]:
     """A piece of an 8K panel, odd in width and height, and a sheet before it, smooth but for small Gaussians on the

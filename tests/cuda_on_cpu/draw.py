@@ -111,6 +111,9 @@ def main(what: str) -> object:
                 for kernel, changes, degree, views, brightness in cases.HALF_FRAMES]
     if what == "dense":
         return cases.dense_step(torch.float32)
+    if what == "words":
+        return [lattice_frame("pixel", "fast", "integer", changes, 0, dtype=dtype)
+                for changes in cases.WORDS for dtype in (torch.float32, torch.uint8)]
     if what == "lattice":
         found = [lattice_frame(*case, degree=0) for case in cases.LATTICE_FRAMES]
         first = cases.LATTICE_FRAMES[0]
