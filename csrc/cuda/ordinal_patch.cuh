@@ -27,7 +27,7 @@ struct Patch {
     middle_y = row0 + 0.5f * kWarpRows;
     const float phase0 = fmaf(lens0 + 0.5f * (kWarpLenses - 1), lens.line_number, -lens.origin);
     x_sheared = phase0 / 3 + 0.5f * lens.slant_tan + 1.f / 6;
-    own.x_first = x_sheared - lens.slant_tan * middle_y;
+    if (lane == 0) own.x_first = x_sheared - lens.slant_tan * middle_y;
     half_x = (0.5f * (kWarpLenses - 1) * lens.line_number + 0.5f) / 3 + 1.f / 3 + 0.01f;
     for (int h = 0; h < kHalves; ++h) {
       const int row = row0 + lane / kWarpLenses + 8 * h, number = lens0 + lane % kWarpLenses;
