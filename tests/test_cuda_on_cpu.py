@@ -6,6 +6,8 @@ import platform
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,26 +30,44 @@ pybind11 = pytest.importorskip("pybind11")
 pytestmark = pytest.mark.slow
 
 
+DRAWN = ("pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal", "shapes", "chosen", "widest", "half",
+         "settings", "parabolas", "lattice", "words", "half empty", "harmonics", "opaque", "crowd", "pruned", "recoloured",
+         "dense", "blades", "norms")
+
+
+class Drawings:
+    """What draw.py draws, each in a process of its own that has one thread: all of it from the last on, while tests ask
+    for it from the first on and draw themselves what has not begun."""
+
+    def __init__(self, module: str, folder: Path):
+        self.module, self.folder, self.pool = module, folder, ThreadPoolExecutor(1)
+        self.begun = {what: self.pool.submit(self._draw, what) for what in reversed(DRAWN)}
+
+    def __call__(self, what: str) -> Any:
+        return self._draw(what) if self.begun[what].cancel() else self.begun[what].result()
+
+    def _draw(self, what: str) -> Any:
+        out = self.folder / f"{what}.pt"
+        run = subprocess.run([sys.executable, FOLDER / "draw.py", self.module, what, out], capture_output=True, text=True)
+        assert run.returncode == 0, run.stderr[-2000:]
+        return torch.load(out, weights_only=True)
+
+
 @pytest.fixture(scope="module")
-def module(tmp_path_factory) -> str:
-    """The native module with emulated CUDA stages."""
+def drawn(tmp_path_factory) -> Iterator[Drawings]:
+    """By the native module with emulated CUDA stages."""
     out = tmp_path_factory.mktemp("cuda_on_cpu")
     built = subprocess.run([sys.executable, FOLDER / "build.py", CSRC, out, pybind11.get_include()], check=True,
                            capture_output=True, text=True)
-    return built.stdout.strip()
-
-
-def drawn(module: str, what: str, folder: Path) -> Any:
-    run = subprocess.run([sys.executable, FOLDER / "draw.py", module, what, folder / "out.pt"], capture_output=True,
-                         text=True)
-    assert run.returncode == 0, run.stderr[-2000:]
-    return torch.load(folder / "out.pt", weights_only=True)
+    drawings = Drawings(built.stdout.strip(), out)
+    yield drawings
+    drawings.pool.shutdown(cancel_futures=True)
 
 
 @pytest.mark.parametrize("kernel, mean_square", [("pixel", 1e-7), ("pixel-quadratic", 1e-8), ("pixel-small", 1e-7),
                                                  ("pixel-quadratic-small", 1e-8), ("ordinal", 1e-8)])
-def test_frames_are_those_of_the_cpu(module, kernel, mean_square, tmp_path):
-    for (name, degree, views), found in zip(cases.frames_of(kernel), drawn(module, kernel, tmp_path), strict=True):
+def test_frames_are_those_of_the_cpu(drawn, kernel, mean_square):
+    for (name, degree, views), found in zip(cases.frames_of(kernel), drawn(kernel), strict=True):
         panel = cases.panel_of(name)
         expected = encode(cases.scene_of(degree), panel, cases.rig_of(panel), views=views, background=cases.BACKGROUND,
                           output="float32")
@@ -58,16 +78,16 @@ def test_frames_are_those_of_the_cpu(module, kernel, mean_square, tmp_path):
             assert 0.5 < found["curved"] < 0.8
 
 
-def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(module, tmp_path):
-    for (kernel, case), found in zip(cases.SHAPES_THAT_VARY, drawn(module, "shapes", tmp_path), strict=True):
+def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(drawn):
+    for (kernel, case), found in zip(cases.SHAPES_THAT_VARY, drawn("shapes"), strict=True):
         expected = encode(*case(), background=cases.BACKGROUND, output="float32")
         assert found["kernel"] == kernel and not found["exact"]  # of the frame: single splats are
         assert (found["image"] - expected).abs().max() < 0.4 / 255, kernel
 
 
-def test_shapes_that_vary_within_an_ordinal_are_evaluated_as_they_are(module, tmp_path):
-    assert set(drawn(module, "chosen", tmp_path)) == {"ordinal"}
-    for (kernel, views, changes), found in zip(cases.WIDEST, drawn(module, "widest", tmp_path), strict=True):
+def test_shapes_that_vary_within_an_ordinal_are_evaluated_as_they_are(drawn):
+    assert set(drawn("chosen")) == {"ordinal"}
+    for (kernel, views, changes), found in zip(cases.WIDEST, drawn("widest"), strict=True):
         expected = encode(*cases.widest(changes), background=cases.BACKGROUND, output="float32", views=views)
         error = (found["image"] - expected).abs()
         if kernel is None:  # so much varies that frames choose other kernels
@@ -78,8 +98,8 @@ def test_shapes_that_vary_within_an_ordinal_are_evaluated_as_they_are(module, tm
         assert found["kernel"] == kernel and error.mean() < 1.2e-4, (changes, views)
 
 
-def test_half_precision_is_within_its_bound(module, tmp_path):
-    for (kernel, changes, degree, views, brightness), found in zip(cases.HALF_FRAMES, drawn(module, "half", tmp_path),
+def test_half_precision_is_within_its_bound(drawn):
+    for (kernel, changes, degree, views, brightness), found in zip(cases.HALF_FRAMES, drawn("half"),
                                                                    strict=True):
         scene, panel, rig = cases.half_frame(changes, degree, brightness)
         expected = encode(scene, panel, rig, views=views, background=cases.BACKGROUND, output="float32")
@@ -88,8 +108,8 @@ def test_half_precision_is_within_its_bound(module, tmp_path):
         assert (error**2).mean() < cases.HALF_MEAN_SQUARE, (kernel, degree)
 
 
-def test_a_frame_with_other_places_type_or_colour_order(module, tmp_path):
-    for frame, roomier, bytes_, finer in drawn(module, "settings", tmp_path):
+def test_a_frame_with_other_places_type_or_colour_order(drawn):
+    for frame, roomier, bytes_, finer in drawn("settings"):
         assert torch.equal(roomier["image"], frame["image"])
         assert torch.equal(bytes_["image"], (255 * frame["image"].clamp(0, 1)).round().to(torch.uint8))
         # What a polynomial errs by at most: the estimate of the frame, and the powers left out
@@ -97,9 +117,9 @@ def test_a_frame_with_other_places_type_or_colour_order(module, tmp_path):
         assert 0 < (finer["image"] - frame["image"]).abs().max() <= allowed < 1 / 1000
 
 
-def test_parabolas_of_colours_are_within_their_bound(module, tmp_path):
+def test_parabolas_of_colours_are_within_their_bound(drawn):
     bounds = []
-    for (kernel, cone_deg), (parabola, finer) in zip(cases.PARABOLAS, drawn(module, "parabolas", tmp_path), strict=True):
+    for (kernel, cone_deg), (parabola, finer) in zip(cases.PARABOLAS, drawn("parabolas"), strict=True):
         panel = replace(cases.panel_of("default"), cone_deg=cone_deg)
         expected = encode(cases.scene_of(3), panel, cases.rig_of(panel), background=cases.BACKGROUND, output="float32")
         assert parabola["kernel"] == kernel
@@ -111,8 +131,8 @@ def test_parabolas_of_colours_are_within_their_bound(module, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def lattice_frames(module, tmp_path_factory) -> list[dict[str, Any]]:
-    return drawn(module, "lattice", tmp_path_factory.mktemp("lattice"))
+def lattice_frames(drawn) -> list[dict[str, Any]]:
+    return drawn("lattice")
 
 
 def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
@@ -134,8 +154,8 @@ def test_what_is_smooth_is_drawn_from_a_lattice(lattice_frames):
     assert ((255 * found[0]["image"].clamp(0, 1)).round() - bytes_["image"]).abs().sum() <= 3
 
 
-def test_bytes_of_a_lattice_are_its_colours_rounded_where_four_are_stored_at_a_time(module, tmp_path):
-    frames = iter(drawn(module, "words", tmp_path))
+def test_bytes_of_a_lattice_are_its_colours_rounded_where_four_are_stored_at_a_time(drawn):
+    frames = iter(drawn("words"))
     for changes in cases.WORDS:
         floats, bytes_ = next(frames), next(frames)
         assert floats["lattice_tiles"] >= 2 and floats["lattice_tiles"] == bytes_["lattice_tiles"]
@@ -144,8 +164,8 @@ def test_bytes_of_a_lattice_are_its_colours_rounded_where_four_are_stored_at_a_t
         assert ((floats["image"].clamp(0, 1) - expected.clamp(0, 1))**2).mean() < 1e-4  # 40 dB
 
 
-def test_tiles_with_nothing_in_them_are_background(module, tmp_path):
-    frames = iter(drawn(module, "half empty", tmp_path))
+def test_tiles_with_nothing_in_them_are_background(drawn):
+    frames = iter(drawn("half empty"))
     for kernel, quality, views, changes in cases.LATTICE_FRAMES:
         scene, panel, rig = cases.half_empty(changes)
         expected = encode(scene, panel, rig, views=views, background=cases.BACKGROUND, output="float32",
@@ -173,8 +193,8 @@ def test_where_no_lattice_fits_few_are_tried(lattice_frames):
         assert (error**2).mean() < 1e-7 and error.max() <= cut  # what an alpha on the cut adds or leaves
 
 
-def test_harmonics_of_a_wide_cone_keep_80_db(module, tmp_path_factory):
-    image = drawn(module, "harmonics", tmp_path_factory.mktemp("harmonics"))["image"].numpy()
+def test_harmonics_of_a_wide_cone_keep_80_db(drawn):
+    image = drawn("harmonics")["image"].numpy()
     scene, panel, rig = cases.harmonic_piece()
     where = [axis.ravel() for axis in np.indices(image.shape)]
     expected = reference.subpixel_colours(scene, panel, rig, *where, background=cases.BACKGROUND)
@@ -182,8 +202,8 @@ def test_harmonics_of_a_wide_cone_keep_80_db(module, tmp_path_factory):
     assert np.abs(image.ravel() - expected).mean() < 255e-8
 
 
-def test_a_sample_that_ends_leaves_its_rest_to_the_background(module, tmp_path):
-    for (kernel, name), frame in zip(cases.OPAQUE_FRAMES, drawn(module, "opaque", tmp_path), strict=True):
+def test_a_sample_that_ends_leaves_its_rest_to_the_background(drawn):
+    for (kernel, name), frame in zip(cases.OPAQUE_FRAMES, drawn("opaque"), strict=True):
         scene, panel, rig = cases.opaque(name)
         where = [axis.ravel() for axis in np.indices((panel.height_px, panel.width_px, 3))]
         expected = reference.subpixel_colours(scene, panel, rig, *where, background=cases.BACKGROUND)
@@ -192,13 +212,13 @@ def test_a_sample_that_ends_leaves_its_rest_to_the_background(module, tmp_path):
         assert ended.mean() > 0.3 and np.abs(frame["image"].numpy().ravel() - expected)[ended].mean() < 1e-5, kernel
 
 
-def test_lists_of_any_length_are_in_order(module, tmp_path):
+def test_lists_of_any_length_are_in_order(drawn):
     scene, panel, rig = cases.crowd()
     expected = encode(scene, panel, rig, background=cases.BACKGROUND, output="float32")
     reverse = [field.flip(0) for field in scene.fields().values()]
     swapped = encode(type(scene)(*reverse), panel, rig, background=cases.BACKGROUND, output="float32")
     assert ((swapped - expected) ** 2).mean() > 1e-6  # it shows in which order those of one depth are
-    listed, walked = drawn(module, "crowd", tmp_path)
+    listed, walked = drawn("crowd")
     assert cases.CROWD + 600 < listed["pairs"] == walked["pairs"] < 2 * cases.CROWD  # more than are sorted at a time
     for frame in (listed, walked):
         assert ((frame["image"] - expected) ** 2).mean() < 1e-8 and frame["drawn"] == cases.CROWD
@@ -214,8 +234,8 @@ def test_a_lattice_is_within_its_bound_of_the_oracle(lattice_frames):
     assert error.max() <= 2 * QUALITIES[quality].lattice_error
 
 
-def test_a_frame_is_pruned_as_on_the_cpu(module, tmp_path):
-    found, panel, stats = drawn(module, "pruned", tmp_path), cases.panel_of("default"), {}
+def test_a_frame_is_pruned_as_on_the_cpu(drawn):
+    found, panel, stats = drawn("pruned"), cases.panel_of("default"), {}
     scene = cases.scene_of(3)
     expected = encode(scene, panel, cases.rig_of(panel), background=cases.BACKGROUND, output="float32",
                       quality=cases.PRUNING, stats=stats)
@@ -223,27 +243,27 @@ def test_a_frame_is_pruned_as_on_the_cpu(module, tmp_path):
     assert found["drawn"] == scene.count - stats["gaussians_culled"] and ((found["image"] - expected)**2).mean() < 1e-7
 
 
-def test_a_frame_takes_other_colours_into_the_lists_it_has(module, tmp_path):
-    for frames in drawn(module, "recoloured", tmp_path):
+def test_a_frame_takes_other_colours_into_the_lists_it_has(drawn):
+    for frames in drawn("recoloured"):
         image, expected = frames["found"].pop("image"), frames["expected"].pop("image")
         assert torch.equal(image, expected) and frames["found"] == frames["expected"]
 
 
-def test_images_and_gradients_are_those_of_float64(module, tmp_path):
-    found = drawn(module, "dense", tmp_path)
+def test_images_and_gradients_are_those_of_float64(drawn):
+    found = drawn("dense")
     for name, expected in cases.dense_step(torch.float64).items():
         error = (found[name].double() - expected).norm() / expected.norm()
         assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
 
 
-def test_gradients_of_long_needles_are_those_of_float64(module, tmp_path):
-    for sensor, found in zip(("lens", "dense"), drawn(module, "blades", tmp_path), strict=True):
+def test_gradients_of_long_needles_are_those_of_float64(drawn):
+    for sensor, found in zip(("lens", "dense"), drawn("blades"), strict=True):
         for name, expected in cases.blade_gradients(sensor, torch.float64).items():
             assert (found[name].double() - expected).norm() < 5e-3 * expected.norm(), (sensor, name)
 
 
-def test_group_norm_and_silu(module, tmp_path):
-    for case, found in zip(cases.NORMS, drawn(module, "norms", tmp_path), strict=True):
+def test_group_norm_and_silu(drawn):
+    for case, found in zip(cases.NORMS, drawn("norms"), strict=True):
         expected = cases.norm_expected(*cases.norm_case(*case))
         assert found.dtype == torch.bfloat16 and found.is_contiguous(memory_format=torch.channels_last)
         torch.testing.assert_close(found.double(), expected, rtol=2**-8, atol=2e-5)
