@@ -18,7 +18,7 @@ demo: setup
 
 # Side by side: the suite seldom has work for two cores.
 test: setup
-	$(MAKE) --no-print-directory -j2 -Oline suite sanitize
+	$(MAKE) --no-print-directory -j2 suite sanitize
 
 suite: setup
 	$(BIN)/python -m pytest -q tests
