@@ -30,9 +30,9 @@ pybind11 = pytest.importorskip("pybind11")
 pytestmark = pytest.mark.slow
 
 
-DRAWN = ("pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal", "shapes", "chosen", "widest", "half",
-         "settings", "parabolas", "lattice", "words", "half empty", "harmonics", "opaque", "crowd", "pruned", "recoloured",
-         "dense", "blades", "norms")
+DRAWN = ("pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal", "shapes", "chosen", "widest",
+         "half", "settings", "parabolas", "lattice", "words", "half empty", "harmonics", "opaque", "crowd", "pruned",
+         "recoloured", "dense", "blades", "norms")
 
 
 class Drawings:
@@ -48,7 +48,8 @@ class Drawings:
 
     def _draw(self, what: str) -> Any:
         out = self.folder / f"{what}.pt"
-        run = subprocess.run([sys.executable, FOLDER / "draw.py", self.module, what, out], capture_output=True, text=True)
+        command = [sys.executable, FOLDER / "draw.py", self.module, what, out]
+        run = subprocess.run(command, capture_output=True, text=True)
         assert run.returncode == 0, run.stderr[-2000:]
         return torch.load(out, weights_only=True)
 

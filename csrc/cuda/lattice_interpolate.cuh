@@ -1,5 +1,5 @@
-// How a block of composite_lattice interpolates a tile of lenses, runs of sub-pixels side by side and then rows at once,
-// or fills a tile with the background.
+// How a block of composite_lattice interpolates a tile of lenses, runs of sub-pixels side by side and then rows at
+// once, or fills a tile with the background.
 #pragma once
 
 #include "cuda/lattice_tile.cuh"

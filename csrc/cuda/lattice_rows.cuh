@@ -57,7 +57,9 @@ struct NodeRows {
  private:
   // Of whole numbers below 2^12: what is approximate is far from the next.
   static __device__ int quotient(int a, int b) { return int((float(a) + 0.5f) * fast_reciprocal(float(b))); }
-  static __device__ __half2 mixed(const Corners& c, __half2 part) { return __hfma2(part, __hsub2(c.high, c.low), c.low); }
+  static __device__ __half2 mixed(const Corners& c, __half2 part) {
+    return __hfma2(part, __hsub2(c.high, c.low), c.low);
+  }
 };
 
 // Four colours, 0..1, as bytes, without a conversion: beside 1024 a half has steps of one.
@@ -66,8 +68,8 @@ __device__ inline unsigned bytes_of(__half2 first, __half2 second) {
   return __byte_perm(bits(__hfma2(first, scale, magic)), bits(__hfma2(second, scale, magic)), 0x6420);
 }
 
-// Puts four colours of a row of the image where they belong, from number `first` of the row on. Words: bytes that may be
-// stored four at a time.
+// Puts four colours of a row of the image where they belong, from number `first` of the row on. Words: bytes that may
+// be stored four at a time.
 template <bool Words, class Out>
 __device__ void put_four(int width, int first, __half2 low, __half2 high, Out* row) {
   if constexpr (Words) {

@@ -43,8 +43,8 @@ __device__ void store(const Shape<R>& g, const Gaussians<float>& out, int64_t i)
 }
 
 // Whether float is not enough for the adjoint of a splat: it is so long that its covariance has few digits left, by
-// rho^2 / (1 - rho^2), rho the correlation of x and y; or its quaternion so short that gradients from single cameras may
-// be infinite.
+// rho^2 / (1 - rho^2), rho the correlation of x and y; or its quaternion so short that gradients from single cameras
+// may be infinite.
 __device__ bool needs_double(const Splat<float>& s, const Shape<float>& shape) {
   constexpr float kLong = 300, kShort = 1e-35f;
   const glm::vec4 q = glm::abs(shape.quaternion);
