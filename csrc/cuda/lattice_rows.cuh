@@ -49,7 +49,8 @@ struct NodeRows {
       for (int r = top + first; r < end; r += rows_on) {
         __half2 part;
         const int row = nodes.row(float(r) + 0.5f, part) * lattice.across;
-        between[first_of(r) + n] = Between(mixed(near[row], part), mixed(far[row], part));
+        const Corners &a = near[row], &b = far[row];
+        between[first_of(r) + n] = Between(Nodes::mixed(a.low, a.high, part), Nodes::mixed(b.low, b.high, part));
       }
     }
   }
@@ -57,9 +58,6 @@ struct NodeRows {
  private:
   // Of whole numbers below 2^12: what is approximate is far from the next.
   static __device__ int quotient(int a, int b) { return int((float(a) + 0.5f) * fast_reciprocal(float(b))); }
-  static __device__ __half2 mixed(const Corners& c, __half2 part) {
-    return __hfma2(part, __hsub2(c.high, c.low), c.low);
-  }
 };
 
 // Four colours, 0..1, as bytes, without a conversion: beside 1024 a half has steps of one.

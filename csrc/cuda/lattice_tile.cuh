@@ -238,8 +238,6 @@ struct Nodes {
     part = __float2half2_rn(place - float(row));
     return row;
   }
-
- private:
   static __device__ __half2 mixed(__half2 a, __half2 b, __half2 part) { return __hfma2(part, __hsub2(b, a), a); }
 };
 

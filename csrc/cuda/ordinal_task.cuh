@@ -193,12 +193,12 @@ struct Task : Patch<Harmonics> {
       }
       unsigned careful = 0;  // a bit for each lane
       if (special) {         // rarely: once more from the splat on, so that nothing of it takes registers before
-        const Splat<float> varying = staged(i);
-        const OrdinalShape again(varying, centre, unit);
-        const bool mine = valid && again.parabola_error(ordinals, varying.log2_opacity) > kMostParabolaError;
+        const Splat<float> again = staged(i);
+        const OrdinalShape varying(again, centre, unit);
+        const bool mine = valid && varying.parabola_error(ordinals, again.log2_opacity) > kMostParabolaError;
         careful = __ballot_sync(~0u, mine);
         special = careful || __any_sync(~0u, opaque);
-        if (mine) store_shape(coefficients<true>(varying, again, centre, unit, x_centre));
+        if (mine) store_shape(coefficients<true>(again, varying, centre, unit, x_centre));
       }
       __syncwarp();
       const int batches = min(4, (quarter - begin + 1) / 2);
