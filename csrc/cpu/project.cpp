@@ -45,10 +45,11 @@ Splat<double> splat_gradient(const double* g) {
 }
 
 template <class T>
-void add(const Shape<double>& g, const Gaussians<T>& out, int64_t i) {
+void add(const Shape<double>& shape, const Shape<double>& g, const Gaussians<T>& out, int64_t i) {
+  const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);
   auto add_to = [](T& sum, double value) { sum = saturated<T>(double(sum) + value); };
   for (int c = 0; c < 3; ++c) add_to(out.means[3 * i + c], g.mean[c]), add_to(out.scales[3 * i + c], g.scale[c]);
-  for (int c = 0; c < 4; ++c) add_to(out.quaternions[4 * i + c], g.quaternion[c]);
+  for (int c = 0; c < 4; ++c) add_to(out.quaternions[4 * i + c], g_quaternion[c]);
   add_to(out.opacities[i], g.opacity);
 }
 
@@ -124,7 +125,7 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
       g_view.rotation += glm::outerProduct(-view.translation, g_eye);
       g_view.translation -= view.rotation * g_eye;
     }
-    for (int64_t i = begin; i < end; ++i) add(over_views[i - begin], g_scene, i);
+    for (int64_t i = begin; i < end; ++i) add(shape_of(scene, i), over_views[i - begin], g_scene, i);
   });
 
   for (int64_t image = 0; image < cameras.images(); ++image) {
@@ -227,7 +228,7 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
         g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean,
                                     eye_at(rig, lens, basis.nodes[j]), g_value, out.sh + first);
       }
-      add(g, out, i);
+      add(shape, g, out, i);
     }
   });
 }

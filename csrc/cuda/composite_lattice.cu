@@ -13,61 +13,84 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kBlocks = 6;  // on a multiprocessor; loops that are short or rare are not unrolled for its registers
+constexpr int kBlocks = 7;  // on a multiprocessor; loops that are short or rare are not unrolled for its registers
 constexpr int kAttempts = 2;
 constexpr unsigned kLeastListed = 8;   // a tile of fewer splats is drawn before a lattice is laid
 constexpr unsigned kLeastFitting = 3;  // one in so many tiles with splats of a probed row
 
 __device__ void stage(const List& list, unsigned begin, int count, const Lattice& lattice, Staged& staged) {
   const int half_planes = 2 * lattice.planes - 1, shapes = count * half_planes;
-  static_assert(kBatch % kWarps == 0);
+  static_assert(kBatch <= kThreads);
   int n = threadIdx.x;
-  uint32_t id = n < shapes ? list.ids[begin + n / half_planes] : 0;  // asked for early
-  // Some splats by every warp, so that none waits for all of them before it goes on
-  const int lane = threadIdx.x % 32, mine = int(threadIdx.x) / 32 * (kBatch / kWarps) + lane;
-  if (lane < kBatch / kWarps && mine < count) {
+  int i = quotient(n, half_planes);
+  uint32_t id = n < shapes ? list.ids[begin + i] : 0;  // asked for early
+  // By the last threads, which have the fewest shapes
+  const int mine = int(threadIdx.x) - (kThreads - kBatch);
+  if (mine >= 0 && mine < count) {
     const Splat<float> s = list.splat(begin + mine);
     staged.place[mine] = make_float4(s.u0, s.du, s.v0, s.log2_opacity);
     staged.form[mine] = make_float4(s.tau, s.c0, s.c1, 0);
   }
 #pragma unroll 1
   while (n < shapes) {
-    const float s = fmaf(0.5f * float(n % half_planes), lattice.step_s, lattice.s0);
+    const float s = fmaf(0.5f * float(n - i * half_planes), lattice.step_s, lattice.s0);
     const float4 shape = list.shape(id, s);
     const int next = n + kThreads;
-    id = next < shapes ? list.ids[begin + next / half_planes] : 0;
+    i = quotient(next, half_planes);
+    id = next < shapes ? list.ids[begin + i] : 0;
     staged.shapes[n] = shape, n = next;
   }
 }
 
-// The colour of every thread's point, 0..1. A splat at which a point ends takes what light is left.
-__device__ float3 draw(const List& list, const Lattice& lattice, const Point& point, float stop, float4 background,
-                       Staged& staged) {
-  const int half_planes = 2 * lattice.planes - 1, batch = min(kBatch, kShapes / half_planes);
-  float3 colour = make_float3(0, 0, 0);
-  float transmittance = point.node || point.middle ? 1.f : 0.f;
-  for (unsigned begin = 0; begin < list.count; begin += batch) {
-    if (__syncthreads_and(transmittance == 0)) break;
-    const int count = min(unsigned(batch), list.count - begin);
-    stage(list, begin, count, lattice, staged);
-    __syncthreads();
-    if (__all_sync(~0u, transmittance == 0)) continue;
-    const float4* shape = staged.shapes + point.half_plane;
+// Adds staged splats `first` to before `end` at a point, whose colour and transmittance so far `seen` is. A splat at
+// which a point ends takes what light is left.
+__device__ void add_staged(const Staged& staged, int first, int end, int half_planes, const Point& point, float stop,
+                           float4& seen) {
+  const float4* shape = staged.shapes + first * half_planes + point.half_plane;
 #pragma unroll 2
-    for (int i = 0; i < count; ++i, shape += half_planes) {
-      const float4 place = staged.place[i], form = staged.form[i], here = *shape;
-      const float dy = point.y - place.z, A = fmaf(-form.x * dy, dy, place.w);
-      const float dx = point.x - place.x - form.y * dy - point.s * fmaf(form.z, dy, place.y);
-      const float weight = alpha_of(fmaf(-here.w * dx, dx, A)) * transmittance, after = transmittance - weight;
-      const float light = after < stop ? transmittance : weight;
-      transmittance = after < stop ? 0.f : after;
-      colour.x = fmaf(light, here.x, colour.x), colour.y = fmaf(light, here.y, colour.y);
-      colour.z = fmaf(light, here.z, colour.z);
+  for (int i = first; i < end; ++i, shape += half_planes) {
+    const float4 place = staged.place[i], form = staged.form[i], here = *shape;
+    const float dy = point.y - place.z, A = fmaf(-form.x * dy, dy, place.w);
+    const float dx = point.x - place.x - form.y * dy - point.s * fmaf(form.z, dy, place.y);
+    const float weight = alpha_of(fmaf(-here.w * dx, dx, A)) * seen.w, after = seen.w - weight;
+    const float light = after < stop ? seen.w : weight;
+    seen.w = after < stop ? 0.f : after;
+    seen.x = fmaf(light, here.x, seen.x), seen.y = fmaf(light, here.y, seen.y), seen.z = fmaf(light, here.z, seen.z);
+  }
+}
+
+// Where threads have shares of their points: which share is this one's, and of which point.
+__device__ int own_share(int log2_shares) { return int(threadIdx.x) * (1 << log2_shares) / kThreads; }
+__device__ int number_abreast(int log2_shares) { return int(threadIdx.x) & ((kThreads >> log2_shares) - 1); }
+
+// The colour of every thread's point, 0..1. Of threads that have the same point, a power of two, each has a share of
+// the staged splats.
+__device__ float3 draw(const List& list, const Lattice& lattice, const Point& point, int log2_shares, float stop,
+                       float4 background, Memory& memory) {
+  const int half_planes = 2 * lattice.planes - 1, batch = min(kBatch, quotient(kShapes, half_planes));
+  float4 seen = make_float4(0, 0, 0, point.node || point.middle ? 1.f : 0.f);
+  for (unsigned begin = 0; begin < list.count; begin += batch) {
+    if (begin > 0 && __syncthreads_and(seen.w < stop)) break;
+    const int count = min(unsigned(batch), list.count - begin);
+    stage(list, begin, count, lattice, memory.staged);
+    __syncthreads();
+    if (log2_shares == 0) {
+      if (!__all_sync(~0u, seen.w == 0)) add_staged(memory.staged, 0, count, half_planes, point, stop, seen);
+      continue;
+    }
+    float4 share = make_float4(0, 0, 0, 1);
+    const int each = (count + (1 << log2_shares) - 1) >> log2_shares, from = own_share(log2_shares) * each;
+    add_staged(memory.staged, from, min(from + each, count), half_planes, point, stop, share);
+    memory.shares[threadIdx.x] = share;
+    __syncthreads();
+    for (int n = number_abreast(log2_shares); n < kThreads; n += kThreads >> log2_shares) {
+      const float4 next = memory.shares[n];
+      seen.x = fmaf(seen.w, next.x, seen.x), seen.y = fmaf(seen.w, next.y, seen.y);
+      seen.z = fmaf(seen.w, next.z, seen.z), seen.w *= next.w;
     }
   }
-  return make_float3(__saturatef(fmaf(transmittance, background.x, colour.x)),
-                     __saturatef(fmaf(transmittance, background.y, colour.y)),
-                     __saturatef(fmaf(transmittance, background.z, colour.z)));
+  return make_float3(__saturatef(fmaf(seen.w, background.x, seen.x)), __saturatef(fmaf(seen.w, background.y, seen.y)),
+                     __saturatef(fmaf(seen.w, background.z, seen.z)));
 }
 
 // Draws a section's nodes and the middles of its cells. The error there, as a share of what is allowed; if it is more
@@ -77,14 +100,16 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
   const Lattice& lattice = memory.lattices[section];
   const float stop = fminf(frame.stop, fmaxf(0.1f * frame.lattice, float(kMinTransmittance)));
   const int nodes = lattice.nodes(), points = lattice.points(), numbers = 3 * (points - nodes);
+  const int log2_shares = points <= kThreads / 4 ? 2 : points <= kThreads / 2 ? 1 : 0;
   ErrorSums sums;
   for (int first = 0; first < points; first += kThreads) {
-    const int number = first + int(threadIdx.x);
+    const int number = first + number_abreast(log2_shares);
     const Point point(lattice, number);
-    const float3 colour = draw(list, lattice, point, stop, background, memory.staged);
-    if (point.node) store_node(lattice, point, colour, place_of(memory, lattice, section, point), memory);
+    const float3 colour = draw(list, lattice, point, log2_shares, stop, background, memory);
+    const bool keeps = own_share(log2_shares) == 0;
+    if (keeps && point.node) store_node(lattice, point, colour, place_of(memory, lattice, section, point), memory);
     __syncthreads();
-    if (point.middle) {
+    if (keeps && point.middle) {
       sums.add(difference(interpolated(lattice, Nodes(memory, section), point), colour));
       memory.middles[number - nodes] = Triple(colour);
     }
@@ -98,15 +123,10 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
 }
 
 // Draws the lattice that was laid through a section, or if need be a finer one. By all threads of the block.
-__device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, const Lattice& laid,
-                     int section, float4 background, Memory& memory) {
+__device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, int section, float4 background,
+                     Memory& memory) {
   Lattice& lattice = memory.lattices[section];
   LatticePlanner& planner = *reinterpret_cast<LatticePlanner*>(memory.planner);
-  constexpr int kWords = sizeof(Lattice) / sizeof(int);
-  static_assert(kWords <= kThreads);
-  if (threadIdx.x < kWords)
-    reinterpret_cast<int*>(&lattice)[threadIdx.x] = reinterpret_cast<const int*>(&laid)[threadIdx.x];
-  __syncthreads();
   float fineness = first_fineness(frame.lattice);
   for (int attempt = 1;; ++attempt) {
     if (memory.first_node[section] + lattice.places() > kMostNodes) return false;
@@ -129,41 +149,44 @@ __device__ int row_of(int i, int probes) {
   return i < probes ? i * kProbeRows : between / (kProbeRows - 1) * kProbeRows + between % (kProbeRows - 1) + 1;
 }
 
+// Tiles of a probed row that are done, that have splats, and whose lattice fits: in one word, for so they are of one
+// moment.
+class ProbedRow {
+ public:
+  __device__ explicit ProbedRow(const unsigned long long& counts)
+      : counts_(static_cast<const volatile unsigned long long&>(counts)) {}
+  // By one thread of every tile, at its end.
+  static __device__ void report(unsigned long long& counts, bool tried, bool fits) {
+    atomicAdd(&counts, 1ull | (unsigned long long)(tried) << kBits | (unsigned long long)(fits) << 2 * kBits);
+  }
+  __device__ bool done(int tiles) const { return count(0) >= unsigned(tiles); }
+  __device__ bool worth() const { return kLeastFitting * count(2) >= count(1); }
+
+ private:
+  static constexpr int kBits = 21;
+  unsigned long long counts_;
+  __device__ unsigned count(int which) const { return unsigned(counts_ >> which * kBits) & ((1u << kBits) - 1); }
+};
+
 // What the probed rows above and below a row say of it: whether in one of them enough tiles have a lattice that fits.
 enum Verdict : int { kUnknown, kWorth, kNotWorth };
 
 __device__ Verdict verdict_on(const FrameState& state, const Tiling& tiling, int row) {
-  auto probed = [&](Probed what, int probe) {
-    return static_cast<const volatile unsigned&>(state.probed[what][probe]);
-  };
-  const int above = row / kProbeRows, below = min(above + 1, (tiling.down - 1) / kProbeRows);
-  bool all = true;
-  for (int probe = above; probe <= below; ++probe) {
-    if (probed(kDone, probe) < unsigned(tiling.across)) {
-      all = false;
-      continue;
-    }
-    __threadfence();  // between this and what was counted before it
-    if (kLeastFitting * probed(kFitting, probe) >= probed(kTried, probe)) return kWorth;
-  }
-  return all ? kNotWorth : kUnknown;
-}
-
-// By one thread of every tile of a probed row, at its end.
-__device__ void report_probe(FrameState& state, int row, bool tried, bool fits) {
-  const int probe = row / kProbeRows;
-  if (tried) atomicAdd(&state.probed[kTried][probe], 1u);
-  if (fits) atomicAdd(&state.probed[kFitting][probe], 1u);
-  __threadfence();
-  atomicAdd(&state.probed[kDone][probe], 1u);
+  const int probe = row / kProbeRows, last = (tiling.down - 1) / kProbeRows;
+  const ProbedRow above(state.probed[probe]), below(state.probed[min(probe + 1, last)]);
+  const bool above_done = above.done(tiling.across), below_done = below.done(tiling.across);
+  if ((above_done && above.worth()) || (below_done && below.worth())) return kWorth;
+  return above_done && below_done ? kNotWorth : kUnknown;
 }
 
 // By one thread: leaves a tile to the kernel chosen.
 __device__ void refuse(const LensFrame& frame, int tile) {
   frame.refused[atomicAdd(&frame.state->refused_tiles, 1u)] = unsigned(tile);
 }
-__device__ List list_of(const LensFrame& frame, const Lists& lists, const Tile& tile, int section) {
-  const uint2 range = lists.range(int64_t(tile.number) * tile.sections + section);
+__device__ uint2 range_of(const Lists& lists, const Tile& tile, int section) {
+  return lists.range(int64_t(tile.number) * tile.sections + section);
+}
+__device__ List list_of(const LensFrame& frame, const Lists& lists, const Tile& tile, uint2 range) {
   return {frame.splats, lists.ids + range.x, range.y - range.x, tile.origin()};
 }
 
@@ -179,20 +202,20 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   const Tiling& tiling = frame.tiling();
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, number = int(blockIdx.x) * kWarps + warp;
   if (number >= tiling.across * tiling.down) return;
-  Tile tile(frame, tiling, number);
+  Tile tile(frame, tiling, number / tiling.across, number % tiling.across);
   const bool seen = tile.find_columns(tile.row(lane));
   const Lists lists(frame);
   const bool listed_apart = seen && lists.ranges != nullptr;  // a list of all splats is for nobody
   unsigned listed = 0;
   for (int section = 0; listed_apart && section < tile.sections; ++section)
-    listed += list_of(frame, lists, tile, section).count;
+    listed += list_of(frame, lists, tile, range_of(lists, tile, section)).count;
   const bool empty = listed_apart && listed == 0, tried = listed_apart && listed >= kLeastListed;
   Lattice* lattices = frame.lattices + int64_t(number) * tile.sections;
   bool pays = tried;
   for (int section = tile.sections - 1, places = 0; pays && section >= 0; --section) {
     LatticePlanner& planner = planners[warp];
     Lattice& lattice = laid[warp];
-    planner.measure(list_of(frame, lists, tile, section), tile.part(section));
+    planner.measure(list_of(frame, lists, tile, range_of(lists, tile, section)), tile.part(section));
     pays = planner.lay(first_fineness(frame.lattice), lattice) && (places += lattice.places()) <= kMostNodes;
     for (int k = lane; pays && k < int(sizeof lattice / sizeof(int)); k += 32)
       reinterpret_cast<int*>(lattices + section)[k] = reinterpret_cast<const int*>(&lattice)[k];
@@ -201,17 +224,17 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   if (lane == 0 && !pays) lattices->planes = !seen ? kUnseen : empty ? kEmpty : !tried ? kUntried : kPaysNot;
 }
 
-// Draws a tile from its lattices; false where one does not fit.
-__device__ bool draw_tile(const LensFrame& frame, Tile& tile, const Lattice* laid, float4 background, Memory& memory) {
-  tile.lay_rows(memory);
-  const Lists lists(frame);
-  for (int section = 0, first = 0; section < tile.sections; ++section) {
-    if (threadIdx.x == 0) memory.first_node[section] = first;
-    const List list = list_of(frame, lists, tile, section);
-    if (!fits(frame, list, tile.part(section), laid[section], section, background, memory)) return false;
-    first += memory.lattices[section].places();
+// Draws the nodes of a tile's lattices; false where one does not fit. range: that of the first section's list.
+__device__ bool draw_tile(const LensFrame& frame, const Lists& lists, const Tile& tile, uint2 range, float4 background,
+                          Memory& memory) {
+  for (int section = 0;; range = range_of(lists, tile, section)) {
+    const List list = list_of(frame, lists, tile, range);
+    if (!fits(frame, list, tile.part(section), section, background, memory)) return false;
+    const int end = memory.first_node[section] + memory.lattices[section].places();
+    if (++section == tile.sections) return true;
+    if (threadIdx.x == 0) memory.first_node[section] = end;
+    __syncthreads();
   }
-  return true;
 }
 
 // Blocks of probed rows are the first. Those between know by then whether lattices are worth it; who does not, tries,
@@ -227,17 +250,21 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   const int row = row_of(i, probes);
   if (row >= tiling.down) return;
   const bool probe = i < probes, first = threadIdx.x == 0;
-  Tile tile(frame, tiling, row * tiling.across + int(blockIdx.x) % tiling.across);
+  Tile tile(frame, tiling, row, int(blockIdx.x) - i * tiling.across);
   const Lattice* laid = frame.lattices + int64_t(tile.number) * tile.sections;
+  const Lists lists(frame);
+  // What is read from afar is asked for at once
   const int planes = laid->planes;
+  const uint2 range = range_of(lists, tile, 0);
   const float4 behind = make_float4(background[0], background[1], background[2], 0);
+  if (first && !probe) memory.verdict = verdict_on(state, tiling, row);
   bool tried = planes >= kPaysNot;
-  if (tried && !probe) {
-    if (first) memory.verdict = verdict_on(state, tiling, row);
-    __syncthreads();
-    tried = memory.verdict != kNotWorth;
+  if (tried || planes == kEmpty) {
+    if (planes > 0) memory.take(laid, tile.sections);
+    tile.lay_rows(memory);
   }
-  bool good = tried && planes != kPaysNot && draw_tile(frame, tile, laid, behind, memory);
+  if (tried && !probe) tried = memory.verdict != kNotWorth;
+  bool good = tried && planes != kPaysNot && draw_tile(frame, lists, tile, range, behind, memory);
   if (tried && !probe && memory.verdict == kUnknown) {
     __syncthreads();  // all have read it
     if (first) {
@@ -253,10 +280,9 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     if (!good && planes >= kUntried) refuse(frame, tile.number);
     if (good) atomicAdd(&state.lattice_tiles, 1u);
     if (tried) atomicAdd(&state.tried_tiles, 1u);
-    if (probe) report_probe(state, row, tried, good);
+    if (probe) ProbedRow::report(state.probed[row / kProbeRows], tried, good);
   }
   if (planes == kEmpty) {
-    tile.lay_rows(memory);
     fill(tile, memory, behind, out);
   } else if (good && tile.by_lens) {
     interpolate_lenses(tile, memory, out);

@@ -16,7 +16,8 @@ struct Point {
     node = number < lattice.nodes(), middle = !node && number < lattice.points();
     const int n = node ? number : number - lattice.nodes();
     const int across = node ? lattice.across : lattice.cells(), down = lattice.down - !node;
-    i = n % across, j = n / across % down, k = n / (across * down);
+    const int row = quotient(n, across);
+    k = quotient(row, down), j = row - k * down, i = n - row * across;
     half_plane = node || middle ? 2 * k + !node : 0;
     const float half = node ? 0.f : 0.5f;
     if (!node) i += lattice.margin;
@@ -69,7 +70,7 @@ struct ErrorSums {
     __syncthreads();
     float all = 0, all_squares = 0;
     for (int w = 0; w < kWarps; ++w) all = fmaxf(all, memory.largest[w]), all_squares += memory.squares[w];
-    return fmaxf(all, share * sqrtf(all_squares / float(count)));
+    return fmaxf(all, share * sqrtf(all_squares * fast_reciprocal(float(count))));
   }
 };
 

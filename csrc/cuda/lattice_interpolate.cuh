@@ -105,6 +105,7 @@ __device__ void interpolate_lenses(const Tile& tile, Memory& memory, Out* out) {
       if (section > 0) __syncthreads();
       Views<Seen> views(tile.lens, memory.lattices[section]);
       views.tabulate(memory.interpolated.seen);
+      __syncthreads();
       if (views.table)
         interpolate_section<true>(tile, memory, views, section, top, end, put);
       else

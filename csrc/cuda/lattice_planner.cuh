@@ -28,7 +28,8 @@ struct List {
       const float4 power = powers[p];
       c.x = fmaf(c.x, s, power.x), c.y = fmaf(c.y, s, power.y), c.z = fmaf(c.z, s, power.z);
     }
-    return make_float4(fmaxf(c.x, 0.f), fmaxf(c.y, 0.f), fmaxf(c.z, 0.f), 1 / fmaf(s, fmaf(s, S.z, S.y), S.x));
+    return make_float4(fmaxf(c.x, 0.f), fmaxf(c.y, 0.f), fmaxf(c.z, 0.f),
+                       fast_reciprocal(fmaf(s, fmaf(s, S.z, S.y), S.x)));
   }
 };
 

@@ -26,7 +26,7 @@ struct NodeRows {
 
   // How many are laid at a time.
   __device__ int fitting(int rows) const {
-    const int fit = min(kMostBetween / of_row, rows);
+    const int fit = min(quotient(kMostBetween, of_row), rows);
     return fit < rows && fit > kRowsOn ? fit / kRowsOn * kRowsOn : fit;
   }
   __device__ int first_of(int row) const { return (row - top) * of_row; }
@@ -34,7 +34,7 @@ struct NodeRows {
   // Lays rows from top_ to before `end`. By all threads of the block.
   __device__ void lay(int top_, int end) {
     top = top_;
-    const int rows_on = max(kThreads / of_row, 1), first = rows_on > 1 ? quotient(threadIdx.x, of_row) : 0;
+    const int rows_on = max(quotient(kThreads, of_row), 1), first = rows_on > 1 ? quotient(threadIdx.x, of_row) : 0;
     if (first >= rows_on) return;
 #pragma unroll 1
     for (int n = int(threadIdx.x) - first * of_row; n < of_row; n += kThreads) {
@@ -54,10 +54,6 @@ struct NodeRows {
       }
     }
   }
-
- private:
-  // Of whole numbers below 2^12: what is approximate is far from the next.
-  static __device__ int quotient(int a, int b) { return int((float(a) + 0.5f) * fast_reciprocal(float(b))); }
 };
 
 // Four colours, 0..1, as bytes, without a conversion: beside 1024 a half has steps of one.

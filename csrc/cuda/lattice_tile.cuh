@@ -21,6 +21,9 @@ constexpr int kMostSections = (kMostOrdinals + kGroupOrdinals - 1) / kGroupOrdin
 constexpr int kBatch = 32, kShapes = 512;
 constexpr int kMostTableViews = 192;
 
+// a / b of whole numbers below 2^12: what is approximate is far from the next.
+__device__ inline int quotient(int a, int b) { return int((float(a) + 0.5f) * fast_reciprocal(float(b))); }
+
 // Splats for all points of a lattice.
 struct Staged {
   float4 place[kBatch];    // u0, du, v0, log2 of the opacity
@@ -108,7 +111,10 @@ static_assert(kMostBetween >= 3 * kMostNodes / 2);
 
 struct Memory {
   Corners corners[3][kChannelNodes];  // from each node on: sections, planes, rows, nodes
-  Triple middles[kMostNodes];         // of the section at hand, see lattice_errors.cuh
+  union {
+    Triple middles[kMostNodes];  // of the section at hand, see lattice_errors.cuh
+    float4 shares[kThreads];     // before: of points, colour and transmittance
+  };
   Lattice lattices[kMostSections];
   int first_node[kMostSections];
   int2 rows[kTileRows];          // sub-pixels, from x to before y; beyond the panel too
@@ -122,25 +128,32 @@ struct Memory {
     Triple errors[kMostNodes];  // at the middles
     Interpolated interpolated;
   };
+
+  // Takes the lattices that were laid through sections. By all threads of the block, which wait for each other after.
+  __device__ void take(const Lattice* laid, int sections) {
+    const int *from = reinterpret_cast<const int*>(laid), words = sections * int(sizeof(Lattice) / sizeof(int));
+    for (int k = threadIdx.x; k < words; k += kThreads) reinterpret_cast<int*>(lattices)[k] = from[k];
+    if (threadIdx.x == 0) first_node[0] = 0;
+  }
 };
 
 struct Tile {
   const LensOptics& lens;
   const Tiling& tiling;
   bool by_lens;
-  int number, top, rows, sections, first_lens;
+  int column, number, top, rows, sections, first_lens;
   int low = 0, high = -1;  // columns of pixels
 
-  __device__ Tile(const LensFrame& frame, const Tiling& tiling_, int number_)
-      : lens(frame.optics), tiling(tiling_), by_lens(&tiling == &frame.ordinal), number(number_),
-        top(number / tiling.across * tiling.height), rows(min(tiling.height, lens.height_px - top)),
-        sections(tiling.groups), first_lens(lens.ordinals.first_lens + number % tiling.across * kTileLenses) {}
+  __device__ Tile(const LensFrame& frame, const Tiling& tiling_, int row, int column_)
+      : lens(frame.optics), tiling(tiling_), by_lens(&tiling == &frame.ordinal), column(column_),
+        number(row * tiling.across + column), top(row * tiling.height), rows(min(tiling.height, lens.height_px - top)),
+        sections(tiling.groups), first_lens(lens.ordinals.first_lens + column * kTileLenses) {}
 
   // The sub-pixels of a row, from x to before y.
   __device__ int2 row(int r) const {
     if (by_lens)
       return make_int2(lens_start(lens, top + r, first_lens), lens_start(lens, top + r, first_lens + kTileLenses));
-    const int first = number % tiling.across * 3 * int(tiling.width);
+    const int first = column * 3 * int(tiling.width);
     return make_int2(first, first + 3 * int(tiling.width));
   }
   // Finds the columns; by a warp that has a row each in its lanes. False where none is on the panel.
@@ -213,7 +226,7 @@ struct Nodes {
       : Nodes(memory.lattices[section], memory.corners[0] + memory.first_node[section]) {}
   __device__ Nodes(const Lattice& lattice, const Corners* corners_)
       : corners(corners_), across(lattice.across), down(lattice.down), plane_stride(lattice.stride()), x0(lattice.x0),
-        y0(lattice.y0), per_x(1 / lattice.step_x), per_y(1 / lattice.step_y),
+        y0(lattice.y0), per_x(fast_reciprocal(lattice.step_x)), per_y(fast_reciprocal(lattice.step_y)),
         last_along(float(lattice.across - 1 - lattice.margin) - 0.02f) {}
 
   // Where a row of nodes of a channel begins, less what the bits of a place are too large by (modulo 2^32).
@@ -253,20 +266,20 @@ struct Views {
   __device__ Views(const LensOptics& lens, const Lattice& lattice_)
       : lattice(lattice_), step(unsigned(lens.phase_x >> 32)),
         whole(lens.continuous ? 1u << 24 : unsigned(lens.views)) {
-    slope = lens.s_step / lattice.step_s * float(lens.views) / float(whole);
-    base = fmaf(lens.continuous ? 0.f : 0.5f, slope, (lens.s_start - lattice.s0) / lattice.step_s);
+    const float per_s = fast_reciprocal(lattice.step_s);
+    slope = lens.s_step * per_s * (lens.continuous ? float(lens.views) * 0x1p-24f : 1.f);
+    base = fmaf(lens.continuous ? 0.f : 0.5f, slope, (lens.s_start - lattice.s0) * per_s);
     last_up = float(lattice.planes - 1) - 1e-3f;
   }
   __device__ S from(unsigned number) const {
     const Place plane(fminf(fmaxf(fmaf(float(number), slope, base), 0.f), last_up));
     return {lattice, int(plane.bits - Place::kMagicBits), plane.part};
   }
-  // Makes a table, if they are few. By all threads of the block.
+  // Makes a table, if they are few. By all threads of the block, which wait for each other before it is read.
   __device__ void tabulate(S (&seen)[kMostTableViews]) {
     if (whole > kMostTableViews) return;
     for (unsigned number = threadIdx.x; number < whole; number += kThreads) seen[number] = from(number);
     table = seen;
-    __syncthreads();
   }
   template <bool Table>
   __device__ S at(unsigned phase) const {

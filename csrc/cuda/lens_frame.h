@@ -16,7 +16,6 @@ namespace lfgs::cuda {
 enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadraticSmall, kOrdinal, kCount };
 
 constexpr unsigned kShortList = 256;   // splats of a list that a warp sorts
-enum Probed { kTried, kFitting, kDone, kProbedCounts };  // tiles of a row: with splats, with lattices that fit, all
 constexpr int kMostProbeRows = 256;  // see kProbeRows: of 65,536 rows of pixels
 
 // What one frame found out: written on the device, read by the host when it likes. The first four come from bin,
@@ -35,7 +34,7 @@ struct FrameState {
   unsigned lattice_tiles;        // drawn from a lattice
   unsigned refused_tiles;        // by the lattice: left to the kernel chosen
   unsigned tried_tiles;          // with splats, on which a lattice was laid
-  unsigned probed[kProbedCounts][kMostProbeRows];  // tiles of rows on which lattices are tried first
+  unsigned long long probed[kMostProbeRows];  // tiles of rows on which lattices are tried first, see ProbedRow
   unsigned pruned;               // splats, see Quality
   unsigned sampled;              // splats in the sums below (a part of them, for speed)
   unsigned blocks_summed;        // of project

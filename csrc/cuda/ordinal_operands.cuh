@@ -82,6 +82,13 @@ __device__ inline __half2 fine_steps(unsigned a, unsigned b) {
   return as_half2((((a >> 16) & 0xf) | (b & 0xf0000)) ^ 0x64086408u);
 }
 
+// The same number, but the compiler does not know that: what follows from it is worked out anew where it is needed, and
+// not kept in registers, or spilled.
+__device__ inline int forgotten(int number) {
+  asm volatile("" : "+r"(number));
+  return number;
+}
+
 #if __CUDA_ARCH__ >= 800
 __device__ inline void multiply(float (&c)[4], const unsigned (&a)[4], unsigned b0, unsigned b1) {
   asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0,%1,%2,%3},{%4,%5,%6,%7},{%8,%9},{%10,%10,%10,%10};"

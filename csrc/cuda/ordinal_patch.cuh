@@ -53,6 +53,7 @@ struct Patch {
 
   // Which staged splats may touch the patch at which ordinal of the group; returns, in lane t, how many at ordinal t.
   __device__ int cull(int count, int first, int last) {
+    lane = forgotten(lane);  // draw, between culls, has no registers for what these need of it
     const Ordinals& ordinals = frame.optics.ordinals;
     const float a = ordinals.centre[first], b = ordinals.centre[last];
     const float reach = fmaxf(fabsf(b - a) * 0.5f + ordinals.half[first], fabsf(b - a) * 0.5f + ordinals.half[last]);

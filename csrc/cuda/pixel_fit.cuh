@@ -10,7 +10,7 @@ namespace lfgs::cuda {
 
 constexpr int kPatchWidth = 16;
 constexpr float kFaint = -3;                     // log2 of an opacity that is little more than what cuts leave out
-constexpr float kMostHalfSweep = 16;             // change of d over half the rig: halves below have steps of 2^-7
+constexpr float kMostHalfSweep = 24;             // change of d over half the rig: halves below have steps of 2^-6
 constexpr float kMostHalfColour = 2;             // sums of brighter ones have too few digits
 constexpr float kStraightColour = 2.5e-4f;       // s^2 of a colour that is left out: on average a quarter is the error
 constexpr float kSmallEdge = 3e-3f;            // slope of a colour at zero: at most a quarter is the error

@@ -35,20 +35,19 @@ __device__ Splat<R> splat_gradient(const Splat<float>& s, const float* slot_grad
 }
 
 template <class R>
-__device__ void store(const Shape<R>& g, const Gaussians<float>& out, int64_t i) {
+__device__ void store(const Shape<float>& shape, const Shape<R>& g, const Gaussians<float>& out, int64_t i) {
+  const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);
   for (int c = 0; c < 3; ++c)
     out.means[3 * i + c] = saturated<float>(g.mean[c]), out.scales[3 * i + c] = saturated<float>(g.scale[c]);
-  for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] = saturated<float>(g.quaternion[c]);
+  for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] = saturated<float>(g_quaternion[c]);
   out.opacities[i] = saturated<float>(g.opacity);
 }
 
-// Whether float is not enough for the adjoint of a splat: it is so long that its covariance has few digits left, by
-// rho^2 / (1 - rho^2), rho the correlation of x and y; or its quaternion so short that gradients from single cameras
-// may be infinite.
-__device__ bool needs_double(const Splat<float>& s, const Shape<float>& shape) {
-  constexpr float kLong = 300, kShort = 1e-35f;
-  const glm::vec4 q = glm::abs(shape.quaternion);
-  return !(s.c0 * s.c0 <= kLong * s.tau * s.S0) || fmaxf(fmaxf(q.x, q.y), fmaxf(q.z, q.w)) < kShort;
+// Whether a splat is so long that its covariance has few digits left in float: rho^2 / (1 - rho^2), rho the correlation
+// of x and y.
+__device__ bool is_needle(const Splat<float>& s) {
+  constexpr float kLong = 300;
+  return !(s.c0 * s.c0 <= kLong * s.tau * s.S0);
 }
 
 __device__ View<double> widened(const View<float>& v) {
@@ -82,7 +81,7 @@ __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Sh
   }
 }
 
-// Three blocks on a multiprocessor: the registers that it takes without exact adjoints.
+// Three blocks on a multiprocessor: the registers that it takes without needles.
 __global__ void __launch_bounds__(kThreads, 3)
     project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
                                   const SlotRange* slot_ranges, const float* slot_gradients, Gaussians<float> out,
@@ -105,7 +104,7 @@ __global__ void __launch_bounds__(kThreads, 3)
     if (slots.first < slots.last) {
       vec3 g_colour;
       const Splat<float> splat = read_splat(splats.splats + index);
-      if (needs_double(splat, shape)) {
+      if (is_needle(splat)) {
         add_exact_adjoint(view, shape, splat, slot_gradients, slots, g, g_view, g_colour);
       } else {
         const Splat<float> g_splat = splat_gradient<float>(splat, slot_gradients, slots, g_colour);
@@ -135,7 +134,7 @@ __global__ void __launch_bounds__(kThreads, 3)
     }
     __syncthreads();
   }
-  if (real) store(g, g_own, i);
+  if (real) store(shape, g, g_own, i);
 }
 
 __global__ void __launch_bounds__(kThreads)
@@ -182,7 +181,7 @@ __global__ void __launch_bounds__(kThreads)
     g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean,
                                 eye_at(rig.rounded, basis.nodes[j]), g_value, out.sh + first);
   }
-  store(g, out, i);
+  store(shape, g, out, i);
 }
 
 }  // namespace

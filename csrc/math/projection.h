@@ -36,6 +36,21 @@ struct Shape {
   R opacity;
 };
 
+// Largest component of a quaternion, by which it is divided before squares that might underflow or overflow.
+template <class R>
+LFGS_HD R largest_of(const glm::vec<4, R>& quaternion) {
+  const glm::vec<4, R> q = glm::abs(quaternion);
+  return glm::max(glm::max(q.x, q.y), glm::max(q.z, q.w));
+}
+
+// Gradient of a quaternion from that of its unit quaternion: the shorter it is, the larger, up to infinity. Zero stays
+// zero, whatever the quaternion.
+LFGS_HD glm::dvec4 quaternion_gradient(const glm::dvec4& quaternion, const glm::dvec4& g_unit) {
+  if (g_unit == glm::dvec4(0)) return g_unit;
+  const double largest = largest_of(quaternion);
+  return g_unit / largest / glm::length(quaternion / largest);
+}
+
 template <class R>
 struct ViewAdjoint {
   glm::mat<3, 3, R> rotation{R(0)};
@@ -47,7 +62,6 @@ template <class R>
 struct Projection {
   glm::vec<3, R> t;                      // mean in view axes
   glm::vec<4, R> unit;                   // normalized quaternion
-  R norm;                                // of the quaternion as given, however small or large
   glm::mat<3, 3, R> turn, factor;        // view-from-local rotation; the same times the scales
   Symmetric3<R> V;                       // covariance in view axes
   R iz, kx, ky;                          // 1/Z, clamped slopes
@@ -58,14 +72,12 @@ struct Projection {
 
   LFGS_HD Projection(const View<R>& view, const Shape<R>& shape) {
     t = view.rotation * shape.mean + view.translation;
-    const glm::vec<4, R> q = glm::abs(shape.quaternion);
-    const R largest = glm::max(glm::max(q.x, q.y), glm::max(q.z, q.w));
-    norm = largest > 0 ? largest * glm::length(shape.quaternion / largest) : R(0);
-    drawn = t.z >= R(kNearDepth) && shape.opacity * 255 >= 1 && norm > 0;
+    const glm::vec<4, R> direction = shape.quaternion / largest_of(shape.quaternion);  // NaN of zero
+    drawn = t.z >= R(kNearDepth) && shape.opacity * 255 >= 1 && glm::length(direction) > 0;
     if (!drawn) return;
 
     // Covariance in view axes
-    unit = glm::normalize(shape.quaternion / largest);
+    unit = glm::normalize(direction);
     turn = view.rotation * rotation_of(unit);
     factor = turn;
     for (int k = 0; k < 3; ++k) factor[k] *= shape.scale[k];
@@ -119,7 +131,8 @@ struct Projection {
     s.S2 = (glm::dot(m1, m1) + blur * g * g * V.zz * iy) / R(kHalfLog2e);
   }
 
-  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat.
+  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat; to out.quaternion that
+  // of the unit quaternion, for sums over views may cancel where quaternion_gradient is infinite.
   LFGS_HD void adjoint(const View<R>& view, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
                        ViewAdjoint<R>& view_out) const {
     if (!drawn) return;
@@ -157,7 +170,7 @@ struct Projection {
     }
     glm::mat<3, 3, R> local = rotation_of(unit);
     glm::vec<4, R> g_unit = rotation_of_adjoint(unit, glm::transpose(view.rotation) * g_turn);
-    out.quaternion += (g_unit - glm::dot(g_unit, unit) * unit) / norm;
+    out.quaternion += g_unit - glm::dot(g_unit, unit) * unit;
     view_out.rotation += g_turn * glm::transpose(local);
 
     // -> mean in view axes; b = -fx (kx - offset iz) iz

@@ -132,18 +132,28 @@ def widest(changes: dict[str, Any]) -> tuple[Gaussians, Panel, Rig]:
     return scene, panel, rig_of(panel)
 
 
-def blades(dtype: torch.dtype) -> tuple[Gaussians, Panel, Rig]:
+def blades() -> Gaussians:
     """Lines thousands of pixels long, at every angle."""
-    panel, scene = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0}), cloud(30, 11)
+    scene = cloud(30, 11)
     angle = torch.linspace(0, math.pi, scene.count)
     turns = torch.stack([(angle / 2).cos(), 0 * angle, 0 * angle, (angle / 2).sin()], 1)
     lines = torch.tensor([100.0, 1e-6, 1e-6]).expand(scene.count, 3).contiguous()
-    return replace(scene, scales=lines, quaternions=turns).to(dtype=dtype), panel, rig_of(panel)
+    return replace(scene, scales=lines, quaternions=turns)
 
 
-def blade_gradients(sensor: str, dtype: torch.dtype) -> dict[str, Tensor]:
-    """Those of a loss on a light-field image ("lens") or on ordinary images ("dense") of blades."""
-    scene, panel, rig = blades(dtype)
+def short_quaternions() -> Gaussians:
+    """Their gradients are near the largest float, those of single cameras beyond it."""
+    scene = cloud(30, 11)
+    return replace(scene, quaternions=1e-38 * scene.quaternions)
+
+
+HARD_GRADIENTS = [(scene, sensor) for scene in (blades, short_quaternions) for sensor in ("lens", "dense")]
+
+
+def gradients(scene: Gaussians, sensor: str, dtype: torch.dtype) -> dict[str, Tensor]:
+    """Those of a loss on a light-field image ("lens") or on ordinary images ("dense")."""
+    panel = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0})
+    scene, rig = scene.to(dtype=dtype), rig_of(panel)
     leaves = {name: field.clone().requires_grad_() for name, field in scene.fields().items()}
     given = Gaussians(**leaves)
     if sensor == "lens":

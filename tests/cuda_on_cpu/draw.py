@@ -1,6 +1,6 @@
 """python draw.py MODULE WHAT OUT: the cases, drawn by the CUDA stages in a native module of build.py.
 
-OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense and
+OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense,
 of norms.
 """
 
@@ -128,8 +128,8 @@ def main(what: str) -> object:
     if what == "half empty":
         return [drawn(*cases.half_empty(changes), views, kernel, Quality.of(quality), 1.0, dtype)
                 for kernel, quality, views, changes in cases.LATTICE_FRAMES for dtype in (torch.float32, torch.uint8)]
-    if what == "blades":
-        return [cases.blade_gradients(sensor, torch.float32) for sensor in ("lens", "dense")]
+    if what == "gradients":
+        return [cases.gradients(scene(), sensor, torch.float32) for scene, sensor in cases.HARD_GRADIENTS]
     if what == "chosen":
         return [chosen(*case) for case in cases.wide_frames()]
     if what == "widest":
