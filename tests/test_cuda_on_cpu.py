@@ -100,8 +100,7 @@ def test_shapes_that_vary_within_an_ordinal_are_evaluated_as_they_are(drawn):
 
 
 def test_half_precision_is_within_its_bound(drawn):
-    for (kernel, changes, degree, views, brightness), found in zip(cases.HALF_FRAMES, drawn("half"),
-                                                                   strict=True):
+    for (kernel, changes, degree, views, brightness), found in zip(cases.HALF_FRAMES, drawn("half"), strict=True):
         scene, panel, rig = cases.half_frame(changes, degree, brightness)
         expected = encode(scene, panel, rig, views=views, background=cases.BACKGROUND, output="float32")
         error = (found["image"] - expected).abs() / expected.clamp(min=1)

@@ -1,7 +1,7 @@
 """python draw.py MODULE WHAT OUT: the cases, drawn by the CUDA stages in a native module of build.py.
 
-OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense,
-of gradients and of norms.
+OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense, of
+gradients and of norms.
 """
 
 from __future__ import annotations
