@@ -7,7 +7,7 @@ DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 
-.PHONY: setup demo test suite sanitize fuzz bench clean
+.PHONY: setup demo test suite sanitize sanitize-threads sanitized-module sanitize-stages sanitize-rest fuzz bench clean
 
 setup: $(VENV)/.installed
 
@@ -16,30 +16,39 @@ demo: setup
 	mkdir -p demo
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
 
-# Side by side: the suite seldom has work for two cores.
+# Two at a time: the suite seldom has work for two cores.
 test: setup
 	$(MAKE) --no-print-directory -j2 suite sanitize
 
 suite: setup
 	$(BIN)/python -m pytest -q tests
 
-# The native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code, and the stages on
-# several threads under ThreadSanitizer. --capture=sys, or pytest keeps to itself what a sanitizer says at the end; how
-# far a process grows is another matter there.
-SANITIZED := tests/test_stress_light_field.py tests/test_stages.py tests/test_sorted.py
+# The whole suite with the native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code,
+# but for the tests of a module of their own; and the stages on several threads under ThreadSanitizer. In two parts, so
+# that two cores stay busy beside the suite. --capture=sys, or pytest keeps to itself what a sanitizer says at the end;
+# how far a process grows is another matter there.
+SANITIZED_stages := $(addprefix tests/,test_quality.py test_lens.py $(notdir $(wildcard tests/test_stress_*.py)))
+SANITIZED_rest := $(filter-out $(SANITIZED_stages) tests/test_cuda_on_cpu.py,$(sort $(wildcard tests/test_*.py)))
 CONFIGURE = PATH=$(CURDIR)/$(BIN):$$PATH cmake -G Ninja -S . -DCMAKE_BUILD_TYPE=Release -DLFGS_CUDA=OFF \
-  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dpybind11_DIR=$$($(BIN)/python -m pybind11 --cmakedir)
+  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dpybind11_DIR=$$($(BIN)/python -m pybind11 --cmakedir) \
+  -DSKBUILD_PROJECT_VERSION_FULL=$$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 PRELOAD = $(foreach library,libasan.so libubsan.so libstdc++.so,$(shell g++ -print-file-name=$(library)))
 
-sanitize: setup
+sanitize: sanitize-threads sanitize-stages sanitize-rest
+
+sanitize-threads: setup
 	$(CONFIGURE) -B build/threads -DLFGS_SANITIZE=thread
 	PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/threads --target stages_on_threads
 	build/threads/stages_on_threads
+
+sanitized-module: setup
 	$(CONFIGURE) -B build/sanitize -DLFGS_SANITIZE=address,undefined
 	PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/sanitize --target _core
+
+sanitize-stages sanitize-rest: sanitize-%: sanitized-module
 	LD_PRELOAD="$(PRELOAD)" ASAN_OPTIONS=detect_leaks=0:quarantine_size_mb=16 UBSAN_OPTIONS=print_stacktrace=1 \
 	  OMP_NUM_THREADS=2 LFGS_CORE=$$(ls build/sanitize/_core*.so) \
-	  $(BIN)/python -m pytest -q --capture=sys -k "not process_grows" $(SANITIZED)
+	  $(BIN)/python -m pytest -q --capture=sys -k "not process_grows" $(SANITIZED_$*)
 
 # Damaged files for every reader; FUZZ_INPUTS=1000000 takes hours.
 FUZZ_INPUTS ?= 100000

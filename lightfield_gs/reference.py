@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lightfield_gs.rig import Rig
 
 CLAMP_MARGIN = 0.15  # the Jacobian is clamped this share of the image beyond each of its edges
-SAMPLES_PER_CHUNK = 16384
+SAMPLES_PER_CHUNK = 1024
 
 
 def _chunks(projection: Projection, samples: Samples) -> Iterator[tuple[slice, Samples, Blend]]:

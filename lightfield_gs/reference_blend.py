@@ -22,6 +22,7 @@ ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 TRANSMITTANCE_MIN = 1e-4
 NEARLY = 0.9  # Gaussians with alpha above NEARLY * ALPHA_MIN are looked at, so that margins below it are known
+ALPHAS_AT_ONCE = {"cpu": 2**13, "cuda": 2**24}  # samples times Gaussians: what a core's cache holds, what fills a GPU
 
 
 @dataclass(frozen=True)
@@ -118,8 +119,8 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
 
 
 def square(vectors: Tensor) -> Tensor:
-    """Squared length of vectors [..., 3]."""
-    return (vectors * vectors).sum(-1)
+    """Squared length of vectors [3, ...]."""
+    return (vectors * vectors).sum(0)
 
 
 class Projection:
@@ -129,26 +130,34 @@ class Projection:
         self.scene, self.eye = scene, eye.to(scene.means.device)
         self.axes, self.translation = self.eye.world_to_camera[:3, :3], self.eye.world_to_camera[:3, 3]
         self.position = scene.means @ self.axes.T + self.translation
-        self.spread = self.axes @ rotations(scene.quaternions) * scene.scales[:, None, :]
+        self.spread = (self.axes @ rotations(scene.quaternions) * scene.scales[:, None, :]).permute(1, 2, 0)
         depth = self.position[:, 2].detach()
         drawn = torch.nonzero((depth >= NEAR) & (scene.opacities.detach() * 255 >= 1)).flatten()
         self.order = drawn[torch.sort(depth[drawn], stable=True).indices]
+        self.row, self.rows_reached = self._rows()
+
+    @torch.no_grad()
+    def _rows(self) -> tuple[Tensor, Tensor]:
+        """The row of each Gaussian of `order`, px, and how far above and below it its alpha nearly reaches the cut."""
+        _, v, _, down = self.footprint(self.order, self.position.new_zeros(()))
+        variance = square(down) + LOW_PASS_PX2
+        return v, (2 * variance * (self.scene.opacities[self.order] / (NEARLY * ALPHA_MIN)).log()).sqrt()
 
     def footprint(self, gaussian: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
-        """Projected mean u, v (px) of Gaussians seen from an offset, and the rows [..., 3] of their spread (px): two
-        vectors whose products are the covariance (EWA) before the low pass."""
+        """Projected mean u, v (px) of Gaussians seen from an offset, and the rows [3, ...] of their spread (px): two
+        vectors whose products are the covariance (EWA) before the low pass. Both arguments of as many dimensions, and
+        broadcast against each other, or one offset for all."""
         fx, fy, cx, cy = self.eye.intrinsics.unbind()
         low_x, high_x, low_y, high_y = self.eye.limits.unbind()
         X, Y, Z = self.position[gaussian].unbind(-1)
-        F = self.spread[gaussian]
+        F = self.spread[:, :, gaussian]
 
         # The Jacobian is taken at a point within the limits, the mean is projected from where it is.
         from_centre = self.eye.to_centre
         tx = Z * ((X + from_centre) / Z).clamp(low_x, high_x) - from_centre - offset
         ty = Z * (Y / Z).clamp(low_y, high_y)
         a, b, c, e = fx / Z, -fx * tx / Z**2, fy / Z, -fy * ty / Z**2
-        across = a[..., None] * F[..., 0, :] + b[..., None] * F[..., 2, :]
-        down = c[..., None] * F[..., 1, :] + e[..., None] * F[..., 2, :]
+        across, down = a * F[0] + b * F[2], c * F[1] + e * F[2]
         u = fx * (X - offset) / Z + cx + self.eye.shift_px * offset
         v = fy * Y / Z + cy
         return u, v, *torch.broadcast_tensors(across, down)
@@ -158,8 +167,8 @@ class Projection:
         u, v, across, down = self.footprint(gaussian, samples.offsets)
         dx, dy = samples.columns - u, samples.rows - v
         # Sums of squares, no differences of products: these keep their digits where a needle is 10^9 pixels long.
-        along = square(down * dx[..., None] - across * dy[..., None]) + LOW_PASS_PX2 * (dx * dx + dy * dy)
-        determinant = (square(torch.linalg.cross(across, down))
+        along = square(down * dx - across * dy) + LOW_PASS_PX2 * (dx * dx + dy * dy)
+        determinant = (square(torch.linalg.cross(across, down, dim=0))
                        + LOW_PASS_PX2 * (square(across) + square(down) + LOW_PASS_PX2))
         q = along / determinant
         return (self.scene.opacities[gaussian] * torch.exp(-q / 2)).clamp(max=ALPHA_MAX)
@@ -176,19 +185,17 @@ class Projection:
     @torch.no_grad()
     def pairs(self, samples: Samples) -> tuple[Tensor, Tensor]:
         """Pairs (sample, Gaussian), each [P], whose alpha nearly reaches the cut: by sample, then near to far."""
-        zero = samples.offsets.new_zeros(())
-        _, v, _, down = self.footprint(self.order, zero)
-        yy = square(down) + LOW_PASS_PX2
-        reach = (2 * yy * (self.scene.opacities[self.order] / (NEARLY * ALPHA_MIN)).log()).sqrt()
         rows, counts = torch.unique_consecutive(samples.rows, return_counts=True)
-        begin, found = 0, []
+        begin, found, most = 0, [], ALPHAS_AT_ONCE[samples.rows.device.type]
         for row, count in zip(rows, counts.tolist()):
-            near_row = self.order[(row - v).abs() <= reach]
-            here = samples.part(begin, begin + count)
-            column = Samples(here.columns[:, None], row, here.offsets[:, None])
-            hit = torch.nonzero(self.alpha(near_row, column) > NEARLY * ALPHA_MIN)
-            found.append((hit[:, 0] + begin, near_row[hit[:, 1]]))
-            begin += count
+            near_row = self.order[(row - self.row).abs() <= self.rows_reached][None]
+            end, step = begin + count, max(1, most // max(1, near_row.numel()))
+            for first in range(begin, end, step):
+                here = samples.part(first, min(first + step, end))
+                column = Samples(here.columns[:, None], row, here.offsets[:, None])
+                hit = torch.nonzero(self.alpha(near_row, column) > NEARLY * ALPHA_MIN)
+                found.append((hit[:, 0] + first, near_row[0, hit[:, 1]]))
+            begin = end
         return tuple(torch.cat(part) for part in zip(*found))
 
     def blend(self, samples: Samples) -> Blend:

@@ -110,7 +110,7 @@ def test_footprint_is_the_jacobian_of_the_projection():
     jacobian = torch.autograd.functional.jacobian(image, scene.means[0])
     rotation = rotations(scene.quaternions)[0]
     covariance = jacobian @ rotation @ torch.diag(scene.scales[0] ** 2) @ rotation.T @ jacobian.T
-    u, v, across, down = (value[0] for value in projection.footprint(torch.tensor([0]), s))
+    u, v, across, down = (value[..., 0] for value in projection.footprint(torch.tensor([0]), s))
     xx, xy, yy = (float(a @ b) for a, b in ((across, across), (across, down), (down, down)))
     assert (u, v) == pytest.approx(tuple(image(scene.means[0]).tolist()))
     assert (xx, xy, yy) == pytest.approx((covariance[0, 0].item(), covariance[0, 1].item(), covariance[1, 1].item()))
@@ -122,7 +122,7 @@ def test_jacobian_is_clamped_against_the_union_of_the_frusta():
     projection = Projection(scene, reference.rig_eye(PANEL, RIG))
     limit = (64 - 30.5) / 64 + 0.15 + math.tan(math.radians(20))
     _, _, across, _ = projection.footprint(torch.tensor([0]), torch.tensor([0.25], dtype=torch.float64))
-    assert float(across[0] @ across[0]) == pytest.approx((64 * 0.4) ** 2 * (1 + (limit - 0.25) ** 2))
+    assert float(across[:, 0] @ across[:, 0]) == pytest.approx((64 * 0.4) ** 2 * (1 + (limit - 0.25) ** 2))
 
 
 def test_lens_views_of_the_toy_panel():

@@ -18,7 +18,7 @@ DTYPES = {"float32": (np.float32, 2e-6), "float64": (np.float64, 1e-12)}
 def projected(projection, index, offset):
     """Mean u, v and covariance xx, xy, yy, low pass included, as the oracle has them."""
     u, v, across, down = (value.numpy() for value in projection.footprint(index, offset))
-    return u, v, (across**2).sum(1) + 0.3, (across * down).sum(1), (down**2).sum(1) + 0.3
+    return u, v, (across**2).sum(0) + 0.3, (across * down).sum(0), (down**2).sum(0) + 0.3
 
 
 def address(array: np.ndarray | None) -> int:
