@@ -7,7 +7,8 @@ DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 
-.PHONY: setup demo test suite sanitize sanitize-threads sanitized-module sanitize-stages sanitize-rest fuzz bench clean
+.PHONY: setup demo test suite sanitize sanitize-threads sanitized-module sanitize-stages sanitize-rest sanitize-cuda fuzz
+.PHONY: bench clean
 
 setup: $(VENV)/.installed
 
@@ -49,6 +50,19 @@ sanitize-stages sanitize-rest: sanitize-%: sanitized-module
 	LD_PRELOAD="$(PRELOAD)" ASAN_OPTIONS=detect_leaks=0:quarantine_size_mb=16 UBSAN_OPTIONS=print_stacktrace=1 \
 	  OMP_NUM_THREADS=2 LFGS_CORE=$$(ls build/sanitize/_core*.so) \
 	  $(BIN)/python -m pytest -q --capture=sys -k "not process_grows" $(SANITIZED_$*)
+
+# The kernels under the tools of compute-sanitizer, a process for each tool and file of tests (with -k -j8 side by side),
+# on a machine with an NVIDIA GPU: PYTHON has the package, built for it, and pytest.
+CUDA_TOOLS := memcheck racecheck initcheck
+CUDA_TESTS := $(filter-out cuda_on_cpu,$(patsubst tests/test_%.py,%,$(sort $(wildcard tests/test_cuda*.py))))
+CUDA_CHECKS := $(foreach tool,$(CUDA_TOOLS),$(CUDA_TESTS:%=$(tool)-%))
+
+sanitize-cuda: $(CUDA_CHECKS)
+.PHONY: $(CUDA_CHECKS)
+
+$(CUDA_CHECKS):
+	compute-sanitizer --tool $(firstword $(subst -, ,$@)) --error-exitcode 1 \
+	  $(PYTHON) -m pytest -q tests/test_$(lastword $(subst -, ,$@)).py
 
 # Damaged files for every reader; FUZZ_INPUTS=1000000 takes hours.
 FUZZ_INPUTS ?= 100000
