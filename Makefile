@@ -29,7 +29,7 @@ suite: setup
 # but for the tests of a module of their own; and the stages on several threads under ThreadSanitizer. In two parts, so
 # that two cores stay busy beside the suite. --capture=sys, or pytest keeps to itself what a sanitizer says at the end;
 # how far a process grows is another matter there.
-SANITIZED_stages := $(addprefix tests/,test_quality.py test_lens.py $(notdir $(wildcard tests/test_stress_*.py)))
+SANITIZED_stages := tests/test_quality.py tests/test_lens.py $(sort $(wildcard tests/test_stress_*.py))
 SANITIZED_rest := $(filter-out $(SANITIZED_stages) tests/test_cuda_on_cpu.py,$(sort $(wildcard tests/test_*.py)))
 CONFIGURE = PATH=$(CURDIR)/$(BIN):$$PATH cmake -G Ninja -S . -DCMAKE_BUILD_TYPE=Release -DLFGS_CUDA=OFF \
   -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dpybind11_DIR=$$($(BIN)/python -m pybind11 --cmakedir) \

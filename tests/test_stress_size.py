@@ -60,7 +60,7 @@ def test_a_million_on_one_pixel(opacity):
 @pytest.mark.slow
 def test_a_panel_of_16k():
     shown = panel_of(width_px=16384, height_px=8192)
-    scene, fan = random_scene(60, 1, seed=4, dtype=torch.float32), rig(shown)
+    scene, fan = random_scene(200, 1, seed=4, dtype=torch.float32), rig(shown)
     image = encode(scene, shown, fan, background=BACKGROUND)
     random = np.random.default_rng(6)
     where = [random.integers(0, size, 3000) for size in (8192, 16384, 3)]
