@@ -36,10 +36,11 @@ class Encoder:
     change: nothing waits for the device then, and values are checked at the capture only. Other tensors make another
     capture, and so does another rig the second time that it is seen; the first time the same kernels are launched one
     by one, with colours as fine as the rigs so far needed: bytes may be rounded otherwise than by `encode`, which goes
-    by its own rig. versioned=True promises that values change by torch's own in-place operations alone, which count
-    them: then the same tensors, or the same but for sh, count as unchanged; order and bins are kept for other colours,
-    but not for another rig. What torch does not count are changes through .data, DLPack, CUDA graphs and kernels of
-    one's own: call `forget` after those. Inference tensors count nothing and are always drawn.
+    by its own rig. So may those of the frame in which a scene outgrows the room of the frames before: its tiles share
+    one list, and the next frame has room. versioned=True promises that values change by torch's own in-place operations
+    alone, which count them: then the same tensors, or the same but for sh, count as unchanged; order and bins are kept
+    for other colours, but not for another rig. What torch does not count are changes through .data, DLPack, CUDA graphs
+    and kernels of one's own: call `forget` after those. Inference tensors count nothing and are always drawn.
     """
 
     def __init__(self, panel: Panel, rig: Rig, *, views: str = "integer",
