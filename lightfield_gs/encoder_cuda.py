@@ -69,7 +69,8 @@ class CudaFrames:
         given = _Input([*gaussians.fields().values(), self._on_device(background, gaussians.means)], arguments)
         shown, self.shown = self.shown, None
         moved, self.last_arguments = self.last_arguments not in (None, arguments), arguments
-        if self.kind is not None and self.kind.adapt():  # the last frame had not enough of something
+        outgrown = self.kind is not None and self.kind.adapt()  # the last frame had not enough of something
+        if outgrown or self.captured is not None and self.captured.is_outgrown():
             self.captured = None
         elif shown and self._still_shows(given, *shown):
             self.shown = shown
@@ -129,6 +130,10 @@ class _Capture:
 
     def draws(self, given: _Input) -> bool:
         return self.given.reads(given) and self.given.arguments == given.arguments
+
+    def is_outgrown(self) -> bool:
+        """Whether frames of its kind, which others draw as well, have needed more since."""
+        return (self.frame.capacity, self.frame.colour_order) != (self.kind.capacity, self.kind.colour_order)
 
     def replay(self, given: _Input, versioned: bool) -> set[str]:
         """Draws; returns the stages that were not repeated."""

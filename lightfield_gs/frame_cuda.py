@@ -46,7 +46,7 @@ class Frame:
             self.native.force(_core.cuda.FRAME_KERNELS.index(kernel))
         self.work = scene.new(self.native.bytes(), dtype=torch.uint8)
         self.native.place(self.work.data_ptr())
-        self.capacity = capacity
+        self.capacity, self.colour_order = capacity, colour_order
 
     @property
     def stream(self) -> int:

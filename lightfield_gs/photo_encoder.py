@@ -149,7 +149,10 @@ class _Capture:
 
 
 def _captured(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:
-    """The launches of a call as a graph, and what the call returned: every replay writes there."""
+    """The launches of a call as a graph, and what the call returned, which every replay writes over.
+
+    Replayed once: a capture computes nothing, and the calls captured next read the result as they warm up.
+    """
     beside = torch.cuda.Stream()
     beside.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(beside):
@@ -159,4 +162,5 @@ def _captured(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
         result = call()
+    graph.replay()
     return graph, result
