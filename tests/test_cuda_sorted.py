@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 
 import numpy as np
@@ -93,6 +94,7 @@ def test_what_shows_nothing_is_background(scene):
 
 def work_bytes(shown, scene, cameras, plan, budget) -> tuple[int, torch.Tensor, dict]:
     """What torch's allocator was asked for at most, beside the image; the image, and the stats."""
+    gc.collect()  # what others left must not go between the two readings
     torch.cuda.synchronize()
     torch.cuda.reset_peak_memory_stats()
     before, stats = torch.cuda.memory_stats()["requested_bytes.all.current"], {}
