@@ -52,18 +52,19 @@ sanitize-stages sanitize-rest: sanitize-%: sanitized-module
 	  LFGS_CORE=$$(ls build/sanitize/_core*.so) \
 	  $(BIN)/python -m pytest -q --capture=sys -k "not process_grows" $(SANITIZED_$*)
 
-# The kernels under the tools of compute-sanitizer, a process for each tool and file of tests (with -k -j8 side by side),
-# on a machine with an NVIDIA GPU: PYTHON has the package, built for it, and pytest.
+# The tests of the GPU under the tools of compute-sanitizer, in parts, a process each (with -k -j8 side by side), on a
+# machine that has one: PYTHON has the package, built for it, and pytest.
 CUDA_TOOLS := memcheck racecheck initcheck
-CUDA_TESTS := $(filter-out cuda_on_cpu,$(patsubst tests/test_%.py,%,$(sort $(wildcard tests/test_cuda*.py))))
-CUDA_CHECKS := $(foreach tool,$(CUDA_TOOLS),$(CUDA_TESTS:%=$(tool)-%))
+CUDA_PARTS := 0 1 2 3 4 5 6 7
+CUDA_TESTS := $(filter-out tests/test_cuda_on_cpu.py,$(sort $(wildcard tests/test_cuda*.py)))
+CUDA_CHECKS := $(foreach tool,$(CUDA_TOOLS),$(CUDA_PARTS:%=$(tool)-%))
 
 sanitize-cuda: $(CUDA_CHECKS)
 .PHONY: $(CUDA_CHECKS)
 
 $(CUDA_CHECKS):
 	compute-sanitizer --tool $(firstword $(subst -, ,$@)) --error-exitcode 1 \
-	  $(PYTHON) -m pytest -q tests/test_$(lastword $(subst -, ,$@)).py
+	  $(PYTHON) -m pytest -q --plain-attention --part $(lastword $(subst -, ,$@))/$(words $(CUDA_PARTS)) $(CUDA_TESTS)
 
 # Damaged files for every reader; FUZZ_INPUTS=1000000 takes hours.
 FUZZ_INPUTS ?= 100000
