@@ -66,7 +66,7 @@ $(CUDA_CHECKS):
 	compute-sanitizer --tool $(firstword $(subst -, ,$@)) --error-exitcode 1 \
 	  $(PYTHON) -m pytest -q --plain-attention --part $(lastword $(subst -, ,$@))/$(words $(CUDA_PARTS)) $(CUDA_TESTS)
 
-# Damaged files for every reader; FUZZ_INPUTS=1000000 takes hours.
+# Damaged files for every reader; FUZZ_INPUTS=1000000 takes half an hour.
 FUZZ_INPUTS ?= 100000
 fuzz: setup
 	$(BIN)/python -m pip install -q atheris || echo "make: no atheris for this Python; random changes instead"

@@ -36,6 +36,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     # As a program, what was imported before this line (torch, a second) is part of the wait.
     began = time.perf_counter() - (time.process_time() if argv is None else 0)
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        sys.stdout.reconfigure(errors="backslashreplace")  # what files are called, or hold, may be no text
     try:
         args = build_parser(arguments[:1]).parse_args(_joined(arguments), argparse.Namespace(began=began))
         code = importlib.import_module(args.module).run(args) or 0

@@ -43,6 +43,10 @@ def config_path(kind: str, name: str) -> Path:
 def checked_path(path: str | os.PathLike) -> Path:
     """`path` as a Path; raises InputError where it is none."""
     expect("path", path, str, os.PathLike)
-    if "\0" in os.fspath(path):
-        raise InputError("path: expected a file name, got one with a zero byte in it")
+    try:
+        bad = b"\0" in os.fsencode(path)
+    except UnicodeEncodeError:
+        bad = True
+    if bad:
+        raise InputError(f"path: expected a file name, got one that none can have, {ascii(os.fspath(path))[:80]}")
     return Path(path)

@@ -354,6 +354,12 @@ def test_info(folder, capsys):
     assert "height_px: 4320\n" in run(capsys, "info visual.json")
 
 
+def test_what_is_no_text_is_printed_escaped(folder):
+    (folder / "q.yaml").write_text((folder / "p.yaml").read_text().replace('"small"', '"\\ud800"'))
+    command = [sys.executable, "-c", "from lightfield_gs import cli; cli.main()", "info", "q.yaml"]
+    assert "name: \\ud800\n" in subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
 def test_info_of_a_checkpoint(folder, capsys):
     from safetensors.numpy import save_file
 

@@ -43,6 +43,14 @@ def test_round_trip_is_exact(tmp_path, suffix, dtype, channels, compression):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
+def test_a_description_of_another_kind_is_no_metadata(tmp_path):
+    for text in ("[" * 6000, "a photo", "[1]", "\\ud800"):
+        exif = Image.Exif()
+        exif[270] = text  # ImageDescription
+        Image.fromarray(pattern("uint8")).save(tmp_path / "a.tif", exif=exif)
+        assert read_info(tmp_path / "a.tif").metadata == {}
+
+
 def test_another_reader_agrees(tmp_path):
     for array in (pattern("uint8"), pattern("uint8", 4)):
         write_image(tmp_path / "a.png", array, {"k": "v"})

@@ -185,9 +185,10 @@ def test_missing_cut_or_foreign_checkpoint_is_an_input_error(tmp_path):
     from safetensors.torch import save_file
     with pytest.raises(InputError, match="no such"):
         SplatterNet.from_pretrained(tmp_path / "none.safetensors")
-    save_file({"a": torch.zeros(3)}, tmp_path / "foreign.safetensors")
-    with pytest.raises(InputError, match="SplatterNet checkpoint"):
-        SplatterNet.from_pretrained(tmp_path / "foreign.safetensors")
+    for metadata in (None, {"lightfield_gs.model_config": "[" * 6000}):
+        save_file({"a": torch.zeros(3)}, tmp_path / "foreign.safetensors", metadata)
+        with pytest.raises(InputError, match="SplatterNet checkpoint"):
+            SplatterNet.from_pretrained(tmp_path / "foreign.safetensors")
     tiny_net().save(tmp_path / "whole.safetensors")
     (tmp_path / "cut.safetensors").write_bytes((tmp_path / "whole.safetensors").read_bytes()[:-100])
     with pytest.raises(InputError):
@@ -200,6 +201,7 @@ def test_missing_cut_or_foreign_checkpoint_is_an_input_error(tmp_path):
                                           ({"unet": {"heads": 3}}, "heads"), ({"unet": {"blocks": "two"}}, "blocks"),
                                           ({"unet": 5}, "unet"), ({"layers": True}, "layers"),
                                           ({"unet": {"base_channels": 1 << 40}}, "base_channels"),
+                                          ({"unet": {"base_channels": 3, "heads": 1}}, "base_channels"),
                                           ({"near": "0.5"}, "near"), ({"composer": "sum"}, "composer")])
 def test_bad_configuration_names_the_field(change, word):
     with pytest.raises(InputError, match=word):

@@ -142,6 +142,7 @@ FAULTS = {
     "frame of another kind": (lambda d: d["frames"].insert(2, 7), r"frames\[2\]: expected an object"),
     "no file_path": (lambda d: d["frames"][2].pop("file_path"), r"frames\[2\].file_path"),
     "missing image": (_set_frame(file_path="transforms/9"), r"frames\[2\].file_path: missing image"),
+    "image that none can be": (_set_frame(file_path="\ud800"), r"frames\[2\].file_path.*surrogates"),
     "image elsewhere": (_set_frame(file_path="../good/transforms/000000.png"), r"frames\[2\].file_path.*leads out"),
     "no matrix": (lambda d: d["frames"][2].pop("transform_matrix"), r"frames\[2\].transform_matrix: bad pose"),
     "3 rows": (_set_frame(transform_matrix=[[1, 0, 0, 0]] * 3), r"frames\[2\].transform_matrix: bad pose.*4 rows"),

@@ -13,7 +13,7 @@ from torch import Tensor
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.json_file import parse_json, read_object
 from lightfield_gs.models import SplatterNet
 from training.config import TrainingConfig
 from training.evaluation import labelled, score_folder
@@ -36,7 +36,7 @@ def is_finished(run: TrainingConfig) -> bool:
         return False
     try:
         with safe_open(path, framework="pt") as file:
-            trained = json.loads((file.metadata() or {}).get("training", "null"))
+            trained = parse_json((file.metadata() or {}).get("training", "null"))
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"{path}: expected weights of a run, but {' '.join(str(error).split())}") from None
     if changed := run.differences(trained):

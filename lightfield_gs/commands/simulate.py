@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
+from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.panel import Panel
 from lightfield_gs.preview import to_integers
 from lightfield_gs.simulate import simulate
@@ -37,6 +37,6 @@ def _panel_of(args: argparse.Namespace) -> Panel:
     if stored is None:
         raise InputError(f"{args.image} does not say which panel it is for; give --panel")
     try:
-        return Panel(**json.loads(stored))
+        return Panel(**parse_json(stored))
     except (TypeError, ValueError) as error:
         raise InputError(f"{args.image}: its panel profile cannot be used ({error}); give --panel") from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
@@ -81,10 +82,10 @@ def write_image(path: str | Path, array: np.ndarray, metadata: dict[str, str] | 
     with atomic_path(path) as temporary:
         output = oiio.ImageOutput.create(str(temporary))
         if output is None:
-            raise InputError(f"cannot write {path}: {_first_line(oiio.geterror())}")
+            raise InputError(f"cannot write {path}: {_first_line(oiio.geterror)}")
         written = output.open(str(temporary), spec) and output.write_image(np.ascontiguousarray(array))
         if not (output.close() and written):
-            raise InputError(f"cannot write {path}: {_first_line(output.geterror())}")
+            raise InputError(f"cannot write {path}: {_first_line(output.geterror)}")
 
 
 def read_info(path: str | Path) -> ImageInfo:
@@ -92,7 +93,7 @@ def read_info(path: str | Path) -> ImageInfo:
     with _opened(path) as source:
         spec = source.spec()
         return ImageInfo(spec.width, spec.height, spec.nchannels, str(spec.format),
-                         _metadata(spec.getattribute(_METADATA_KEY)))
+                         _metadata(spec.get_string_attribute(_METADATA_KEY)))
 
 
 def read_image(path: str | Path, as_stored: bool = False) -> np.ndarray:
@@ -105,10 +106,9 @@ def read_image(path: str | Path, as_stored: bool = False) -> np.ndarray:
         spec = source.spec()
         sample_type = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float")
         pixels = source.read_image(0, 0, 0, spec.nchannels, sample_type)
-        problem = source.geterror()
+        if pixels is None or source.has_error:
+            raise InputError(f"{path} is damaged or cut: {_first_line(source.geterror)}")
         orientation = spec.get_int_attribute("Orientation", 1)
-    if pixels is None or problem:
-        raise InputError(f"{path} is damaged or cut: {_first_line(problem)}")
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     pixels = np.ascontiguousarray(_upright(pixels, orientation))
     if as_stored or pixels.dtype == np.float32:
@@ -134,7 +134,7 @@ def _opened(path: str | Path) -> Iterator:
     with _native_stderr_silenced():
         source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        raise InputError(f"{path} is not an image that can be read: {_first_line(oiio.geterror())}")
+        raise InputError(f"{path} is not an image that can be read: {_first_line(oiio.geterror)}")
     try:
         spec = source.spec()
         if spec.depth > 1 or not 1 <= spec.nchannels <= 16:
@@ -182,9 +182,9 @@ def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     return pixels
 
 
-def _metadata(text: str | None) -> dict[str, str]:
+def _metadata(text: str) -> dict[str, str]:
     try:
-        data = json.loads(text or "{}")
+        data = parse_json(text)
     except ValueError:
         return {}
     return {str(k): str(v) for k, v in data.items()} if isinstance(data, dict) else {}
@@ -194,7 +194,12 @@ def _oiio_type(dtype: np.dtype) -> str:
     return {"float32": "float"}.get(dtype.name, dtype.name)
 
 
-def _first_line(text: str) -> str:
+def _first_line(complaint: Callable[[], str]) -> str:
+    """Of OpenImageIO, which may quote bytes of a file that are no UTF-8."""
+    try:
+        text = complaint()
+    except UnicodeDecodeError as error:
+        text = error.object.decode(errors="replace")
     return next((line.strip()[:200] for line in text.splitlines() if line.strip()), "no reason given")
 
 

@@ -21,7 +21,10 @@ def open_array(path: str | Path) -> np.ndarray:
         if start[6:7] >= b"\2" and int.from_bytes(start[8:12], "little") > path.stat().st_size:
             raise ValueError("its header is longer than the file")
         # Never unpickles, and never allocates what a header claims
-        return np.lib.format.open_memmap(path, mode="r")
+        array = np.lib.format.open_memmap(path, mode="r")
+        if array.dtype.kind not in "biuf":
+            raise ValueError(f"it holds {array.dtype}")
+        return array
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:

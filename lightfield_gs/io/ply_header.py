@@ -71,7 +71,7 @@ def _elements(path: Path, lines: list[str]) -> list[Element]:
             case _:
                 raise InputError(f"{path}: cannot read the header line {line[:80]!r}")
     if file_format != "binary_little_endian":
-        raise InputError(f"{path}: expected format binary_little_endian, got {file_format or 'none'}; "
+        raise InputError(f"{path}: expected format binary_little_endian, got {(file_format or 'none')[:60]}; "
                          "export it as a binary little-endian .ply")
     return [Element(name, count, _record(path, name, properties)) for name, count, properties in found]
 

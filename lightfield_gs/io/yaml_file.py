@@ -14,11 +14,11 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.paths import checked_path
 
-_LIMIT_BYTES = 1 << 20
+_LIMIT_BYTES = 1 << 16  # a second's work at most
 
 
 def read_mapping(path: str | Path, required: Collection[str], optional: Collection[str]) -> dict[str, Any]:
-    """The mapping in a YAML file (at most 1 MiB).
+    """The mapping in a YAML file (at most 64 KiB).
 
     Raises InputError when the file cannot be read, is not a mapping, lacks a required key or has an unknown one.
     """

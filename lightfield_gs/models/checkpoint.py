@@ -10,6 +10,7 @@ from torch import Tensor
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.models.config import ModelConfig
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             weights = {name: file.get_tensor(name).float() for name in file.keys()}
-        config = json.loads(metadata[_CONFIG_KEY])
+        config = parse_json(metadata[_CONFIG_KEY])
     except FileNotFoundError:
         raise InputError(f"{path}: found no such checkpoint") from None
     except (SafetensorError, OSError, KeyError, ValueError) as error:

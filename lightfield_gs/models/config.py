@@ -65,7 +65,8 @@ class ModelConfig:
         )
         for good, field, expected in checks:
             if not good:
-                raise InputError(f"model configuration: {field}: expected {expected}, got {getattr(self, field)!r}")
+                raise InputError(f"model configuration: {field}: expected {expected}, "
+                                 f"got {repr(getattr(self, field))[:60]}")
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "ModelConfig":

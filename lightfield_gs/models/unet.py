@@ -69,7 +69,7 @@ class UNetConfig:
         """Check the fields that a file can get wrong."""
         check_field_types(self, "unet.")
         checks = (
-            (self.base_channels >= 1, "base_channels", "at least 1"),
+            (self.base_channels >= 4, "base_channels", "at least 4"),
             (0 < len(self.multipliers) <= 16 and min(self.multipliers) >= 1, "multipliers",
              "a number per level, at least 1, for at most 16 levels"),
             (1 <= self.blocks <= 64, "blocks", "1 to 64"),
@@ -79,8 +79,8 @@ class UNetConfig:
         )
         for good, field, expected in checks:
             if not good:
-                value = getattr(self, field)
-                raise InputError(f"model configuration: unet.{field}: expected {expected}, got {value!r}")
+                value = repr(getattr(self, field))[:60]
+                raise InputError(f"model configuration: unet.{field}: expected {expected}, got {value}")
 
 
 def _group_norm(channels: int) -> nn.GroupNorm:

@@ -71,12 +71,12 @@ def _image_path(field: str, folder: Path, name: Any) -> Path:
         raise InputError(f"{field}.file_path: expected the name of an image, got {_shown(name)}")
     try:
         return _found(field, folder, name)
-    except OSError as error:
-        raise InputError(f"{field}.file_path: {_shown(name)}: {error.strerror}") from None
+    except (OSError, UnicodeEncodeError) as error:
+        raise InputError(f"{field}.file_path: {_shown(name)}: {error.args[-1]}") from None
 
 
 def _found(field: str, folder: Path, name: str) -> Path:
-    """What _image_path finds; raises OSError for a name that no file can have."""
+    """What _image_path finds; raises OSError or UnicodeEncodeError for a name that no file can have."""
     base = (folder / name).resolve()
     if not base.is_relative_to(folder.resolve()):
         raise InputError(f"{field}.file_path: {_shown(name)} leads out of {folder}; put the images into that folder")
