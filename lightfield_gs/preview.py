@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.atomic import atomic_path, make_folder
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
@@ -32,11 +31,7 @@ def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, p
     only where the panel knows its viewing distance and pixel pitch.
     Views are rendered at a reduced size. Raises InputError.
     """
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {folder}: {error.strerror or error}") from error
+    folder = make_folder(folder)
     paths = [folder / "views.png", folder / "look-around.webp"]
     frames = _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX)
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes

@@ -198,3 +198,5 @@ def test_shipped_comparisons_can_be_read(name):
     assert "arms" in yaml.safe_load(path.read_text())
     with pytest.raises(InputError):
         read_experiment(["--config", str(path), "--arms", "{a: {seed: 1}}"])
+    with pytest.raises(InputError, match="arms: a: cone_margin must be"):
+        read_experiment(["--config", str(path), "--arms", "{a: {cone_margin: -1}}"])

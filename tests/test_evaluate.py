@@ -84,6 +84,26 @@ def test_bins_and_copy_baseline(tmp_path):
     assert report["copy_psnr_db"] == pytest.approx(expected, abs=0.01)
 
 
+def test_the_objects_of_a_limit_are_spread_over_the_folder(tmp_path):
+    for name in "abcdefg":
+        write_object(tmp_path / name, angles=ANGLES[:2])
+    net = SplatterNet(ModelConfig.from_dict(TINY)).eval()
+    scored = {limit: list(score_folder(net, tmp_path, limit=limit)["object_psnr_db"]) for limit in (1, 3, 7, 9, None)}
+    assert scored == {1: ["a"], 3: ["a", "c", "e"], 7: [*"abcdefg"], 9: [*"abcdefg"], None: [*"abcdefg"]}
+    for limit in (0, -2):
+        with pytest.raises(InputError, match="limit must be 1"):
+            score_folder(net, tmp_path, limit=limit)
+
+
+def test_an_object_that_cannot_be_scored_is_named(tmp_path):
+    net = SplatterNet(ModelConfig.from_dict(TINY)).eval()
+    write_object(tmp_path / "pair", angles=ANGLES[:2])
+    assert score_folder(net, tmp_path)["views"] == 1
+    write_object(tmp_path / "single", angles=ANGLES[:1])
+    with pytest.raises(InputError, match="single: expected at least two views"):
+        score_folder(net, tmp_path)
+
+
 def test_flat_card_is_seen_where_its_points_project():
     """A picture whose values are its own coordinates says which of its points a pixel shows."""
     intrinsics, depth = torch.tensor([90.0, 95.0, 33.0, 25.0]), 1.3
@@ -106,6 +126,10 @@ def test_azimuths_of_known_cameras():
     cameras = np.stack([look_at(azimuth, elevation) for azimuth, elevation in ((30, 10), (50, 16), (10, 4), (30, -20))])
     np.testing.assert_allclose(np.abs(azimuths_from_source(cameras)), [0, 20, 20, 0], atol=1e-9)
     assert np.prod(np.sign(azimuths_from_source(cameras)[1:3])) == -1
+    np.testing.assert_allclose(np.abs(azimuths_from_source(cameras[:2])), [0, 20], atol=1e-9)
+    np.testing.assert_allclose(azimuths_from_source(cameras[[0, 3]]), [0, 0], atol=1e-9)  # one above the other
+    behind = np.stack([look_at(0, 5), look_at(180, 10)])
+    np.testing.assert_allclose(np.abs(azimuths_from_source(behind)), [0, 180], atol=1e-9)
     roll = np.eye(4)
     roll[:2, :2] = [[0, -1], [1, 0]]
     with pytest.raises(InputError, match="roll"):

@@ -138,6 +138,8 @@ def test_original_configuration_starts_as_published():
 @pytest.mark.parametrize("size", [16, 48])
 def test_network_runs_at_other_sizes(size):
     assert tiny_net()(torch.rand(2, 4, size, size), central_intrinsics(size).repeat(2, 1)).count == 2 * size * size
+    with pytest.raises(InputError, match="width of the images: expected a multiple of"):
+        tiny_net()(torch.rand(2, 4, size, size + 1), central_intrinsics(size).repeat(2, 1))
 
 
 def test_object_square_is_centred_with_a_margin():

@@ -211,6 +211,37 @@ def test_bad_arguments_are_reported_in_one_line(small_set, capsys, arguments, wo
     assert word in error and error.count("\n") == 1
 
 
+STAGE = {"steps": 2, "image_size_px": 16, "objects": 2}
+
+
+@pytest.mark.parametrize("changes, words", [
+    ({"stages": []}, "stages: expected at least one"),
+    ({"data": []}, "data: expected at least one"),
+    ({"output_dir": ""}, "output_dir: expected a folder"),
+    ({"output_dir": __file__}, "cannot make the folder"),
+    ({"cache_dir": __file__}, "cannot make the folder"),
+    ({"validation": "nowhere"}, "nowhere: expected a folder of objects"),
+    *[({"stages": [STAGE | {field: value}]}, f"stages: {field}") for field, value in (
+        ("steps", 0), ("steps", -3), ("image_size_px", 0), ("image_size_px", 15), ("objects", 0), ("target_px", -4))],
+    *[({field: value}, f"{field} must be") for field, value in (
+        ("seed", -1), ("seed", 2**31), ("cone_deg", -5.0), ("cone_deg", math.nan), ("cone_margin", -1.0),
+        ("elevation_deg", -1.0), ("neighbour_deg", math.inf), ("targets", 0), ("checkpoint_every", 0),
+        ("validate_every", 0), ("validation_objects", 0), ("threads", -1))],
+    *[({"optimizer": {field: value}}, f"optimizer.{field} must be") for field, value in (
+        ("learning_rate", -1.0), ("learning_rate", math.nan), ("betas", [0.9, 1.0]), ("weight_decay", -1.0),
+        ("warmup_steps", -1), ("final_share", 2.0), ("clip", 0.0), ("ema_decay", 2.0))],
+    ({"loss": {"colour": math.inf}}, "loss.colour must be"),
+    ({"loss": {"colour": 0, "ssim": 0, "alpha": 0}}, "loss: expected a weight above 0"),
+    ({"augmentation": {"mirror": 1.5}}, "augmentation.mirror must be"),
+    ({"augmentation": {"target_zoom": [0.0, 1.0]}}, "augmentation.target_zoom must be"),
+    ({"augmentation": {"target_zoom": [2.0, 0.5]}}, "augmentation.target_zoom: expected the smaller number first")])
+def test_numbers_out_of_range_are_refused_before_the_first_step(small_set, capsys, changes, words):
+    assert train.main(["--config", str(run_config(small_set, "refused", **changes))]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("training.train: error: ") and words in error
+    assert not losses(small_set / "refused")
+
+
 def test_a_run_can_start_from_a_checkpoint(small_set, tmp_path):
     """Weights and configuration are the checkpoint's, whatever model says; averages begin there too."""
     config = train.read_config(["--config", str(run_config(small_set, "unused"))])

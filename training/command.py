@@ -11,13 +11,14 @@ Main = Callable[[list[str] | None], int]
 
 
 def with_line_errors(name: str) -> Callable[[Main], Main]:
-    """Decorates a main(arguments): an InputError is a line on stderr that begins with the name, and exit code 2."""
+    """Decorates a main(arguments): an InputError, or a file that cannot be read or written, is a line on stderr that
+    begins with the name, and exit code 2."""
     def decorate(main: Main) -> Main:
         @functools.wraps(main)
         def command(arguments: list[str] | None = None) -> int:
             try:
                 return main(arguments)
-            except InputError as error:
+            except (InputError, OSError) as error:
                 print(f"{name}: error: {error}", file=sys.stderr)
                 return 2
         return command

@@ -56,9 +56,12 @@ class Experiment:
 
 
 def _run_of(common: TrainingConfig, name: str, arm: Arm, data_root: Path) -> TrainingConfig:
-    """The run of an arm. Raises InputError where its cone might leave a source without target."""
+    """The run of an arm. Raises InputError for fields out of range or a cone that might leave a source without target."""
     changes = {field: value for field, value in dataclasses.asdict(arm).items() if value is not None}
-    run = dataclasses.replace(common, output_dir=str(Path(common.output_dir) / name), **changes)
+    try:
+        run = dataclasses.replace(common, output_dir=str(Path(common.output_dir) / name), **changes)
+    except InputError as error:
+        raise InputError(f"arms: {name}: {error}") from None
     reach = min(run.azimuth_deg, run.elevation_deg)
     if run.neighbour_deg > reach:
         raise InputError(f"arms: {name}: its targets lie within {reach:g} degrees, so some sources of the other arms "

@@ -6,18 +6,26 @@ import json
 from dataclasses import dataclass, field
 from typing import Literal
 
+from lightfield_gs.errors import InputError
 from training.data.plan import Augmentation
 from training.losses import LossWeights
+from training.ranges import MOST, check_ranges
 
 
 @dataclass(frozen=True)
 class Stage:
     """A stretch of the run. steps: optimizer steps. image_size_px: side of the source pictures. objects: examples per
-    step, of all processes together. target_px: side of the target images; 0: as the source pictures."""
+    step, of all processes together. target_px: side of the target images; 0: as the source pictures.
+
+    Raises InputError for numbers out of their ranges, as the other parts of a configuration do.
+    """
     steps: int
     image_size_px: int
     objects: int
     target_px: int = 0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, "stages: ", steps=(1, MOST), image_size_px=(1, 8192), objects=(1, MOST), target_px=(0, 8192))
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,10 @@ class OptimizerConfig:
     final_share: float = 0.01
     clip: float = 1.0
     ema_decay: float = 0.998
+
+    def __post_init__(self) -> None:
+        check_ranges(self, "optimizer.", learning_rate=(0.0, 1.0), betas=(0.0, 0.999999), weight_decay=(0.0, 1e3),
+                     warmup_steps=(0, MOST), final_share=(0.0, 1.0), clip=(1e-9, 1e9), ema_decay=(0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -57,7 +69,7 @@ class TrainingConfig:
     procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of data;
     they are drawn about 32 at once, for as many steps as that makes.
     bfloat16: run the U-Net in bfloat16. checkpoint_every: steps between resumable checkpoints.
-    validation: folder scored every validate_every steps (first validation_objects objects only); "": none.
+    validation: folder scored every validate_every steps (validation_objects of its objects, evenly spread); "": none.
     device: cpu, cuda, or auto (cuda where there is one). compile: let torch.compile make kernels for the network, its
     loss and its batches, which takes a minute or two at the start of every stage and process.
     threads: of torch; 0 leaves the default. Resuming gives the same losses to the last digit on a CPU, with the same
@@ -91,6 +103,14 @@ class TrainingConfig:
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     loss: LossWeights = field(default_factory=LossWeights)
     augmentation: Augmentation = field(default_factory=Augmentation)
+
+    def __post_init__(self) -> None:
+        for name in ("output_dir", "cache_dir", "data", "stages"):
+            if not getattr(self, name):
+                raise InputError(f"{name}: expected {'a folder' if name.endswith('dir') else 'at least one'}, got none")
+        check_ranges(self, seed=(0, 2**31 - 1), cone_deg=(0.0, 360.0), cone_margin=(0.0, 360.0),
+                     elevation_deg=(0.0, 180.0), neighbour_deg=(0.0, 180.0), targets=(1, 1000), threads=(0, 4096),
+                     checkpoint_every=(1, MOST), validate_every=(1, MOST), validation_objects=(1, MOST))
 
     @property
     def azimuth_deg(self) -> float:
@@ -130,7 +150,8 @@ class TrainingConfig:
         """
         if not isinstance(stored, dict):
             return sorted(self.identity())
-        own, defaults = (json.loads(json.dumps(run.identity())) for run in (self, TrainingConfig("", [], [])))
+        plain = TrainingConfig("unused", ["unused"], [Stage(1, 1, 1)])
+        own, defaults = (json.loads(json.dumps(run.identity())) for run in (self, plain))
         stored = _filled(stored, defaults)
         return sorted(name for name in own.keys() | stored.keys() if own.get(name) != stored.get(name))
 

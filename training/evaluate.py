@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
                         help="default: a GPU if there is one")
     parser.add_argument("--supersampling", type=int, choices=range(1, 9), default=1, metavar="1..8",
                         help="samples of a rendered pixel along each axis (default: 1, as in the model card)")
-    parser.add_argument("--limit", type=int, help="score only so many objects")
+    parser.add_argument("--limit", type=int, help="score only so many objects, spread evenly over the folder")
     options = parser.parse_args(arguments)
     from lightfield_gs.commands.device import choose_device
     from lightfield_gs.io.atomic import atomic_path, check_output_path

@@ -25,14 +25,17 @@ from torch import Tensor
 from tqdm import tqdm
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
+from lightfield_gs.panel import whole_number
 from training.data.images import read_view
 from training.data.objects import find_objects, read_object
 from training.data.plan import relative_cameras
 from training.data.transforms import OBJECT_DISTANCE
 from training.data.views import ObjectViews
 from training.metrics import psnr_db, ssim
+from training.ranges import MOST
 from training.rendering import render_card, render_views
 
 SIZE_PX = 128
@@ -58,16 +61,17 @@ def azimuths_from_source(camera_to_world: np.ndarray, source: int = 0) -> np.nda
     """Azimuth [V] of each view about the vertical axis, relative to the source, in degrees within -180..180.
 
     The vertical axis is the one at right angles to the x axes of all cameras, since upright cameras keep theirs level.
+    Where these are parallel, cameras stand above each other, and the source's own vertical will do.
     Raises InputError when there is none (cameras that roll): such views have no azimuth.
     """
+    source_up = -camera_to_world[source, :3, 1]
     _, spread, axes = np.linalg.svd(camera_to_world[:, :3, 0])
-    if spread[-1] > 0.02 * spread[0]:
+    spread = np.append(spread, (0.0, 0.0))  # two cameras span a plane at most
+    if spread[2] > 0.02 * spread[0]:
         raise InputError("the cameras roll: expected upright cameras (level x axes) to measure azimuths")
-    up = axes[-1] * np.sign(-axes[-1] @ camera_to_world[source, :3, 1])
-    forward = camera_to_world[:, :3, 2] - np.outer(camera_to_world[:, :3, 2] @ up, up)
-    right = np.cross(forward[source], up)
-    ahead = forward[source] / np.linalg.norm(forward[source])
-    return np.degrees(np.arctan2(forward @ right / np.linalg.norm(right), forward @ ahead))
+    up = axes[2] * np.sign(axes[2] @ source_up) if spread[1] > 1e-3 * spread[0] else source_up
+    level = camera_to_world[:, :3, 2] - np.outer(camera_to_world[:, :3, 2] @ up, up)
+    return np.degrees(np.arctan2(level @ np.cross(level[source], up), level @ level[source]))
 
 
 def _frames(views: ObjectViews) -> Tensor:
@@ -88,9 +92,16 @@ def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source:
     """Predict an object from one view and render it from all.
 
     path: as find_objects names it. size_px: length of the longer side of the frames. device: where the network is; the
-    tensors returned are there. decoded, supersampling: see score_folder.
+    tensors returned are there. decoded, supersampling: see score_folder. Raises InputError for an object that cannot be
+    read, has one view only, or cameras that roll.
     """
     views, decoded = read_object(path), {} if decoded is None else decoded
+    if len(views.image_paths) < 2:
+        raise InputError(f"{path}: expected at least two views, one to predict the others from, got one")
+    try:
+        azimuths = azimuths_from_source(views.camera_to_world, source)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     if path not in decoded:
         decoded[path] = _frames(views).to(device)
     frames = decoded[path] / 255
@@ -110,7 +121,6 @@ def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source:
     images = F.interpolate(images[0].clamp(0, 1), size=(height, width), mode="area")
     truth = F.interpolate(frames, size=(height, width), mode="area")
     card = render_card(truth[source], intrinsics[source], OBJECT_DISTANCE, cameras, intrinsics)
-    azimuths = azimuths_from_source(views.camera_to_world, source)
     return Comparison(views.name, source, azimuths, _on_white(truth), images, _on_white(card))
 
 
@@ -133,18 +143,22 @@ def _means(rows: list[dict[str, float]]) -> dict[str, float]:
 def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save_renders: Path | None = None,
                  split: str = "val", device: torch.device | str = "cpu",
                  decoded: dict[Path, Tensor] | None = None, supersampling: int = 1) -> dict[str, Any]:
-    """Score a network on every object (the first `limit`) at or below a folder, on this split where it comes in splits.
+    """Score a network on the objects at or below a folder, of this split where they come in splits.
 
     Returns objects, and psnr_db, ssim, copy_psnr_db, copy_ssim, card_psnr_db, card_ssim and views (their number) over
     all novel views; bins: the same for each angle_deg (azimuth to either side, rounded to 5 degrees) of novel views;
     source: the same for the source views; object_psnr_db: of each object by its path, over its novel views.
+    limit: score so many of them only, spread evenly over the folder; None: all.
     save_renders: folder for one picture per object. device: where the network is. decoded: keeps the images from call
     to call, for those who score the same objects again. supersampling: samples of a rendered pixel along each axis.
-    Raises InputError for data that cannot be used.
+    Raises InputError for data that cannot be used and a limit below 1.
     """
     bins: dict[int | None, list[dict[str, float]]] = defaultdict(list)
     of_objects: dict[str, float] = {}
-    objects = find_objects(data, split)[:limit]
+    objects = find_objects(data, split)
+    if limit is not None:
+        count = min(whole_number("limit", limit, 1, MOST), len(objects))
+        objects = [objects[number * len(objects) // count] for number in range(count)]
     for path in tqdm(objects, desc=f"scoring {data}", unit="object", leave=False):
         comparison = compare_object(net, path, device=device, decoded=decoded, supersampling=supersampling)
         scores = list(_scores(comparison))
@@ -174,5 +188,5 @@ def save_comparison(comparison: Comparison, path: Path, columns: int = 9) -> Non
     picked = order[np.linspace(0, len(order) - 1, min(columns, len(order))).round().astype(int)]
     source = comparison.truth[comparison.source]
     rows = [torch.cat([source, *images[picked]], 2) for images in (comparison.truth, comparison.rendered)]
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     write_image(path, (torch.cat(rows, dim=1).permute(1, 2, 0) * 255).round().to(torch.uint8).cpu().numpy())

@@ -13,10 +13,12 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.atomic import make_folder
 from training.checkpoints import cut_log, load_checkpoint, save_checkpoint
 from training.config import TrainingConfig
 from training.data.batches import make_batch
 from training.data.cache import load_set
+from training.data.objects import find_objects
 from training.data.partners import find_partners
 from training.data.plan import BatchPlan, BatchPlanner
 from training.data.resident import ResidentViews
@@ -80,7 +82,7 @@ def _record(values: StepValues, log: RunLog) -> bool:
 
 
 def _validate(trainer: Trainer, log: RunLog, decoded: dict[Path, Tensor]) -> None:
-    """Scores the averaged weights on the first objects of the validation folder, if that is due and not done.
+    """Scores the averaged weights on objects of the validation folder, if that is due and not done.
 
     decoded: see score_folder.
     """
@@ -125,8 +127,9 @@ def train(config: TrainingConfig) -> Path | None:
     Under torchrun every process calls this; the first of them writes, the others return None. Raises InputError for a
     configuration, data or a checkpoint that cannot be used.
     """
-    output = Path(config.output_dir)
-    output.mkdir(parents=True, exist_ok=True)
+    if config.validation:
+        find_objects(Path(config.validation), "val")  # now, not when the first scores are due
+    output = make_folder(config.output_dir)
     if config.threads:
         torch.set_num_threads(config.threads)
     with join_team(config.device) as team:

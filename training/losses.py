@@ -1,12 +1,15 @@
 """What training minimises."""
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from lightfield_gs.errors import InputError
 from training.metrics import ssim
+from training.ranges import check_ranges
 
 _LEAST_ERROR = 1e-4  # of an image, 40 dB: better ones count no more in the logarithm
 
@@ -28,6 +31,12 @@ class LossWeights:
     alpha: float = 0.1
     translucency: float = 0.0
     roughness: float = 0.0
+
+    def __post_init__(self) -> None:
+        weights = dataclasses.asdict(self)
+        check_ranges(self, "loss.", **dict.fromkeys(weights, (0.0, 1e6)))
+        if not any(weights.values()):
+            raise InputError("loss: expected a weight above 0, got none")
 
 
 def composite(premultiplied: Tensor, backgrounds: Tensor) -> Tensor:

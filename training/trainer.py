@@ -54,13 +54,15 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
 class Trainer:
     """Network, averaged weights and optimizer of one run, and the step that advances them.
 
-    marks: told where the parts of a step end.
+    marks: told where the parts of a step end. Raises InputError for pictures that the network cannot take.
     """
 
     def __init__(self, config: TrainingConfig, team: Team) -> None:
         self.config, self.team, self.step, self.marks = config, team, 0, NoMarks()
         torch.manual_seed(config.seed)
         net = _initial_net(config).to(team.device, memory_format=torch.channels_last)
+        for stage in config.stages:
+            net.config.check_size("stages: image_size_px", stage.image_size_px)
         self.net = net.train()
         self.average = WeightAverage(copy.deepcopy(self.net), self.net, config.optimizer.ema_decay)
         self.optimizer = make_optimizer(self.net, config.optimizer)

@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all."""
+"""Files that appear complete or not at all, and the folders they go to."""
 
 from __future__ import annotations
 
@@ -21,6 +21,16 @@ def check_output_path(path: str | Path) -> Path:
         raise InputError(f"cannot write {path}: there is no folder {path.parent}; create it first")
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"cannot write {path}: no permission to write in {path.parent}")
+    return path
+
+
+def make_folder(path: str | Path) -> Path:
+    """`path`, made with the folders above it where they are absent. Raises InputError where it cannot be a folder."""
+    path = checked_path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {path}: {error.strerror or error}") from error
     return path
 
 

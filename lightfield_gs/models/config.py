@@ -51,7 +51,7 @@ class ModelConfig:
     def __post_init__(self) -> None:
         """Check every field that a file can get wrong."""
         check_field_types(self, "")
-        step = self.patch_px << (len(self.unet.multipliers) - 1) if self.patch_px > 0 else 1
+        step = max(self.size_step, 1)
         checks = (
             (self.input in INPUT_CHANNELS, "input", f"one of {', '.join(INPUT_CHANNELS)}"),
             (self.composer in COMPOSERS, "composer", f"one of {', '.join(COMPOSERS)}"),
@@ -67,6 +67,16 @@ class ModelConfig:
             if not good:
                 raise InputError(f"model configuration: {field}: expected {expected}, "
                                  f"got {repr(getattr(self, field))[:60]}")
+
+    @property
+    def size_step(self) -> int:
+        """Heights and widths of pictures are multiples of this, patch_px * 2^(levels - 1): the U-Net halves them."""
+        return self.patch_px << (len(self.unet.multipliers) - 1)
+
+    def check_size(self, what: str, size_px: int) -> None:
+        """Raises InputError unless pictures may have this height or width, `what` in the message."""
+        if size_px % self.size_step:
+            raise InputError(f"{what}: expected a multiple of {self.size_step} pixels for this network, got {size_px}")
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "ModelConfig":

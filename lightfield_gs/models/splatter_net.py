@@ -52,10 +52,12 @@ class SplatterNet(nn.Module):
         """Predict the Gaussians of B pictures in the axes of their own cameras (OpenCV: x right, y down, z forward).
 
         images: [B,4,H,W], RGB premultiplied by alpha and alpha, 0..1. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of
-        those pictures. Returns Gaussians with leading B and N = layers * H * W, float32. H and W must be multiples of
-        patch_px * 2^(levels - 1). The U-Net obeys autocast and may be of lower precision; heads and composer are
-        float32 always.
+        those pictures. Returns Gaussians with leading B and N = layers * H * W, float32. The U-Net obeys autocast and
+        may be of lower precision; heads and composer are float32 always. Raises InputError unless H and W are multiples
+        of config.size_step.
         """
+        for name, size in zip(("height", "width"), images.shape[-2:]):
+            self.config.check_size(f"{name} of the images", size)
         pixels = describe_pixels(images, intrinsics)
         shown = network_input(images, pixels, self.config.input)
         if not self.config.symmetric:

@@ -19,7 +19,7 @@ import torch
 from tqdm import tqdm
 
 from lightfield_gs.errors import InputError
-from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.atomic import atomic_path, make_folder
 from lightfield_gs.models.crop import MARGIN, object_square
 from training.data.images import read_view
 from training.data.objects import find_objects, folder_of, read_object
@@ -99,7 +99,7 @@ def _build(names: list[Path], base: Path, workers: int | None) -> None:
     """Decode all objects into <base>.bytes and <base>.json; each appears complete or not at all."""
     entries, offset = [], 0
     workers = min(workers or os.cpu_count() or 1, math.ceil(len(names) / _CHUNK))
-    base.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(base.parent)
     with (atomic_path(base.with_suffix(".bytes")) as pixels, atomic_path(base.with_suffix(".json")) as index,
           open(pixels, "wb") as file,
           # A forked process may not use the threads that torch has started in this one.

@@ -20,6 +20,7 @@ from training.data.procedural import ProceduralBlock, ProceduralExamples, steps_
 from training.data.procedural_plan import NUMBERS, draw_objects, rotation
 from training.data.resident import ResidentViews
 from training.data.sampler import Choice, ViewSampler
+from training.ranges import check_ranges
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,14 @@ class Augmentation:
     blur_px: float = 0.0
     noise: float = 0.0
     outline_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, "augmentation.", mirror=(0.0, 1.0), colour=(0.0, 1.0), source_jitter=(0.0, 0.5),
+                     target_zoom=(0.01, 100.0), pose_error_deg=(0.0, 180.0), blur_px=(0.0, 100.0), noise=(0.0, 1.0),
+                     outline_px=(0.0, 100.0))
+        if not self.target_zoom[0] <= self.target_zoom[1]:
+            raise InputError("augmentation.target_zoom: expected the smaller number first, got "
+                             f"{self.target_zoom[0]:g}, {self.target_zoom[1]:g}")
 
 
 @dataclass(frozen=True)
