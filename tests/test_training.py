@@ -1,10 +1,12 @@
 """Losses, schedule, and a training loop that resumes with the same numbers."""
+import dataclasses
 import json
 import math
 import signal
 import time
 from pathlib import Path
 
+import docstring_parser
 import numpy as np
 import pytest
 import torch
@@ -16,6 +18,7 @@ from photo_cases import TINY, tiny_net
 from training import average, train
 from training.checkpoints import cut_log
 from training.config import OptimizerConfig, Stage, TrainingConfig
+from training.data.plan import Augmentation
 from training.distributed import join_team
 from training.losses import LossWeights, composite, roughness, total_loss, translucency
 from training.metrics import psnr_db, ssim
@@ -209,6 +212,18 @@ def test_bad_arguments_are_reported_in_one_line(small_set, capsys, arguments, wo
     assert train.main(["--config", str(run_config(small_set, "unused")), *arguments]) == 2
     error = capsys.readouterr().err
     assert word in error and error.count("\n") == 1
+
+
+def test_help_says_what_every_field_is(capsys):
+    for owner in (TrainingConfig, OptimizerConfig, LossWeights, Augmentation, Stage):
+        described = {entry.arg_name: entry.description for entry in docstring_parser.parse(owner.__doc__).params}
+        assert list(described) == [field.name for field in dataclasses.fields(owner)] and all(described.values())
+    with pytest.raises(SystemExit):
+        train.main(["--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    for words in ("the panel's full viewing cone, degrees", "last learning rate / peak", "of 1 - SSIM",
+                  "largest turn of the target cameras"):
+        assert words in said
 
 
 STAGE = {"steps": 2, "image_size_px": 16, "objects": 2}

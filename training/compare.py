@@ -39,7 +39,14 @@ from training.train import parse
 
 @dataclass(frozen=True)
 class Arm:
-    """The targets of an arm: fields of TrainingConfig; those that are None are the same for all arms."""
+    """The targets of an arm: fields of TrainingConfig; those that are None are the same for all arms.
+
+    Args:
+        cone_deg: full cone of its targets, degrees.
+        cone_margin: its targets lie within this times half the cone in azimuth of the source view.
+        elevation_deg: its targets lie within this elevation of the source view, degrees to either side.
+        target_data: for each folder of data one that its targets are drawn from.
+    """
     cone_deg: float | None = None
     cone_margin: float | None = None
     elevation_deg: float | None = None
@@ -56,7 +63,7 @@ class Experiment:
 
 
 def _run_of(common: TrainingConfig, name: str, arm: Arm, data_root: Path) -> TrainingConfig:
-    """The run of an arm. Raises InputError for fields out of range or a cone that might leave a source without target."""
+    """The run of an arm. Raises InputError for fields out of range and cones that may leave sources without target."""
     changes = {field: value for field, value in dataclasses.asdict(arm).items() if value is not None}
     try:
         run = dataclasses.replace(common, output_dir=str(Path(common.output_dir) / name), **changes)
@@ -76,9 +83,13 @@ def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, arg
 
     Raises InputError when they describe none.
     """
-    from jsonargparse import ArgumentParser
+    from jsonargparse import ArgumentParser, DefaultHelpFormatter
+
+    class Help(argparse.RawDescriptionHelpFormatter, DefaultHelpFormatter):
+        """Paragraphs as they are written here, and defaults."""
+
     parser = ArgumentParser(prog="python -m training.compare", description=__doc__, exit_on_error=False,
-                            formatter_class=argparse.RawDescriptionHelpFormatter)
+                            formatter_class=Help)
     parser.add_argument("--arms", type=dict[str, Arm], required=True, help="the targets of each arm")
     parser.add_argument("--scored", type=dict[str, str], required=True, help="folders to score on in the end")
     parser.add_argument("--data_root", type=str, default=".", help="folder that paths of images are relative to")

@@ -14,10 +14,13 @@ from training.ranges import MOST, check_ranges
 
 @dataclass(frozen=True)
 class Stage:
-    """A stretch of the run. steps: optimizer steps. image_size_px: side of the source pictures. objects: examples per
-    step, of all processes together. target_px: side of the target images; 0: as the source pictures.
+    """A stretch of the run. Raises InputError for numbers out of their ranges, as all parts of a configuration do.
 
-    Raises InputError for numbers out of their ranges, as the other parts of a configuration do.
+    Args:
+        steps: optimizer steps.
+        image_size_px: side of the source pictures.
+        objects: examples per step, of all processes together.
+        target_px: side of the target images; 0: as the source pictures.
     """
     steps: int
     image_size_px: int
@@ -32,9 +35,14 @@ class Stage:
 class OptimizerConfig:
     """AdamW with linear warm-up and cosine decay.
 
-    learning_rate: its peak. betas, weight_decay: of AdamW (no decay on biases and norms). warmup_steps: length of the
-    warm-up. final_share: last learning rate / peak. clip: largest norm of the gradient. ema_decay: of the averaged
-    weights, the ones that are evaluated and shipped.
+    Args:
+        learning_rate: its peak.
+        betas: of AdamW, 0..1.
+        weight_decay: of AdamW; none on biases and norms.
+        warmup_steps: length of the warm-up.
+        final_share: last learning rate / peak, 0..1.
+        clip: largest norm of the gradient.
+        ema_decay: of the averaged weights, the ones that are evaluated and shipped, 0..1 per step.
     """
     learning_rate: float = 6e-4
     betas: tuple[float, float] = (0.9, 0.95)
@@ -53,28 +61,41 @@ class OptimizerConfig:
 class TrainingConfig:
     """One run.
 
-    model: name in configs/models, or a YAML file. initial_weights: checkpoint to start from, "pretrained" for the one
-    in the package; its network takes the place of model. symmetric: make the network symmetric (see ModelConfig), also
-    where model or initial_weights do not. trained: the whole network, or the head alone, which takes the U-Net's
-    features as they are: quick, also on a CPU, to suit a trained network to other targets.
-    data: folders of objects, SRN layout or transforms.json.
-    cache_dir: where decoded views are kept. output_dir: checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs,
-    final weights.
-    cone_deg: the panel's full viewing cone; targets lie within cone_margin times its half in azimuth of the source
-    view, and within elevation_deg in elevation. 360 with elevation_deg 90 takes every view.
-    target_data: for each folder of data one with further views of the same objects, in the same worlds; targets are
-    drawn from these alone, sources from data. []: both from data. neighbour_deg: only views of data of which another
-    one looks within this angle are sources.
-    targets: target views per object, beside the source view itself. stages: run one after the other under one schedule.
-    procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of data;
-    they are drawn about 32 at once, for as many steps as that makes.
-    bfloat16: run the U-Net in bfloat16. checkpoint_every: steps between resumable checkpoints.
-    validation: folder scored every validate_every steps (validation_objects of its objects, evenly spread); "": none.
-    device: cpu, cuda, or auto (cuda where there is one). compile: let torch.compile make kernels for the network, its
-    loss and its batches, which takes a minute or two at the start of every stage and process.
-    threads: of torch; 0 leaves the default. Resuming gives the same losses to the last digit on a CPU, with the same
-    number of threads and of processes. On a machine that is busy with other work, 1 can be several times faster than
-    more: threads wait for the slowest of them.
+    Args:
+        output_dir: folder for checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs and the final weights.
+        data: folders of objects, SRN layout or transforms.json.
+        stages: run one after the other under one schedule.
+        cache_dir: folder where decoded views are kept.
+        model: name in configs/models, or a YAML file.
+        initial_weights: checkpoint to start from, "pretrained" for the one in the package; its network takes the place
+            of model. "": none.
+        symmetric: make the network symmetric (see ModelConfig), also where model or initial_weights do not.
+        trained: the whole network, or the head alone, which takes the U-Net's features as they are: quick, also on a
+            CPU, to suit a trained network to other targets.
+        seed: of weights, samples, dropout and augmentation, 0..2^31 - 1.
+        cone_deg: the panel's full viewing cone, degrees; 360 with elevation_deg 90 takes every view.
+        cone_margin: targets lie within this times half the cone in azimuth of the source view.
+        elevation_deg: targets lie within this elevation of the source view, degrees to either side.
+        target_data: for each folder of data one with further views of the same objects, in the same worlds; targets are
+            drawn from these alone, sources from data. []: both from data.
+        neighbour_deg: only views of data of which another one looks within this angle, degrees, are sources.
+        targets: target views per object, beside the source view itself.
+        procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of
+            data; they are drawn about 32 at once, for as many steps as that makes.
+        bfloat16: run the U-Net in bfloat16.
+        device: cpu, cuda, or auto (cuda where there is one).
+        compile: let torch.compile make kernels for the network, its loss and its batches, which takes a minute or two
+            at the start of every stage and process.
+        threads: of torch; 0 leaves the default. Resuming gives the same losses to the last digit on a CPU, with the
+            same number of threads and of processes. On a machine that is busy with other work, 1 can be several times
+            faster than more: threads wait for the slowest of them.
+        checkpoint_every: steps between resumable checkpoints.
+        validation: folder of objects that the averaged weights are scored on during training. "": none.
+        validate_every: steps between such scores.
+        validation_objects: how many of its objects, spread evenly over the folder.
+        optimizer: AdamW with linear warm-up and cosine decay.
+        loss: weights of what is summed up, at least 0, not all 0.
+        augmentation: how examples are varied.
     """
     output_dir: str
     data: list[str]

@@ -16,14 +16,19 @@ _LEAST_ERROR = 1e-4  # of an image, 40 dB: better ones count no more in the loga
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights: squared colour error, logarithm of each image's squared colour error, 1 - SSIM, squared error of the
-    object's outline (alpha), what is half transparent, roughness of depth.
+    """Weights of what is summed up, at least 0, not all 0.
 
-    The logarithm is what PSNR averages: images count alike however large their errors. Its slope at an error of 0.002
-    (27 dB) is that of the squared error itself when its weight is 0.002 times as large.
-
-    Where the network cannot know whether a pixel is object, squared error is least at the probability that it is: a halo.
-    translucency makes it decide: its weight against those of the squared errors says how much sharper outlines get.
+    Args:
+        colour: of the squared colour error.
+        log_colour: of the logarithm of each image's squared colour error, which is what PSNR averages: images count
+            alike however large their errors. Its slope at an error of 0.002 (27 dB) is that of the squared error itself
+            when its weight is 0.002 times as large.
+        ssim: of 1 - SSIM.
+        alpha: of the squared error of the object's outline.
+        translucency: of what is half transparent. Where the network cannot know whether a pixel is object, squared
+            error is least at the probability that it is: a halo. This makes it decide: its weight against those of the
+            squared errors says how much sharper outlines get.
+        roughness: of the roughness of depth.
     """
     colour: float = 1.0
     log_colour: float = 0.0

@@ -27,14 +27,19 @@ from training.ranges import check_ranges
 class Augmentation:
     """How examples are varied.
 
-    mirror: probability of a left-right flip. colour: probability of a change of colours.
-    source_jitter: largest change of the source crop's side and centre, as a share of its side.
-    target_zoom: range of the target crops' sides, in units of the square round the object: below 1 the view is
-        magnified, which shows gaps between Gaussians, above 1 it shows more background.
-    pose_error_deg: largest turn of the target cameras of stored views about each of their axes.
-    blur_px, noise, outline_px: largest faults of the input pictures, as photos and their automatic cut-outs have them:
-        standard deviation of a blur, standard deviation of noise (of 1), shift and softness of the outline. Each spares
-        half of the pictures.
+    The last three are faults of the input pictures, as photos and their automatic cut-outs have them; each spares half
+    of the pictures.
+
+    Args:
+        mirror: probability of a left-right flip, 0..1.
+        colour: probability of a change of colours, 0..1.
+        source_jitter: largest change of the source crop's side and centre, as a share of its side, 0..0.5.
+        target_zoom: range of the target crops' sides, in units of the square round the object: below 1 the view is
+            magnified, which shows gaps between Gaussians, above 1 it shows more background.
+        pose_error_deg: largest turn of the target cameras of stored views about each of their axes, degrees.
+        blur_px: largest standard deviation of a blur, pixels of the input picture.
+        noise: largest standard deviation of noise, of 1.
+        outline_px: largest shift and softness of the outline, pixels of the input picture.
     """
     mirror: float = 0.5
     colour: float = 0.5
