@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from lightfield_gs.commands.complaint import complain
 from lightfield_gs.commands.values import background, byte_size, numbers, share, threads
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL
 
-EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 _VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics")  # their values may begin with a minus sign
 
 
@@ -43,19 +43,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = importlib.import_module(args.module).run(args) or 0
         sys.stdout.flush()
         return code
-    except KeyboardInterrupt:
-        return _fail("interrupted", EXIT_INTERRUPTED)
     except BrokenPipeError:  # of stdout: nobody reads on
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (InputError, OSError) as error:
-        return _fail(str(error), EXIT_BAD_INPUT)
-    except MemoryError:
-        return _fail("out of memory; use a smaller scene or panel", EXIT_BAD_INPUT)
-    except RuntimeError as error:
-        if "allocate memory" not in str(error):  # torch says it so
-            raise
-        return _fail("out of memory; use a smaller scene or panel", EXIT_BAD_INPUT)
+    except (Exception, KeyboardInterrupt) as error:
+        return complain("lightfield-gs", error, "use a smaller scene or panel")
 
 
 def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
@@ -190,11 +182,6 @@ class _Version(argparse.Action):
 
         print(f"lightfield-gs {version('lightfield-gs')}")
         parser.exit()
-
-
-def _fail(message: str, code: int) -> int:
-    print(f"lightfield-gs: error: {' '.join(message.split())}", file=sys.stderr)
-    return code
 
 
 def _terminate(number: int, frame: object) -> NoReturn:

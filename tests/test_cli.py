@@ -336,9 +336,16 @@ def test_interrupt(folder, capsys, monkeypatch):
 
 
 def test_out_of_memory(folder, capsys, monkeypatch):
-    for error in (MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried")):
+    for error in (MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"),
+                  torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB.")):
         monkeypatch.setattr(Gaussians, "load", lambda path, error=error: (_ for _ in ()).throw(error))
         assert "out of memory" in complaint(capsys, "encode s.ply -o o.png --panel p.yaml")
+
+
+def test_faults_of_our_own_are_not_hidden(folder, monkeypatch):
+    monkeypatch.setattr(Gaussians, "load", lambda path: (_ for _ in ()).throw(RuntimeError("a bug")))
+    with pytest.raises(RuntimeError, match="a bug"):
+        cli.main("encode s.ply -o o.png".split())
 
 
 # info, simulate, help

@@ -226,6 +226,16 @@ def test_help_says_what_every_field_is(capsys):
         assert words in said
 
 
+@pytest.mark.parametrize("error, words, code", [
+    (torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB."), "take fewer objects", 2),
+    (OSError(28, "No space left on device"), "No space left", 2), (KeyboardInterrupt(), "interrupted", 130)])
+def test_what_ends_a_run_is_said_in_one_line(small_set, capsys, monkeypatch, error, words, code):
+    monkeypatch.setattr(train, "train", lambda config: (_ for _ in ()).throw(error))
+    assert train.main(["--config", str(run_config(small_set, "unused"))]) == code
+    said = capsys.readouterr().err
+    assert said.startswith("training.train: error: ") and words in said and said.count("\n") == 1
+
+
 STAGE = {"steps": 2, "image_size_px": 16, "objects": 2}
 
 

@@ -2,24 +2,21 @@
 from __future__ import annotations
 
 import functools
-import sys
 from collections.abc import Callable
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.commands.complaint import complain
 
 Main = Callable[[list[str] | None], int]
 
 
 def with_line_errors(name: str) -> Callable[[Main], Main]:
-    """Decorates a main(arguments): an InputError, or a file that cannot be read or written, is a line on stderr that
-    begins with the name, and exit code 2."""
+    """Decorates a main(arguments): what the user can mend is a line on stderr that begins with the name."""
     def decorate(main: Main) -> Main:
         @functools.wraps(main)
         def command(arguments: list[str] | None = None) -> int:
             try:
                 return main(arguments)
-            except (InputError, OSError) as error:
-                print(f"{name}: error: {error}", file=sys.stderr)
-                return 2
+            except (Exception, KeyboardInterrupt) as error:
+                return complain(name, error, "take fewer objects or targets a step, or smaller pictures")
         return command
     return decorate

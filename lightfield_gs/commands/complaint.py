@@ -1,0 +1,29 @@
+"""How a command ends that could not do its work."""
+
+from __future__ import annotations
+
+import sys
+
+from lightfield_gs.errors import InputError
+
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+_NO_MEMORY = ("allocate memory", "out of memory")  # torch's words for the host's and the device's
+
+
+def complain(program: str, error: BaseException, remedy: str) -> int:
+    """Says in one line on stderr why a program ends, and returns its exit code; raises what is a fault of its own.
+
+    remedy: what to do where memory does not suffice.
+    """
+    code = EXIT_BAD_INPUT
+    if isinstance(error, KeyboardInterrupt):
+        message, code = "interrupted", EXIT_INTERRUPTED
+    elif isinstance(error, (InputError, OSError)):
+        message = str(error)
+    elif isinstance(error, MemoryError) or isinstance(error, RuntimeError) and any(
+            words in str(error) for words in _NO_MEMORY):
+        message = f"out of memory; {remedy}"
+    else:
+        raise error
+    print(f"{program}: error: {' '.join(message.split())}", file=sys.stderr)
+    return code
