@@ -11,6 +11,11 @@ class InputError(ValueError):
     """
 
 
+def shown(value: object) -> str:
+    """A value of any kind in a message: on one line, cut."""
+    return "none" if value is None else " ".join(repr(value).split())[:80]
+
+
 def expect(what: str, value: object, *kinds: type) -> None:
     """Raises InputError unless the value is of one of these types; True and False are no numbers."""
     if not isinstance(value, kinds) or isinstance(value, bool) and bool not in kinds:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.errors import InputError, expect, shown
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
 from lightfield_gs.paths import config_path
 
@@ -68,9 +68,9 @@ class Panel:
         if self.cone_deg >= 180:
             raise InputError(f"panel: cone_deg must be below 180, got {self.cone_deg}")
         if not isinstance(self.subpixel_order, str) or self.subpixel_order not in ("RGB", "BGR"):
-            raise InputError(f"panel: subpixel_order must be RGB or BGR, got {_shown(self.subpixel_order)}")
+            raise InputError(f"panel: subpixel_order must be RGB or BGR, got {shown(self.subpixel_order)}")
         if not isinstance(self.invert_views, bool):
-            raise InputError(f"panel: invert_views must be true or false, got {_shown(self.invert_views)}")
+            raise InputError(f"panel: invert_views must be true or false, got {shown(self.invert_views)}")
         self._set("name", str(self.name))
 
     def _set(self, key: str, value: Any) -> None:
@@ -190,20 +190,16 @@ class Panel:
 def whole_number(what: str, value: Any, low: int, high: int) -> int:
     """`value` as an int in low..high; raises InputError."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)) or value != value // 1:
-        raise InputError(f"{what} must be a whole number, got {_shown(value)}")
+        raise InputError(f"{what} must be a whole number, got {shown(value)}")
     if not low <= value <= high:
-        raise InputError(f"{what} must be {low}..{high}, got {_shown(value)}")
+        raise InputError(f"{what} must be {low}..{high}, got {shown(value)}")
     return int(value)
 
 
 def real_number(what: str, value: Any, low: float, high: float) -> float:
     """`value` as a float in low..high; raises InputError."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise InputError(f"{what} must be a number, got {_shown(value)}")
+        raise InputError(f"{what} must be a number, got {shown(value)}")
     if not low <= value <= high:  # false for NaN
-        raise InputError(f"{what} must be {low:g}..{high:g}, got {_shown(value)}")
+        raise InputError(f"{what} must be {low:g}..{high:g}, got {shown(value)}")
     return float(value)
-
-
-def _shown(value: Any) -> str:
-    return " ".join(repr(value).split())[:80]

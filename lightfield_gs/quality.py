@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from lightfield_gs import _core
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, shown
 from lightfield_gs.panel import real_number
 
 OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
@@ -61,7 +61,7 @@ class Quality:
         if isinstance(quality, Quality):
             return quality
         if not isinstance(quality, str) or quality not in QUALITIES:
-            raise InputError(f"quality must be one of {', '.join(QUALITIES)} or a Quality, got {quality!r}")
+            raise InputError(f"quality must be one of {', '.join(QUALITIES)} or a Quality, got {shown(quality)}")
         return QUALITIES[quality]
 
     @property

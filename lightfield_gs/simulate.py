@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, shown
 from lightfield_gs.panel import Panel, real_number
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
@@ -100,7 +100,7 @@ def _blurred(cells: np.ndarray) -> np.ndarray:
 
 def _eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
     if isinstance(eye_mm, str) or len(eye_mm) != 3:
-        raise InputError(f"eye: expected three numbers x, y, z in mm, got {eye_mm!r}")
+        raise InputError(f"eye: expected three numbers x, y, z in mm, got {shown(eye_mm)}")
     x, y, z = (real_number(f"eye: {axis}", value, -1e7, 1e7) for axis, value in zip("xyz", eye_mm))
     if z <= 0:
         raise InputError(f"eye: z is the distance before the panel in mm and must be above 0, got {z}")

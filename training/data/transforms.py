@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.errors import InputError, shown
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_object as read_json
 from training.data.views import (IMAGE_SUFFIXES, ObjectViews, check_intrinsics, check_looking_at_object, check_pose,
@@ -43,11 +43,11 @@ def read_transforms(path: Path) -> ObjectViews:
     data = read_json(path, _LIMIT_BYTES)
     frames = data.get("frames")
     if not isinstance(frames, list) or not frames:
-        raise InputError(f"{path}: frames: expected a list of views, got {_shown(frames)}")
+        raise InputError(f"{path}: frames: expected a list of views, got {shown(frames)}")
     fields = [f"{path}: frames[{index}]" for index in range(len(frames))]
     for field, frame in zip(fields, frames):
         if not isinstance(frame, dict):
-            raise InputError(f"{field}: expected an object with file_path and transform_matrix, got {_shown(frame)}")
+            raise InputError(f"{field}: expected an object with file_path and transform_matrix, got {shown(frame)}")
     images = [_image_path(field, path.parent, frame.get("file_path")) for field, frame in zip(fields, frames)]
     poses = np.stack([_pose(f"{field}.transform_matrix", frame) for field, frame in zip(fields, frames)])
     check_looking_at_object(f"{path}: transform_matrix", poses, _AXES)
@@ -60,26 +60,21 @@ def read_transforms(path: Path) -> ObjectViews:
     return ObjectViews(path.parent.name, tuple(images), poses, np.stack(intrinsics), *sizes[0])
 
 
-def _shown(value: Any) -> str:
-    """A value from a file, for a message."""
-    return "none" if value is None else repr(value)[:60]
-
-
 def _image_path(field: str, folder: Path, name: Any) -> Path:
     """The image file of a frame, with or without its extension in the file."""
     if not isinstance(name, str) or not name.strip() or "\0" in name:
-        raise InputError(f"{field}.file_path: expected the name of an image, got {_shown(name)}")
+        raise InputError(f"{field}.file_path: expected the name of an image, got {shown(name)}")
     try:
         return _found(field, folder, name)
     except (OSError, UnicodeEncodeError) as error:
-        raise InputError(f"{field}.file_path: {_shown(name)}: {error.args[-1]}") from None
+        raise InputError(f"{field}.file_path: {shown(name)}: {error.args[-1]}") from None
 
 
 def _found(field: str, folder: Path, name: str) -> Path:
     """What _image_path finds; raises OSError or UnicodeEncodeError for a name that no file can have."""
     base = (folder / name).resolve()
     if not base.is_relative_to(folder.resolve()):
-        raise InputError(f"{field}.file_path: {_shown(name)} leads out of {folder}; put the images into that folder")
+        raise InputError(f"{field}.file_path: {shown(name)} leads out of {folder}; put the images into that folder")
     candidates = [base, *(base.with_name(base.name + suffix) for suffix in IMAGE_SUFFIXES)]
     for candidate in candidates:
         if candidate.suffix.lower() in IMAGE_SUFFIXES and candidate.is_file():
@@ -107,7 +102,7 @@ def _camera(field: str, shared: dict[str, Any], frame: dict[str, Any],
         value = frame.get(key, shared.get(key))
         if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e12):
             return value
-        raise InputError(f"{field}: {key}: expected a number, got {_shown(value)}")
+        raise InputError(f"{field}: {key}: expected a number, got {shown(value)}")
 
     def focal(length_key: str, angle_key: str, size: float) -> float | None:
         length, angle = number(length_key), number(angle_key)
@@ -120,7 +115,7 @@ def _camera(field: str, shared: dict[str, Any], frame: dict[str, Any],
     model = frame.get("camera_model", shared.get("camera_model", "PINHOLE"))
     if model not in _PINHOLES or shared.get("is_fisheye") is True or any(number(key) for key in _DISTORTIONS):
         raise InputError(f"{field}: bad intrinsics: expected a pinhole camera (k1 ... p2 zero), got lens distortion "
-                         f"(camera_model {_shown(model)}): undistort the images first")
+                         f"(camera_model {shown(model)}): undistort the images first")
     width, height = number("w"), number("h")
     if width is None or height is None:
         info = read_info(first_image)
