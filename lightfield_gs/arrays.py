@@ -10,16 +10,18 @@ from lightfield_gs.errors import InputError, expect
 
 
 def dense_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:
-    """`value` as a tensor, without a copy where that can be. Raises InputError on what holds no numbers in memory."""
+    """`value` as a tensor, without a copy where that can be. Raises InputError on what holds no real numbers."""
     expect(what, value, np.ndarray, Tensor)
-    if isinstance(value, Tensor):
-        if value.layout != torch.strided or value.is_meta:
-            raise InputError(f"{what}: expected a dense tensor, got {value.layout} on {value.device}")
-        return value
-    try:
-        return torch.from_numpy(np.ascontiguousarray(value))
-    except TypeError:
-        raise InputError(f"{what}: expected numbers, got {value.dtype}") from None
+    if isinstance(value, np.ndarray):
+        try:
+            value = torch.from_numpy(np.ascontiguousarray(value))
+        except TypeError:
+            raise InputError(f"{what}: expected numbers, got {value.dtype}") from None
+    if value.layout != torch.strided or value.is_meta:
+        raise InputError(f"{what}: expected a dense tensor, got {value.layout} on {value.device}")
+    if value.is_complex():
+        raise InputError(f"{what}: expected real numbers, got {value.dtype}")
+    return value
 
 
 def bytes_of(colours: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ evaluated in wrapping 64-bit fixed point, so that every implementation agrees bi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from fractions import Fraction
 from pathlib import Path
@@ -203,3 +203,12 @@ def real_number(what: str, value: Any, low: float, high: float) -> float:
     if not low <= value <= high:  # false for NaN
         raise InputError(f"{what} must be {low:g}..{high:g}, got {shown(value)}")
     return float(value)
+
+
+def is_row(values: Any, count: int | None = None) -> bool:
+    """Whether `values` is a sequence or array of `count` elements (None: any number), whatever they are."""
+    if isinstance(values, np.ndarray):
+        good = values.ndim == 1
+    else:
+        good = isinstance(values, Sequence) and not isinstance(values, (str, bytes))
+    return good and count in (None, len(values))

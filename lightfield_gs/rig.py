@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.errors import InputError, expect, shown
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
-from lightfield_gs.panel import Panel, real_number, whole_number
+from lightfield_gs.panel import Panel, is_row, real_number, whole_number
 
 if TYPE_CHECKING:
     from lightfield_gs.cameras import Cameras
@@ -120,7 +120,8 @@ class Rig:
         expect("panel", panel, Panel)
         if views is None:
             views = range(panel.views)
-        expect("views", views, Sequence, np.ndarray)
+        if not is_row(views):
+            raise InputError(f"views must be whole numbers in a row, got {shown(views)}")
         numbers = np.array([whole_number("views", view, -1 << 31, 1 << 31) for view in views], np.int64)
         if numbers.size and not (0 <= numbers.min() and numbers.max() < panel.views):
             raise InputError(f"views must be 0..{panel.views - 1}, got {numbers.min()}..{numbers.max()}")
@@ -130,12 +131,17 @@ class Rig:
         """The cameras at these view coordinates x in [0, N], float64, in that order.
 
         Same rotation; translation t_x - s and principal point cx + fx s / Z0, so that z = zero_depth has no parallax.
+        Raises InputError.
         """
         import torch
 
         from lightfield_gs.cameras import Cameras
 
-        offsets = self.offset(np.asarray(x, np.float64), panel)
+        expect("panel", panel, Panel)
+        positions = _float64(x)
+        if positions is None or positions.ndim != 1 or not ((positions >= 0) & (positions <= panel.views)).all():
+            raise InputError(f"x must be a row of numbers in 0..{panel.views}, got {shown(x)}")
+        offsets = self.offset(positions, panel)
         matrices = np.repeat(self.world_to_camera[None], len(offsets), 0)
         matrices[:, 0, 3] -= offsets
         centres = np.stack([self.principal_point_px[0] + self.focal_px[0] / self.zero_depth * offsets,
@@ -146,14 +152,21 @@ class Rig:
                        jacobian_limits=torch.from_numpy(limits))
 
 
-def _rigid(matrix: Any) -> np.ndarray:
-    """`matrix` as float64 [4, 4] with a proper rotation; raises InputError."""
+def _float64(values: Any) -> np.ndarray | None:
+    """A copy of `values` as a float64 array; None where they are no real numbers."""
     try:
-        matrix = np.array(matrix, np.float64)
+        array = np.asarray(values)
+        return None if array.dtype.kind in "cSU" else np.array(array, np.float64)
     except (TypeError, ValueError, OverflowError, RuntimeError):
-        raise InputError("rig: world_to_camera must be 4 rows of 4 numbers") from None
-    if matrix.shape != (4, 4):
-        raise InputError(f"rig: world_to_camera must be 4 rows of 4 numbers, got shape {list(matrix.shape)}")
+        return None
+
+
+def _rigid(given: Any) -> np.ndarray:
+    """What was given as float64 [4, 4] with a proper rotation; raises InputError."""
+    matrix = _float64(given)
+    if matrix is None or matrix.shape != (4, 4):
+        came = shown(given) if matrix is None else f"shape {list(matrix.shape)}"
+        raise InputError(f"rig: world_to_camera must be 4 rows of 4 numbers, got {came}")
     if not np.isfinite(matrix).all():
         raise InputError("rig: world_to_camera has numbers that are not finite")
     if not np.abs(matrix[3] - (0, 0, 0, 1)).max() <= 1e-6:
@@ -166,6 +179,6 @@ def _rigid(matrix: Any) -> np.ndarray:
 
 
 def _pair(what: str, values: Any, low: float, high: float) -> tuple[float, float]:
-    if not isinstance(values, (Sequence, np.ndarray)) or isinstance(values, (str, bytes)) or len(values) != 2:
-        raise InputError(f"{what} must be two numbers, got {str(values)[:60]!r}")
+    if not is_row(values, 2):
+        raise InputError(f"{what} must be two numbers, got {shown(values)}")
     return real_number(what, values[0], low, high), real_number(what, values[1], low, high)

@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from lightfield_gs.errors import InputError, shown
-from lightfield_gs.panel import Panel, real_number
+from lightfield_gs.errors import InputError, expect, shown
+from lightfield_gs.panel import Panel, is_row, real_number, whole_number
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
 _ROWS_PER_CHUNK_PX = 16  # small temporaries stay in the cache
@@ -34,6 +34,7 @@ def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_su
     _check(image, panel)
     x, y, z = _eye(eye_mm)
     spread = real_number("spread_subpixels", spread_subpixels, 1e-2, 1e3)
+    threads = os.cpu_count() if threads is None else whole_number("threads", threads, 1, 4096)
     distance, sub_mm, lens = panel.viewing_distance_mm, panel.pixel_pitch_mm / 3, panel.line_number
     gap = lens * sub_mm / (2 * math.tan(math.radians(panel.cone_deg) / 2)) * (-1 if panel.invert_views else 1)
     if z + gap <= 0 or distance + gap <= 0:
@@ -58,7 +59,7 @@ def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_su
             light *= image[bounds[0]:bounds[-1], :, channel]
             lit[cells, :, channel] = _sums(light, bounds, columns)
 
-    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:  # NumPy works outside the interpreter lock
+    with ThreadPoolExecutor(threads) as pool:  # NumPy works outside the interpreter lock
         list(pool.map(sum_up, range(0, len(rows) - 1, cells_per_chunk)))
     scale = 1 / np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else 1.0
     return np.float32(scale) * _blurred(lit) / _blurred(weight)
@@ -99,7 +100,7 @@ def _blurred(cells: np.ndarray) -> np.ndarray:
 
 
 def _eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
-    if isinstance(eye_mm, str) or len(eye_mm) != 3:
+    if not is_row(eye_mm, 3):
         raise InputError(f"eye: expected three numbers x, y, z in mm, got {shown(eye_mm)}")
     x, y, z = (real_number(f"eye: {axis}", value, -1e7, 1e7) for axis, value in zip("xyz", eye_mm))
     if z <= 0:
@@ -108,6 +109,8 @@ def _eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _check(image: np.ndarray, panel: Panel) -> None:
+    expect("image", image, np.ndarray)
+    expect("panel", panel, Panel)
     missing = [key for key in ("viewing_distance_mm", "pixel_pitch_mm") if getattr(panel, key) is None]
     if missing:
         raise InputError(f"panel {panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")

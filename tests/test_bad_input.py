@@ -1,17 +1,25 @@
 """Tensors that make no sense: one line that names the field, from every entry into the library."""
 
 import math
+import warnings
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from photo_cases import photo, tiny_net
 
+import lightfield_gs
+from lightfield_gs import Cameras, Encoder, PhotoEncoder, Quality, SortedPlan, from_depth, load_photo, prune
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rendering import encode, interlace, render
 from lightfield_gs.rig import Rig
+from lightfield_gs.simulate import simulate
 
+CAT = Path(lightfield_gs.__file__).parent / "data/cat.png"
 PANEL = Panel(width_px=24, height_px=16, views=4, line_number=7.3, slant_tan=0.2)
 RIG = Rig(np.eye(4), (24, 24), (12, 8), 2.0)
 
@@ -95,3 +103,60 @@ def test_no_gaussians_give_the_background():
 def test_interlace_refuses(views):
     with pytest.raises(InputError):
         interlace(views, PANEL)
+
+
+STRANGE = (None, True, 0, -1, 10**30, math.nan, -math.inf, "x", "", b"a", (1, 2), [], {}, object(), Path("nowhere"),
+           np.zeros(0), np.full((4, 4), np.nan), np.array("s"), np.array([object()]), torch.zeros(3),
+           torch.zeros(40, 40, dtype=torch.complex64), torch.empty(0, dtype=torch.bool))
+
+
+def entries() -> dict:
+    """What the library offers, each with arguments that it takes."""
+    place = dict(gaussians=scene(), panel=PANEL, rig=RIG)
+    cameras = dict(world_to_camera=torch.eye(4)[None].repeat(4, 1, 1), focal_px=torch.full((4, 2), 24.0),
+                   principal_point_px=torch.full((4, 2), 8.0), width_px=24, height_px=16)
+    seen = replace(PANEL, viewing_distance_mm=500, pixel_pitch_mm=0.2)
+    options = dict(views="integer", background=(1, 1, 1), output="uint8", quality="exact")
+    return {
+        "encode": (encode, place | options | dict(method="direct", stats=None, out=None)),
+        "sorted": (encode, dict(gaussians=scene(), panel=PANEL, method="sorted", cameras=Cameras(**cameras),
+                                view_map=np.zeros((16, 24, 3), np.int32), memory_budget=10**9)),
+        "SortedPlan": (SortedPlan, dict(panel=PANEL, view_map=np.zeros((16, 24, 3), np.int32), views=4, device="cpu")),
+        "Encoder": (Encoder, dict(panel=PANEL, rig=RIG) | options),
+        "an Encoder": (Encoder(PANEL, RIG), dict(gaussians=scene())),
+        "render": (render, dict(gaussians=scene(), cameras=Cameras(**cameras), background=(1, 1, 1), alpha=False)),
+        "interlace": (interlace, dict(views=torch.zeros(4, 16, 24, 3), panel=PANEL)),
+        "simulate": (simulate, dict(image=np.zeros((16, 24, 3), np.uint8), panel=seen, eye_mm=(0, 0, 500),
+                                    spread_subpixels=1.0, threads=1)),
+        "Gaussians": (Gaussians, scene().fields()),
+        "Cameras": (Cameras, cameras),
+        "Panel": (Panel, vars(PANEL)),
+        "Rig": (Rig, dict(world_to_camera=np.eye(4), focal_px=(24, 24), principal_point_px=(12, 8), zero_depth=2.0)),
+        "Rig.frame": (Rig.frame, dict(gaussians=scene(), panel=PANEL, world_to_camera=np.eye(4))),
+        "Rig.cameras": (RIG.cameras, dict(panel=PANEL, views=[0, 3])),
+        "Rig.cameras_at": (RIG.cameras_at, dict(panel=PANEL, x=[0.5, 3.5])),
+        "Quality": (Quality, vars(Quality())),
+        "prune": (prune, place | dict(contribution_cut=0.01)),
+        "from_depth": (from_depth, dict(image=np.ones((8, 9, 3), np.float32), depth=np.ones((8, 9)),
+                                        focal_px=(9.0, 9.0), principal_point_px=(4.5, 4.0))),
+        "load_photo": (load_photo, dict(path=CAT, mask=None, remove_background=False, whole=False)),
+        "Panel.load": (Panel.load, dict(source="toy-8v")),
+        "load": (Gaussians.load, dict(path=Path(__file__).parent / "fuzzing/corpus/ply/degree0.ply")),
+        "predict": (tiny_net().predict, dict(rgba=photo(30, 40))),
+        "PhotoEncoder": (PhotoEncoder, dict(net=tiny_net(), panel=PANEL) | options),
+        "a PhotoEncoder": (PhotoEncoder(tiny_net(), PANEL), dict(rgba=photo(30, 40), stats=None)),
+    }
+
+
+@pytest.mark.parametrize("name", entries())
+def test_values_of_any_kind_are_taken_or_refused_in_one_line(name):
+    call, good = entries()[name]
+    call(**good)
+    for argument in good:
+        for value in STRANGE:
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error")
+                    call(**good | {argument: value})
+            except InputError as error:
+                assert 0 < len(str(error)) < 400 and "\n" not in str(error)
