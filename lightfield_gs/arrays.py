@@ -6,7 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.checks import expect
+from lightfield_gs.errors import InputError
 
 
 def dense_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import torch
 
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.checks import expect
+from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import check_finite
 
 

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.checks import expect
+from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import OPACITY_CUT

@@ -9,7 +9,7 @@ evaluated in wrapping 64-bit fixed point, so that every implementation agrees bi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError, expect, shown
+from lightfield_gs.checks import expect, real_number, shown, whole_number
+from lightfield_gs.errors import InputError
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
 from lightfield_gs.paths import config_path
 
@@ -185,30 +186,3 @@ class Panel:
         """Continuous views x in [0, N), float64, of lens phases uint64."""
         # The upper 53 bits convert exactly, so x cannot round up to N.
         return (phase >> np.uint64(11)).astype(np.float64) * (2.0**-53 * self.views)
-
-
-def whole_number(what: str, value: Any, low: int, high: int) -> int:
-    """`value` as an int in low..high; raises InputError."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)) or value != value // 1:
-        raise InputError(f"{what} must be a whole number, got {shown(value)}")
-    if not low <= value <= high:
-        raise InputError(f"{what} must be {low}..{high}, got {shown(value)}")
-    return int(value)
-
-
-def real_number(what: str, value: Any, low: float, high: float) -> float:
-    """`value` as a float in low..high; raises InputError."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise InputError(f"{what} must be a number, got {shown(value)}")
-    if not low <= value <= high:  # false for NaN
-        raise InputError(f"{what} must be {low:g}..{high:g}, got {shown(value)}")
-    return float(value)
-
-
-def is_row(values: Any, count: int | None = None) -> bool:
-    """Whether `values` is a sequence or array of `count` elements (None: any number), whatever they are."""
-    if isinstance(values, np.ndarray):
-        good = values.ndim == 1
-    else:
-        good = isinstance(values, Sequence) and not isinstance(values, (str, bytes))
-    return good and count in (None, len(values))

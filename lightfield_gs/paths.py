@@ -6,7 +6,8 @@ import difflib
 import os
 from pathlib import Path
 
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.checks import expect
+from lightfield_gs.errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parent
 

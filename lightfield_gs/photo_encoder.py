@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import framing, ops, rendering
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.checks import expect
+from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range, premultiplied

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any
 
 from lightfield_gs import _core
-from lightfield_gs.errors import InputError, shown
-from lightfield_gs.panel import real_number
+from lightfield_gs.checks import real_number, shown
+from lightfield_gs.errors import InputError
 
 OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
 

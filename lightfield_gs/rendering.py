@@ -13,7 +13,8 @@ from torch import Tensor
 from lightfield_gs import ops, skips
 from lightfield_gs.arrays import bytes_of, dense_tensor
 from lightfield_gs.cameras import Cameras
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.checks import expect
+from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality

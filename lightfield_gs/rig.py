@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError, expect, shown
+from lightfield_gs.checks import expect, is_row, real_number, shown, whole_number
+from lightfield_gs.errors import InputError
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
-from lightfield_gs.panel import Panel, is_row, real_number, whole_number
+from lightfield_gs.panel import Panel
 
 if TYPE_CHECKING:
     from lightfield_gs.cameras import Cameras

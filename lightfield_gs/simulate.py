@@ -9,8 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from lightfield_gs.errors import InputError, expect, shown
-from lightfield_gs.panel import Panel, is_row, real_number, whole_number
+from lightfield_gs.checks import expect, is_row, real_number, shown, whole_number
+from lightfield_gs.errors import InputError
+from lightfield_gs.panel import Panel
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
 _ROWS_PER_CHUNK_PX = 16  # small temporaries stay in the cache

@@ -12,8 +12,9 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.arrays import dense_tensor
-from lightfield_gs.errors import InputError, expect
-from lightfield_gs.panel import MAX_VIEWS, Panel, whole_number
+from lightfield_gs.checks import expect, whole_number
+from lightfield_gs.errors import InputError
+from lightfield_gs.panel import MAX_VIEWS, Panel
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels; every list is filled up to whole blocks
 _SUBPIXELS_PER_TILE = 224    # of one view, on the average

@@ -24,11 +24,11 @@ import torch.nn.functional as F
 from torch import Tensor
 from tqdm import tqdm
 
+from lightfield_gs.checks import whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
-from lightfield_gs.panel import whole_number
 from training.data.images import read_view
 from training.data.objects import find_objects, read_object
 from training.data.plan import relative_cameras

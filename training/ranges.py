@@ -1,7 +1,7 @@
 """Ranges of numbers in configurations."""
 from __future__ import annotations
 
-from lightfield_gs.panel import real_number, whole_number
+from lightfield_gs.checks import real_number, whole_number
 
 MOST = 10**9  # for counts that nothing else bounds
 

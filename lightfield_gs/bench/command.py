@@ -25,11 +25,9 @@ from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.values import byte_size
 from lightfield_gs.errors import InputError
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rendering import METHODS
-from lightfield_gs.rig import Rig
 
 BENCH_METHODS = (*METHODS, *peers.PEERS)
 COUNTERS = ("stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes", "memory_bytes",

@@ -16,7 +16,6 @@ import torch
 
 from lightfield_gs.bench.tables import aligned, in_ms
 from lightfield_gs.bench.timing import timed
-from lightfield_gs.errors import InputError
 from lightfield_gs.io.photo import load_photo
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.models.splatter_net import PRETRAINED

@@ -6,7 +6,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.checks import expect
+from lightfield_gs.errors import InputError
 from lightfield_gs.io.json_file import read_object
 
 _LIMIT_BYTES = 1 << 20

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.checks import expect
+from lightfield_gs.errors import InputError
 from lightfield_gs.io.background import background_removed
 from lightfield_gs.io.images import read_image
 

@@ -14,7 +14,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lightfield_gs.arrays import dense_tensor
-from lightfield_gs.errors import InputError, expect
+from lightfield_gs.checks import expect
+from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups

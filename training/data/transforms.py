@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError, shown
+from lightfield_gs.checks import shown
+from lightfield_gs.errors import InputError
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_object as read_json
 from training.data.views import (IMAGE_SUFFIXES, ObjectViews, check_intrinsics, check_looking_at_object, check_pose,
