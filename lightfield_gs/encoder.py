@@ -10,9 +10,9 @@ from torch import Tensor
 
 from lightfield_gs import rendering
 from lightfield_gs.checks import expect
-from lightfield_gs.errors import InputError
 from lightfield_gs.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoder_cuda import CudaFrames
+from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality

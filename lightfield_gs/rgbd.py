@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.arrays import dense_tensor
 from lightfield_gs.checks import expect
 from lightfield_gs.depth_edges import continue_behind, slopes, snap_mixed
-from lightfield_gs.arrays import dense_tensor
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.quality import OPACITY_CUT
