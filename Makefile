@@ -38,14 +38,15 @@ PRELOAD = $(foreach library,libasan.so libubsan.so libstdc++.so,$(shell g++ -pri
 
 sanitize: sanitize-threads sanitize-stages sanitize-rest
 
+# MAKEFLAGS=, or ninja complains that it cannot share make's jobs.
 sanitize-threads: setup
 	$(CONFIGURE) -B build/threads -DLFGS_SANITIZE=thread
-	PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/threads --target stages_on_threads
+	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/threads --target stages_on_threads
 	build/threads/stages_on_threads
 
 sanitized-module: setup
 	$(CONFIGURE) -B build/sanitize -DLFGS_SANITIZE=address,undefined
-	PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/sanitize --target _core
+	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/sanitize --target _core
 
 sanitize-stages sanitize-rest: sanitize-%: sanitized-module
 	LD_PRELOAD="$(PRELOAD)" ASAN_OPTIONS=detect_leaks=0:quarantine_size_mb=16 UBSAN_OPTIONS=print_stacktrace=1 \
