@@ -92,31 +92,40 @@ def test_what_shows_nothing_is_background(scene):
     assert torch.equal(image.cpu(), torch.tensor(BACKGROUND).expand_as(image))
 
 
-def work_bytes(shown, scene, cameras, plan, budget) -> tuple[int, torch.Tensor, dict]:
-    """What torch's allocator was asked for at most, beside the image; the image, and the stats."""
+def within(budget: int | None) -> tuple[int, torch.Tensor, dict]:
+    """A frame of 96 cameras: what torch's allocator was asked for at most, beside the image; the image; the stats."""
+    shown = panel(width_px=1600, height_px=700)
+    scene = random_scene(20_000, 1, seed=2, size=0.02).to("cuda", torch.float32)
+    cameras, plan, stats = toe_in(shown, 96), SortedPlan(shown, device="cuda"), {}
     gc.collect()  # what others left must not go between the two readings
     torch.cuda.synchronize()
     torch.cuda.reset_peak_memory_stats()
-    before, stats = torch.cuda.memory_stats()["requested_bytes.all.current"], {}
+    before = torch.cuda.memory_stats()["requested_bytes.all.current"]
     image = sorted_image(scene, shown, cameras, plan, output="uint8", memory_budget=budget, stats=stats)
     return torch.cuda.memory_stats()["requested_bytes.all.peak"] - before - image.numel(), image, stats
 
 
-def test_any_budget_gives_the_same_bits_and_is_kept():
-    shown, scene = panel(width_px=1600, height_px=700), random_scene(20_000, 1, seed=2, size=0.02).to("cuda",
-                                                                                                      torch.float32)
-    cameras = toe_in(shown, 96)
-    _, whole, free = work_bytes(shown, scene, cameras, SortedPlan(shown, device="cuda"), None)
-    total = sum(free["memory_bytes_unchunked"].values())
-    for share in (1, 2, 4, 16):
-        used, image, stats = work_bytes(shown, scene, cameras, SortedPlan(shown, device="cuda"), total // share)
-        assert torch.equal(image, whole)
-        assert used <= total // share and sum(stats["memory_bytes"].values()) <= total // share
+@pytest.fixture(scope="module")
+def unbounded():
+    """The image of a frame without a budget, and the bytes of its work memory in one piece."""
+    _, image, stats = within(None)
+    return image, sum(stats["memory_bytes_unchunked"].values())
+
+
+@pytest.mark.parametrize("share", [1, 2, 4, 16])
+def test_any_budget_gives_the_same_bits_and_is_kept(unbounded, share):
+    whole, total = unbounded
+    used, image, stats = within(total // share)
+    assert torch.equal(image, whole)
+    assert used <= total // share and sum(stats["memory_bytes"].values()) <= total // share
+
+
+def test_the_least_budget_that_the_error_names_is_enough(unbounded):
     with pytest.raises(InputError, match="memory_budget") as error:
-        work_bytes(shown, scene, cameras, SortedPlan(shown, device="cuda"), 1000)
+        within(1000)
     least = int(re.search(r"need (\d+) bytes", str(error.value))[1])
-    used, image, _ = work_bytes(shown, scene, cameras, SortedPlan(shown, device="cuda"), least)
-    assert torch.equal(image, whole) and used <= least
+    used, image, _ = within(least)
+    assert torch.equal(image, unbounded[0]) and used <= least
 
 
 def test_the_same_bits_in_every_run(scene):
