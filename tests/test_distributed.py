@@ -1,5 +1,6 @@
 """Several processes train as one does."""
 import json
+from pathlib import Path
 
 import pytest
 import torch
@@ -9,6 +10,7 @@ from training.distributed import Team, join_team
 from training_runs import losses, run_config, start
 
 
+PROGRAM = Path(__file__).with_name("train_and_list_threads.py")
 TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
 
 
@@ -22,11 +24,12 @@ def test_two_processes_take_the_steps_of_one(small_set, device):
     running = []
     for processes in (1, 2):
         config = run_config(small_set, f"{device}-{processes}", dropout=0.0, **changes)
-        running.append((start(config, processes), small_set / f"{device}-{processes}"))
-    for process, _ in running:
+        running.append((start(config, processes, [str(PROGRAM)]), small_set / f"{device}-{processes}"))
+    for processes, (process, _) in enumerate(running, 1):
         printed = process.communicate(timeout=240)[0]
         assert process.returncode == 0 and printed.count("weights:") == 1, printed
         assert printed.count('step 2: {"psnr_db"') == 1 and "steps/s" in printed  # the first process alone speaks
+        assert printed.count("threads of Gloo: []") == processes, printed
     alone, together = ([json.loads(line) for line in losses(output)] for _, output in running)
     assert len(alone) == len(together) == 4
     for one, two in zip(alone, together):

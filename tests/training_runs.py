@@ -2,6 +2,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
@@ -21,11 +22,11 @@ def run_config(folder: Path, name: str, *, dropout: float = 0.1, **changes) -> P
     return path
 
 
-def start(config: Path, processes: int = 1) -> subprocess.Popen:
-    """The training command, under torchrun where there is more than one process."""
+def start(config: Path, processes: int = 1, program: Sequence[str] = ("-m", "training.train")) -> subprocess.Popen:
+    """The training command, or another program that takes its options; under torchrun if by more than one process."""
     root = Path(__file__).resolve().parents[1]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])}
-    command = ["-m", "training.train", "--config", str(config)]
+    command = [*program, "--config", str(config)]
     if processes > 1:
         command = ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}", *command]
     return subprocess.Popen([sys.executable, *command], cwd=root, env=environment, text=True, stdout=subprocess.PIPE,

@@ -1,6 +1,7 @@
 """The processes of a run: one, or as many as torchrun starts, each with its share of every batch."""
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +10,7 @@ from datetime import timedelta
 
 import torch
 import torch.distributed as dist
+import torch.distributed.nn  # noqa: F401  DDP imports it, and its functions keep the group that is there then
 from torch import Tensor, nn
 
 from lightfield_gs.commands.device import choose_device
@@ -63,7 +65,8 @@ class Team:
 def join_team(device: str) -> Iterator[Team]:
     """The team of this process: alone, or as torchrun's environment variables say; one GPU each on CUDA.
 
-    device: cpu, cuda or auto. Raises InputError where there are not enough GPUs.
+    device: cpu, cuda or auto. Nothing that the team has replicated may outlive the block. Raises InputError where there
+    are not enough GPUs.
     """
     kind, size = choose_device(device), int(os.environ.get("WORLD_SIZE", 1)) if "RANK" in os.environ else 1
     local_rank = int(os.environ.get("LOCAL_RANK", 0)) if size > 1 else 0
@@ -83,4 +86,7 @@ def join_team(device: str) -> Iterator[Team]:
     try:
         yield Team(own, dist.get_rank(), size)
     finally:
+        # Gloo's threads end with the last reference to the group; one that has a tensor of Python's left to let go of when
+        # the interpreter ends aborts the process.
+        gc.collect()
         dist.destroy_process_group()

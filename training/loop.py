@@ -121,6 +121,26 @@ def _run(trainer: Trainer, planner: BatchPlanner, log: RunLog, signals: list[int
     return True
 
 
+def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
+    """What train() does, as one of a team."""
+    for stage in config.stages:
+        team.share(stage.objects)
+    trainer, planner = Trainer(config, team), make_planner(config, team)
+    if (output / "last.pt").exists():
+        trainer.restore(load_checkpoint(output / "last.pt", config))
+    if team.leads:
+        cut_log(output / "losses.jsonl", trainer.step)
+        cut_log(output / "scores.jsonl", trainer.step + 1)
+    with _termination_noticed() as signals, RunLog(output, trainer.step, config.total_steps, team.leads) as log:
+        finished = _run(trainer, planner, log, signals)
+        log.say_speed()
+    if not (finished and team.leads):
+        return None
+    weights = output / "model.safetensors"
+    trainer.average.average.save(weights, {"steps": str(trainer.step), "training": json.dumps(config.identity())})
+    return weights
+
+
 def train(config: TrainingConfig) -> Path | None:
     """Run or resume a training run; returns the final weights' path, or None when a signal stopped it early.
 
@@ -133,19 +153,4 @@ def train(config: TrainingConfig) -> Path | None:
     if config.threads:
         torch.set_num_threads(config.threads)
     with join_team(config.device) as team:
-        for stage in config.stages:
-            team.share(stage.objects)
-        trainer, planner = Trainer(config, team), make_planner(config, team)
-        if (output / "last.pt").exists():
-            trainer.restore(load_checkpoint(output / "last.pt", config))
-        if team.leads:
-            cut_log(output / "losses.jsonl", trainer.step)
-            cut_log(output / "scores.jsonl", trainer.step + 1)
-        with _termination_noticed() as signals, RunLog(output, trainer.step, config.total_steps, team.leads) as log:
-            finished = _run(trainer, planner, log, signals)
-            log.say_speed()
-        if not (finished and team.leads):
-            return None
-        weights = output / "model.safetensors"
-        trainer.average.average.save(weights, {"steps": str(trainer.step), "training": json.dumps(config.identity())})
-    return weights
+        return _train(config, output, team)

@@ -12,7 +12,7 @@ from lightfield_gs.errors import InputError
 from training.command import with_line_errors
 from training.config import TrainingConfig
 from training.data.batches import make_batch
-from training.distributed import join_team
+from training.distributed import Team, join_team
 from training.loop import make_planner, plans
 from training.marks import PartTime, StepMarks
 from training.train import parse
@@ -21,19 +21,24 @@ from training.trainer import Trainer
 RASTERIZER = ("rasterizer", "rasterizer backward")
 
 
+def _profile(config: TrainingConfig, steps: int, warm_up: int, team: Team) -> list[PartTime] | None:
+    """What profile() does, as one of a team."""
+    trainer, planner, behind = Trainer(config, team), make_planner(config, team), None
+    for plan in islice(plans(planner, config, 0, team), warm_up + steps):
+        if trainer.step == warm_up:
+            trainer.marks = StepMarks(team.device)
+            trainer.marks.mark("start")
+        ahead = trainer.advance(make_batch(plan, planner.views, config.compile))
+        if behind is not None:
+            behind.read()
+        behind = ahead
+    return trainer.marks.medians() if team.leads else None
+
+
 def profile(config: TrainingConfig, steps: int, warm_up: int) -> list[PartTime] | None:
     """Medians over `steps` steps after `warm_up` others; None on all processes but the first."""
     with join_team(config.device) as team:
-        trainer, planner, behind = Trainer(config, team), make_planner(config, team), None
-        for plan in islice(plans(planner, config, 0, team), warm_up + steps):
-            if trainer.step == warm_up:
-                trainer.marks = StepMarks(team.device)
-                trainer.marks.mark("start")
-            ahead = trainer.advance(make_batch(plan, planner.views, config.compile))
-            if behind is not None:
-                behind.read()
-            behind = ahead
-        return trainer.marks.medians() if team.leads else None
+        return _profile(config, steps, warm_up, team)
 
 
 def table(parts: list[PartTime]) -> str:
