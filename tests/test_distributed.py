@@ -4,11 +4,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from training_runs import losses, run_config, start
 
 from lightfield_gs import InputError
 from training.distributed import Team, join_team
-from training_runs import losses, run_config, start
-
 
 PROGRAM = Path(__file__).with_name("train_and_list_threads.py")
 TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
