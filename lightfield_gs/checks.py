@@ -22,9 +22,13 @@ def expect(what: str, value: object, *kinds: type) -> None:
         raise InputError(f"{what}: expected {wanted}, got {type(value).__name__}")
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
 def whole_number(what: str, value: Any, low: int, high: int) -> int:
     """`value` as an int in low..high; raises InputError."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)) or value != value // 1:
+    if not _is_number(value) or value != value // 1:
         raise InputError(f"{what} must be a whole number, got {shown(value)}")
     if not low <= value <= high:
         raise InputError(f"{what} must be {low}..{high}, got {shown(value)}")
@@ -33,7 +37,7 @@ def whole_number(what: str, value: Any, low: int, high: int) -> int:
 
 def real_number(what: str, value: Any, low: float, high: float) -> float:
     """`value` as a float in low..high; raises InputError."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+    if not _is_number(value):
         raise InputError(f"{what} must be a number, got {shown(value)}")
     if not low <= value <= high:  # false for NaN
         raise InputError(f"{what} must be {low:g}..{high:g}, got {shown(value)}")

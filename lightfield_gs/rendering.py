@@ -13,7 +13,7 @@ from torch import Tensor
 from lightfield_gs import ops, skips
 from lightfield_gs.arrays import bytes_of, dense_tensor
 from lightfield_gs.cameras import Cameras
-from lightfield_gs.checks import expect
+from lightfield_gs.checks import expect, shown
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
@@ -252,8 +252,7 @@ def _check_sorted_only(method: str, views: str, rig: Rig | None, cameras: Camera
     if memory_budget is None:
         return
     if isinstance(memory_budget, bool) or not isinstance(memory_budget, int) or memory_budget < 1:
-        raise InputError(f"memory_budget must be a whole number of bytes, at least 1, got "
-                         f"{' '.join(repr(memory_budget).split())[:60]}")
+        raise InputError(f"memory_budget must be a whole number of bytes, at least 1, got {shown(memory_budget)}")
     if views == "continuous":
         raise InputError("memory_budget goes with integer views: cameras for all distinct places within a lens have no "
                          "bound; use method direct, which takes little memory, or integer views")
@@ -288,8 +287,7 @@ def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype
         raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {type(background).__name__}"
                          ) from None
     if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
-        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got "
-                         f"{' '.join(str(background).split())[:80]}")
+        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {shown(background)}")
     return colour
 
 

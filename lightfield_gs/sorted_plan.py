@@ -12,7 +12,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.arrays import dense_tensor
-from lightfield_gs.checks import expect, whole_number
+from lightfield_gs.checks import expect, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import MAX_VIEWS, Panel
 
@@ -136,7 +136,7 @@ def _device_type(device: torch.device | str) -> str:
     try:
         return torch.device(device).type
     except (RuntimeError, TypeError, ValueError):
-        raise InputError(f"device: expected cpu or cuda, got {str(device)[:60]!r}") from None
+        raise InputError(f"device: expected cpu or cuda, got {shown(device)}") from None
 
 
 def views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +11,6 @@ from datetime import timedelta
 
 import torch
 import torch.distributed as dist
-import torch.distributed.nn  # noqa: F401  DDP imports it, and its functions keep the group that is there then
 from torch import Tensor, nn
 
 from lightfield_gs.commands.device import choose_device
@@ -81,12 +81,14 @@ def join_team(device: str) -> Iterator[Team]:
     if size == 1:
         yield Team(own)
         return
+    # Before there is a group: DDP imports this module, whose functions keep the one that they find as a default.
+    importlib.import_module("torch.distributed.nn")
     dist.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_PATIENCE,
                             device_id=own if kind == "cuda" else None)
     try:
         yield Team(own, dist.get_rank(), size)
     finally:
-        # Gloo's threads end with the last reference to the group; one that has a tensor of Python's left to let go of when
-        # the interpreter ends aborts the process.
+        # Gloo's threads end with the last reference to the group; one that has a tensor of Python's left to let go of
+        # when the interpreter ends aborts the process.
         gc.collect()
         dist.destroy_process_group()

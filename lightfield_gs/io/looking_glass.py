@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.checks import expect
+from lightfield_gs.checks import expect, shown
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.json_file import read_object
 
@@ -51,5 +51,5 @@ def _number(data: dict[str, Any], key: str, where: str) -> float:
     if isinstance(value, dict):
         value = value.get("value")
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:  # not for NaN
-        raise InputError(f"{where}: {key} must be a number, got {str(value)[:60]!r}")
+        raise InputError(f"{where}: {key} must be a number, got {shown(value)}")
     return value

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lightfield_gs.checks import shown
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.yaml_file import check_keys, read_mapping
 from lightfield_gs.models.unet import UNetConfig, check_field_types
@@ -65,8 +66,8 @@ class ModelConfig:
         )
         for good, field, expected in checks:
             if not good:
-                raise InputError(f"model configuration: {field}: expected {expected}, "
-                                 f"got {repr(getattr(self, field))[:60]}")
+                value = shown(getattr(self, field))
+                raise InputError(f"model configuration: {field}: expected {expected}, got {value}")
 
     @property
     def size_step(self) -> int:

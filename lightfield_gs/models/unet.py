@@ -15,9 +15,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from lightfield_gs.checks import shown
 from lightfield_gs.errors import InputError
 from lightfield_gs.models.group_norm import group_norm_silu
-
 
 MOST = 65536  # of any whole number in a configuration: more is a mistake
 
@@ -37,7 +37,7 @@ def check_field_types(config: Any, where: str) -> None:
         else:
             good, expected = isinstance(value, type(default)), type(default).__name__
         if not good:
-            raise InputError(f"model configuration: {where}{field.name}: expected {expected}, got {repr(value)[:60]}")
+            raise InputError(f"model configuration: {where}{field.name}: expected {expected}, got {shown(value)}")
 
 
 def _is_count(value: Any) -> bool:
@@ -79,7 +79,7 @@ class UNetConfig:
         )
         for good, field, expected in checks:
             if not good:
-                value = repr(getattr(self, field))[:60]
+                value = shown(getattr(self, field))
                 raise InputError(f"model configuration: unet.{field}: expected {expected}, got {value}")
 
 
