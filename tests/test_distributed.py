@@ -22,13 +22,14 @@ def test_two_processes_take_the_steps_of_one(small_set, device):
                "stages": [{"steps": 4, "image_size_px": 16, "objects": 4}]}
     running = []
     for processes in (1, 2):
-        config = run_config(small_set, f"{device}-{processes}", dropout=0.0, **changes)
-        running.append((start(config, processes, [str(PROGRAM)]), small_set / f"{device}-{processes}"))
-    for processes, (process, _) in enumerate(running, 1):
+        output = small_set / f"{device}-{processes}"
+        config = run_config(small_set, output.name, dropout=0.0, **changes)
+        running.append((start(config, processes, [str(PROGRAM), f"{output}-threads"]), output))
+    for processes, (process, output) in enumerate(running, 1):
         printed = process.communicate(timeout=240)[0]
         assert process.returncode == 0 and printed.count("weights:") == 1, printed
         assert printed.count('step 2: {"psnr_db"') == 1 and "steps/s" in printed  # the first process alone speaks
-        assert printed.count("threads of Gloo: []") == processes, printed
+        assert [threads.read_text() for threads in small_set.glob(f"{output.name}-threads-*")] == [""] * processes
     alone, together = ([json.loads(line) for line in losses(output)] for _, output in running)
     assert len(alone) == len(together) == 4
     for one, two in zip(alone, together):
