@@ -250,7 +250,8 @@ STAGE = {"steps": 2, "image_size_px": 16, "objects": 2}
         ("steps", 0), ("steps", -3), ("image_size_px", 0), ("image_size_px", 15), ("objects", 0), ("target_px", -4))],
     *[({field: value}, f"{field} must be") for field, value in (
         ("seed", -1), ("seed", 2**31), ("cone_deg", -5.0), ("cone_deg", math.nan), ("cone_margin", -1.0),
-        ("elevation_deg", -1.0), ("neighbour_deg", math.inf), ("targets", 0), ("checkpoint_every", 0),
+        ("elevation_deg", -1.0), ("neighbour_deg", math.inf), ("targets", 0), ("procedural", -0.1),
+        ("procedural", 1.5), ("procedural", math.nan), ("checkpoint_every", 0),
         ("validate_every", 0), ("validation_objects", 0), ("threads", -1))],
     *[({"optimizer": {field: value}}, f"optimizer.{field} must be") for field, value in (
         ("learning_rate", -1.0), ("learning_rate", math.nan), ("betas", [0.9, 1.0]), ("weight_decay", -1.0),

@@ -130,8 +130,9 @@ class TrainingConfig:
             if not getattr(self, name):
                 raise InputError(f"{name}: expected {'a folder' if name.endswith('dir') else 'at least one'}, got none")
         check_ranges(self, seed=(0, 2**31 - 1), cone_deg=(0.0, 360.0), cone_margin=(0.0, 360.0),
-                     elevation_deg=(0.0, 180.0), neighbour_deg=(0.0, 180.0), targets=(1, 1000), threads=(0, 4096),
-                     checkpoint_every=(1, MOST), validate_every=(1, MOST), validation_objects=(1, MOST))
+                     elevation_deg=(0.0, 180.0), neighbour_deg=(0.0, 180.0), targets=(1, 1000), procedural=(0.0, 1.0),
+                     threads=(0, 4096), checkpoint_every=(1, MOST), validate_every=(1, MOST),
+                     validation_objects=(1, MOST))
 
     @property
     def azimuth_deg(self) -> float:

@@ -115,13 +115,11 @@ class BatchPlanner:
 
     views: whose first objects are the sampler's. partners: for each of those the number of the object whose views its
     targets are; None: its own. procedural: share of the examples, 0..1, that show procedural objects in place of what
-    the sampler drew. Raises InputError for others.
+    the sampler drew.
     """
 
     def __init__(self, views: ResidentViews, sampler: ViewSampler, augmentation: Augmentation,
                  partners: np.ndarray | None = None, procedural: float = 0.0) -> None:
-        if not 0 <= procedural <= 1:
-            raise InputError(f"procedural: expected a share of the examples, 0..1, got {procedural:g}")
         self.views, self.sampler, self.augmentation, self.procedural = views, sampler, augmentation, procedural
         self._first_target = views.first_view if partners is None else views.first_view[partners]
         self._window_px = tuple(int(views.rectangles[:, side].max(initial=1)) for side in (4, 3))
