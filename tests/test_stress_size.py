@@ -1,5 +1,9 @@
 """Very many Gaussians in one place, and panels of 16K: right, and done in time."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -70,3 +74,25 @@ def test_a_panel_of_16k():
     error = np.abs(image.numpy()[tuple(where)] - 255 * want.clip(0, 1))
     assert error[margin > 5e-3].max() < 0.55 and (margin > 5e-3).mean() > 0.5
     assert len(np.unique(image.numpy()[tuple(where)])) > 50  # something is drawn
+
+
+NO_MORE_THREADS = """
+import resource
+import torch
+from lightfield_gs import Panel, Rig, encode
+from lightfield_gs.bench.scenes import sheet
+panel = Panel(30, 4096, 5, line_number=9.0, slant_tan=0.2)
+scene = sheet(16)
+rig = Rig.frame(scene, panel)
+expected = encode(scene, panel, rig, threads=1)
+status = dict(line.split(":\\t", 1) for line in open("/proc/self/status") if ":\\t" in line)
+used = 1024 * int(status["VmSize"].split()[0])
+resource.setrlimit(resource.RLIMIT_AS, (used + (40 << 20), used + (40 << 20)))
+assert torch.equal(encode(scene, panel, rig, threads=256), expected)
+"""
+
+
+def test_where_the_system_starts_no_more_threads_those_there_are_do_the_work():
+    plain = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}  # a sanitizer needs more room
+    done = subprocess.run([sys.executable, "-c", NO_MORE_THREADS], capture_output=True, text=True, env=plain)
+    assert done.returncode == 0, done.stderr

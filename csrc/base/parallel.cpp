@@ -4,6 +4,7 @@
 #include <atomic>
 #include <exception>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -26,7 +27,11 @@ void parallel_for(int64_t items, int threads, const std::function<void(int64_t, 
   // The calling thread is worker 0
   int64_t helpers = std::min<int64_t>(threads, items) - 1;
   std::vector<std::thread> pool;
-  for (int64_t i = 0; i < helpers; ++i) pool.emplace_back(work, int(i + 1));
+  pool.reserve(size_t(std::max<int64_t>(helpers, 0)));
+  try {
+    for (int64_t i = 0; i < helpers; ++i) pool.emplace_back(work, int(i + 1));
+  } catch (const std::system_error&) {  // the system starts no more: those that run do all of it
+  }
   work(0);
   for (auto& thread : pool) thread.join();
   if (failure) std::rethrow_exception(failure);
