@@ -58,33 +58,42 @@ class CudaWorkspace:
         return float(error) if self.scene.degree > 0 else 0.0
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
-        """admit: asked once `pair_count` is known, whether to go on; returns its answer."""
+        """admit: asked once `pair_count` is known, whether to go on; returns its answer.
+
+        The pairs are counted first, so that the host, which has to know their number, learns it while the device sorts.
+        """
         scene, cuda, items = self.scene, _core.cuda, self.items
+        with self.stats.stage("bin"):
+            counts, pairs = scene.new(items, dtype=torch.int32), scene.new(1, dtype=torch.int64, zero=True)
+            total = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
+            cuda.bin_count(self.native, self.image, counts.data_ptr(), pairs.data_ptr(), total.data_ptr(),
+                           total.numel(), self.stream)
+            pairs, counted = pairs.to("cpu", non_blocking=True), torch.cuda.Event()
+            counted.record()
         with self.stats.stage("order"):
             sorted_keys, indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
             temporary = scene.new(cuda.order_bytes(items), dtype=torch.uint8)
             cuda.order(items, self.images, self.keys.data_ptr(), sorted_keys.data_ptr(), indices.data_ptr(),
                        temporary.data_ptr(), temporary.numel(), self.stream)
         with self.stats.stage("bin"):
-            counts, ends = (scene.new(items, dtype=t) for t in (torch.int32, torch.int64))
-            scan = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
-            cuda.bin_count(self.native, self.image, indices.data_ptr(), counts.data_ptr(), ends.data_ptr(),
-                           scan.data_ptr(), scan.numel(), self.stream)
-            self.pair_count = count = int(ends[-1]) if items else 0
+            counted.synchronize()
+            self.pair_count = count = int(pairs)
             if not admit():
                 return False
-            sort = scene.new(cuda.fill_bytes(count), dtype=torch.uint8)  # first: raises for more pairs than can be
+            # First: raises for more pairs than can be
+            scratch = scene.new(cuda.fill_bytes(items, count), dtype=torch.uint8)
+            ends = scene.new(items, dtype=torch.int64)
             buffers = [scene.new(count, dtype=torch.int32) for _ in range(4)]
             self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), *buffers)
             self.ranges.zero_()
-            cuda.bin_fill(self.native, self.image, indices.data_ptr(), ends.data_ptr(), self.pairs,
-                          self.ranges.data_ptr(), self.slot_ranges, sort.data_ptr(), sort.numel(), self.stream)
+            cuda.bin_fill(self.native, self.image, indices.data_ptr(), counts.data_ptr(), ends.data_ptr(), self.pairs,
+                          self.ranges.data_ptr(), self.slot_ranges, scratch.data_ptr(), scratch.numel(), self.stream)
         self.stats.pairs += count
         if self.stats.device is not None:  # reading the count back waits
             self.stats.images += self.images
             self.stats.gaussians_drawn += int((self.keys != -1).sum())
         self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, sorted_keys, indices, temporary,
-                               counts, ends, scan, *buffers, self.lists, sort)
+                               counts, ends, total, *buffers, self.lists, scratch)
         return True
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:

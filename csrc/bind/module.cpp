@@ -1,4 +1,4 @@
-// The Python module: integers -> pointers, Error -> ValueError. It knows neither torch nor NumPy; ops.py owns every
+// The Python module: integers -> pointers, Error -> ValueError. It knows neither torch nor NumPy; Python owns every
 // buffer and checks every argument before it hands addresses over. The GIL is released while a stage runs.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
@@ -158,10 +158,10 @@ void bind_cuda(py::module_ m) {
                 bytes, at<void>(stream));
   }, NoGil());
   m.def("count_bytes", &cuda::count_bytes);
-  m.def("bin_count", [](const Splats<float>& splats, const cuda::Image& image, Address indices, Address counts,
-                        Address ends, Address temporary, size_t bytes, Address stream) {
-    cuda::bin_count(splats, image, at<uint32_t>(indices), at<uint32_t>(counts), at<int64_t>(ends), at<void>(temporary),
-                    bytes, at<void>(stream));
+  m.def("bin_count", [](const Splats<float>& splats, const cuda::Image& image, Address counts, Address pairs,
+                        Address temporary, size_t bytes, Address stream) {
+    cuda::bin_count(splats, image, at<uint32_t>(counts), at<int64_t>(pairs), at<void>(temporary), bytes,
+                    at<void>(stream));
   }, NoGil());
   m.def("fill_bytes", &cuda::fill_bytes);
   m.def("view_blocks", &cuda::view_blocks);
@@ -174,11 +174,12 @@ void bind_cuda(py::module_ m) {
            }),
            py::arg("count"), py::arg("tiles"), py::arg("sorted_tiles"), py::arg("slots"), py::arg("sorted_slots"),
            py::arg("slot_splats"), py::arg("sorted_splats"));
-  m.def("bin_fill", [](const Splats<float>& splats, const cuda::Image& image, Address indices, Address ends,
-                       const cuda::Pairs& pairs, Address ranges, Address slot_ranges, Address temporary, size_t bytes,
-                       Address stream) {
-    cuda::bin_fill(splats, image, at<uint32_t>(indices), at<int64_t>(ends), pairs, at<int64_t>(ranges),
-                   at<cuda::SlotRange>(slot_ranges), at<void>(temporary), bytes, at<void>(stream));
+  m.def("bin_fill", [](const Splats<float>& splats, const cuda::Image& image, Address indices, Address counts,
+                       Address ends, const cuda::Pairs& pairs, Address ranges, Address slot_ranges, Address temporary,
+                       size_t bytes, Address stream) {
+    cuda::bin_fill(splats, image, at<uint32_t>(indices), at<uint32_t>(counts), at<int64_t>(ends), pairs,
+                   at<int64_t>(ranges), at<cuda::SlotRange>(slot_ranges), at<void>(temporary), bytes,
+                   at<void>(stream));
   }, NoGil());
   m.def("composite_dense", [](const Splats<float>& splats, const cuda::Image& image, Address ranges,
                               const cuda::Pairs& pairs, Address background, const DenseImages<float>& out,

@@ -1,6 +1,7 @@
 // Stage bin on the device: which splats touch which tile. Splats write their tiles in depth order; a stable sort by
 // tile keeps it.
 #include <cub/device/device_radix_sort.cuh>
+#include <cub/device/device_reduce.cuh>
 #include <cub/device/device_scan.cuh>
 #include <thrust/iterator/counting_iterator.h>
 #include <thrust/iterator/transform_iterator.h>
@@ -43,14 +44,14 @@ __global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts
   counts[i] = count;
 }
 
-// The count of the i-th sorted splat.
-struct SortedCount {
+// The count of the i-th splat, or of the i-th sorted one where there are indices.
+struct Count {
   const uint32_t *counts, *indices;
-  __device__ int64_t operator()(int64_t i) const { return counts[indices[i]]; }
+  __device__ int64_t operator()(int64_t i) const { return counts[indices ? indices[i] : i]; }
 };
 
-auto sorted_counts(const uint32_t* counts, const uint32_t* indices) {
-  return thrust::make_transform_iterator(thrust::counting_iterator<int64_t>(0), SortedCount{counts, indices});
+auto each_count(const uint32_t* counts, const uint32_t* indices = nullptr) {
+  return thrust::make_transform_iterator(thrust::counting_iterator<int64_t>(0), Count{counts, indices});
 }
 
 __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* indices, const int64_t* ends,
@@ -86,39 +87,43 @@ __global__ void ranges_kernel(Pairs pairs, int64_t* ranges) {
 
 size_t count_bytes(int64_t items) {
   size_t bytes = 0;
-  check(cub::DeviceScan::InclusiveSum(nullptr, bytes, sorted_counts(nullptr, nullptr), (int64_t*)nullptr, items),
-        "bin: size of the scan");
+  check(cub::DeviceReduce::Sum(nullptr, bytes, each_count(nullptr), (int64_t*)nullptr, items),
+        "bin: size of the sum");
   return bytes;
 }
 
-void bin_count(const Splats<float>& splats, const Image& image, const uint32_t* indices, uint32_t* counts,
-               int64_t* ends, void* temporary, size_t temporary_bytes, Stream stream) {
+void bin_count(const Splats<float>& splats, const Image& image, uint32_t* counts, int64_t* pairs, void* temporary,
+               size_t temporary_bytes, Stream stream) {
   const int64_t items = splats.images * splats.count;
   if (items == 0) return;
   count_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(splats, image, counts);
   check_launch("bin_count");
-  check(cub::DeviceScan::InclusiveSum(temporary, temporary_bytes, sorted_counts(counts, indices), ends, items,
-                                      cudaStream_t(stream)),
-        "bin: scan");
+  check(cub::DeviceReduce::Sum(temporary, temporary_bytes, each_count(counts), pairs, items, cudaStream_t(stream)),
+        "bin: sum");
 }
 
-size_t fill_bytes(int64_t pairs) {
+size_t fill_bytes(int64_t items, int64_t pairs) {
   require(pairs < int64_t(1) << 32, std::to_string(pairs) + " pairs of tile and Gaussian, and at most 2^32 - 1 fit: "
                                     "render fewer or smaller images at a time");
-  size_t bytes = 0;
-  check(cub::DeviceRadixSort::SortPairs(nullptr, bytes, (uint32_t*)nullptr, (uint32_t*)nullptr, (uint32_t*)nullptr,
+  size_t scan = 0, sort = 0;
+  check(cub::DeviceScan::InclusiveSum(nullptr, scan, each_count(nullptr), (int64_t*)nullptr, items),
+        "bin: size of the scan");
+  check(cub::DeviceRadixSort::SortPairs(nullptr, sort, (uint32_t*)nullptr, (uint32_t*)nullptr, (uint32_t*)nullptr,
                                         (uint32_t*)nullptr, pairs),
         "bin: size of the sort");
-  return bytes;
+  return std::max(scan, sort);
 }
 
-void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const int64_t* ends,
-              const Pairs& pairs, int64_t* ranges, SlotRange* slot_ranges, void* temporary, size_t temporary_bytes,
-              Stream stream) {
+void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const uint32_t* counts,
+              int64_t* ends, const Pairs& pairs, int64_t* ranges, SlotRange* slot_ranges, void* temporary,
+              size_t temporary_bytes, Stream stream) {
   const int64_t items = splats.images * splats.count;
   const int64_t all_tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
   require(all_tiles < int64_t(1) << 32, "more than 2^32 tiles: render fewer or smaller images at a time");
   if (items == 0) return;
+  check(cub::DeviceScan::InclusiveSum(temporary, temporary_bytes, each_count(counts, indices), ends, items,
+                                      cudaStream_t(stream)),
+        "bin: scan");
   fill_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(splats, image, indices,
                                                                                            ends, pairs, slot_ranges);
   check_launch("bin_fill");

@@ -1,4 +1,4 @@
-// The forward stages on a CUDA device: the CPU's stages (pipeline/stages.h) with device pointers and a stream. Nothing
+// The stages and their reverses on a CUDA device: the CPU's stages (pipeline/stages.h) with device pointers and a stream. Nothing
 // here allocates or waits; the caller asks for the sizes of temporary storage first.
 #pragma once
 
@@ -40,11 +40,11 @@ size_t order_bytes(int64_t items);
 void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted_keys, uint32_t* indices,
            void* temporary, size_t temporary_bytes, Stream stream);
 
-// --- bin: count writes, per splat, how many (tile, splat) pairs it has: counts [I * N]; and, per sorted splat, their
-// running number: ends [I * N].
+// --- bin: count writes, per splat, how many (tile, splat) pairs it has: counts [I * N]; and how many there are of all:
+// pairs (one number). It needs no order, so that the host may learn the latter while the device sorts.
 size_t count_bytes(int64_t items);
-void bin_count(const Splats<float>& splats, const Image& image, const uint32_t* indices, uint32_t* counts,
-               int64_t* ends, void* temporary, size_t temporary_bytes, Stream stream);
+void bin_count(const Splats<float>& splats, const Image& image, uint32_t* counts, int64_t* pairs, void* temporary,
+               size_t temporary_bytes, Stream stream);
 // Buffers of fill, a number per pair. A *slot* is the place of a pair in splat-major order: those of the i-th sorted
 // splat are [ends[i - 1], ends[i]). Only what is sorted is of use after fill.
 struct Pairs {
@@ -59,12 +59,13 @@ LFGS_HD uint32_t splat_of(const Pairs& pairs, int64_t k) { return pairs.sorted_s
 struct SlotRange {
   uint32_t first, last;
 };
-// fill writes the pairs, nearest first within a tile, ranges [I * tiles, 2] into them (zeroed by the caller: empty
-// tiles are left alone) and slot_ranges [I * N]. fill_bytes raises when 32 bits do not hold a slot.
-size_t fill_bytes(int64_t pairs);
-void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const int64_t* ends,
-              const Pairs& pairs, int64_t* ranges, SlotRange* slot_ranges, void* temporary, size_t temporary_bytes,
-              Stream stream);
+// fill writes the pairs, nearest first within a tile, their running number per sorted splat: ends [I * N], ranges
+// [I * tiles, 2] into them (zeroed by the caller: empty tiles are left alone) and slot_ranges [I * N]. fill_bytes raises
+// when 32 bits do not hold a slot.
+size_t fill_bytes(int64_t items, int64_t pairs);
+void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const uint32_t* counts,
+              int64_t* ends, const Pairs& pairs, int64_t* ranges, SlotRange* slot_ranges, void* temporary,
+              size_t temporary_bytes, Stream stream);
 
 // --- composite
 void composite_dense(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,

@@ -21,6 +21,7 @@ specification = importlib.util.spec_from_file_location("lightfield_gs._core", sy
 sys.modules["lightfield_gs._core"] = lightfield_gs._core = importlib.util.module_from_spec(specification)
 specification.loader.exec_module(lightfield_gs._core)
 torch.cuda.current_stream = lambda *device: types.SimpleNamespace(cuda_stream=0)
+torch.cuda.Event = lambda: types.SimpleNamespace(record=lambda: None, synchronize=lambda: None)
 
 import cases  # noqa: E402
 
