@@ -197,16 +197,18 @@ void launch(const LensFrame& frame, const float* background, Out* out, cudaStrea
 
 }  // namespace
 
-// The shared memory of a tile must fit too: 100 KB leave room on every device of sm_80 and later but for the smallest.
+// Asks what the kernels were compiled for: a device may run the PTX of an older one, without tensor cores. A tile takes
+// 107 to 121 KB of shared memory with harmonics, and devices of 99 KB (sm_86, sm_89, sm_120) draw all frames by pixels.
 bool can_composite_ordinal(const Lens& lens) {
-  int device = 0, major = 0, shared = 0;
+  int device = 0, shared = 0;
+  cudaFuncAttributes built{};
   check(cudaGetDevice(&device), "composite_ordinal: device");
-  check(cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, device), "composite_ordinal: architecture");
+  check(cudaFuncGetAttributes(&built, ordinal_colours_kernel), "composite_ordinal: architecture");
   check(cudaDeviceGetAttribute(&shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
         "composite_ordinal: shared memory");
   const double number = lens.line_number, views_each = double(lens.views) / number;
   const size_t bytes = sizeof(Memory<true>) + kTileRows * lens_row_bytes(float(number));
-  return major >= 8 && bytes <= size_t(shared) && number >= kMinLineNumber && number <= kMaxLineNumber &&
+  return built.ptxVersion >= 80 && bytes <= size_t(shared) && number >= kMinLineNumber && number <= kMaxLineNumber &&
          views_each <= kMostViewsEach;
 }
 
