@@ -101,3 +101,11 @@ def test_group_norm_and_silu(case, monkeypatch):
     found = group_norm_silu(norm.cuda(), features.cuda())
     torch.testing.assert_close(found.cpu().double(), norm_expected(norm.cpu(), features), rtol=2**-8, atol=2e-5)
     assert found.is_contiguous(memory_format=torch.channels_last)
+
+
+@torch.no_grad()
+def test_group_norm_keeps_what_is_no_number():
+    norm, features = norm_case(*NORMS[0])
+    features[0, -1, 2, 3] = float("nan")  # in the last group of the first image
+    found, expected = group_norm_silu(norm.cuda(), features.cuda()).cpu(), norm_expected(norm.cpu(), features)
+    assert expected.isnan().any() and torch.equal(found.isnan(), expected.isnan())

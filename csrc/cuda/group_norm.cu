@@ -15,7 +15,7 @@ __device__ inline float2 floats(uint32_t pair) {
 }
 __device__ inline uint32_t rounded_bits(float a) {  // to nearest, ties to even; in the upper half
   const uint32_t bits = __float_as_uint(a);
-  return bits + 0x7fffu + (bits >> 16 & 1);
+  return a == a ? bits + 0x7fffu + (bits >> 16 & 1) : 0x7fff0000u;  // a NaN would be carried over into zero
 }
 __device__ inline uint32_t pair_of(float low, float high) {
   return rounded_bits(low) >> 16 | (rounded_bits(high) & 0xffff0000u);

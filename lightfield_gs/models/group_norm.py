@@ -18,9 +18,10 @@ def group_norm_silu(norm: nn.GroupNorm, features: Tensor) -> Tensor:
         return F.silu(norm(features))
     batch, channels, height, width = features.shape
     out = torch.empty_like(features)
-    _core.cuda.group_norm_silu(batch, height * width, channels, norm.num_groups, features.data_ptr(),
-                               norm.weight.data_ptr(), norm.bias.data_ptr(), norm.eps, out.data_ptr(),
-                               torch.cuda.current_stream(features.device).cuda_stream)
+    with torch.cuda.device_of(features):
+        _core.cuda.group_norm_silu(batch, height * width, channels, norm.num_groups, features.data_ptr(),
+                                   norm.weight.data_ptr(), norm.bias.data_ptr(), norm.eps, out.data_ptr(),
+                                   torch.cuda.current_stream().cuda_stream)
     return out
 
 
