@@ -121,7 +121,9 @@ class _CudaStages:
         """Keys and order, pairs and ranges, and the lists by falling work (64: two numbers and the sort's own)."""
         items, pairs = views * self.scene.count, counts[0]
         keys = _KEY_BYTES * items + _core.cuda.order_bytes(items) + _core.cuda.count_bytes(items)
-        return keys + _PAIR_BYTES * pairs + _core.cuda.fill_bytes(pairs) + (16 + 64) * views * self.plan.tiles
+        parts = pairs // _MOST_PAIRS + 1  # more than a chunk may have are only ever an estimate
+        fill = parts * _core.cuda.fill_bytes(items, -(-pairs // parts))
+        return keys + _PAIR_BYTES * pairs + fill + (16 + 64) * views * self.plan.tiles
 
     def workspace(self, scene: Scene, views: int, stats: Stats) -> Any:
         from lightfield_gs.workspace_cuda import CudaWorkspace
