@@ -27,12 +27,13 @@ class _Input:
 
     def __init__(self, tensors: list[Tensor], arguments: Arguments):
         self.tensors, self.arguments = tensors, arguments
+        self.places = [(t.data_ptr(), t.shape) for t in tensors]  # now: a tensor's .data may be put elsewhere later
         self.versions = [_version(t) for t in tensors]
         self.stream = torch.cuda.current_stream(tensors[0].device).cuda_stream
 
     def reads(self, other: _Input) -> bool:
         """Whether the tensors are the same memory."""
-        return all(a.data_ptr() == b.data_ptr() and a.shape == b.shape for a, b in zip(self.tensors, other.tensors))
+        return self.places == other.places
 
     def changed_since(self, before: _Input | None) -> set[int]:
         """Which tensors may be others than before; all of them on another stream, where work is not in order."""
@@ -52,7 +53,7 @@ class CudaFrames:
 
     def __init__(self, as_bytes: bool, quality: Quality, versioned: bool):
         self.as_bytes, self.quality, self.versioned = as_bytes, quality, versioned
-        self.background: tuple[Any, Tensor] | None = None  # as given, and on the device
+        self.background: tuple[Tensor, Tensor] | None = None  # on the host, a copy, and on the device
         self.captured: _Capture | None = None
         self.moving: FrameKind | None = None  # of frames whose rig is new
         self.kind: FrameKind | None = None    # of the last frame
@@ -82,11 +83,13 @@ class CudaFrames:
         return self.image, kept
 
     def _on_device(self, background: Any, like: Tensor) -> Tensor:
-        """The same tensor as long as the same background comes."""
-        if isinstance(background, (tuple, list)):
+        """The same tensor as long as the same background comes; one on the host is compared by its numbers."""
+        if isinstance(background, (tuple, list)) or isinstance(background, Tensor) and background.is_cuda:
             return rendering.background_tensor(background, like)
-        if self.background is None or self.background[0] is not background or self.background[1].device != like.device:
-            self.background = background, rendering.background_tensor(background, like)
+        colour = rendering.background_tensor(background, like.new_empty(0, device="cpu"))
+        if (self.background is None or self.background[1].device != like.device
+                or not torch.equal(self.background[0], colour)):
+            self.background = colour.clone(), colour.to(like.device)
         return self.background[1]
 
     def _still_shows(self, given: _Input, before: _Input, image_version: int | None) -> bool:
@@ -147,9 +150,8 @@ class _Capture:
         return {"order", "bin"} if kept else set()
 
     def _graph(self, keep_lists: bool) -> torch.cuda.CUDAGraph:
-        torch.cuda.synchronize()
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
+        with torch.cuda.graph(graph, stream=torch.cuda.Stream()):  # torch's own is of the device that captured first
             self.frame.draw(self.job.background, self.image, keep_lists=keep_lists)
             self.kind.note(self.frame)
         return graph

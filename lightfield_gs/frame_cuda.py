@@ -94,6 +94,12 @@ def _state_of(host: Tensor) -> dict[str, Any]:
     return {**state, "kernel": _core.cuda.FRAME_KERNELS[state["kernel"]]}
 
 
+def _free_bytes(device: torch.device) -> int:
+    """What the device has left, and what torch keeps of it for later."""
+    kept = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return torch.cuda.mem_get_info(device)[0] + kept
+
+
 class FrameKind:
     """Frames of one rig, lens, device and number of Gaussians: what they needed so far.
 
@@ -155,7 +161,7 @@ class FrameKind:
     def _needs(self, state: dict[str, Any]) -> bool:
         before = self.capacity, self.colour_order
         if self.capacity is None or state["pairs"] > self.capacity:
-            affordable = torch.cuda.mem_get_info(self.device)[0] // (2 * _PAIR_BYTES)
+            affordable = _free_bytes(self.device) // (2 * _PAIR_BYTES)
             enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
             self.capacity = max(self.capacity or 0, enough)
         if state["colour_error"] > _colour_tolerances(self.quality)[0]:

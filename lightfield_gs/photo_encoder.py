@@ -120,6 +120,7 @@ class _Capture:
         self._network, self.gaussians = _captured(lambda: net.all_gaussians(self.cropped, self.intrinsics))
         self._framing, self.numbers = _captured(
             lambda: torch.cat([self.checks, framing.extent(self.gaussians)]))
+        self.known_numbers = torch.empty(self.numbers.shape, dtype=self.numbers.dtype, pin_memory=True)
 
     def takes(self, photo: Tensor) -> bool:
         return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype
@@ -137,7 +138,9 @@ class _Capture:
     def rig(self, panel: Panel) -> Rig:
         """Waits for the device. Raises InputError where the photo is none or shows no object."""
         self._framing.replay()
-        values_in_range, has_object, *extent = self.numbers.tolist()
+        self.known_numbers.copy_(self.numbers, non_blocking=True)
+        torch.cuda.current_stream().synchronize()
+        values_in_range, has_object, *extent = self.known_numbers.tolist()
         check_values(values_in_range)
         crop.check_object(has_object)
         return framing.fit(extent, panel, np.eye(4))
@@ -161,7 +164,7 @@ def _captured(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:
             call()
     torch.cuda.current_stream().wait_stream(beside)
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph):
+    with torch.cuda.graph(graph, stream=beside):  # torch's own is of the device that captured first
         result = call()
     graph.replay()
     return graph, result

@@ -1,10 +1,10 @@
-"""Buffers of one render: checked inputs, splats, bins. Only here, in ops and in sorted* the core gets addresses."""
+"""Buffers of one render: checked inputs, splats, bins."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Iterator, NamedTuple
 
@@ -101,7 +101,7 @@ def check(name: str, tensor: Tensor, shape: tuple[int | None, ...], like: Tensor
 
 
 class Scene:
-    """Checked, contiguous Gaussians [B, N, ...], the core's view of them, and a guard that selects their device."""
+    """Checked, contiguous Gaussians [B, N, ...], and the core's view of them."""
 
     def __init__(self, means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor):
         if means.dim() != 3 or means.shape[-1] != 3:
@@ -116,13 +116,18 @@ class Scene:
         if sh.dim() != 4 or sh.shape[2] not in (1, 4, 9, 16):
             raise InputError(f"sh must be [scenes, N, 1 | 4 | 9 | 16, 3], got {list(sh.shape)}")
         self.core, self.batch, self.count = _core_of(means), batch, count
-        self.guard = torch.cuda.device(means.device) if means.is_cuda else nullcontext()
         self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[sh.shape[2]]
         self.tensors = [check("means", means, (batch, count, 3), means),
                         check("quaternions", quaternions, (batch, count, 4), means),
                         check("scales", scales, (batch, count, 3), means),
                         check("opacities", opacities, (batch, count), means),
                         check("sh", sh, (batch, count, sh.shape[2], 3), means)]
+
+    @property
+    def guard(self) -> AbstractContextManager:
+        """Selects the device of the Gaussians; another one each time, for torch's is not made to be entered twice."""
+        device = self.tensors[0].device
+        return torch.cuda.device(device) if device.type == "cuda" else nullcontext()
 
     def native(self) -> Any:
         return self.core.Gaussians(self.count, self.degree, *(t.data_ptr() for t in self.tensors))

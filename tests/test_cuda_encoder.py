@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -119,3 +120,45 @@ def test_what_torch_does_not_count_is_drawn_again(scene):
         uncounted.opacities.mul_(0.5)  # takes no more room
     assert torch.equal(encoder(uncounted), encode(uncounted, panel, rig(panel)))
     assert not any(encoder.stats["reused"].values())
+
+
+def test_memory_that_data_has_exchanged_is_read(scene):
+    panel, scene = Panel(**LENS), on_gpu(scene)
+    encoder = Encoder(panel, rig(panel))
+    encoder(scene)
+    scene.opacities.data = 0.5 * scene.opacities  # the same tensor, in another place; takes no more room
+    assert torch.equal(encoder(scene), encode(scene, panel, rig(panel)))
+
+
+def test_a_background_on_the_host_may_change_in_place(scene):
+    panel, scene, background = Panel(**LENS), on_gpu(scene), np.array([0.2, 0.4, 0.6])
+    encoder = Encoder(panel, rig(panel), background=background)
+    encoder(scene)
+    graph = encoder._frames.captured.graph
+    encoder(scene)
+    assert encoder._frames.captured.graph is graph
+    background[:] = 1.0
+    assert torch.equal(encoder(scene), encode(scene, panel, rig(panel), background=(1.0, 1.0, 1.0)))
+
+
+def test_memory_that_torch_keeps_counts_as_room():
+    device = torch.device("cuda", 0)
+    before = frame_cuda._free_bytes(device)
+    kept = torch.empty(1 << 30, dtype=torch.uint8, device=device)
+    del kept
+    assert frame_cuda._free_bytes(device) > before - (1 << 28)
+
+
+TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
+
+
+@TWO_GPUS
+def test_scenes_on_another_device_than_the_current_one(scene):
+    panel, images = Panel(**LENS), []
+    for device in ("cuda:0", "cuda:1"):
+        there = scene.to(device=device)
+        images.append(Encoder(panel, rig(panel))(there).cpu())
+        leaf = there.means.clone().requires_grad_()
+        encode(replace(there, means=leaf), panel, rig(panel), output="float32").sum().backward()
+        assert torch.cuda.current_device() == 0
+    assert torch.equal(*images)
