@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,12 @@ MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
 DEFAULT_PANEL = "65in-8k-96v"
 _WORD = 1 << 64
+
+
+@lru_cache(maxsize=64)  # asked for in every frame
+def _phase_steps(line_number: float, slant_tan: float, phase: float) -> tuple[int, int, int]:
+    lens, down, start = Fraction(line_number), 3 * Fraction(slant_tan), Fraction(phase)
+    return tuple(math.ceil(_WORD * step / lens) % _WORD for step in (start, Fraction(1), down))
 
 
 @dataclass(frozen=True)
@@ -152,8 +159,7 @@ class Panel:
         views (line_number a whole number, say) falls on the upper one, as floor() demands; the sum is less than
         2^-45 too large.
         """
-        lens, slant, phase = (Fraction(value) for value in (self.line_number, self.slant_tan, self.phase))
-        return tuple(math.ceil(_WORD * step / lens) % _WORD for step in (phase, Fraction(1), 3 * slant))
+        return _phase_steps(self.line_number, self.slant_tan, self.phase)
 
     def place(self, channel: int) -> int:
         """Place k, left to right, of image channel 0, 1, 2 (red, green, blue) within its pixel."""
