@@ -263,7 +263,8 @@ def draw_frame(job: LensArguments, kind: Any, as_bytes: bool, stats: Stats, out:
         with stats.stage("plan"):
             frame, out = kind.frame(job.scene), job.image(as_bytes) if out is None else out
         frame.draw(job.background, out, stats)
-        kind.note(frame)
+        if not torch.cuda.is_current_stream_capturing():  # the user's graph may outlive the kind, whose memory that is
+            kind.note(frame)
         if stats.device is not None:
             stats.count_frame(frame.state(), frame.work)
     return out

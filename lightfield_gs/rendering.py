@@ -148,6 +148,9 @@ def _check_out(out: Tensor, method: str, output: str, panel: Panel, device: torc
         raise InputError(f"out must be a contiguous {expected[1]} tensor {list(expected[0])} on {device} without "
                          f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
                          f"{', with gradients' if out.requires_grad else ''}")
+    if out.is_cuda and out.data_ptr() % 2:
+        raise InputError("out must begin at an even address on CUDA, got a part of another tensor at an odd one; give a "
+                         "tensor of its own")
 
 
 def check_options(method: str, views: str, output: str) -> None:
@@ -265,8 +268,14 @@ def _tensors(gaussians: Gaussians) -> list[Tensor]:
 def background_tensor(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
     """A background as a tensor [..., 3] of the dtype and on the device of `like`. Raises InputError."""
     if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
-        return _constant_background(tuple(background), like.dtype, like.device)
+        colour = _constant_background(tuple(background), like.dtype, like.device)
+        if like.is_cuda and torch.cuda.is_current_stream_capturing():
+            _of_graphs[colour.data_ptr()] = colour  # a graph of the user's keeps the address alone
+        return colour
     return _checked_background(background, like.dtype, like.device)
+
+
+_of_graphs: dict[int, Tensor] = {}
 
 
 @lru_cache(maxsize=64)

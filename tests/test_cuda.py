@@ -208,8 +208,19 @@ def test_an_encode_can_be_captured_once_its_kind_is_known(scene):
     with torch.cuda.graph(graph):
         image = encode(scene, panel, rig(panel))
     image.zero_()
+    known = next(reversed(frame_cuda._kinds.values())).host
+    torch.cuda.synchronize()
+    known.zero_()
     graph.replay()
     assert torch.equal(image, expected)
+    assert not known.any()  # memory of the kind, which the graph may outlive
+
+
+def test_an_image_to_draw_over_begins_at_an_even_address(scene):
+    panel, buffer = Panel(**LENS), torch.empty(1 + 3 * LENS["width_px"] * LENS["height_px"], dtype=torch.uint8,
+                                               device="cuda")
+    with pytest.raises(InputError, match="even address"):
+        encode(on_gpu(scene), panel, rig(panel), out=buffer[1:].view(panel.height_px, panel.width_px, 3))
 
 
 def test_images_are_those_of_the_cpu(scene):
