@@ -1,4 +1,4 @@
-// The light-field frame of the CUDA backend for Python; see cuda/lens_frame.h and workspace_frame.py.
+// The light-field frame of the CUDA backend for Python; see cuda/lens_frame.h and frame_cuda.py.
 #include "cuda/lens_frame.h"
 
 #include <pybind11/stl.h>

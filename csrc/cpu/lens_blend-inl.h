@@ -156,7 +156,7 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
   return stopped;
 }
 
-// See BackwardTile of the dense sensor for the formula; here a sample has one channel.
+// See BackwardSplat of the dense sensor for the formula; here a sample has one channel.
 template <class T>
 void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out) {
   using V = typename LensTile<T>::V;

@@ -100,8 +100,8 @@ struct Interpolated {
     Seen seen[kMostTableViews];
     RowSeen row_seen[kMostTableViews];
   };
-  alignas(16) union {
-    uint8_t bytes[kRowBytes];
+  union {
+    alignas(16) uint8_t bytes[kRowBytes];
     Between between[kRowBytes / sizeof(Between)];
   };
 };
@@ -122,8 +122,8 @@ struct Memory {
   int low, high;                 // columns of pixels
   int verdict;                   // see verdict_on
   float largest[kWarps], squares[kWarps];
-  alignas(16) union {
-    alignas(8) char planner[sizeof(LatticePlanner)];
+  union {
+    alignas(16) char planner[sizeof(LatticePlanner)];
     Staged staged;
     Triple errors[kMostNodes];  // at the middles
     Interpolated interpolated;

@@ -136,7 +136,7 @@ template <class T>
 Counters composite_sorted(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const SubpixelLists& lists,
                           const T* background, T* out, uint8_t* out8, int threads);
 
-// The pixel type of out: 0: T, 1: uint8 = round(255 clamp(c, 0, 1)).
+// Likewise, every sub-pixel by the camera of its own view of a rig.
 template <class T>
 Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
                         const T* background, T* out, uint8_t* out8, int threads);
