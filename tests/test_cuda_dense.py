@@ -100,3 +100,8 @@ def test_the_training_step_can_be_timed(monkeypatch):
     row = bench_training.cuda_row(1)
     assert row["images"] == 8 and row["gaussians"] == 256 and 0 < row["ms_forward"] < row["ms_total"]
     assert row["card"] in bench_training.table([row])
+
+
+def test_more_images_than_a_launch_takes_are_refused():
+    with pytest.raises(ValueError, match="65536 images, and at most 65,535"), torch.no_grad():
+        render([random_scene(1)], 1, 1, "cuda", views=65536)

@@ -29,6 +29,7 @@ struct Image {
 // --- project: also writes the sort keys [I * N]: the image above kDepthBits bits of depth, which is positive; ~0 where
 // nothing is drawn.
 constexpr int kDepthBits = 31;
+constexpr int64_t kMostImages = 65535;  // blocks of a launch, down
 void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
                    uint64_t* keys, Stream stream);
 // error receives the largest estimated error of a colour polynomial (one float, zeroed by the caller).
