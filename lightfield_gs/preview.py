@@ -16,6 +16,8 @@ from lightfield_gs.rig import Rig
 from lightfield_gs.simulate import simulate
 
 EYE_SEPARATION_MM = 63.0
+_EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of the middle, in eye separations
+FILES = ("views.png", "look-around.webp", *_EYES)
 _SHEET_COLUMNS, _SHEET_ROWS = 4, 3
 _SHEET_VIEW_WIDTH_PX, _ANIMATION_WIDTH_PX = 480, 960
 _FRAMES, _FRAME_MS, _WEBP_QUALITY = 24, 60, 85
@@ -32,15 +34,15 @@ def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, p
     Views are rendered at a reduced size. Raises InputError.
     """
     folder = make_folder(folder)
-    paths = [folder / "views.png", folder / "look-around.webp"]
+    paths = [folder / name for name in FILES[:2]]
     frames = _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX)
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
         write_image(paths[0], contact_sheet(gaussians, panel, rig, background), compression="small")
         if panel.viewing_distance_mm is not None and panel.pixel_pitch_mm is not None:
-            for name, side in (("left", -0.5), ("right", 0.5)):
+            for name, side in _EYES.items():
                 eye = (side * EYE_SEPARATION_MM, 0.0, panel.viewing_distance_mm)
-                paths.append(folder / f"{name}-eye.png")
+                paths.append(folder / name)
                 write_image(paths[-1], to_integers(simulate(image, panel, eye), 8), compression="small")
         animation.result()
     return paths

@@ -324,6 +324,32 @@ def test_complaints_are_one_line_and_leave_nothing(folder, capsys, line, words):
     assert after - before <= ({"o.png"} if "--preview" in line else set())
 
 
+@pytest.mark.parametrize("line, name", [
+    ("encode photo.png -o photo.png", "photo.png"), ("encode photo.png -o ./deep/../photo.png", "photo.png"),
+    ("encode photo.png -o link.png", "link.png"), ("encode s.ply -o o.png --save-rig s.ply", "s.ply"),
+    ("encode s.ply -o o.png --save-gaussians s.ply", "s.ply"), ("encode s.ply -o o.png --save-rig p.yaml", "p.yaml"),
+    ("encode s.ply -o o.png --rig r.yaml --save-rig r.yaml", "r.yaml"),
+    ("encode photo.png -o m.png --mask m.png", "m.png"), ("encode photo.png -o d.png --depth d.png", "d.png"),
+    ("encode s.ply -o o.png --method sorted --cameras c.json --save-gaussians c.json", "c.json"),
+    ("encode s.ply -o o.png --method sorted --view-map m.npy --save-rig m.npy", "m.npy"),
+    ("encode photo.png -o o.png --checkpoint n.safetensors --save-rig n.safetensors", "n.safetensors"),
+    ("encode deep/views.png -o o.png --preview deep", "deep/views.png"),
+    ("prune s.ply -o s.ply", "s.ply"), ("prune s.ply -o l.ply --rig r.yaml --save-rig r.yaml", "r.yaml"),
+    ("simulate photo.png --eye 0,0,600 -o photo.png", "photo.png"),
+    ("bench --scene sheet:8,s.ply --json s.ply", "s.ply"), ("bench photo --photo photo.png --json photo.png", "photo")])
+def test_an_input_is_never_written_over(folder, capsys, line, name):
+    (folder / "deep").mkdir()
+    for file in ("photo.png", "m.png", "d.png", "r.yaml", "c.json", "m.npy", "n.safetensors", "deep/views.png"):
+        (folder / file).write_text("kept")
+    (folder / "link.png").symlink_to("photo.png")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    if "--panel" not in line:
+        line += " --panel p.yaml"
+    error = complaint(capsys, line)
+    assert name in error and "is also an input; give the output another name" in error
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_cuda_is_asked_for_in_vain(folder, capsys):
     assert "needs a GPU" in complaint(capsys, "encode s.ply -o o.png --panel p.yaml --device cuda")

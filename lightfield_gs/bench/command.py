@@ -25,7 +25,7 @@ from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.values import byte_size
 from lightfield_gs.errors import InputError
-from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rendering import METHODS
 
@@ -152,6 +152,8 @@ def run(args: argparse.Namespace) -> int:
     threads = _numbers("--threads", args.threads, int)
     if args.json is not None:
         check_output_path(args.json)
+    named = [*(args.scene or "").split(","), *(args.photo or "").split(",")]
+    check_outputs((args.json, args.plot), (*filter(None, named), args.model, args.panel))
     for option, kinds in OPTIONS_OF.items():
         if getattr(args, option) is not None and args.what not in kinds:
             name = option.replace("_", "-")

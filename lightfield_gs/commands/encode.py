@@ -14,7 +14,7 @@ from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.scene import check_scene_options, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
-from lightfield_gs.io.atomic import check_output_path
+from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panel import Panel
 
@@ -30,6 +30,8 @@ def run(args: argparse.Namespace) -> None:
     for path in (args.save_rig, args.save_gaussians):
         if path is not None:
             check_output_path(path)
+    check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
+                                   args.view_map, args.checkpoint))
     _check_options(args)
     panel = Panel.load(args.panel)
     import torch
@@ -68,6 +70,16 @@ def run(args: argparse.Namespace) -> None:
     print(watch.line())
     if args.stats:
         print("\n".join(_stats_lines(stats, gaussians.count)))
+
+
+def _outputs(args: argparse.Namespace) -> list[Path | None]:
+    """All files that the command writes; None for what was not asked for."""
+    outputs = [args.output, args.save_rig, args.save_gaussians]
+    if args.preview is None:
+        return outputs
+    from lightfield_gs.preview import FILES
+
+    return [*outputs, *(args.preview / name for name in FILES)]
 
 
 def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:

@@ -7,7 +7,7 @@ import argparse
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
-from lightfield_gs.io.atomic import check_output_path
+from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.panel import Panel
 
 
@@ -17,6 +17,7 @@ def run(args: argparse.Namespace) -> None:
     for path in (args.output, args.save_rig):
         if path is not None:
             check_output_path(path)
+    check_outputs((args.output, args.save_rig), (args.input, args.rig, args.panel))
     if args.output.suffix.lower() != ".ply":
         raise InputError(f"{args.output}: expected a name that ends in .ply")
     panel = Panel.load(args.panel)

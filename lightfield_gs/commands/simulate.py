@@ -6,6 +6,7 @@ import argparse
 
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.panel import Panel
@@ -17,6 +18,7 @@ def run(args: argparse.Namespace) -> None:
     """Simulates one eye before args.image. Raises InputError."""
     watch = Stopwatch(args.began)
     path = check_image_path(args.output)
+    check_outputs((path,), (args.image, args.panel))
     watch.lap("start")
     panel = _panel_of(args)
     image = read_image(args.image, as_stored=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from lightfield_gs.errors import InputError
@@ -22,6 +22,22 @@ def check_output_path(path: str | Path) -> Path:
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"cannot write {path}: no permission to write in {path.parent}")
     return path
+
+
+def check_outputs(outputs: Iterable[str | Path | None], inputs: Iterable[str | Path | None] = ()) -> None:
+    """Raises InputError where a command would write over a file that it reads. None stands for a file not given."""
+    read = [checked_path(path) for path in inputs if path is not None]
+    for path in outputs:
+        if path is not None and any(_is_same_file(checked_path(path), other) for other in read):
+            raise InputError(f"{path} is also an input; give the output another name")
+
+
+def _is_same_file(one: Path, other: Path) -> bool:
+    """By whatever names, links among them; of files that are not there, whether they would be the same."""
+    try:
+        return os.path.samefile(one, other)
+    except OSError:
+        return os.path.realpath(one) == os.path.realpath(other)
 
 
 def make_folder(path: str | Path) -> Path:
