@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.scene import check_scene_options, load_scene
+from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path, check_outputs
@@ -27,9 +27,10 @@ def run(args: argparse.Namespace) -> None:
     """Encodes args.input into args.output. Raises InputError."""
     watch = Stopwatch(args.began)
     bits = _bits(check_image_path(args.output), args.bit_depth)
-    for path in (args.save_rig, args.save_gaussians):
-        if path is not None:
-            check_output_path(path)
+    if args.save_rig is not None:
+        check_output_path(args.save_rig)
+    if args.save_gaussians is not None:
+        check_scene_path(args.save_gaussians)
     check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
                                    args.view_map, args.checkpoint))
     _check_options(args)

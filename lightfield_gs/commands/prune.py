@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from lightfield_gs.commands.device import choose_device
+from lightfield_gs.commands.scene import check_scene_path
 from lightfield_gs.commands.stopwatch import Stopwatch
-from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.panel import Panel
 
@@ -14,12 +14,10 @@ from lightfield_gs.panel import Panel
 def run(args: argparse.Namespace) -> None:
     """Prunes args.input into args.output. Raises InputError."""
     watch = Stopwatch(args.began)
-    for path in (args.output, args.save_rig):
-        if path is not None:
-            check_output_path(path)
+    check_scene_path(args.output)
+    if args.save_rig is not None:
+        check_output_path(args.save_rig)
     check_outputs((args.output, args.save_rig), (args.input, args.rig, args.panel))
-    if args.output.suffix.lower() != ".ply":
-        raise InputError(f"{args.output}: expected a name that ends in .ply")
     panel = Panel.load(args.panel)
     device = choose_device(args.device)
 

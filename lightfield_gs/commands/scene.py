@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.atomic import check_output_path
 
 if TYPE_CHECKING:
     from lightfield_gs.gaussians import Gaussians
@@ -29,6 +31,13 @@ def check_scene_options(args: argparse.Namespace) -> None:
     for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics")):
         if getattr(args, one) is not None:
             _refuse(args, (other,), f"takes the place of {_option(one)}")
+
+
+def check_scene_path(path: Path) -> None:
+    """Raises InputError where no Gaussians can be written: it is readers that go by the extension."""
+    check_output_path(path)
+    if path.suffix.lower() != ".ply":
+        raise InputError(f"cannot write {path}: expected a name that ends in .ply")
 
 
 def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":

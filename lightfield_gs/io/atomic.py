@@ -25,11 +25,17 @@ def check_output_path(path: str | Path) -> Path:
 
 
 def check_outputs(outputs: Iterable[str | Path | None], inputs: Iterable[str | Path | None] = ()) -> None:
-    """Raises InputError where a command would write over a file that it reads. None stands for a file not given."""
-    read = [checked_path(path) for path in inputs if path is not None]
-    for path in outputs:
-        if path is not None and any(_is_same_file(checked_path(path), other) for other in read):
+    """Raises InputError where a command would write over a file that it reads, or twice over the same.
+
+    None stands for a file that was not given.
+    """
+    read, written = [checked_path(path) for path in inputs if path is not None], []
+    for path in (checked_path(path) for path in outputs if path is not None):
+        if any(_is_same_file(path, other) for other in read):
             raise InputError(f"{path} is also an input; give the output another name")
+        if any(_is_same_file(path, other) for other in written):
+            raise InputError(f"{path} is named for two outputs; give each a name of its own")
+        written.append(path)
 
 
 def _is_same_file(one: Path, other: Path) -> bool:
