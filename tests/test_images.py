@@ -1,6 +1,7 @@
 """Images and photos: what is written comes back, what is no image is refused in one line."""
 
 import json
+import os
 import struct
 import zlib
 
@@ -41,6 +42,26 @@ def test_round_trip_is_exact(tmp_path, suffix, dtype, channels, compression):
     assert (info.width_px, info.height_px, info.channels) == (37, 23, channels)
     assert info.metadata == metadata
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_link_stays_and_its_file_is_written(tmp_path):
+    (tmp_path / "deep").mkdir()
+    for name in ("there.png", "new.png"):
+        (tmp_path / "a.png").symlink_to(f"deep/{name}")
+        (tmp_path / "deep/there.png").write_text("old")
+        write_image(tmp_path / "a.png", pattern("uint8"))
+        assert (tmp_path / "a.png").is_symlink() and read_info(tmp_path / "deep" / name).width_px == 37
+        (tmp_path / "a.png").unlink()
+    assert len(list(tmp_path.rglob("*.png"))) == 2
+
+
+def test_pipes_and_devices_stay(tmp_path):
+    os.mkfifo(tmp_path / "a.png")
+    (tmp_path / "b.png").symlink_to("/dev/null")
+    for name in ("a.png", "b.png"):
+        with pytest.raises(InputError, match="is a device or a pipe; give a file name"):
+            write_image(tmp_path / name, pattern("uint8"))
+    assert (tmp_path / "a.png").is_fifo() and (tmp_path / "b.png").is_char_device()
 
 
 def test_a_description_of_another_kind_is_no_metadata(tmp_path):

@@ -17,11 +17,19 @@ def check_output_path(path: str | Path) -> Path:
     path = checked_path(path)
     if path.is_dir():
         raise InputError(f"cannot write {path}: it is a folder; give a file name")
-    if not path.parent.is_dir():
-        raise InputError(f"cannot write {path}: there is no folder {path.parent}; create it first")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"cannot write {path}: no permission to write in {path.parent}")
+    if path.exists() and not path.is_file():
+        raise InputError(f"cannot write {path}: it is a device or a pipe; give a file name")
+    folder = _target(path).parent
+    if not folder.is_dir():
+        raise InputError(f"cannot write {path}: there is no folder {folder}; create it first")
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"cannot write {path}: no permission to write in {folder}")
     return path
+
+
+def _target(path: Path) -> Path:
+    """The file that is written: where a symbolic link leads, which stays."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 def check_outputs(outputs: Iterable[str | Path | None], inputs: Iterable[str | Path | None] = ()) -> None:
@@ -60,13 +68,15 @@ def make_folder(path: str | Path) -> Path:
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """A temporary path in the folder of `path`, with its extension; renamed to `path` at the end, removed on failure.
 
-    Raises InputError where the folder cannot be written to or the disk is full.
+    Where `path` is a symbolic link, all this holds for the file that it leads to. Raises InputError where the folder
+    cannot be written to, the disk is full, or `path` is a device or a pipe.
     """
     path = check_output_path(path)
-    temporary = path.with_name(f".{path.stem[:64]}.{secrets.token_hex(6)}{path.suffix}")
+    target = _target(path)
+    temporary = target.with_name(f".{path.stem[:64]}.{secrets.token_hex(6)}{path.suffix}")
     try:
         yield temporary
-        os.replace(temporary, path)
+        os.replace(temporary, target)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
