@@ -108,7 +108,8 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     add("--quality", choices=("exact", "high", "fast", "draft"), default="exact",
         help="less time for more error, of --method direct (default exact)")
     add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
-    add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp, left-eye.png, right-eye.png")
+    add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp and, where the "
+        "panel has a viewing distance and a pixel pitch, left-eye.png and right-eye.png")
     add("--bit-depth", type=int, choices=(8, 16, 32), metavar="BITS",
         help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32")
     add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.io.atomic import atomic_path, make_folder
+from lightfield_gs.io.atomic import atomic_path, make_folder, remove_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
-from lightfield_gs.simulate import simulate
+from lightfield_gs.simulate import simulate, unknown_of
 
 EYE_SEPARATION_MM = 63.0
 _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of the middle, in eye separations
@@ -30,7 +30,7 @@ def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, p
     views.png: views from the left-most to the right-most camera, row by row.
     look-around.webp: a camera that goes from left to right and back.
     left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, the eyes 63 mm apart at the viewing distance;
-    only where the panel knows its viewing distance and pixel pitch.
+    only where the panel knows its viewing distance and pixel pitch. Elsewhere those of an earlier preview are removed.
     Views are rendered at a reduced size. Raises InputError.
     """
     folder = make_folder(folder)
@@ -39,12 +39,21 @@ def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, p
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
         write_image(paths[0], contact_sheet(gaussians, panel, rig, background), compression="small")
-        if panel.viewing_distance_mm is not None and panel.pixel_pitch_mm is not None:
-            for name, side in _EYES.items():
-                eye = (side * EYE_SEPARATION_MM, 0.0, panel.viewing_distance_mm)
-                paths.append(folder / name)
-                write_image(paths[-1], to_integers(simulate(image, panel, eye), 8), compression="small")
+        paths += _write_eyes(folder, image, panel)
         animation.result()
+    return paths
+
+
+def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
+    """The pictures of the two eyes; none, and none left over either, where the panel does not say where they are."""
+    paths = [folder / name for name in _EYES]
+    if unknown_of(panel):
+        for path in paths:
+            remove_file(path)
+        return []
+    for path, side in zip(paths, _EYES.values()):
+        eye = (side * EYE_SEPARATION_MM, 0.0, panel.viewing_distance_mm)
+        write_image(path, to_integers(simulate(image, panel, eye), 8), compression="small")
     return paths
 
 

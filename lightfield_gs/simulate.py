@@ -109,11 +109,15 @@ def _eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
     return x, y, z
 
 
+def unknown_of(panel: Panel) -> list[str]:
+    """The fields of a panel that an eye cannot be placed without, those that it lacks."""
+    return [key for key in ("viewing_distance_mm", "pixel_pitch_mm") if getattr(panel, key) is None]
+
+
 def _check(image: np.ndarray, panel: Panel) -> None:
     expect("image", image, np.ndarray)
     expect("panel", panel, Panel)
-    missing = [key for key in ("viewing_distance_mm", "pixel_pitch_mm") if getattr(panel, key) is None]
-    if missing:
+    if missing := unknown_of(panel):
         raise InputError(f"panel {panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")
     if image.ndim != 3 or image.shape[2] not in (3, 4):
         raise InputError(f"image: expected [H, W, 3], got {list(image.shape)}")

@@ -209,6 +209,16 @@ def test_preview(folder, capsys):
     assert len(list((folder / "deep/preview").iterdir())) == 4
 
 
+def test_preview_of_a_panel_without_viewing_distance_keeps_no_old_eyes(folder, capsys):
+    fields = {key: value for key, value in PANEL.to_dict().items() if key != "viewing_distance_mm"}
+    Panel(**fields).to_yaml("far.yaml")
+    run(capsys, "encode s.ply -o o.png --panel p.yaml --preview v")
+    assert cli.main("encode s.ply -o o.png --panel far.yaml --preview v".split()) == 0
+    words = capsys.readouterr().err
+    assert words.count("\n") == 1 and words.startswith("note: v has no left-eye.png") and "viewing_distance_mm" in words
+    assert {path.name for path in (folder / "v").iterdir()} == {"views.png", "look-around.webp"}
+
+
 @pytest.mark.parametrize("invert", [False, True])
 def test_depth_is_not_inside_out(folder, capsys, invert):
     """A near dot over a far one: to the right eye the near one is further left. In the views and through the lenses."""

@@ -1,4 +1,4 @@
-"""How a command ends that could not do its work."""
+"""What a command says on stderr: how it ends that could not do its work, and notes on work that may disappoint."""
 
 from __future__ import annotations
 
@@ -27,3 +27,8 @@ def complain(program: str, error: BaseException, remedy: str) -> int:
         raise error
     print(f"{program}: error: {' '.join(message.split())}", file=sys.stderr)
     return code
+
+
+def note(words: str) -> None:
+    """Says in one line on stderr what may not be as it was meant."""
+    print(f"note: {words}", file=sys.stderr)

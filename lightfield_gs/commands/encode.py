@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
@@ -67,6 +68,7 @@ def run(args: argparse.Namespace) -> None:
 
             write_preview(args.preview, image, gaussians, panel, rig, args.background)
             watch.lap("preview")
+            _note_missing_eyes(args.preview, panel)
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians.count} Gaussians")
     print(watch.line())
     if args.stats:
@@ -81,6 +83,14 @@ def _outputs(args: argparse.Namespace) -> list[Path | None]:
     from lightfield_gs.preview import FILES
 
     return [*outputs, *(args.preview / name for name in FILES)]
+
+
+def _note_missing_eyes(folder: Path, panel: Panel) -> None:
+    from lightfield_gs.simulate import unknown_of
+
+    if missing := unknown_of(panel):
+        note(f"{folder} has no left-eye.png and right-eye.png: panel {panel.name} lacks {' and '.join(missing)}; give "
+             "a panel that has them")
 
 
 def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:

@@ -64,6 +64,14 @@ def make_folder(path: str | Path) -> Path:
     return path
 
 
+def remove_file(path: Path) -> None:
+    """Removes a file where there is one. Raises InputError where it cannot be removed."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot remove {path}: {error.strerror or error}") from error
+
+
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """A temporary path in the folder of `path`, with its extension; renamed to `path` at the end, removed on failure.
