@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from lightfield_gs.commands.complaint import complain
-from lightfield_gs.commands.values import background, byte_size, numbers, share, threads
+from lightfield_gs.commands.values import background, byte_size, millimetres, numbers, share, threads
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL
 
@@ -81,6 +81,9 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
         help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
+    add("--viewing-distance", type=millimetres, metavar="MM",
+        help="distance of the viewer from the panel, in place of the panel's own: for --preview, for framing, and for "
+        "`simulate` afterwards")
     add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
     add("--cameras", type=Path, metavar="JSON",
         help="one camera for each view, for --method sorted, in place of a rig: world_to_camera [N,4,4] (OpenCV axes, "
@@ -109,7 +112,7 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         help="less time for more error, of --method direct (default exact)")
     add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
     add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp and, where the "
-        "panel has a viewing distance and a pixel pitch, left-eye.png and right-eye.png")
+        "panel has a pixel pitch and a viewing distance (see there), left-eye.png and right-eye.png")
     add("--bit-depth", type=int, choices=(8, 16, 32), metavar="BITS",
         help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32")
     add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")
@@ -159,6 +162,8 @@ def _add_simulate(commands: argparse._SubParsersAction) -> None:
     add = simulate.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
     add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
+    add("--viewing-distance", type=millimetres, metavar="MM",
+        help="distance from which the panel shows one view all over, in place of the panel's own")
     add("--eye", type=numbers(3), required=True, metavar="X,Y,Z",
         help="place of the eye in mm from the panel's centre: right, up, towards the viewer")
     add("--spread", type=float, default=1.0, metavar="SUBPIXELS",

@@ -215,7 +215,7 @@ def test_preview_of_a_panel_without_viewing_distance_keeps_no_old_eyes(folder, c
     run(capsys, "encode s.ply -o o.png --panel p.yaml --preview v")
     assert cli.main("encode s.ply -o o.png --panel far.yaml --preview v".split()) == 0
     words = capsys.readouterr().err
-    assert words.count("\n") == 1 and words.startswith("note: v has no left-eye.png") and "viewing_distance_mm" in words
+    assert words.count("\n") == 1 and words.startswith("note: v has no left-eye.png") and "--viewing-distance MM" in words
     assert {path.name for path in (folder / "v").iterdir()} == {"views.png", "look-around.webp"}
 
 
@@ -303,6 +303,7 @@ def columns_of(picture: np.ndarray) -> float:
     ("encode s.ply -o o.png --threads many", "1..1024"), ("encode s.ply -o o.png --unknown", "unrecognized"),
     ("encode s.ply -o o.png --save-rig no/r.yaml", "no folder"),
     ("encode s.ply -o o.png --save-gaussians no/g.ply", "no folder"),
+    ("encode s.ply -o o.png --viewing-distance 0", "--viewing-distance: .* mm"),
     ("encode s.ply -o o.png --save-gaussians g.txt", "ends in .ply"),
     ("encode s.ply -o o.png --save-rig o.png", "o.png is named for two outputs"),
     ("encode s.ply -o o.png --save-gaussians g.ply --save-rig ./g.ply", "named for two outputs"),
@@ -315,7 +316,7 @@ def columns_of(picture: np.ndarray) -> float:
     ("simulate photo.png --panel p.yaml --eye 0,0,600 -o e.png", "16 x 16 pixels"),
     ("simulate plain.png --panel p.yaml --eye 0,0,-600 -o e.png", "above 0"),
     ("simulate plain.png --panel p.yaml --eye 0,0,600 --spread 0 -o e.png", "spread"),
-    ("simulate plain.png --panel bare.yaml --eye 0,0,600 -o e.png", "lacks viewing_distance_mm and pixel_pitch_mm"),
+    ("simulate plain.png --panel bare.yaml --eye 0,0,600 -o e.png", "lacks viewing_distance_mm and pixel_pitch_mm; give --viewing"),
     ("info", "required"), ("info no.png", "cannot read"), ("info text.png", "not an image"),
     ("info text.safetensors", "safetensors"), ("info nix", "known: ")])
 def test_complaints_are_one_line_and_leave_nothing(folder, capsys, line, words):
@@ -423,6 +424,19 @@ def test_simulate(folder, capsys):
     write_image("o.png", image)
     run(capsys, "simulate o.png --panel p.yaml --eye -31.5,10,600 -o e.exr")
     assert np.array_equal(read_image("e.exr"), simulate(image, PANEL, (-31.5, 10, 600)))
+
+
+def test_viewing_distance_of_a_looking_glass(folder, capsys):
+    (folder / "visual.json").write_text(json.dumps({"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136,
+                                                    "screenW": 96, "screenH": 60}))
+    run(capsys, "encode s.ply -o o.png --panel visual.json")
+    assert "give --viewing-distance MM" in complaint(capsys, "simulate o.png --eye 0,0,500 -o e.png")
+    run(capsys, "simulate o.png --eye 31.5,0,500 --viewing-distance 500 -o e.png")
+    rig = json.loads(read_info("o.png").metadata["rig"])
+    Rig(**rig).to_yaml("r.yaml")
+    run(capsys, "encode s.ply -o far.png --panel visual.json --viewing-distance 500 --preview v --rig r.yaml")
+    assert np.array_equal(read_image("v/right-eye.png"), read_image("e.png"))
+    assert json.loads(read_info("far.png").metadata["panel"])["viewing_distance_mm"] == 500
 
 
 def test_help_says_units_and_is_quick():

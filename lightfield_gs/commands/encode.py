@@ -12,6 +12,7 @@ import numpy as np
 
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
+from lightfield_gs.commands.panel import at_distance, why_no_eye
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -35,7 +36,7 @@ def run(args: argparse.Namespace) -> None:
     check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
                                    args.view_map, args.checkpoint))
     _check_options(args)
-    panel = Panel.load(args.panel)
+    panel = at_distance(Panel.load(args.panel), args.viewing_distance)
     import torch
 
     from lightfield_gs.rendering import encode
@@ -68,7 +69,8 @@ def run(args: argparse.Namespace) -> None:
 
             write_preview(args.preview, image, gaussians, panel, rig, args.background)
             watch.lap("preview")
-            _note_missing_eyes(args.preview, panel)
+            if why := why_no_eye(panel):
+                note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians.count} Gaussians")
     print(watch.line())
     if args.stats:
@@ -83,14 +85,6 @@ def _outputs(args: argparse.Namespace) -> list[Path | None]:
     from lightfield_gs.preview import FILES
 
     return [*outputs, *(args.preview / name for name in FILES)]
-
-
-def _note_missing_eyes(folder: Path, panel: Panel) -> None:
-    from lightfield_gs.simulate import unknown_of
-
-    if missing := unknown_of(panel):
-        note(f"{folder} has no left-eye.png and right-eye.png: panel {panel.name} lacks {' and '.join(missing)}; give "
-             "a panel that has them")
 
 
 def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from lightfield_gs.commands.panel import at_distance, why_no_eye
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_outputs
@@ -20,7 +21,9 @@ def run(args: argparse.Namespace) -> None:
     path = check_image_path(args.output)
     check_outputs((path,), (args.image, args.panel))
     watch.lap("start")
-    panel = _panel_of(args)
+    panel = at_distance(_panel_of(args), args.viewing_distance)
+    if why := why_no_eye(panel):
+        raise InputError(why)
     image = read_image(args.image, as_stored=True)
     watch.lap("load")
     seen = simulate(image, panel, args.eye, args.spread)

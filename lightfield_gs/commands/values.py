@@ -38,6 +38,14 @@ def share(text: str) -> float:
     return value
 
 
+def millimetres(text: str) -> float:
+    """"600" -> 600.0, a distance of 0.001..1e9 mm."""
+    value = numbers(1)(text)[0]
+    if not 1e-3 <= value <= 1e9:
+        raise argparse.ArgumentTypeError(f"expected a distance of 0.001..1e9 mm, got '{text}'")
+    return value
+
+
 def threads(text: str) -> int:
     """"8" -> 8."""
     if not text.isdecimal() or not 1 <= int(text[:9]) <= 1024:
