@@ -312,8 +312,12 @@ def test_every_knob_stands_alone_and_is_left_out_once():
                                    "training-step --memory-budget 1MB", "training-step --scene sheet:4",
                                    "training-step --sh-degree 3", "--oracle-samples 0",
                                    "photo --oracle-samples 9", "--json /no/such/folder/rows.json",
-                                   "--threads 1,2"])
-def test_bad_arguments_are_refused_before_any_work(words):
+                                   "--threads 1,2", "--scene sheet:8,no-such.ply", "--cone 5,200", "--cone 5,180",
+                                   "--cone nan", "paper --scene sheet:8,cloud:x", "pareto --scene sheet:8,no-such.ply",
+                                   "pareto --scene sheet:8 --cone 5,200", "skips --scene sheet:8,no-such.ply",
+                                   "skips --scene sheet:8 --cone 5,200"])
+def test_bad_arguments_are_refused_before_any_work(words, monkeypatch):
+    monkeypatch.setattr(scenes, "_MAKERS", {"sheet": None, "cloud": None})
     with pytest.raises(InputError) as error:
         command.run(arguments(*words.split()))
     assert "\n" not in str(error.value)

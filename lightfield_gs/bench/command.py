@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from lightfield_gs.bench import paper, pareto, peers, photo, skips, training
 from lightfield_gs.bench.measure import measure
 from lightfield_gs.bench.oracle import ORACLE_SAMPLES, oracle_samples
 from lightfield_gs.bench.pareto_plot import check_plot, plot
-from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, load_scene
+from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, check_scene, load_scene
 from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line, table
 from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.device import choose_device
@@ -149,7 +151,7 @@ def run(args: argparse.Namespace) -> int:
     choose_device(args.device)
     if args.repeats is not None and args.repeats < 1:
         raise InputError(f"--repeats: expected 1 or more, got {args.repeats}")
-    threads = _numbers("--threads", args.threads, int)
+    threads = _thread_counts(args.threads)
     if args.json is not None:
         check_output_path(args.json)
     named = [*(args.scene or "").split(","), *(args.photo or "").split(",")]
@@ -205,6 +207,7 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
     photos = [] if args.scene and not args.photo else (args.photo or str(photo.EXAMPLE)).split(",")
     _check_files(photos)
     scenes = pareto.SCENES if not args.scene and not args.photo else args.scene.split(",") if args.scene else ()
+    _check_scenes(scenes)
     rows, count = [], _one_thread_count(args, threads)
     for subject in pareto.subjects(scenes, photos, Panel.load(args.panel),
                                    pareto.CONES if args.cone is None else _cones(args.cone), args.device):
@@ -220,8 +223,10 @@ def _skips(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[st
     """Rows of every skip, for every scene and cone, and their text."""
     scenes, panel = skips.SCENES if args.scene is None else args.scene.split(","), Panel.load(args.panel)
     cones, count, rows = _cones(args.cone), _one_thread_count(args, threads), []
+    degrees = _sh_degrees(args.sh_degree)
+    _check_scenes(scenes, degrees)
     for scene in scenes:
-        for degree in _sh_degrees(args.sh_degree):
+        for degree in degrees:
             gaussians = load_scene(scene, degree).to(args.device)
             for cone in cones:
                 subject = pareto.Subject(Path(scene).name, gaussians, panel,
@@ -243,6 +248,13 @@ def _check_files(photos: list[str]) -> None:
             raise InputError(f"--photo: found no file {path}")
 
 
+def _check_scenes(scenes: Sequence[str], sh_degrees: Sequence[int | None] = (None,)) -> None:
+    """Raises InputError before the first is measured: what was measured until then would be lost."""
+    for scene in scenes:
+        for degree in sh_degrees:
+            check_scene(scene, degree)
+
+
 def _light_field(args: argparse.Namespace, threads: list[int | None], published: bool) -> tuple[dict[str, Any], str]:
     """Rows of every case and method, and their text. paper: its scenes and methods, unless others are named."""
     scenes, methods = (paper.SCENES, paper.METHODS) if published else (DEFAULT_SCENES, DEFAULT_METHODS)
@@ -254,8 +266,9 @@ def _light_field(args: argparse.Namespace, threads: list[int | None], published:
     if args.oracle_samples is not None and args.oracle_samples < 1:
         raise InputError(f"--oracle-samples: expected 1 or more, got {args.oracle_samples}")
     panel = Panel.load(args.panel)
-    cases = [Case(scene, panel, cone, degree) for scene in scenes for cone in _cones(args.cone)
-             for degree in _sh_degrees(args.sh_degree)]
+    degrees = _sh_degrees(args.sh_degree)
+    _check_scenes(scenes, degrees)
+    cases = [Case(scene, panel, cone, degree) for scene in scenes for cone in _cones(args.cone) for degree in degrees]
     rows, comparisons = [], []
     for case in cases:
         new_rows, new_comparisons = bench_case(case, methods, args.device, args.repeats, count,
@@ -278,12 +291,21 @@ def _methods(methods: list[str], device: str) -> list[str]:
     return methods
 
 
-def _cones(text: str | None) -> list[Any]:
+def _cones(text: str | None) -> list[str | float | None]:
     """Cones as `cone_degrees` takes them; [None] when the option was not given."""
     if text is None:
         return [None]
-    return [part if part in NAMED_CONES else _numbers("--cone", part, float, f", or {' or '.join(NAMED_CONES)}")[0]
-            for part in text.split(",")]
+    return [part if part in NAMED_CONES else _cone(part) for part in text.split(",")]
+
+
+def _cone(text: str) -> float:
+    try:
+        degrees = float(text)
+    except ValueError:
+        degrees = math.nan
+    if not 0 < degrees < 180:
+        raise InputError(f"--cone: expected degrees between 0 and 180, or {' or '.join(NAMED_CONES)}, got {text!r}")
+    return degrees
 
 
 def _sh_degrees(text: str | None) -> list[int | None]:
@@ -294,17 +316,17 @@ def _sh_degrees(text: str | None) -> list[int | None]:
     return [int(part) for part in text.split(",")]
 
 
-def _numbers(option: str, text: str | None, kind: type, otherwise: str = "") -> list[Any]:
-    """The positive numbers of "a,b,c"; [None] when the option was not given."""
+def _thread_counts(text: str | None) -> list[int | None]:
+    """The numbers of "1,2"; [None] when the option was not given."""
     if text is None:
         return [None]
     try:
-        values = [kind(part) for part in text.split(",")]
+        counts = [int(part) for part in text.split(",")]
     except ValueError:
-        values = []
-    if not values or not all(0 < value < float("inf") for value in values):
-        raise InputError(f"{option}: expected positive numbers with commas between{otherwise}, got {text!r}")
-    return values
+        counts = []
+    if not counts or min(counts) < 1:
+        raise InputError(f"--threads: expected positive numbers with commas between, got {text!r}")
+    return counts
 
 
 def _progress(line: str) -> None:

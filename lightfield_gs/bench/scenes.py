@@ -17,6 +17,7 @@ import numpy as np
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.panel import Panel
+from lightfield_gs.paths import checked_path
 from lightfield_gs.rig import Rig
 
 ZERO_DEPTH = 2.0
@@ -66,6 +67,9 @@ def cloud(count: int, seed: int = 0) -> Gaussians:
     return _gaussians(means, quaternions, scales, opacities, colours)
 
 
+_MAKERS = {"sheet": sheet, "cloud": cloud}
+
+
 def with_harmonics(gaussians: Gaussians, degree: int) -> Gaussians:
     """A scene of SH degree 0 with random coefficients up to `degree` (1..3) added; those of a lower one begin alike."""
     import torch
@@ -77,22 +81,31 @@ def with_harmonics(gaussians: Gaussians, degree: int) -> Gaussians:
     return replace(gaussians, sh=torch.cat([gaussians.sh, higher], dim=1))
 
 
+def check_scene(name: str, sh_degree: int | None = None) -> None:
+    """Raises InputError where `load_scene` has no such scene, but for what only reading a file shows."""
+    kind, _, size = name.partition(":")
+    if kind in _MAKERS and size:
+        if not size.isascii() or not size.isdigit() or not 1 <= int(size) <= 1 << 24:
+            raise InputError(f"scene {name!r}: expected a whole number 1..16777216 after '{kind}:', got {size!r}")
+        return
+    if Path(name).suffix.lower() != ".ply":
+        raise InputError(f"scene {name!r}: expected sheet:S, cloud:N or the path of a .ply file")
+    if sh_degree is not None:
+        raise InputError(f"scene {name!r}: a file has its own SH degree, leave out --sh-degree")
+    if not checked_path(name).is_file():
+        raise InputError(f"scene {name!r}: found no such file")
+
+
 def load_scene(name: str, sh_degree: int | None = None) -> Gaussians:
     """A scene by name: `sheet:S`, `cloud:N`, or the path of a .ply file.
 
     sh_degree: 0..3 of a synthetic scene (None: 0); a file has its own. Raises InputError.
     """
+    check_scene(name, sh_degree)
     kind, _, size = name.partition(":")
-    makers = {"sheet": sheet, "cloud": cloud}
-    if kind in makers and size:
-        if not size.isascii() or not size.isdigit() or not 1 <= int(size) <= 1 << 24:
-            raise InputError(f"scene {name!r}: expected a whole number 1..16777216 after '{kind}:', got {size!r}")
-        scene = makers[kind](int(size))
+    if kind in _MAKERS and size:
+        scene = _MAKERS[kind](int(size))
         return with_harmonics(scene, sh_degree) if sh_degree else scene
-    if Path(name).suffix.lower() != ".ply":
-        raise InputError(f"scene {name!r}: expected sheet:S, cloud:N or the path of a .ply file")
-    if sh_degree is not None:
-        raise InputError(f"scene {name!r}: a file has its own SH degree, leave out --sh-degree")
     return Gaussians.load(name)
 
 
