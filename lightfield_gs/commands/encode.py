@@ -16,7 +16,7 @@ from lightfield_gs.commands.panel import at_distance, why_no_eye
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
-from lightfield_gs.io.atomic import check_output_path, check_outputs
+from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panel import Panel
 
@@ -33,6 +33,8 @@ def run(args: argparse.Namespace) -> None:
         check_output_path(args.save_rig)
     if args.save_gaussians is not None:
         check_scene_path(args.save_gaussians)
+    if args.preview is not None:
+        check_folder(args.preview)
     check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
                                    args.view_map, args.checkpoint))
     _check_options(args)

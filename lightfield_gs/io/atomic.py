@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -57,10 +58,31 @@ def _is_same_file(one: Path, other: Path) -> bool:
 def make_folder(path: str | Path) -> Path:
     """`path`, made with the folders above it where they are absent. Raises InputError where it cannot be a folder."""
     path = checked_path(path)
+    if os.path.exists(path) and not path.is_dir():
+        raise InputError(f"cannot make the folder {path}: it is a file; give a folder")
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make the folder {path}: {error.strerror or error}") from error
+    return path
+
+
+def check_folder(path: str | Path) -> Path:
+    """`path`, if it is a folder for files, or can be made one; raises InputError before any long work is done.
+
+    Only trying tells (/proc takes no folders even of root); nothing is left of the trial.
+    """
+    path = checked_path(path)
+    absent = [folder for folder in (path, *path.parents) if not os.path.exists(folder)]
+    try:
+        make_folder(path)
+        tempfile.TemporaryFile(dir=path).close()
+    except OSError as error:
+        raise InputError(f"cannot write in {path}: {error.strerror or error}") from error
+    finally:
+        with contextlib.suppress(OSError):  # not made, or somebody else's by now
+            for folder in absent:
+                folder.rmdir()
     return path
 
 
