@@ -76,7 +76,9 @@ def test_the_command_is_the_library_call(tmp_path, monkeypatch, capsys):
     assert torch.equal(Gaussians.load("less.ply").means, expected.means) and 0 < expected.count < 2000
     assert f"{expected.count} of 2000 Gaussians" in capsys.readouterr().out
     for line, words in (("prune scene.ply -o less.png", "ends in .ply"), ("prune no.ply -o a.ply", "no.ply"),
-                        ("prune scene.ply -o a.ply --contribution-cut 2", "0..1")):
+                        ("prune scene.ply -o a.ply --contribution-cut 2", "0..1"),
+                        ("prune scene.ply -o a.ply --panel panel.yaml --contribution-cut 1 --save-rig a.yaml",
+                         "nothing would be left")):
         assert cli.main(line.split()) == 2 and words in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["less.ply", "panel.yaml", "r.yaml", "scene.ply"]
     assert np.allclose(fan.world_to_camera, Rig.frame(stored, shown).world_to_camera)

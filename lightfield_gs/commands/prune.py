@@ -7,6 +7,7 @@ import argparse
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.scene import check_scene_path
 from lightfield_gs.commands.stopwatch import Stopwatch
+from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.panel import Panel
 
@@ -33,6 +34,9 @@ def run(args: argparse.Namespace) -> None:
     rig = rig or Rig.frame(on_device, panel)
     kept = prune(on_device, panel, rig, args.contribution_cut)
     watch.lap("prune")
+    if kept.count == 0:
+        raise InputError(f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "
+                         "--contribution-cut or another --rig")
     kept.to("cpu").save(args.output)
     if args.save_rig is not None:
         rig.to_yaml(args.save_rig)
