@@ -367,9 +367,16 @@ def test_an_input_is_never_written_over(folder, capsys, line, name):
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_cuda_is_asked_for_in_vain(folder, capsys):
-    assert "needs a GPU" in complaint(capsys, "encode s.ply -o o.png --panel p.yaml --device cuda")
+@pytest.mark.parametrize("devices, version, words", [
+    (("cpu",), "13.0", "this build has no CUDA stages; install"),
+    (("cpu", "cuda"), None, f"this torch, {torch.__version__}, is a CPU build; install"),
+    (("cpu", "cuda"), "13.0", f"torch {torch.__version__} finds no GPU that it can use; see")])
+def test_cuda_is_asked_for_in_vain(folder, capsys, monkeypatch, devices, version, words):
+    monkeypatch.setattr("lightfield_gs.build_info", lambda: {"devices": devices})
+    monkeypatch.setattr(torch.version, "cuda", version)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert words in complaint(capsys, "encode s.ply -o o.png --panel p.yaml --device cuda")
+    assert cli.main("encode s.ply -o o.png --panel p.yaml".split()) == 0
 
 
 def test_interrupt(folder, capsys, monkeypatch):

@@ -7,12 +7,24 @@ from lightfield_gs.errors import InputError
 
 def choose_device(name: str) -> str:
     """cpu or cuda, for cpu, cuda or auto. Raises InputError where cuda is asked for and cannot be had."""
+    if name == "cpu":
+        return "cpu"
+    missing = _missing_for_cuda()
+    if name == "cuda" and missing is not None:
+        raise InputError(f"--device cuda: {missing}, or use --device cpu")
+    return "cpu" if missing else "cuda"
+
+
+def _missing_for_cuda() -> str | None:
+    """Which of the three things that cuda takes is not there, and what to do; None where none is missing."""
     import torch
 
     from lightfield_gs import build_info
 
-    usable = "cuda" in build_info()["devices"] and torch.cuda.is_available()
-    if name == "cuda" and not usable:
-        raise InputError("--device cuda: needs a GPU, a torch that uses it, and a build that found nvcc (LFGS_CUDA=ON "
-                         "insists on it); use --device cpu")
-    return "cuda" if usable and name != "cpu" else "cpu"
+    if "cuda" not in build_info()["devices"]:
+        return "this build has no CUDA stages; install it with nvcc on the PATH and -C cmake.define.LFGS_CUDA=ON"
+    if torch.version.cuda is None:
+        return f"this torch, {torch.__version__}, is a CPU build; install a CUDA build of torch"
+    if not torch.cuda.is_available():
+        return f"torch {torch.__version__} finds no GPU that it can use; see whether nvidia-smi lists one"
+    return None
