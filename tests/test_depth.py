@@ -195,4 +195,4 @@ def test_rembg_that_is_missing_or_fails(folder, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "rembg", stand_in(lambda *_, **__: 1 / 0))
     assert "division by zero" in complaint(capsys, line)
     monkeypatch.setitem(sys.modules, "rembg", stand_in(lambda data, **_: np.zeros(data.shape[:2], np.uint8)))
-    assert "nothing is cut out" in complaint(capsys, line)
+    assert "rembg found no object" in complaint(capsys, line)

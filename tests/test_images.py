@@ -195,9 +195,16 @@ def test_busy_background_names_the_ways_out(tmp_path):
     save(tmp_path / "a.png", RNG.random((50, 50, 3)))
     with pytest.raises(InputError, match="--mask"):
         load_photo(tmp_path / "a.png")
-    save(tmp_path / "b.png", np.full((50, 50, 3), 0.5))
-    with pytest.raises(InputError, match="nothing is cut out"):
-        load_photo(tmp_path / "b.png")
+
+
+def test_why_nothing_is_cut_out(tmp_path):
+    grey, opaque, clear = np.full((50, 50, 3), 0.5), np.ones((50, 50, 1)), np.zeros((50, 50, 1))
+    for name, pixels, words in (("grey", grey, "plain and nothing stands out from it; give RGBA"),
+                                ("full", np.concatenate([grey, opaque], 2), "plain and nothing stands out"),
+                                ("clear", np.concatenate([grey, clear], 2), "its alpha is .nearly. empty")):
+        save(tmp_path / f"{name}.png", pixels)
+        with pytest.raises(InputError, match=f"{name}.png: .*{words}"):
+            load_photo(tmp_path / f"{name}.png")
 
 
 def test_mask_file(tmp_path):

@@ -18,6 +18,8 @@ _NEAR, _FAR = 0.06, 0.14  # colour distances between which the mask rises from 0
 _SAME = 0.02  # colour distance below which an enclosed patch is the background, seen through a hole ...
 _PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits in it: smaller ones are highlights
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
+_OTHER_CUT_OUTS = ("give RGBA, a cut-out with --mask FILE, or --remove-background (pip install "
+                   "'lightfield-gs[rembg]')")
 
 
 def load_photo(path: str | Path, mask: str | Path | None = None, *, remove_background: bool = False,
@@ -38,16 +40,20 @@ def load_photo(path: str | Path, mask: str | Path | None = None, *, remove_backg
     rgb, alpha = _colour_and_alpha(np.clip(pixels, 0, 1))
     if mask is not None:
         alpha = _read_mask(mask, rgb.shape[:2])
+        empty = f"{mask}: nothing is cut out, the mask is (nearly) empty; give another"
     elif remove_background:
         alpha = background_removed(rgb)
-    elif alpha is None or alpha.min() >= 1:
+        empty = f"{path}: rembg found no object; give a cut-out with --mask FILE"
+    elif alpha is not None and alpha.min() < 1:
+        empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or --mask FILE"
+    else:
         alpha = np.ones(rgb.shape[:2], np.float32) if whole else plain_background_mask(rgb)
+        empty = f"{path}: its background looks plain and nothing stands out from it; {_OTHER_CUT_OUTS}"
         if alpha is None:
-            raise InputError(f"{path} has no alpha and no plain background; to show one object, give RGBA, a cut-out "
-                             "with --mask FILE, or --remove-background (pip install 'lightfield-gs[rembg]'); to show "
-                             "the whole scene, its distances with --depth FILE")
+            raise InputError(f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
+                             "to show the whole scene, give its distances with --depth FILE")
     if (alpha > 0.5).mean() < _MIN_OBJECT_SHARE:
-        raise InputError(f"{mask or path}: nothing is cut out, the alpha is (nearly) empty; give another mask or photo")
+        raise InputError(empty)
     return np.concatenate([rgb, alpha[..., None]], 2).astype(np.float32)
 
 
