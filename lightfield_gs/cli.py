@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from lightfield_gs.commands.complaint import complain
-from lightfield_gs.commands.values import background, byte_size, millimetres, numbers, share, threads
+from lightfield_gs.commands.values import background, byte_size, numbers, threads, within
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL
 
@@ -81,7 +81,7 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
         help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
-    add("--viewing-distance", type=millimetres, metavar="MM",
+    add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM",
         help="distance of the viewer from the panel, in place of the panel's own: for --preview, for framing, and for "
         "`simulate` afterwards")
     add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
@@ -144,7 +144,7 @@ def _add_prune(commands: argparse._SubParsersAction) -> None:
     add = prune.add_argument
     add("input", type=Path, metavar="INPUT", help="a standard 3DGS .ply")
     add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene without them")
-    add("--contribution-cut", type=share, default=3e-4, metavar="SHARE",
+    add("--contribution-cut", type=within(0, 1), default=3e-4, metavar="SHARE",
         help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)")
     add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
         help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
@@ -162,11 +162,11 @@ def _add_simulate(commands: argparse._SubParsersAction) -> None:
     add = simulate.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
     add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
-    add("--viewing-distance", type=millimetres, metavar="MM",
+    add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM",
         help="distance from which the panel shows one view all over, in place of the panel's own")
     add("--eye", type=numbers(3), required=True, metavar="X,Y,Z",
         help="place of the eye in mm from the panel's centre: right, up, towards the viewer")
-    add("--spread", type=float, default=1.0, metavar="SUBPIXELS",
+    add("--spread", type=within(0.01, 1000, "sub-pixels"), default=1.0, metavar="SUBPIXELS",
         help="width of what a lens lights, in sub-pixels; more is crosstalk (default 1)")
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr")
 

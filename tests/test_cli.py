@@ -303,6 +303,12 @@ def columns_of(picture: np.ndarray) -> float:
     ("encode s.ply -o o.png --threads many", "1..1024"), ("encode s.ply -o o.png --unknown", "unrecognized"),
     ("encode s.ply -o o.png --save-rig no/r.yaml", "no folder"),
     ("encode s.ply -o o.png --save-gaussians no/g.ply", "no folder"),
+    ("encode s.ply -o o.png --method sorted --cameras c.json --views continuous", "--views continuous .* --cameras"),
+    ("encode s.ply -o o.png --method sorted --view-map m.npy --views continuous", "--view-map takes the place"),
+    ("encode s.ply -o o.png --method sorted --quality fast", "--quality fast is for --method direct, not sorted"),
+    ("encode photo.png -o o.png --depth d.npy", "d.npy: expected a depth map of the photo's size 16 x 16, got 9 x 8"),
+    ("encode photo.png -o o.png --depth d.npy --depth-scale inf", "finite number > 0, got inf"),
+    ("encode photo.png -o o.png --depth d.npy --intrinsics 0,9,8,8", "--intrinsics: expected focal lengths > 0"),
     ("encode s.ply -o o.png --viewing-distance 0", "--viewing-distance: .* mm"),
     ("encode s.ply -o o.png --save-gaussians g.txt", "ends in .ply"),
     ("encode s.ply -o o.png --save-rig o.png", "o.png is named for two outputs"),
@@ -317,8 +323,8 @@ def columns_of(picture: np.ndarray) -> float:
     ("simulate photo.png --eye 0,0,600 -o e.png", "give --panel"), ("simulate o.png --eye 0,0 -o e.png", "3 numbers"),
     ("simulate photo.png --panel p.yaml --eye 0,0,600 -o e.png", "16 x 16 pixels"),
     ("simulate plain.png --panel p.yaml --eye 0,0,-600 -o e.png", "above 0"),
-    ("simulate plain.png --panel p.yaml --eye 0,0,600 --spread 0 -o e.png", "spread"),
-    ("simulate plain.png --panel bare.yaml --eye 0,0,600 -o e.png", "lacks viewing_distance_mm and pixel_pitch.*give --viewing"),
+    ("simulate plain.png --panel p.yaml --eye 0,0,600 --spread 0 -o e.png", "--spread: .*1000 sub-pixels"),
+    ("simulate plain.png --panel bare.yaml --eye 0,0,600 -o e.png", "lacks viewing_distance_mm and .*give --viewing"),
     ("info", "required"), ("info no.png", "cannot read"), ("info text.png", "not an image"),
     ("info text.safetensors", "safetensors"), ("info nix", "known: ")])
 def test_complaints_are_one_line_and_leave_nothing(folder, capsys, line, words):
@@ -331,6 +337,7 @@ def test_complaints_are_one_line_and_leave_nothing(folder, capsys, line, words):
     cut_out[4:12, 4:12] = 255
     write_image("photo.png", cut_out)
     write_image("wrong.png", cut_out[:9])
+    np.save("d.npy", np.ones((8, 9)))
     write_image("busy.png", np.random.default_rng(0).integers(0, 255, (32, 32, 3), np.uint8))
     write_image("plain.png", np.zeros((60, 96, 3), np.uint8))
     before = {path.name for path in folder.iterdir()}

@@ -142,7 +142,7 @@ def test_a_mask_cuts_the_scene(folder, capsys):
     ("encode photo.png --depth depth.exr --checkpoint c.safetensors", "does without"),
     ("encode photo.png --depth depth.exr --fov 0", "between 0 and 180"),
     ("encode photo.png --depth depth.exr --fov 50 --intrinsics 1,1,1,1", "place of --fov"),
-    ("encode photo.png --depth depth.exr --intrinsics -1,1,1,1", "focal_px"),
+    ("encode photo.png --depth depth.exr --intrinsics -1,1,1,1", "--intrinsics: .* > 0 px"),
     ("encode photo.png --depth mm.png --depth-scale 1 --depth-range 1,2", "place of --depth-range"),
     ("encode photo.png --depth mm.png --depth-range 2,1", "near < far"),
     ("encode photo.png --depth mm.png --depth-range 2", "2 numbers"),

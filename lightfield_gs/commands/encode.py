@@ -105,6 +105,12 @@ def _check_options(args: argparse.Namespace) -> None:
                               ("--memory-budget", args.memory_budget)):
             if value is not None:
                 raise InputError(f"{option} is for --method sorted, not {args.method}")
+    if args.quality != "exact" and args.method != "direct":
+        raise InputError(f"--quality {args.quality} is for --method direct, not {args.method}; leave out one of them")
+    for option, value in (("--cameras", args.cameras), ("--view-map", args.view_map)):
+        if value is not None and args.views == "continuous":
+            raise InputError(f"--views continuous is for a rig and the panel's lens, and {option} takes the place of "
+                             "one; leave out one of them")
     if args.cameras is not None:
         for option, value in (("--rig", args.rig), ("--save-rig", args.save_rig), ("--preview", args.preview)):
             if value is not None:

@@ -28,6 +28,9 @@ def check_scene_options(args: argparse.Namespace) -> None:
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
         _refuse(args, ("checkpoint",), "is for the network, which --depth does without")
+    if args.intrinsics is not None and min(args.intrinsics[:2]) <= 0:
+        raise InputError(f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and "
+                         f"{args.intrinsics[1]:g}")
     for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics")):
         if getattr(args, one) is not None:
             _refuse(args, (other,), f"takes the place of {_option(one)}")
@@ -72,6 +75,10 @@ def _photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Ga
 
     photo = load_photo(args.input, args.mask, remove_background=args.remove_background, whole=True)
     depth = read_depth(args.depth, args.depth_kind or "distance", scale=args.depth_scale, limits=args.depth_range)
+    if depth.shape != photo.shape[:2]:
+        raise InputError(f"{args.depth}: expected a depth map of the photo's size {photo.shape[1]} x {photo.shape[0]}, "
+                         f"got {depth.shape[1]} x {depth.shape[0]}; resize one of them (the map without smoothing: it "
+                         "would join far and near)")
     focal, centre = None, None
     if args.intrinsics is not None:
         focal, centre = args.intrinsics[:2], args.intrinsics[2:]

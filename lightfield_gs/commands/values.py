@@ -17,9 +17,13 @@ def numbers(count: int):
         except ValueError:
             values = ()
         if len(values) != count or not all(map(math.isfinite, values)):
-            raise argparse.ArgumentTypeError(f"expected {count} numbers separated by commas, got '{text}'")
+            raise argparse.ArgumentTypeError(f"expected {_counted(count)}, got '{text}'")
         return values
     return parse
+
+
+def _counted(count: int) -> str:
+    return "a finite number" if count == 1 else f"{count} numbers separated by commas"
 
 
 def background(text: str) -> tuple[float, ...]:
@@ -30,20 +34,14 @@ def background(text: str) -> tuple[float, ...]:
     return values
 
 
-def share(text: str) -> float:
-    """"0.01" -> 0.01, in 0..1."""
-    value = numbers(1)(text)[0]
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"expected a number in 0..1, got '{text}'")
-    return value
-
-
-def millimetres(text: str) -> float:
-    """"600" -> 600.0, a distance of 0.001..1e9 mm."""
-    value = numbers(1)(text)[0]
-    if not 1e-3 <= value <= 1e9:
-        raise argparse.ArgumentTypeError(f"expected a distance of 0.001..1e9 mm, got '{text}'")
-    return value
+def within(low: float, high: float, unit: str = ""):
+    """Parser of a number in low..high, both included; unit: of both, in the complaint."""
+    def parse(text: str) -> float:
+        value = numbers(1)(text)[0]
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"expected {low:g}..{high:g}{unit and ' ' + unit}, got '{text}'")
+        return value
+    return parse
 
 
 def threads(text: str) -> int:

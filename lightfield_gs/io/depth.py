@@ -88,5 +88,5 @@ def _scaled(values: np.ndarray, kind: str, scale: float) -> np.ndarray:
 
 def _positive(name: str, value: float) -> float:
     if not 0 < value < np.inf:
-        raise InputError(f"{name}: expected a number > 0, got {value}")
+        raise InputError(f"{name}: expected a finite number > 0, got {value}")
     return value
