@@ -441,6 +441,21 @@ def test_simulate(folder, capsys):
     assert np.array_equal(read_image("e.exr"), simulate(image, PANEL, (-31.5, 10, 600)))
 
 
+@pytest.mark.parametrize("eye, words", [
+    ("0.06,0,0.6", "the eye is 0.6 mm from the panel, which is made for 600 mm: views repeat or mix"),
+    ("0,0,7000", "made for 600 mm"), ("1e6,0,600", "90 degrees aside, the panel's viewing cone ends at 15"),
+    ("0,1e6,600", "89.8 degrees"), ("-170,0,600", "15.8 degrees aside"), ("150,0,600", None), ("40,240,600", None),
+    ("0,0,61", None)])
+def test_an_eye_where_hardly_any_is_gets_a_note(folder, capsys, eye, words):
+    write_image("o.png", np.zeros((60, 96, 3), np.uint8))
+    assert cli.main(f"simulate o.png --panel p.yaml --eye {eye} -o e.png".split()) == 0
+    error = capsys.readouterr().err
+    if words is None:
+        assert error == ""
+    else:
+        assert error.startswith("note: ") and words in error and error.count("\n") == 1
+
+
 def test_viewing_distance_of_a_looking_glass(folder, capsys):
     (folder / "visual.json").write_text(json.dumps({"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136,
                                                     "screenW": 96, "screenH": 60}))

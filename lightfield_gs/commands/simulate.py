@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
 
+from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.panel import at_distance, why_no_eye
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -32,6 +34,24 @@ def run(args: argparse.Namespace) -> None:
     watch.lap("write")
     print(f"{path}: {seen.shape[1]} x {seen.shape[0]}, one sample a lens, from {tuple(args.eye)} mm")
     print(watch.line())
+    if doubt := _doubt_of_eye(panel, args.eye):
+        note(doubt)
+
+
+def _doubt_of_eye(panel: Panel, eye_mm: tuple[float, float, float]) -> str | None:
+    """Why a place (x, y, z in mm) of the eye is hardly meant, perhaps in other units; None where it may well be.
+
+    Along the slant of the lenses the view stays the same, so that only the rest of the way counts for the cone.
+    """
+    x, y, z = eye_mm
+    if not 0.1 <= z / panel.viewing_distance_mm <= 10:
+        return (f"the eye is {z:g} mm from the panel, which is made for {panel.viewing_distance_mm:g} mm: "
+                "views repeat or mix")
+    aside_deg = math.degrees(math.atan2(abs(x - y * panel.slant_tan), z))
+    if aside_deg > panel.cone_deg / 2:
+        return (f"the eye is {aside_deg:.3g} degrees aside, the panel's viewing cone ends at {panel.cone_deg / 2:.3g}: "
+                "views repeat")
+    return None
 
 
 def _panel_of(args: argparse.Namespace) -> Panel:
