@@ -140,6 +140,15 @@ def test_cache_holds_the_very_pixels(tmp_path):
     assert len(load_set(tmp_path / "set", tmp_path / "cache", workers=1).objects) == 3
 
 
+def test_sets_whose_names_have_dots_have_caches_of_their_own(tmp_path):
+    pixels = []
+    for seed in (1, 2):
+        write_object(tmp_path / "set.v1/a", seed=seed)
+        pixels.append(np.array(load_set(tmp_path / "set.v1", tmp_path / "cache", workers=1).pixels))
+    assert not np.array_equal(*pixels)
+    assert len(list((tmp_path / "cache").glob("set.v1-*"))) == 4
+
+
 def test_angles_of_known_cameras():
     cameras = np.stack([look_at(0, 0), look_at(20, 0), look_at(0, 10)])
     angles = angles_from_source(cameras, cameras[0])

@@ -57,6 +57,12 @@ class CachedSet:
     pixels: np.ndarray
 
 
+def _files(base: Path) -> tuple[Path, Path]:
+    """The pixels and the index of a cached set."""
+    # Not with_suffix, which cuts a set's name at a dot of its own.
+    return base.with_name(f"{base.name}.bytes"), base.with_name(f"{base.name}.json")
+
+
 def _fingerprint(objects: list[Path]) -> str:
     """Changes when any file of the set is added, removed, resized or rewritten."""
     digest = hashlib.sha256(f"{_VERSION};{MARGIN}".encode())
@@ -100,7 +106,8 @@ def _build(names: list[Path], base: Path, workers: int | None) -> None:
     entries, offset = [], 0
     workers = min(workers or os.cpu_count() or 1, math.ceil(len(names) / _CHUNK))
     make_folder(base.parent)
-    with (atomic_path(base.with_suffix(".bytes")) as pixels, atomic_path(base.with_suffix(".json")) as index,
+    pixels_path, index_path = _files(base)
+    with (atomic_path(pixels_path) as pixels, atomic_path(index_path) as index,
           open(pixels, "wb") as file,
           # A forked process may not use the threads that torch has started in this one.
           ProcessPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool):
@@ -123,10 +130,11 @@ def load_set(root: Path, cache_dir: Path, workers: int | None = None) -> CachedS
     root = Path(root).resolve()
     names = find_objects(root, "train")
     base = Path(cache_dir) / f"{root.name}-{_fingerprint(names)}"
-    if not (base.with_suffix(".json").exists() and base.with_suffix(".bytes").exists()):
+    pixels, index = _files(base)
+    if not (pixels.exists() and index.exists()):
         _build(names, base, workers)
-    entries = json.loads(base.with_suffix(".json").read_text())
+    entries = json.loads(index.read_text())
     objects = [CachedObject(entry["name"], np.array(entry["rectangles"], np.int64), np.array(entry["squares"]),
                             np.array(entry["camera_to_world"]), np.array(entry["intrinsics"]), entry["width_px"],
                             entry["height_px"]) for entry in entries]
-    return CachedSet(root, objects, np.memmap(base.with_suffix(".bytes"), np.int32, "c"))
+    return CachedSet(root, objects, np.memmap(pixels, np.int32, "c"))
