@@ -16,7 +16,7 @@ from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.paths import config_path
 from photo_cases import TINY, tiny_net
 from training import average, train
-from training.checkpoints import cut_log
+from training.checkpoints import cut_log, load_checkpoint
 from training.config import OptimizerConfig, Stage, TrainingConfig
 from training.data.plan import Augmentation
 from training.distributed import join_team
@@ -141,6 +141,25 @@ def test_log_is_cut_at_the_resumed_step(tmp_path):
     log.write_text("".join(json.dumps({"step": step}) + "\n" for step in range(5)) + '{"step": 5, "lo')
     cut_log(log, 3)
     assert [json.loads(line)["step"] for line in log.read_text().splitlines()] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("line", ['{"step": 5, "lo', "5", "[1]", "null", "{}", '{"step": "two"}'])
+def test_log_is_cut_at_a_damaged_line(tmp_path, line):
+    log = tmp_path / "losses.jsonl"
+    log.write_text('{"step": 0}\n' + line + '\n{"step": 1}\n')
+    cut_log(log, 3)
+    assert log.read_text() == '{"step": 0}\n'
+
+
+@pytest.mark.parametrize("error", [MemoryError(), PermissionError(13, "Permission denied"),
+                                   RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate"),
+                                   torch.OutOfMemoryError("CUDA out of memory.")])
+def test_a_checkpoint_is_not_called_damaged_for_want_of_memory_or_rights(tmp_path, monkeypatch, error):
+    """The message would have the user remove it."""
+    monkeypatch.setattr(torch, "load", lambda *_, **__: (_ for _ in ()).throw(error))
+    with pytest.raises(type(error)) as caught:
+        load_checkpoint(tmp_path / "last.pt", TrainingConfig("out", ["data"], [Stage(1, 16, 1)]))
+    assert caught.value is error
 
 
 def _interrupt(config: Path, output: Path, number: int) -> str:
