@@ -87,15 +87,16 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or 1 GiB on CUDA); on CUDA those
     asked of torch's allocator, which may round each buffer up.
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
-    "direct" are differentiable. quality: "exact", "high", "fast", "draft" or a Quality, of "direct" without gradients:
-    how much error is allowed for less time. threads: CPU threads (default: torch's). stats: a dict to fill with
-    stages_ms (on CUDA the stages then wait for each other), pairs, evaluations, evaluations_per_subpixel (both None on
-    CUDA), work_bytes, gaussians_culled, colour_error; for "direct" also skipped: Gaussians not drawn by reason, tiles
-    from lattices, lattices and, on the CPU, samples that ended early and orders of colours, while on CUDA the kernel
-    that the frame chose; for "sorted" also memory_bytes and memory_bytes_unchunked, by stage: geometry, image (the
-    sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
-    out: of "direct" without gradients, an image of the same size, type and device, e.g. of the frame before, that is
-    drawn over and returned: on a CPU a new one of 88 MB costs 10 to 25 ms, for the system to find its memory.
+    "direct" are differentiable; where gradients are wanted, quality, threads, stats and out are refused.
+    quality: "exact", "high", "fast", "draft" or a Quality, of "direct": how much error is allowed for less time.
+    threads: CPU threads, 1..1024 (default: torch's).
+    stats: a dict to fill with stages_ms (on CUDA the stages then wait for each other), pairs, evaluations,
+    evaluations_per_subpixel (both None on CUDA), work_bytes, gaussians_culled, colour_error; for "direct" also skipped:
+    Gaussians not drawn by reason, tiles from lattices, lattices and, on the CPU, samples that ended early and orders of
+    colours, while on CUDA the kernel that the frame chose; for "sorted" also memory_bytes and memory_bytes_unchunked,
+    by stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
+    out: of "direct", an image of the same size, type and device, e.g. of the frame before, that is drawn over and
+    returned: on a CPU a new one of 88 MB costs 10 to 25 ms, for the system to find its memory.
     Raises InputError.
     """
     check_options(method, views, output)
@@ -128,6 +129,11 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
             chosen = cameras_and_plan(panel, rig, cameras, view_map, views == "continuous", gaussians.device)
         image = encode_sorted(_tensors(gaussians), *chosen, memory_budget, colour, output == "uint8",
                               threads or torch.get_num_threads(), counters)
+    elif _wants_gradients(output, gaussians, colour):
+        _refuse_with_gradients(quality=not quality.is_exact, threads=threads is not None, stats=stats is not None,
+                               out=out is not None)
+        image = torch.ops.lightfield_gs.render_lens(*_tensors(gaussians), colour,
+                                                    *lens_arguments(panel, rig, views == "continuous"))
     else:
         image = _direct(gaussians, panel, rig, views, colour, output, quality, threads, counters, out)
     if stats is not None:
@@ -189,16 +195,22 @@ def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float
 
 def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
             quality: Quality, threads: int | None, stats: Stats, out: Tensor | None) -> Tensor:
-    arguments = (*_tensors(gaussians), background, *lens_arguments(panel, rig, views == "continuous"))
-    if torch.is_grad_enabled() and output != "uint8" and any(t.requires_grad for t in arguments[:6]):
-        if not quality.is_exact:
-            raise InputError("quality is for images without gradients: use torch.no_grad(), or quality 'exact'")
-        if out is not None:
-            raise InputError("out is for images without gradients: use torch.no_grad(), or leave it out")
-        return torch.ops.lightfield_gs.render_lens(*arguments)
+    """The image without gradients."""
     with torch.no_grad():
-        return ops.lens_forward(*arguments, as_bytes=output == "uint8", quality=quality, stats=stats,
-                                threads=threads, out=out)
+        return ops.lens_forward(*_tensors(gaussians), background, *lens_arguments(panel, rig, views == "continuous"),
+                                as_bytes=output == "uint8", quality=quality, stats=stats, threads=threads, out=out)
+
+
+def _wants_gradients(output: str, gaussians: Gaussians, background: Tensor) -> bool:
+    """Whether torch is to follow how an image came about; bytes have no gradients."""
+    return output != "uint8" and torch.is_grad_enabled() and any(
+        t.requires_grad for t in (*_tensors(gaussians), background))
+
+
+def _refuse_with_gradients(**given: bool) -> None:
+    """Raises InputError for the first option that was given: the operator with gradients has none of them."""
+    for name in (name for name, is_given in given.items() if is_given):
+        raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")
 
 
 @torch.no_grad()

@@ -80,10 +80,15 @@ def test_images_that_cannot_be_drawn_over(out, options, words):
         encode(scene(), PANEL, RIG, out=out, **options)
 
 
-def test_an_image_with_gradients_is_a_new_one():
+@pytest.mark.parametrize("option", [dict(out=torch.empty(16, 24, 3)), dict(quality="fast"), dict(stats={}),
+                                    dict(threads=1)], ids=lambda option: next(iter(option)))
+def test_what_images_with_gradients_do_not_have_is_refused(option):
     drawn = scene(means=torch.tensor([[0.0, 0, 2], [0.1, 0, 3]], requires_grad=True))
-    with pytest.raises(InputError, match="no_grad"):
-        encode(drawn, PANEL, RIG, output="float32", out=torch.empty(16, 24, 3))
+    with pytest.raises(InputError, match=f"{next(iter(option))}= .*no_grad"):
+        encode(drawn, PANEL, RIG, output="float32", **option)
+    with torch.no_grad():
+        encode(drawn, PANEL, RIG, output="float32", **option)
+    encode(drawn, PANEL, RIG, **option | ({"out": None} if "out" in option else {}))  # bytes have no gradients
 
 
 def test_a_batch_is_not_encoded():
