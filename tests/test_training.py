@@ -341,6 +341,17 @@ def test_a_run_that_was_stored_before_a_field_existed_has_its_default():
     assert "stages" in config.differences(None) and "unet" in config.differences(stored | {"unet": {}})
 
 
+def test_a_run_with_other_data_is_another_unless_the_folders_were_moved():
+    config = TrainingConfig("out", ["data/cone"], [Stage(5, 16, 2)], target_data=["data/sphere"])
+    stored = json.loads(json.dumps(config.identity()))
+    moved = dataclasses.replace(config, data=["/elsewhere/cone/"], target_data=["sphere"])
+    assert moved.differences(stored) == []
+    other = dataclasses.replace(config, data=["data/sphere", "data/cone"], target_data=[])
+    assert other.differences(stored) == ["data", "target_data"]
+    del stored["data"], stored["target_data"]  # as they were stored before
+    assert other.differences(stored) == []
+
+
 @pytest.mark.parametrize("name", ["cpu", "finetune", "original", "release", "further", "symmetric", "scales"])
 def test_shipped_configurations_can_be_read(name):
     config = train.read_config(["--config", str(config_path("training", name))])

@@ -4,12 +4,15 @@ from __future__ import annotations
 import dataclasses
 import json
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from lightfield_gs.errors import InputError
 from training.data.plan import Augmentation
 from training.losses import LossWeights
 from training.ranges import MOST, check_ranges
+
+_FOLDERS = ("data", "target_data")
 
 
 @dataclass(frozen=True)
@@ -158,23 +161,27 @@ class TrainingConfig:
         raise IndexError("step beyond the last stage")
 
     def identity(self) -> dict:
-        """The fields that decide what is computed; a run may be resumed when they are the same."""
+        """The fields that decide what is computed; a run may be resumed when they are the same.
+
+        Of the folders of data only their own names, so that they may be moved.
+        """
         fields = dataclasses.asdict(self)
-        for name in ("output_dir", "cache_dir", "data", "target_data", "validation", "validate_every",
-                     "validation_objects", "checkpoint_every", "device", "compile"):
+        for name in ("output_dir", "cache_dir", "validation", "validate_every", "validation_objects",
+                     "checkpoint_every", "device", "compile"):
             del fields[name]
-        return fields
+        return fields | {name: [Path(folder).name for folder in fields[name]] for name in _FOLDERS}
 
     def differences(self, stored: object) -> list[str]:
         """Names of the fields in which this run differs from the one whose identity() was stored as JSON.
 
-        A field that did not exist when it was stored had the value that is now its default.
+        A field that did not exist when it was stored had the value that is now its default. Folders of data were not
+        stored at first: they count as the same.
         """
         if not isinstance(stored, dict):
             return sorted(self.identity())
         plain = TrainingConfig("unused", ["unused"], [Stage(1, 1, 1)])
         own, defaults = (json.loads(json.dumps(run.identity())) for run in (self, plain))
-        stored = _filled(stored, defaults)
+        stored = _filled(stored, defaults | {name: own[name] for name in _FOLDERS})
         return sorted(name for name in own.keys() | stored.keys() if own.get(name) != stored.get(name))
 
 
