@@ -1,5 +1,6 @@
 """The comparison of arms: equal sources, the whole command, resuming, and its report."""
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -116,6 +117,12 @@ def test_the_whole_command(folder, capsys, monkeypatch):
     monkeypatch.setattr(compare_report, "score_folder", None)
     assert compare.main([*command, "--report-only"]) == 0
     assert json.loads((folder / "runs/report.json").read_text()) == report
+    scored = []
+    monkeypatch.setattr(compare_report, "score_folder", lambda net, data, **_: scored.append(data) or report["scores"][
+        "sphere"]["near"])
+    os.utime(folder / "val/object-7/rgb/000000.png")  # a picture is written anew
+    assert compare.main([*command, "--report-only"]) == 0
+    assert scored == [folder / "val"] * 3
     assert compare.main([*command, "--report-only", "--seed", "1"]) == 2
     assert "another configuration" in capsys.readouterr().err
 

@@ -16,9 +16,12 @@ from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.json_file import parse_json, read_object
 from lightfield_gs.models import SplatterNet
 from training.config import TrainingConfig
+from training.data.cache import fingerprint
+from training.data.objects import find_objects
 from training.evaluation import labelled, score_folder
 
 FLOORS = {"copy": "copy the input", "card": "flat card"}
+_SPLIT = "val"
 _LIMIT_BYTES = 64 << 20
 # What score_folder returned, for each arm and each folder that is scored.
 Scores = dict[str, dict[str, dict[str, Any]]]
@@ -46,19 +49,20 @@ def is_finished(run: TrainingConfig) -> bool:
 
 
 def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, Tensor]) -> dict[str, Any]:
-    """Scores of a finished run in each folder; kept beside its weights.
+    """Scores of a finished run in each folder; kept beside its weights, for as long as these and the data are the same.
 
     decoded: see score_folder. Raises InputError for data that cannot be used.
     """
     weights = _final_weights(run)
     of = {"weights": hashlib.sha256(weights.read_bytes()).hexdigest(),
-          "data": {name: str(folder) for name, folder in scored.items()}}
+          "data": {name: [str(folder), fingerprint(find_objects(folder, _SPLIT))] for name, folder in scored.items()}}
     kept = weights.with_name("final_scores.json")
     if kept.exists() and (known := read_object(kept, _LIMIT_BYTES)).get("of") == of:
         return known["scores"]
     device = choose_device(run.device)
     net = SplatterNet.from_pretrained(weights).to(device)
-    scores = {name: score_folder(net, folder, device=device, decoded=decoded) for name, folder in scored.items()}
+    scores = {name: score_folder(net, folder, split=_SPLIT, device=device, decoded=decoded)
+              for name, folder in scored.items()}
     with atomic_path(kept) as temporary:
         temporary.write_text(json.dumps({"of": of, "scores": scores}, indent=1) + "\n")
     return scores

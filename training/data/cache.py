@@ -63,8 +63,11 @@ def _files(base: Path) -> tuple[Path, Path]:
     return base.with_name(f"{base.name}.bytes"), base.with_name(f"{base.name}.json")
 
 
-def _fingerprint(objects: list[Path]) -> str:
-    """Changes when any file of the set is added, removed, resized or rewritten."""
+def fingerprint(objects: list[Path]) -> str:
+    """16 hexadecimal digits that change when any file of the objects is added, removed, moved, resized or rewritten.
+
+    objects: as find_objects names them.
+    """
     digest = hashlib.sha256(f"{_VERSION};{MARGIN}".encode())
     for name in objects:
         digest.update(f"{name};".encode())
@@ -129,7 +132,7 @@ def load_set(root: Path, cache_dir: Path, workers: int | None = None) -> CachedS
     """
     root = Path(root).resolve()
     names = find_objects(root, "train")
-    base = Path(cache_dir) / f"{root.name}-{_fingerprint(names)}"
+    base = Path(cache_dir) / f"{root.name}-{fingerprint(names)}"
     pixels, index = _files(base)
     if not (pixels.exists() and index.exists()):
         _build(names, base, workers)
