@@ -9,12 +9,13 @@ import pytest
 
 from lightfield_gs.errors import InputError
 from training.data.cache import load_set
+from training.data.objects import find_objects
 from training.data.validate import main, problems
 
 
 def assert_fault_is_named(folder: Path, pattern: str, capsys: pytest.CaptureFixture[str]) -> None:
     """folder/set: every line names the object set/bad and matches the pattern; nothing is loaded from the set."""
-    found = list(problems(folder / "set"))
+    found = list(problems(find_objects(folder / "set")))
     assert found and all(re.search(pattern, line) and "set/bad" in line and "\n" not in line for line in found)
     assert main([str(folder / "set")]) == 2
     assert capsys.readouterr().err.splitlines() == found

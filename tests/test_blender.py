@@ -95,7 +95,7 @@ def test_plan_with_images_is_an_object(tmp_path, plan_file):
     picture[20:40, 20:40] = 200
     for index in range(3):
         Image.fromarray(picture).save(tmp_path / f"set/a/images/{index:06d}.png")
-    assert list(problems(tmp_path / "set")) == []
+    assert list(problems(find_objects(tmp_path / "set"))) == []
     views = read_object(*find_objects(tmp_path / "set"))
     assert views.intrinsics.tolist() == [[65.6, 65.6, 32, 32]] * 3
     wanted = _poses(render.read_plan(plan_file))
@@ -202,7 +202,7 @@ def test_blender_renders_what_the_cameras_see(tmp_path, plan_file):
                str(tmp_path / "boxes.obj")]
     subprocess.run(command, check=True, capture_output=True)
     assert [path.name for path in (tmp_path / "set").iterdir()] == ["boxes"]
-    assert list(problems(tmp_path / "set")) == []
+    assert list(problems(find_objects(tmp_path / "set"))) == []
     (path,) = find_objects(tmp_path / "set")
     views = read_object(path)
     for index, (pose, (fx, fy, cx, cy)) in enumerate(zip(views.camera_to_world, views.intrinsics)):

@@ -35,7 +35,7 @@ def test_rendered_objects_are_well_and_stand_at_the_documented_angles(shared_dir
     with tarfile.open(shared_dir / "data/objects/val.tar.gz") as archive:
         members = [m for m in archive if "cone/cc0_mixed__alien/" in m.name]
         archive.extractall(tmp_path, members, filter="data")
-    assert list(problems(tmp_path)) == []
+    assert list(problems(find_objects(tmp_path))) == []
     views = read_object(next(tmp_path.rglob("cc0_mixed__alien")))
     found = azimuths_from_source(views.camera_to_world).reshape(3, 9)
     np.testing.assert_allclose(np.abs(found), np.tile(np.abs([0, -20, -15, -10, -5, 5, 10, 15, 20]), (3, 1)), atol=1e-3)
@@ -100,6 +100,7 @@ FAULTS = {
     "no rotation": (lambda f: _write(f / "pose/000000.txt", "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1"), "bad pose.*rotation"),
     "no image data": (lambda f: _write(f / "rgb/000001.png", "hello"), "unreadable image"),
     "empty image": (lambda f: Image.new("RGBA", (64, 48)).save(f / "rgb/000001.png"), "empty image"),
+    "faint image": (lambda f: Image.new("RGBA", (64, 48), (9, 9, 9, 40)).save(f / "rgb/000001.png"), "empty mask"),
 }
 
 
@@ -118,6 +119,7 @@ def test_validator_accepts_good_data(tmp_path, capsys):
     assert main([str(tmp_path)]) == 0
     assert "1 objects" in capsys.readouterr().out
     assert main([str(tmp_path / "none")]) == 2
+    assert capsys.readouterr().err.startswith("training.data.validate: error: ")
 
 
 def test_cache_holds_the_very_pixels(tmp_path):

@@ -181,14 +181,14 @@ def test_validator_names_file_and_field(tmp_path, fault, capsys):
 def test_damaged_files(tmp_path, text, pattern):
     write_transforms(tmp_path / "a")
     (tmp_path / "a/transforms.json").write_text(text)
-    (line,) = problems(tmp_path)
+    (line,) = problems(find_objects(tmp_path))
     assert re.search(pattern, line) and str(tmp_path / "a/transforms.json") in line
 
 
 def test_two_layouts_in_one_folder(tmp_path):
     write_object(tmp_path / "a")
     (tmp_path / "a/transforms.json").write_text("{}")
-    (line,) = problems(tmp_path)
+    (line,) = problems(find_objects(tmp_path))
     assert "expected one layout" in line
 
 

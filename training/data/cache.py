@@ -84,7 +84,7 @@ def _decode_object(name: Path) -> tuple[dict, list[np.ndarray]]:
     blocks, rectangles, squares, offset = [], [], [], 0
     for index in range(len(views.image_paths)):
         frame = read_view(views, index)
-        squares.append(_square(views.image_paths[index], frame[..., 3]))
+        squares.append(square_of_view(views.image_paths[index], frame[..., 3]))
         rows, columns = np.flatnonzero(frame[..., 3].any(1)), np.flatnonzero(frame[..., 3].any(0))
         top, left, height, width = rows[0], columns[0], np.ptp(rows) + 1, np.ptp(columns) + 1
         blocks.append(frame[top:top + height, left:left + width].reshape(-1))
@@ -95,8 +95,11 @@ def _decode_object(name: Path) -> tuple[dict, list[np.ndarray]]:
             "width_px": views.width_px, "height_px": views.height_px}, blocks
 
 
-def _square(path: Path, alpha: np.ndarray) -> list[int]:
-    """Left, top and side of the square round the object of a view, alpha uint8 [H,W]."""
+def square_of_view(path: Path, alpha: np.ndarray) -> list[int]:
+    """Left, top and side, pixels, of the square round the object of a view, alpha uint8 [H,W].
+
+    path: of its image, for the message. Raises InputError where nothing is opaque enough.
+    """
     try:
         square = object_square(torch.from_numpy(alpha) / 255)
     except InputError as error:
