@@ -49,6 +49,12 @@ def test_cameras_stand_where_the_rig_has_its_views():
     assert (poses[:, 2, 1] < 0).all()  # the camera's y axis, down, has the world's z, up, against it
 
 
+def test_one_column_stands_in_the_middle_of_the_cone():
+    poses = [fan(PANEL, 1.3, 40.0, direction_deg=30, elevation_deg=15, columns=columns) for columns in (1, 3)]
+    np.testing.assert_allclose(poses[0], poses[1][:1], atol=1e-12)
+    assert np.abs(poses[1] - poses[0]).max((1, 2))[1:].min() > 0.1
+
+
 @pytest.mark.parametrize("panel", [PANEL, Panel(**PANEL.to_dict() | {"invert_views": True})])
 def test_views_of_a_level_fan_fill_the_bins_of_the_evaluation(panel):
     poses = _poses(make_plan(panel, rows=1, elevation_deg=0))

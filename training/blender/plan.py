@@ -43,13 +43,14 @@ def fan(panel: Panel, distance: float, cone_deg: float, direction_deg: float, el
     """Camera-to-world matrices [columns,4,4] (OpenCV axes) at places of the panel's rig, turned to the origin.
 
     The centre camera looks from `distance` at the origin, at `direction_deg` round the z axis from the -y axis and
-    elevation_deg above the xy plane. The fan spans cone_deg evenly in angle, its centre first if columns is odd.
+    elevation_deg above the xy plane. The fan spans cone_deg evenly in angle, its centre first if columns is odd: one
+    column is the centre alone.
     """
     direction, elevation = math.radians(direction_deg), math.radians(elevation_deg)
     centre = distance * np.array([math.sin(direction) * math.cos(elevation),
                                   -math.cos(direction) * math.cos(elevation), math.sin(elevation)])
     rig = Rig(np.linalg.inv(look_at(centre)), (1.0, 1.0), (0.0, 0.0), distance, cone_deg)
-    angles = np.radians(np.linspace(-cone_deg / 2, cone_deg / 2, columns))
+    angles = np.radians(cone_deg / max(columns - 1, 1) * (np.arange(columns) - (columns - 1) / 2))
     angles = angles[np.argsort(np.abs(angles), kind="stable")]
     places = panel.views / 2 * (1 + np.tan(angles) / math.tan(math.radians(cone_deg) / 2))
     world_to_camera = rig.cameras_at(panel, places).world_to_camera.numpy()
