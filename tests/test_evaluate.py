@@ -151,6 +151,17 @@ def test_command_writes_scores_and_pictures(tmp_path, capsys):
     assert "all" in printed and "source" in printed and "card PSNR" in printed
 
 
+def test_objects_of_one_name_have_pictures_of_their_own(tmp_path):
+    for name in ("cars/001", "chairs/001", "one"):
+        write_object(tmp_path / "set" / name, angles=ANGLES[:2])
+    net, renders = SplatterNet(ModelConfig.from_dict(TINY)).eval(), tmp_path / "renders"
+    score_folder(net, tmp_path / "set", save_renders=renders)
+    assert {path.relative_to(renders).as_posix() for path in renders.rglob("*.png")} == {
+        "cars/001.png", "chairs/001.png", "one.png"}
+    score_folder(net, tmp_path / "set/one", save_renders=tmp_path / "single")
+    assert (tmp_path / "single/one.png").exists()
+
+
 @pytest.mark.parametrize("arguments, word", [
     (["--data", "{tmp}/none"], "no such folder"), (["--data", "{tmp}"], "no object"),
     (["--data", "{tmp}", "--checkpoint", "{tmp}/none.safetensors"], "no such checkpoint")])

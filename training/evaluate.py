@@ -35,7 +35,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--split", choices=("train", "val", "test"), default="val",
                         help="views of objects that come in splits, transforms_<split>.json (default: val)")
     parser.add_argument("--checkpoint", type=Path, help="safetensors file; default: the one in the package")
-    parser.add_argument("--save-renders", type=Path, help="folder for pictures: truth above prediction, by angle")
+    parser.add_argument("--save-renders", type=Path,
+                        help="folder for pictures, in folders as the objects are: truth above prediction, by angle")
     parser.add_argument("--json", type=Path, required=True, help="file for the results")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"),
                         help="default: a GPU if there is one")

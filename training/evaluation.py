@@ -30,7 +30,7 @@ from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
 from training.data.images import read_view
-from training.data.objects import find_objects, read_object
+from training.data.objects import find_objects, folder_of, read_object
 from training.data.plan import relative_cameras
 from training.data.transforms import OBJECT_DISTANCE
 from training.data.views import ObjectViews
@@ -149,8 +149,9 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
     all novel views; bins: the same for each angle_deg (azimuth to either side, rounded to 5 degrees) of novel views;
     source: the same for the source views; object_psnr_db: of each object by its path, over its novel views.
     limit: score so many of them only, spread evenly over the folder; None: all.
-    save_renders: folder for one picture per object. device: where the network is. decoded: keeps the images from call
-    to call, for those who score the same objects again. supersampling: samples of a rendered pixel along each axis.
+    save_renders: folder for one picture per object, in folders as the objects are. device: where the network is.
+    decoded: keeps the images from call to call, for those who score the same objects again. supersampling: samples of a
+    rendered pixel along each axis.
     Raises InputError for data that cannot be used and a limit below 1.
     """
     bins: dict[int | None, list[dict[str, float]]] = defaultdict(list)
@@ -167,7 +168,8 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
         novel = _means([row for angle, row in scores if angle is not None])
         of_objects[str(path.relative_to(data))] = novel["psnr_db"]
         if save_renders is not None:
-            save_comparison(comparison, save_renders / f"{comparison.name}.png")
+            folder = save_renders / folder_of(path).relative_to(data).parent
+            save_comparison(comparison, folder / f"{comparison.name}.png")
     source = bins.pop(None)
     return {"objects": len(objects)} | _means([row for rows in bins.values() for row in rows]) | {
         "source": _means(source), "bins": [{"angle_deg": angle} | _means(bins[angle]) for angle in sorted(bins)],
