@@ -22,8 +22,9 @@ from lightfield_gs.rig import Rig
 class Encoder:
     """Draws the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
 
-    panel, rig, views, background, output ("uint8" or "float32") and quality are those of `encode`. `rig` may be set
-    between frames, or altered: a moving zero plane, another cone, another pose. No gradients. Raises InputError.
+    panel, rig, views, background, output and quality are those of `encode`. `rig` and `background` may be set between
+    frames, and the rig altered: a moving zero plane, another cone, another pose. The others are what kept stages and
+    graphs were made for: they can be read only. No gradients. Raises InputError.
 
     Stages whose input is what it was in the frame before are not repeated, and the image is the same to the bit:
     nothing changed: the image is there already; other colours: no order, no bins; another rig with the same pose: no
@@ -52,13 +53,38 @@ class Encoder:
         expect("rig", rig, Rig)
         expect("versioned", versioned, bool)
         rendering.background_tensor(background, torch.empty(0))
-        self.quality = Quality.of(quality)
+        self._panel, self._views, self._output = panel, views, output
+        self._quality, self._versioned = Quality.of(quality), versioned
         if output == "float64" and not self.quality.is_exact:
             raise InputError("quality is for output 'uint8' or 'float32': 'float64' is exact only")
-        self.panel, self.rig, self.views, self.background, self.output = panel, rig, views, background, output
-        self.versioned = versioned
+        self.rig, self.background = rig, background
         self.stats: dict[str, Any] = {"frames": 0, "reused": dict.fromkeys(STAGES, 0)}
         self.forget()
+
+    @property
+    def panel(self) -> Panel:
+        """The panel whose images are drawn."""
+        return self._panel
+
+    @property
+    def views(self) -> str:
+        """"integer" or "continuous"."""
+        return self._views
+
+    @property
+    def output(self) -> str:
+        """"uint8", "float32" or "float64"."""
+        return self._output
+
+    @property
+    def quality(self) -> Quality:
+        """How much error is allowed for less time."""
+        return self._quality
+
+    @property
+    def versioned(self) -> bool:
+        """Whether values were promised to change by torch's own in-place operations alone."""
+        return self._versioned
 
     def forget(self) -> None:
         """Has the next frame drawn in full, and gives back the memory that was kept for it."""

@@ -133,6 +133,16 @@ def test_bad_values_are_refused_and_forgotten():
         viewer.encoder(viewer.scene)
 
 
+@pytest.mark.parametrize("name, value", [("panel", panel(views=9)), ("views", "continuous"), ("output", "uint8"),
+                                         ("quality", "fast"), ("versioned", True)])
+def test_what_frames_are_kept_for_cannot_be_set(name, value):
+    encoder = Viewer().encoder
+    before = getattr(encoder, name)
+    with pytest.raises(AttributeError):
+        setattr(encoder, name, value)
+    assert getattr(encoder, name) == before
+
+
 def test_forgetting_draws_everything_again():
     viewer = Viewer()
     viewer.draw(), viewer.draw()
