@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -102,7 +103,7 @@ def read_image(path: str | Path, as_stored: bool = False) -> np.ndarray:
     float32, integers scaled to 0..1; or with `as_stored` uint8, uint16 or float32 as in the file.
     Raises InputError when it is no image, damaged, cut, empty or absurdly large.
     """
-    with _opened(path) as source, _native_stderr_silenced():
+    with _opened(path) as source, _NATIVE_STDERR_SILENCED:
         spec = source.spec()
         sample_type = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float")
         pixels = source.read_image(0, 0, 0, spec.nchannels, sample_type)
@@ -131,7 +132,7 @@ def _opened(path: str | Path) -> Iterator:
     _check_size(path, *_webp_size(path))  # OpenImageIO decodes a WebP when it opens it
     config = oiio.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1
-    with _native_stderr_silenced():
+    with _NATIVE_STDERR_SILENCED:
         source = oiio.ImageInput.open(str(path), config)
     if source is None:
         raise InputError(f"{path} is not an image that can be read: {_first_line(oiio.geterror)}")
@@ -203,14 +204,27 @@ def _first_line(complaint: Callable[[], str]) -> str:
     return next((line.strip()[:200] for line in text.splitlines() if line.strip()), "no reason given")
 
 
-@contextlib.contextmanager
-def _native_stderr_silenced() -> Iterator[None]:
-    """Hides what image libraries print by themselves; the same text reaches the error message."""
-    saved, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nothing, 2)
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(nothing)
+class _SilencedStderr:
+    """Hides what image libraries print by themselves, while any thread is inside; the same text reaches the error
+    message."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._saved = threading.Lock(), 0, -1
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._inside == 0:
+                with open(os.devnull, "wb") as nothing:
+                    self._saved = os.dup(2)
+                    os.dup2(nothing.fileno(), 2)
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:  # each putting back what it found would leave the others' nothing there
+                os.dup2(self._saved, 2)
+                os.close(self._saved)
+
+
+_NATIVE_STDERR_SILENCED = _SilencedStderr()
