@@ -316,6 +316,17 @@ def test_a_trained_network_can_be_made_symmetric_and_its_head_trained_alone(smal
     assert changed == {"head.weight", "head.bias"}
 
 
+def test_a_head_is_trained_on_features_without_dropout(small_set):
+    config = train.read_config(["--config", str(run_config(small_set, "unused", dropout=0.5)), "--trained", "head"])
+    with join_team("cpu") as team:
+        net = Trainer(config, team).net
+    torch.nn.init.normal_(net.head.weight)
+    for weights in net.unet.parameters():
+        torch.nn.init.normal_(weights, std=0.1)
+    images, intrinsics = torch.rand(1, 4, 16, 16), torch.tensor([[16.0, 16, 8, 8]])
+    assert torch.equal(net(images, intrinsics).means, net(images, intrinsics).means) and net.head.training
+
+
 def test_two_checkpoints_have_a_mean(tmp_path, capsys):
     nets, paths = [tiny_net() for _ in range(2)], [tmp_path / f"{name}.safetensors" for name in "abc"]
     for net, value, path in zip(nets, (1.0, 3.0), paths):

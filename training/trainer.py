@@ -64,6 +64,8 @@ class Trainer:
         for stage in config.stages:
             net.config.check_size("stages: image_size_px", stage.image_size_px)
         self.net = net.train()
+        if config.trained == "head":
+            self.net.unet.eval()  # its features as they are, without dropout
         self.average = WeightAverage(copy.deepcopy(self.net), self.net, config.optimizer.ema_decay)
         self.optimizer = make_optimizer(self.net, config.optimizer)
         self._weights = [weights for weights in self.net.parameters() if weights.requires_grad]
