@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
-from lightfield_gs.checks import expect
+from lightfield_gs.checks import expect, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import check_finite
 
@@ -18,7 +18,7 @@ class Cameras:
     world_to_camera:    [..., C, 4, 4], [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
     focal_px:           [..., C, 2] (fx, fy), pixels, > 0.
     principal_point_px: [..., C, 2] (cx, cy), pixels from the outer corner of the first pixel (centres at i + 0.5).
-    width_px, height_px: image size.
+    width_px, height_px: image size, 1..65536 pixels.
     jacobian_limits:    optional [..., C, 5] (low_x, high_x, low_y, high_y, offset): the limits of X/Z and Y/Z in the
                         projection's Jacobian, taken at the centre of a rig that this camera stands `offset` to the
                         right of. None: the camera's own frustum and 15 % of the image beyond each edge (Kerbl et al.).
@@ -54,10 +54,7 @@ class Cameras:
         if self.focal_px.device.type == "cpu" and not bool((self.focal_px > 0).all()):
             raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
-            size = getattr(self, name)
-            expect(f"cameras: {name}", size, int)
-            if not 1 <= size <= 65536:
-                raise InputError(f"cameras: {name} must be 1..65536 pixels, got {size}")
+            setattr(self, name, whole_number(f"cameras: {name}", getattr(self, name), 1, 65536))
 
     @property
     def count(self) -> int:

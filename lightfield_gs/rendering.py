@@ -13,7 +13,7 @@ from torch import Tensor
 from lightfield_gs import ops, skips
 from lightfield_gs.arrays import bytes_of, dense_tensor
 from lightfield_gs.cameras import Cameras
-from lightfield_gs.checks import expect, shown
+from lightfield_gs.checks import expect, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
@@ -27,6 +27,7 @@ METHODS = ("direct", "sorted", "classic")
 VIEWS = ("integer", "continuous")
 OUTPUTS = {"uint8": torch.uint8, "float32": torch.float32, "float64": torch.float64}
 MOST_THREADS = 1024
+_MOST_BYTES = 1 << 62
 _CLASSIC_PIXELS = 4_000_000  # rendered at a time: small images go in batches
 
 
@@ -102,7 +103,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     check_options(method, views, output)
     for name, value, kinds in (("gaussians", gaussians, (Gaussians,)), ("panel", panel, (Panel,)),
                                ("rig", rig, (Rig, type(None))), ("cameras", cameras, (Cameras, type(None))),
-                               ("stats", stats, (dict, type(None))), ("threads", threads, (int, type(None)))):
+                               ("stats", stats, (dict, type(None)))):
         expect(name, value, *kinds)
     gaussians.validate_layout()
     quality = Quality.of(quality)
@@ -110,8 +111,10 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
     if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
         gaussians.validate()  # looking at values waits for the device
-    if threads is not None and not 1 <= threads <= MOST_THREADS:
-        raise InputError(f"threads must be 1..{MOST_THREADS}, got {threads}")
+    if threads is not None:
+        threads = whole_number("threads", threads, 1, MOST_THREADS)
+    if memory_budget is not None:
+        memory_budget = whole_number("memory_budget (bytes)", memory_budget, 1, _MOST_BYTES)
     _check_sorted_only(method, views, rig, cameras, view_map, memory_budget)
     if not quality.is_exact and (method != "direct" or output == "float64"):
         raise InputError(f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
@@ -264,11 +267,7 @@ def _check_sorted_only(method: str, views: str, rig: Rig | None, cameras: Camera
                                  "own views by a rig")
         if rig is None:
             raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
-    if memory_budget is None:
-        return
-    if isinstance(memory_budget, bool) or not isinstance(memory_budget, int) or memory_budget < 1:
-        raise InputError(f"memory_budget must be a whole number of bytes, at least 1, got {shown(memory_budget)}")
-    if views == "continuous":
+    if memory_budget is not None and views == "continuous":
         raise InputError("memory_budget goes with integer views: cameras for all distinct places within a lens have no "
                          "bound; use method direct, which takes little memory, or integer views")
 

@@ -12,7 +12,7 @@ import torch
 from rasterizer_cases import PANELS, all_subpixels, hard_scene, panel, random_scene, rig
 from sorted_cases import oracle, random_map, toe_in
 
-from lightfield_gs import InputError, Panel, SortedPlan, _core, encode, reference
+from lightfield_gs import Cameras, InputError, Panel, SortedPlan, _core, encode, reference
 from lightfield_gs.sorted_plan import BLOCK
 
 BACKGROUND = (0.1, 0.6, 0.3)
@@ -199,6 +199,17 @@ def test_reported_memory_is_that_of_the_arrays():
     codes = 2 * 3 * shown.width_px * shown.height_px
     assert codes <= unchunked["image"] <= 1.5 * codes + 1e5
     assert unchunked["binning"] >= 4 * 96 * 3000
+
+
+def test_numbers_may_be_those_of_numpy():
+    shown, scene = panel(views=9), random_scene(40).to(torch.float32)
+    cameras = toe_in(shown, 9)
+    same = Cameras(cameras.world_to_camera, cameras.focal_px, cameras.principal_point_px, np.int64(cameras.width_px),
+                   np.int32(cameras.height_px))
+    assert type(same.width_px) is type(same.height_px) is int
+    images = [encode(scene, shown, None, "sorted", cameras=given, **options) for given, options in (
+        (cameras, {}), (same, dict(threads=np.int64(1), memory_budget=np.int64(10**8))))]
+    assert torch.equal(*images)
 
 
 def test_the_least_budget_is_named_and_enough():
