@@ -229,6 +229,8 @@ def test_nothing_half_written(tmp_path):
         random_gaussians().save(tmp_path / "none/a.ply")
     with pytest.raises(InputError, match="batch"):
         Gaussians(*(t[None] for t in random_gaussians().fields().values())).save(tmp_path / "a.ply")
+    with pytest.raises(InputError, match="no Gaussians to write"):
+        Gaussians(*(t[:0] for t in random_gaussians().fields().values())).save(tmp_path / "a.ply")
     assert list(tmp_path.iterdir()) == []
 
 

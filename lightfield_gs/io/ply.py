@@ -129,10 +129,13 @@ def _check_finite(path: Path, name: str, values: np.ndarray, when: str = "") -> 
 def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     """Writes one set of Gaussians as a standard 3DGS .ply (float32), complete or not at all.
 
-    Raises InputError on a batch of sets, on values that `Gaussians.validate` refuses, or when it cannot be written.
+    Raises InputError on a batch of sets, a set of none, on values that `Gaussians.validate` refuses, or when it cannot
+    be written.
     """
     if gaussians.is_batched:
         raise InputError(f"a .ply holds one set of Gaussians, got a batch of {gaussians.means.shape[0]}; save one")
+    if gaussians.count == 0:
+        raise InputError(f"{path}: there are no Gaussians to write; expected at least one")
     arrays = {name: tensor.cpu().double().numpy() for name, tensor in gaussians.detach().validate().fields().items()}
     count, coefficients = gaussians.count, gaussians.sh.shape[-2]
     with np.errstate(divide="ignore"):
