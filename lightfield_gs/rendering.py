@@ -37,7 +37,7 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
 
     gaussians [N, ...] with cameras [C, ...]; or gaussians [B, N, ...] with cameras [B, C, ...], or with the same
     cameras [C, ...] for every set. float32 or float64.
-    background: three numbers, or a tensor that broadcasts to [..., C, 3].
+    background: three numbers in 0..1, or a tensor that broadcasts to [..., C, 3], whose values need only be finite.
     Returns the image [..., C, H, W, 3]; with alpha and/or depth a tuple (image, alpha [..., C, H, W], depth
     [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is. Raises InputError.
     """
@@ -297,8 +297,12 @@ def _constant_background(background: tuple[float, ...], dtype: torch.dtype, devi
 
 
 def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """A tensor on a GPU is taken as it is: looking for NaN there would wait for it."""
-    if isinstance(background, (Tensor, np.ndarray)):
+    """A tensor on a GPU is taken as it is: looking for NaN there would wait for it.
+
+    Tensors and arrays may leave 0..1, for optimizers do; plain numbers that do are mistakes.
+    """
+    plain = not isinstance(background, (Tensor, np.ndarray))
+    if not plain:
         background = dense_tensor("background", background)
     there = isinstance(background, Tensor) and background.is_cuda
     try:
@@ -308,6 +312,9 @@ def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype
                          ) from None
     if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
         raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {shown(background)}")
+    if plain and not bool(((colour >= 0) & (colour <= 1)).all()):
+        raise InputError(f"background must be three numbers R, G, B in 0..1, got {shown(background)}; divide bytes by "
+                         "255")
     return colour
 
 

@@ -63,10 +63,19 @@ def test_render_refuses(case):
 
 @pytest.mark.parametrize("options, words", [
     (dict(method="guess"), "method"), (dict(views="all"), "views"), (dict(output="int7"), "output"),
-    (dict(background=(1, 2)), "background"), (dict(background=(math.nan, 0, 0)), "background")])
+    (dict(background=(1, 2)), "background"), (dict(background=(math.nan, 0, 0)), "background"),
+    (dict(background=(30, 30, 30)), "divide bytes by 255"), (dict(background=[-1.0, 0, 0]), r"0\.\.1"),
+    (dict(background=(np.float32(2), 0, 0)), r"0\.\.1")])
 def test_encode_options(options, words):
     with pytest.raises(InputError, match=words):
         encode(scene(), PANEL, RIG, **options)
+
+
+def test_a_background_that_is_optimized_may_leave_the_range():
+    for background in (torch.tensor([1.5, -0.5, 0]), np.array([1.5, -0.5, 0])):
+        image = encode(Gaussians(*(t[:0] for t in scene().fields().values())), PANEL, RIG, background=background,
+                       output="float32")
+        assert image[0, 0].tolist() == [1.5, -0.5, 0]
 
 
 @pytest.mark.parametrize("out, options, words", [
