@@ -24,7 +24,7 @@ def prune(gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float)
     shows in its stead: the sample changes by w (behind - own colour).
 
     Takes time and memory like a training step on one image of the panel, once for a scene. Other viewpoints than the
-    rig's may show what was left out. gaussians: [N, ...], float32 or float64, CPU or CUDA. Raises InputError.
+    rig's may show what was left out. gaussians: [N, ...], float32, or float64 on the CPU. Raises InputError.
     """
     contribution_cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
     weights = contributions(gaussians, panel, rig)

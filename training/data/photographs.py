@@ -57,7 +57,10 @@ def photographed(images: Tensor, plan: PhotoPlan) -> Tensor:
 
 
 def _blurred(images: Tensor, deviation: Tensor) -> Tensor:
-    """Images [B,C,S,S] blurred by Gaussians of standard deviations [B], pixels; the border's pixels go on for ever."""
+    """Images [B,C,S,S] blurred by Gaussians of standard deviations [B], pixels.
+
+    At the border the weights of what lies inside add up to 1: nothing comes in from outside.
+    """
     place = torch.arange(images.shape[-1], device=images.device)
     # Below 0.05 pixels nothing of a neighbour is left.
     weights = torch.exp(-0.5 * ((place - place[:, None]) / deviation.clamp_min(0.05)[:, None, None]).square())
