@@ -10,16 +10,28 @@ from lightfield_gs import InputError
 from training.distributed import Team, join_team
 
 PROGRAM = Path(__file__).with_name("train_and_list_threads.py")
+# The training command; each process ends without a word in its third step.
+BREAKING_OFF = """
+import os
+from training import loop, train
+made, batches = loop.make_batch, []
+def make_batch(*arguments):
+    batches.append(arguments)
+    return made(*arguments) if len(batches) < 3 else os._exit(1)
+loop.make_batch = make_batch
+train.main()
+"""
+# Float32 without dropout, whose masks belong to a process.
+STEPS = {"bfloat16": False, "stages": [{"steps": 4, "image_size_px": 16, "objects": 4}]}
 TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=TWO_GPUS)])
 def test_two_processes_take_the_steps_of_one(small_set, device):
     """torchrun with two processes against one, same samples: losses and weights but for rounding."""
-    # Float32 without dropout, whose masks belong to a process; roughness, which is a ratio of sums within an example.
-    changes = {"device": device, "bfloat16": False, "loss": {"roughness": 0.02}, "checkpoint_every": 100,
-               "validation": str(small_set / "set"), "validate_every": 2, "validation_objects": 1,
-               "stages": [{"steps": 4, "image_size_px": 16, "objects": 4}]}
+    # Roughness is a ratio of sums within an example.
+    changes = STEPS | {"device": device, "loss": {"roughness": 0.02}, "checkpoint_every": 100,
+                       "validation": str(small_set / "set"), "validate_every": 2, "validation_objects": 1}
     running = []
     for processes in (1, 2):
         output = small_set / f"{device}-{processes}"
@@ -34,13 +46,31 @@ def test_two_processes_take_the_steps_of_one(small_set, device):
     assert len(alone) == len(together) == 4
     for one, two in zip(alone, together):
         assert two == pytest.approx(one, rel=1e-4 if device == "cpu" else 1e-3, abs=1e-7)
-    one, two = (torch.load(output / "last.pt", weights_only=True) for _, output in running)
-    assert one["identity"] == two["identity"]  # either may be resumed by the other
     if device == "cuda":
         return  # convolutions that add in no fixed order: Adam turns noise about zero gradients into whole steps
+    one, two = (torch.load(output / "last.pt", weights_only=True) for _, output in running)
     for part in ("net", "average"):
         for name, weights in one[part].items():
             torch.testing.assert_close(two[part][name], weights, atol=1e-5, rtol=1e-4)
+
+
+def test_one_process_resumes_the_checkpoint_of_two(small_set, tmp_path):
+    """Two processes break off after the checkpoint of their second step; against one that was left alone."""
+    program = tmp_path / "breaking_off.py"
+    program.write_text(BREAKING_OFF)
+    whole, shared = (run_config(small_set, name, dropout=0.0, checkpoint_every=2, threads=1, **STEPS)
+                     for name in ("whole-run", "shared-run"))
+    running = [start(whole), start(shared, 2, [str(program)])]
+    printed = [process.communicate(timeout=240)[0] for process in running]
+    assert running[0].returncode == 0, printed[0]
+    first = losses(small_set / "shared-run")
+    assert torch.load(small_set / "shared-run/last.pt", weights_only=True)["step"] == len(first) == 2, printed[1]
+    resumed = start(shared)
+    assert resumed.wait(timeout=120) == 0, resumed.communicate()[0]
+    alone, together = ([json.loads(line) for line in losses(small_set / name)] for name in ("whole-run", "shared-run"))
+    assert losses(small_set / "shared-run")[:2] == first and len(alone) == len(together) == 4
+    for one, two in zip(alone, together):
+        assert two == pytest.approx(one, rel=1e-4, abs=1e-7)
 
 
 def test_a_step_is_shared_out_completely():
