@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from lightfield_gs.commands.complaint import _NO_MEMORY
+from lightfield_gs.commands.complaint import is_out_of_memory
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from training.config import TrainingConfig
@@ -26,15 +26,13 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
 def load_checkpoint(path: Path, config: TrainingConfig) -> dict[str, Any]:
     """Read a checkpoint. Raises InputError when it is damaged or belongs to a run with another configuration.
 
-    What may come of a whole file is let through: OSError, and MemoryError or torch's RuntimeError in its place.
+    What may come of a whole file is let through: OSError, and errors of memory.
     """
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         stored = json.loads(state["identity"])
-    except (OSError, MemoryError):
-        raise
     except Exception as error:  # torch.load raises many types on damaged files
-        if isinstance(error, RuntimeError) and any(words in str(error) for words in _NO_MEMORY):
+        if isinstance(error, OSError) or is_out_of_memory(error):
             raise
         reason = type(error).__name__
         raise InputError(f"{path}: damaged checkpoint ({reason}): remove it to start the run anew") from None

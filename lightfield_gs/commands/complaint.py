@@ -10,6 +10,12 @@ EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 _NO_MEMORY = ("allocate memory", "out of memory")  # torch's words for the host's and the device's
 
 
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether memory did not suffice, of the host or of a device."""
+    return isinstance(error, MemoryError) or isinstance(error, RuntimeError) and any(
+        words in str(error) for words in _NO_MEMORY)
+
+
 def complain(program: str, error: BaseException, remedy: str) -> int:
     """Says in one line on stderr why a program ends, and returns its exit code; raises what is a fault of its own.
 
@@ -20,8 +26,7 @@ def complain(program: str, error: BaseException, remedy: str) -> int:
         message, code = "interrupted", EXIT_INTERRUPTED
     elif isinstance(error, (InputError, OSError)):
         message = str(error)
-    elif isinstance(error, MemoryError) or isinstance(error, RuntimeError) and any(
-            words in str(error) for words in _NO_MEMORY):
+    elif is_out_of_memory(error):
         message = f"out of memory; {remedy}"
     else:
         raise error
