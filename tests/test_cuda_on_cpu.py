@@ -32,7 +32,7 @@ pytestmark = pytest.mark.slow
 
 DRAWN = ("pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal", "shapes", "chosen", "widest",
          "half", "settings", "parabolas", "lattice", "words", "half empty", "harmonics", "opaque", "crowd", "pruned",
-         "recoloured", "dense", "gradients", "norms")
+         "recoloured", "dense", "sorted", "gradients", "norms")
 
 
 class Drawings:
@@ -254,6 +254,16 @@ def test_images_and_gradients_are_those_of_float64(drawn):
     for name, expected in cases.dense_step(torch.float64).items():
         error = (found[name].double() - expected).norm() / expected.norm()
         assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
+
+
+def test_sorted_in_any_chunks_is_that_of_the_cpu(drawn):
+    expected, _ = cases.sorted_frame(None)
+    whole, *chunked = drawn("sorted")
+    assert whole["memory_bytes"] == whole["memory_bytes_unchunked"]
+    assert ((whole["image"] - expected).abs() > 1 / 255).sum() <= 1 and (whole["image"] - expected).abs().mean() < 1e-6
+    for share, found in zip((1, 3, 9), chunked, strict=True):
+        assert torch.equal(found["image"], whole["image"])
+        assert found["memory_bytes"] < whole["memory_bytes"] / share
 
 
 def test_gradients_of_long_needles_and_short_quaternions_are_those_of_float64(drawn):

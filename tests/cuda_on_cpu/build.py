@@ -1,7 +1,7 @@
 """Compiles the CUDA stages for the CPU: kernels become functions that a fiber per thread runs (include/cuda_runtime.h).
 
 python build.py CSRC OUT [INCLUDE ...] makes OUT/_core*.so, a native module whose `cuda` part works on CPU tensors. Its
-CPU stages are not in it.
+CPU stages are not in it, but for the plan that `sorted` makes on the host.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def build(csrc: Path, out: Path, includes: list[str]) -> Path:
     for path in (csrc / "cuda").iterdir():
         (cuda / path.name).write_text(host_code(path))
         sources += [cuda / path.name] if path.suffix == ".cu" else []
-    sources += sorted((csrc / "bind").glob("*.cpp"))
+    sources += [*sorted((csrc / "bind").glob("*.cpp")), csrc / "cpu" / "plan_sorted.cpp",
+                csrc / "base" / "parallel.cpp"]
     include = [f"-I{p}" for p in (HERE / "include", out / "src", csrc, sysconfig.get_paths()["include"], *includes)]
 
     def compile_(source: Path) -> str:

@@ -243,6 +243,14 @@ def dense_step(dtype: torch.dtype) -> dict[str, Tensor]:
     return dict(zip(("image", "alpha", "depth", *leaves), (*(out.detach() for out in outputs), *gradients)))
 
 
+def sorted_frame(memory_budget: int | None) -> tuple[Tensor, dict[str, int]]:
+    """A frame by `sorted`, and the bytes of its stages together: of the largest chunk, and of all views at once."""
+    panel, stats = Panel(**{**LENS, "views": 12, "line_number": 9.3, "width_px": 133}), {}
+    image = encode(scene_of(1), panel, rig_of(panel), "sorted", background=BACKGROUND, output="float32",
+                   memory_budget=memory_budget, stats=stats)
+    return image, {name: sum(stats[name].values()) for name in ("memory_bytes", "memory_bytes_unchunked")}
+
+
 # Batch, channels, groups, height, width, and the mean of the features, which are about 1 apart
 NORMS = [(2, 64, 16, 12, 10, 0.0), (1, 192, 32, 5, 7, -3.0), (3, 10, 5, 1, 1, 1.0), (1, 1024, 2, 2, 3, 0.5),
          (2, 8, 1, 40, 33, 40.0)]

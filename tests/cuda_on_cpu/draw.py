@@ -25,7 +25,8 @@ torch.cuda.Event = lambda: types.SimpleNamespace(record=lambda: None, synchroniz
 
 import cases  # noqa: E402
 
-from lightfield_gs import frame_cuda, ops  # noqa: E402
+from lightfield_gs import frame_cuda, ops, sorted_plan  # noqa: E402
+from lightfield_gs import sorted as sorted_method  # noqa: E402
 from lightfield_gs.models import group_norm  # noqa: E402
 from lightfield_gs.quality import EXACT, Quality  # noqa: E402
 from lightfield_gs.rendering import lens_arguments  # noqa: E402
@@ -104,6 +105,20 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
     return {"expected": expected, "found": {"image": image, **frame.state()}}
 
 
+def in_chunks() -> list[dict[str, object]]:
+    """Images by `sorted` without a budget, and with parts of what all views at once take, over memory with junk."""
+    tile, empty, images = sorted_plan._tile, torch.empty, []
+    sorted_plan._tile = lambda views, width_px, _: tile(views, width_px, "cuda")
+    sorted_method._CpuStages = lambda scene, plan, threads: sorted_method._CudaStages(scene, plan)
+    torch.empty = lambda *shape, **options: empty(*shape, **options).fill_(77)
+    whole = None
+    for share in (None, 1, 3, 9):
+        image, memory = cases.sorted_frame(None if share is None else whole // share)
+        whole = whole or memory["memory_bytes_unchunked"]
+        images.append({"image": image, **memory})
+    return images
+
+
 def main(what: str) -> object:
     torch.set_num_threads(1)
     ops._workspace = workspace
@@ -142,6 +157,8 @@ def main(what: str) -> object:
         return drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", "pixel-quadratic", cases.PRUNING, 1.0)
     if what == "recoloured":
         return [recoloured(*case, share) for case, share in zip(cases.LATTICE_FRAMES[1:], (1.0, 0.5, 1.0))]
+    if what == "sorted":
+        return in_chunks()
     if what == "norms":
         group_norm._is_ours = lambda *arguments: True
         return [group_norm.group_norm_silu(*cases.norm_case(*case)) for case in cases.NORMS]
