@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -70,6 +70,14 @@ def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
     return parser
 
 
+def _add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
+    """The panel that is drawn for, and what it is seen from."""
+    add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
+        help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
+    add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM",
+        help=f"distance of the viewer from the panel, in place of the panel's own: {purpose}")
+
+
 def _add_encode(commands: argparse._SubParsersAction) -> None:
     encode = commands.add_parser(
         "encode", help="a photo or a .ply to the image of a panel", allow_abbrev=False,
@@ -79,11 +87,7 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     add("input", type=Path, metavar="INPUT", help="a photo of an object (RGBA, or RGB with a plain background, --mask "
         "or --remove-background), a photo of a scene with --depth, or a standard 3DGS .ply")
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
-    add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
-        help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
-    add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM",
-        help="distance of the viewer from the panel, in place of the panel's own: for --preview, for framing, and for "
-        "`simulate` afterwards")
+    _add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
     add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
     add("--cameras", type=Path, metavar="JSON",
         help="one camera for each view, for --method sorted, in place of a rig: world_to_camera [N,4,4] (OpenCV axes, "
@@ -146,8 +150,7 @@ def _add_prune(commands: argparse._SubParsersAction) -> None:
     add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene without them")
     add("--contribution-cut", type=within(0, 1), default=3e-4, metavar="SHARE",
         help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)")
-    add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
-        help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
+    _add_panel(add, "for framing, as `encode` takes it")
     add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
     add("--save-rig", type=Path, metavar="YAML",
         help="write the rig that was used: automatic framing may see a pruned scene otherwise")

@@ -467,6 +467,9 @@ def test_viewing_distance_of_a_looking_glass(folder, capsys):
     run(capsys, "encode s.ply -o far.png --panel visual.json --viewing-distance 500 --preview v --rig r.yaml")
     assert np.array_equal(read_image("v/right-eye.png"), read_image("e.png"))
     assert json.loads(read_info("far.png").metadata["panel"])["viewing_distance_mm"] == 500
+    run(capsys, "encode s.ply -o framed.png --panel visual.json --viewing-distance 500")
+    run(capsys, "prune s.ply -o less.ply --panel visual.json --viewing-distance 500 --save-rig pruned.yaml")
+    assert Rig.from_yaml("pruned.yaml").to_dict() == json.loads(read_info("framed.png").metadata["rig"]) != rig
 
 
 def test_help_says_units_and_is_quick():
