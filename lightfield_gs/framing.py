@@ -20,9 +20,10 @@ from lightfield_gs.rig import Rig
 _FILL = 0.92  # share of the panel that the content fills
 _HAZE = 0.1  # Gaussians fainter than this share of the usual opacity do not count as content
 _LEAST_WEIGHT = 1e-6  # of a Gaussian where all have opacity 0
-_TAIL = 0.001  # share of the opacity that may lie outside on each side: stray Gaussians of captures ...
-_WIDE_TAIL = 0.01  # ... and up to this share where that lies far out: in units of the extent of the rest, ...
-_FAR, _ROOM = 0.4, 0.15  # ... beyond the first of these, and then it gets the second as room
+# Share of the opacity that may lie outside on each side: the last, for thin ends of objects are a thousandth and less;
+# one before it where what lies beyond is far out, as the stray Gaussians of captures are.
+_TAILS = (0.01, 0.001, 0.0001)
+_FAR, _ROOM = 0.4, 0.15  # in units of the extent of the rest: far out; and what is left for it then
 _DEPTH_TAIL = 0.05
 _NEAR = _core.NEAR_DEPTH
 _FIELD_OF_VIEW_DEG = (20.0, 50.0)  # what the panel subtends at its viewing distance, kept within these
@@ -32,8 +33,8 @@ _UNKNOWN_FIELD_OF_VIEW_DEG = 30.0
 def frame(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray | None = None) -> Rig:
     """A rig that shows the whole scene on the panel.
 
-    Content is what the visible Gaussians cover, but for the outermost 0.1 % of their opacity on each side, and for up
-    to 1 % where that lies far out. It is centred and fills 92 % of the panel's height, or of the
+    Content is what the visible Gaussians cover, but for the outermost 0.01 % of their opacity on each side, and for up
+    to 0.1 % or 1 % where that lies far out. It is centred and fills 92 % of the panel's height, or of the
     width where that is met first. The zero plane is at the harmonic mean of near and far, the depths beyond which 5 %
     of the opacity lies.
     Without a camera, one looks along the file's +z axis with +y down, from so far in front of the content that its
@@ -130,13 +131,14 @@ def _sides(centres: Tensor, radii: Tensor) -> Tensor:
 
 def _bounds(ordered: Tensor, cumulative: Tensor) -> Tensor:
     """Robust bounds [D, 2] (low, high) of balls, from their sides as _ordered puts them."""
-    found, outermost = _percentiles(ordered, cumulative, (_WIDE_TAIL, _TAIL))
-    (low, high), (least, most) = found.chunk(2), outermost.chunk(2)
-    high, most = -high, -most
-    rest = high - low
-    least = torch.where(low - least <= _FAR * rest, least, low - _ROOM * rest)
-    most = torch.where(most - high <= _FAR * rest, most, high + _ROOM * rest)
-    return torch.stack([least, most], 1)
+    rest, *tails = _percentiles(ordered, cumulative, _TAILS)  # [2 D] each
+    low, high = rest.chunk(2)
+    extent = (-high - low).repeat(2)
+    bounds = rest - _ROOM * extent
+    for tail in tails:  # farther and farther out
+        bounds = torch.where(rest - tail <= _FAR * extent, tail, bounds)
+    low, high = bounds.chunk(2)
+    return torch.stack([low, -high], 1)
 
 
 def _ordered(values: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:

@@ -16,6 +16,7 @@ from lightfield_gs.preview import to_integers
 from lightfield_gs.simulate import simulate
 
 TILE_PX = 360
+WHITE = 250  # of 255, and above
 
 
 def on_white(rgba: np.ndarray) -> np.ndarray:
@@ -23,13 +24,19 @@ def on_white(rgba: np.ndarray) -> np.ndarray:
     return to_integers(rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:], 8)
 
 
-def tile(image: np.ndarray, width_per_height: float = 1.0) -> Image.Image:
-    """The middle square of an image whose true shape is width_per_height, as a tile."""
-    height = TILE_PX
-    width = round(height * width_per_height)
-    picture = Image.fromarray(image).resize((width, height), Image.Resampling.LANCZOS)
+def fitting(images: list[np.ndarray], width_per_height: float) -> float:
+    """The height, at most 1, in tiles, at which none of these images of one true shape loses what is not white."""
+    columns = np.flatnonzero((np.min(images, axis=0) < WHITE).any(axis=(0, 2)))
+    half = images[0].shape[1] / 2
+    return min(1.0, half / max(half - columns.min(), columns.max() + 1 - half) / width_per_height)
+
+
+def tile(image: np.ndarray, width_per_height: float = 1.0, height: float = 1.0) -> Image.Image:
+    """The middle square of an image whose true shape is width_per_height, as a tile; height: of the image, in tiles."""
+    size = round(TILE_PX * height * width_per_height), round(TILE_PX * height)
+    picture = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
     square = Image.new("RGB", (TILE_PX, TILE_PX), "white")
-    square.paste(picture, ((TILE_PX - width) // 2, 0))
+    square.paste(picture, tuple((TILE_PX - length) // 2 for length in size))
     return square
 
 
@@ -49,10 +56,12 @@ def main() -> None:
     for row, path in enumerate(tqdm(options.photos, unit="photo")):
         photo = load_photo(path)
         image = encoder(photo).cpu().numpy()
-        tiles = [tile(on_white(photo), photo.shape[1] / photo.shape[0])]
+        seen = []
         for angle in options.angles:
             eye = (panel.viewing_distance_mm * math.tan(math.radians(angle)), 0.0, panel.viewing_distance_mm)
-            tiles.append(tile(to_integers(simulate(image, panel, eye), 8), shape))
+            seen.append(to_integers(simulate(image, panel, eye), 8))
+        tiles = [tile(on_white(photo), photo.shape[1] / photo.shape[0]),
+                 *(tile(picture, shape, fitting(seen, shape)) for picture in seen)]
         for column, picture in enumerate(tiles):
             sheet.paste(picture, (column * TILE_PX, row * TILE_PX))
     sheet.save(options.output, quality=93, method=6)
