@@ -28,6 +28,7 @@ from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.values import byte_size
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
+from lightfield_gs.io.photo import load_photo
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rendering import METHODS
 
@@ -195,7 +196,7 @@ def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple
 def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every photo, and their text."""
     photos = [str(photo.EXAMPLE)] if args.photo is None else args.photo.split(",")
-    _check_files(photos)
+    _check_photos(photos)
     rows = photo.rows(photos, args.model, Panel.load(args.panel), args.device, args.repeats, threads)
     return {"rows": rows}, photo.table(rows)
 
@@ -205,7 +206,7 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
     if args.plot is not None:
         check_plot(args.plot)
     photos = [] if args.scene and not args.photo else (args.photo or str(photo.EXAMPLE)).split(",")
-    _check_files(photos)
+    _check_photos(photos)
     scenes = pareto.SCENES if not args.scene and not args.photo else args.scene.split(",") if args.scene else ()
     _check_scenes(scenes)
     rows, count = [], _one_thread_count(args, threads)
@@ -242,10 +243,13 @@ def _one_thread_count(args: argparse.Namespace, threads: list[int | None]) -> in
     return threads[0]
 
 
-def _check_files(photos: list[str]) -> None:
+def _check_photos(photos: list[str]) -> None:
+    """Raises InputError before the first is measured: what was measured until then would be lost."""
     for path in photos:
-        if not Path(path).is_file():
-            raise InputError(f"--photo: found no file {path}")
+        try:
+            load_photo(path)
+        except InputError as error:
+            raise InputError(f"--photo: {error}") from None
 
 
 def _check_scenes(scenes: Sequence[str], sh_degrees: Sequence[int | None] = (None,)) -> None:
