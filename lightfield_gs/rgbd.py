@@ -54,9 +54,7 @@ def from_depth(image: np.ndarray | Tensor, depth: np.ndarray | Tensor, focal_px:
     """
     image, depth = _checked_image(image), _checked_depth(depth)
     height, width = depth.shape
-    if image.shape[:2] != depth.shape:
-        raise InputError(f"depth: expected the photo's size {image.shape[1]} x {image.shape[0]}, got {width} x "
-                         f"{height}; resize one of them (depth without smoothing: it would join far and near)")
+    check_depth_size("depth", depth, image)
     depth = depth.to(image.device)
     opacity = _OPACITY * image[..., 3] if image.shape[2] == 4 else torch.full_like(depth, _OPACITY)
     measured = (depth >= _NEAREST) & (depth <= _FARTHEST) & (opacity >= OPACITY_CUT)
@@ -149,6 +147,14 @@ def _checked_image(image: np.ndarray | Tensor) -> Tensor:
     if not bool(torch.isfinite(image).all()) or float(image.min()) < 0 or float(image.max()) > 1:
         raise InputError("photo: expected values in 0..1, got values outside or not finite")
     return image.to(torch.float32)
+
+
+def check_depth_size(name: str, depth: np.ndarray | Tensor, photo: np.ndarray | Tensor) -> None:
+    """Raises InputError where a depth map [H, W] is not as large as its photo [H, W, C]; name: of the map."""
+    (height, width), expected = depth.shape, photo.shape[:2]
+    if (height, width) != tuple(expected):
+        raise InputError(f"{name}: expected a depth map of the photo's size {expected[1]} x {expected[0]}, got {width} "
+                         f"x {height}; resize one of them (the map without smoothing: it would join far and near)")
 
 
 def _checked_depth(depth: np.ndarray | Tensor) -> Tensor:

@@ -71,14 +71,11 @@ def _photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Ga
 
     from lightfield_gs.io.depth import read_depth
     from lightfield_gs.io.photo import load_photo
-    from lightfield_gs.rgbd import focal_length_px, from_depth
+    from lightfield_gs.rgbd import check_depth_size, focal_length_px, from_depth
 
     photo = load_photo(args.input, args.mask, remove_background=args.remove_background, whole=True)
     depth = read_depth(args.depth, args.depth_kind or "distance", scale=args.depth_scale, limits=args.depth_range)
-    if depth.shape != photo.shape[:2]:
-        raise InputError(f"{args.depth}: expected a depth map of the photo's size {photo.shape[1]} x {photo.shape[0]}, "
-                         f"got {depth.shape[1]} x {depth.shape[0]}; resize one of them (the map without smoothing: it "
-                         "would join far and near)")
+    check_depth_size(str(args.depth), depth, photo)
     focal, centre = None, None
     if args.intrinsics is not None:
         focal, centre = args.intrinsics[:2], args.intrinsics[2:]
