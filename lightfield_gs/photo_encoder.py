@@ -120,7 +120,6 @@ class _Capture:
         self._network, self.gaussians = _captured(lambda: net.all_gaussians(self.cropped, self.intrinsics))
         self._framing, self.numbers = _captured(
             lambda: torch.cat([self.checks, framing.extent(self.gaussians)]))
-        self.known_numbers = torch.empty(self.numbers.shape, dtype=self.numbers.dtype, pin_memory=True)
 
     def takes(self, photo: Tensor) -> bool:
         return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype
@@ -138,9 +137,7 @@ class _Capture:
     def rig(self, panel: Panel) -> Rig:
         """Waits for the device. Raises InputError where the photo is none or shows no object."""
         self._framing.replay()
-        self.known_numbers.copy_(self.numbers, non_blocking=True)
-        torch.cuda.current_stream().synchronize()
-        values_in_range, has_object, *extent = self.known_numbers.tolist()
+        values_in_range, has_object, *extent = self.numbers.tolist()
         check_values(values_in_range)
         crop.check_object(has_object)
         return framing.fit(extent, panel, np.eye(4))
