@@ -60,8 +60,9 @@ def main() -> None:
         for angle in options.angles:
             eye = (panel.viewing_distance_mm * math.tan(math.radians(angle)), 0.0, panel.viewing_distance_mm)
             seen.append(to_integers(simulate(image, panel, eye), 8))
+        height = fitting(seen, shape)
         tiles = [tile(on_white(photo), photo.shape[1] / photo.shape[0]),
-                 *(tile(picture, shape, fitting(seen, shape)) for picture in seen)]
+                 *(tile(picture, shape, height) for picture in seen)]
         for column, picture in enumerate(tiles):
             sheet.paste(picture, (column * TILE_PX, row * TILE_PX))
     sheet.save(options.output, quality=93, method=6)
