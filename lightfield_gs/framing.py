@@ -34,9 +34,9 @@ def frame(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray | None
     """A rig that shows the whole scene on the panel.
 
     Content is what the visible Gaussians cover, but for the outermost 0.01 % of their opacity on each side, and for up
-    to 0.1 % or 1 % where that lies far out. It is centred and fills 92 % of the panel's height, or of the
-    width where that is met first. The zero plane is at the harmonic mean of near and far, the depths beyond which 5 %
-    of the opacity lies.
+    to 0.1 % or 1 % where that lies far out. It is centred and fills 92 % of the panel's height, or of the width where
+    that is met first. The zero plane is at the harmonic mean of near and far, the depths beyond which 5 % of the
+    opacity lies.
     Without a camera, one looks along the file's +z axis with +y down, from so far in front of the content that its
     height takes the angle that the panel subtends for its viewer (kept within 20..50 degrees; 30 when not known).
     Raises InputError on a batch, on no Gaussians, or when none lies in front of the camera.

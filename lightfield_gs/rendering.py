@@ -158,8 +158,8 @@ def _check_out(out: Tensor, method: str, output: str, panel: Panel, device: torc
                          f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
                          f"{', with gradients' if out.requires_grad else ''}")
     if out.is_cuda and out.data_ptr() % 2:
-        raise InputError("out must begin at an even address on CUDA, got a part of another tensor at an odd one; give a "
-                         "tensor of its own")
+        raise InputError("out must begin at an even address on CUDA, got a part of another tensor at an odd one; give "
+                         "a tensor of its own")
 
 
 def check_options(method: str, views: str, output: str) -> None:

@@ -1,5 +1,5 @@
-// The stages and their reverses on a CUDA device: the CPU's stages (pipeline/stages.h) with device pointers and a stream. Nothing
-// here allocates or waits; the caller asks for the sizes of temporary storage first.
+// The stages and their reverses on a CUDA device: the CPU's stages (pipeline/stages.h) with device pointers and a
+// stream. Nothing here allocates or waits; the caller asks for the sizes of temporary storage first.
 #pragma once
 
 #include <cstdint>
@@ -61,8 +61,8 @@ struct SlotRange {
   uint32_t first, last;
 };
 // fill writes the pairs, nearest first within a tile, their running number per sorted splat: ends [I * N], ranges
-// [I * tiles, 2] into them (zeroed by the caller: empty tiles are left alone) and slot_ranges [I * N]. fill_bytes raises
-// when 32 bits do not hold a slot.
+// [I * tiles, 2] into them (zeroed by the caller: empty tiles are left alone) and slot_ranges [I * N]. fill_bytes
+// raises when 32 bits do not hold a slot.
 size_t fill_bytes(int64_t items, int64_t pairs);
 void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const uint32_t* counts,
               int64_t* ends, const Pairs& pairs, int64_t* ranges, SlotRange* slot_ranges, void* temporary,
