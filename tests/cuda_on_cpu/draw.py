@@ -6,35 +6,18 @@ gradients and of norms.
 
 from __future__ import annotations
 
-import importlib.util
-import os
+import emulation  # before all that loads the native module
+
 import sys
-import types
 from dataclasses import replace
 
+import cases
 import torch
 
-sys.setdlopenflags(os.RTLD_LAZY)  # the module has no CPU stages
-import lightfield_gs  # noqa: E402
-
-specification = importlib.util.spec_from_file_location("lightfield_gs._core", sys.argv[1])
-sys.modules["lightfield_gs._core"] = lightfield_gs._core = importlib.util.module_from_spec(specification)
-specification.loader.exec_module(lightfield_gs._core)
-torch.cuda.current_stream = lambda *device: types.SimpleNamespace(cuda_stream=0)
-torch.cuda.Event = lambda: types.SimpleNamespace(record=lambda: None, synchronize=lambda: None)
-
-import cases  # noqa: E402
-
-from lightfield_gs import frame_cuda, ops, sorted_plan  # noqa: E402
-from lightfield_gs import sorted as sorted_method  # noqa: E402
-from lightfield_gs.models import group_norm  # noqa: E402
-from lightfield_gs.quality import EXACT, Quality  # noqa: E402
-from lightfield_gs.rendering import lens_arguments  # noqa: E402
-from lightfield_gs.workspace_cuda import CudaWorkspace  # noqa: E402
-
-
-def workspace(scene, images, width, height, colour_order, stats, threads, **options):
-    return CudaWorkspace(scene, images, width, height, colour_order, stats, **options)
+from lightfield_gs import frame_cuda, ops
+from lightfield_gs.models import group_norm
+from lightfield_gs.quality import EXACT, Quality
+from lightfield_gs.rendering import lens_arguments
 
 
 def frame(kernel: str, name: str, degree: int, views: str) -> dict[str, object]:
@@ -107,9 +90,7 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
 
 def in_chunks() -> list[dict[str, object]]:
     """Images by `sorted` without a budget, and with parts of what all views at once take, over memory with junk."""
-    tile, empty, images = sorted_plan._tile, torch.empty, []
-    sorted_plan._tile = lambda views, width_px, _: tile(views, width_px, "cuda")
-    sorted_method._CpuStages = lambda scene, plan, threads: sorted_method._CudaStages(scene, plan)
+    empty, images = torch.empty, []
     torch.empty = lambda *shape, **options: empty(*shape, **options).fill_(77)
     whole = None
     for share in (None, 1, 3, 9):
@@ -120,8 +101,7 @@ def in_chunks() -> list[dict[str, object]]:
 
 
 def main(what: str) -> object:
-    torch.set_num_threads(1)
-    ops._workspace = workspace
+    emulation.use_cuda_stages()
     if what == "half":
         return [drawn(*cases.half_frame(changes, degree, brightness), views, kernel, cases.HALF_QUALITY, 1.0)
                 for kernel, changes, degree, views, brightness in cases.HALF_FRAMES]

@@ -1,0 +1,35 @@
+"""Import this before all else that loads the package's native module: it becomes the one of build.py, the program's
+first argument, and torch's streams and events what a CPU needs of them."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import types
+
+import torch
+
+import lightfield_gs
+
+sys.setdlopenflags(os.RTLD_LAZY)  # the module has no CPU stages
+_specification = importlib.util.spec_from_file_location("lightfield_gs._core", sys.argv[1])
+sys.modules["lightfield_gs._core"] = lightfield_gs._core = importlib.util.module_from_spec(_specification)
+_specification.loader.exec_module(lightfield_gs._core)
+torch.cuda.current_stream = lambda *device: types.SimpleNamespace(cuda_stream=0)
+torch.cuda.Event = lambda: types.SimpleNamespace(record=lambda: None, synchronize=lambda: None)
+
+
+def use_cuda_stages() -> None:
+    """Tensors on the CPU go through the CUDA stages, on one thread."""
+    from lightfield_gs import ops, sorted, sorted_plan
+    from lightfield_gs.workspace_cuda import CudaWorkspace
+
+    def workspace(scene, images, width, height, colour_order, stats, threads, **options):
+        return CudaWorkspace(scene, images, width, height, colour_order, stats, **options)
+
+    tile = sorted_plan._tile
+    ops._workspace = workspace
+    sorted_plan._tile = lambda views, width_px, _: tile(views, width_px, "cuda")
+    sorted._CpuStages = lambda scene, plan, threads: sorted._CudaStages(scene, plan)
+    torch.set_num_threads(1)
