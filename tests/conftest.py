@@ -17,6 +17,7 @@ if os.environ.get("LFGS_CORE"):
     sys.modules["lightfield_gs._core"] = lightfield_gs._core = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(lightfield_gs._core)
 
+from command_line import PANEL, scene  # noqa: E402
 from srn_scene import write_object  # noqa: E402
 
 
@@ -60,3 +61,12 @@ def small_set(tmp_path_factory) -> Path:
     for index in range(3):
         write_object(folder / "set" / f"object-{index}", seed=index)
     return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder that commands run in: a small panel, p.yaml, and a scene, s.ply."""
+    monkeypatch.chdir(tmp_path)
+    PANEL.to_yaml("p.yaml")
+    scene().save("s.ply")
+    return tmp_path

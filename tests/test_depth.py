@@ -8,8 +8,8 @@ import types
 import numpy as np
 import pytest
 import torch
+from command_line import PANEL, complaint, run
 from rgbd_scene import view
-from test_cli import PANEL, complaint, folder, run  # noqa: F401 (folder is a fixture)
 
 import lightfield_gs as lf
 from lightfield_gs.io.depth import read_depth
