@@ -17,7 +17,6 @@ if os.environ.get("LFGS_CORE"):
     sys.modules["lightfield_gs._core"] = lightfield_gs._core = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(lightfield_gs._core)
 
-from command_line import PANEL, scene  # noqa: E402
 from srn_scene import write_object  # noqa: E402
 
 
@@ -66,6 +65,8 @@ def small_set(tmp_path_factory) -> Path:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder that commands run in: a small panel, p.yaml, and a scene, s.ply."""
+    from command_line import PANEL, scene
+
     monkeypatch.chdir(tmp_path)
     PANEL.to_yaml("p.yaml")
     scene().save("s.ply")
