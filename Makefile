@@ -53,24 +53,15 @@ sanitize-stages sanitize-rest: sanitize-%: sanitized-module
 	  LFGS_CORE=$$(ls build/sanitize/_core*.so) \
 	  $(BIN)/python -m pytest -q --capture=sys -k "not process_grows" $(SANITIZED_$*)
 
-# The tests of the GPU under the tools of compute-sanitizer, in parts, a process each (with -k -j8 side by side), on a
-# machine that has one: PYTHON has the package, built for it, and pytest. What racecheck does not end is left out: over
-# the shipped network it takes ever more of the host's memory (44 GB after 100 s), over 2^31 pairs more than 7 minutes.
-# Reports in cublasLt's, nvjet's, cuDNN's and at::native's kernels are the libraries' own: racecheck takes asynchronous
-# copies for hazards, and initcheck misses what bfloat16 convolutions and products have stored.
+# The tests of the GPU under the tools of compute-sanitizer, on a machine that has one: PYTHON has the package, built for
+# it, and pytest. CUDA_TOOLS, and CUDA_SECONDS for each, where a run may last only so long: the next one goes on with it.
 CUDA_TOOLS := memcheck racecheck initcheck
-CUDA_PARTS := 0 1 2 3 4 5 6 7
-CUDA_TESTS := $(filter-out tests/test_cuda_on_cpu.py,$(sort $(wildcard tests/test_cuda*.py)))
-LEFT_OUT_racecheck := -k "not trained_network and not 31_bits"
-CUDA_CHECKS := $(foreach tool,$(CUDA_TOOLS),$(CUDA_PARTS:%=$(tool)-%))
+CUDA_SECONDS ?= inf
+sanitize-cuda: $(CUDA_TOOLS)
+.PHONY: $(CUDA_TOOLS)
 
-sanitize-cuda: $(CUDA_CHECKS)
-.PHONY: $(CUDA_CHECKS)
-
-$(CUDA_CHECKS):
-	compute-sanitizer --tool $(firstword $(subst -, ,$@)) --error-exitcode 1 \
-	  $(PYTHON) -m pytest -q --plain-attention --part $(lastword $(subst -, ,$@))/$(words $(CUDA_PARTS)) \
-	  $(LEFT_OUT_$(firstword $(subst -, ,$@))) $(CUDA_TESTS)
+$(CUDA_TOOLS):
+	$(PYTHON) tests/sanitize_cuda.py $@ --seconds $(CUDA_SECONDS)
 
 # Damaged files for every reader; FUZZ_INPUTS=1000000 takes half an hour.
 FUZZ_INPUTS ?= 100000

@@ -1,14 +1,11 @@
 """Fixtures shared by the tests. LFGS_CORE=FILE: another build of the native module, as `make sanitize` makes one."""
 
-import argparse
 import importlib.util
 import os
-import re
 import sys
 from pathlib import Path
 
 import pytest
-import torch
 
 import lightfield_gs
 
@@ -18,30 +15,6 @@ if os.environ.get("LFGS_CORE"):
     specification.loader.exec_module(lightfield_gs._core)
 
 from srn_scene import write_object  # noqa: E402
-
-
-def _part(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d+)/(\d+)", text)
-    if not found or int(found[1]) >= int(found[2]):
-        raise argparse.ArgumentTypeError(f"expected K/N with K below N, such as 0/4, got {text}")
-    return int(found[1]), int(found[2])
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--part", type=_part, default=(0, 1), metavar="K/N", help="every N-th test from number K on, of "
-                     "0 .. N - 1: to share tests out among N processes")
-    parser.addoption("--plain-attention", action="store_true", help="without cuDNN's attention, whose asynchronous "
-                     "copies compute-sanitizer takes for hazards")
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    if config.getoption("--plain-attention"):
-        torch.backends.cuda.enable_cudnn_sdp(False)
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    number, parts = config.getoption("--part")
-    items[:] = items[number::parts]
 
 
 @pytest.fixture(scope="session")

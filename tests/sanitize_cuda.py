@@ -1,0 +1,150 @@
+"""The tests of the GPU under a tool of compute-sanitizer: a few at a time, in processes side by side.
+
+python tests/sanitize_cuda.py racecheck [--seconds 500]
+
+What passed is not run again while package and tests are the same: a run that was cut off goes on where it was. Prints
+what was reported, by kernel, and ends with 0 when all tests passed and all reports are of the libraries' kernels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+from tqdm import tqdm
+
+from lightfield_gs import _core
+
+TESTS = Path(__file__).resolve().parent
+GROUP = 5  # tests of a process: it starts in some 6 s under a tool
+# Of torch, cuDNN, cuBLAS and what torch.compile makes, as their names are written with and without mangling. racecheck
+# takes asynchronous copies of theirs for hazards, and initcheck misses what bfloat16 convolutions have stored.
+LIBRARIES = "at::native|at6native|at_cuda_detail|cudnn|cublas|cutlass|fmha|nvjet|xmma|triton"
+OPTIONS = {
+    "memcheck": [],
+    "racecheck": ["--kernel-name-exclude", f"regex={LIBRARIES}"],  # hazards are within a kernel, so that ours lose none
+    "initcheck": [],
+}
+# What racecheck does not end: over the shipped network it took ever more of the host's memory (44 GB after 100 s), over
+# 2^31 pairs more than 7 minutes.
+LEFT_OUT = {"racecheck": "not trained_network and not 31_bits"}
+
+
+class Log:
+    """What one process wrote: pytest's lines, and beside them the tool's."""
+
+    def __init__(self, path: Path):
+        self.tests, self.tool = path, path.with_suffix(".tool")
+
+    def outcomes(self) -> dict[str, str]:
+        text = self.tests.read_text(errors="replace")
+        return dict(re.findall(r"^(\S+\.py::.+?) (PASSED|SKIPPED|FAILED|ERROR)\b", text, re.MULTILINE))
+
+    def reports(self) -> list[str]:
+        """The first line of each, and the kernel where one is named."""
+        text = self.tool.read_text(errors="replace") if self.tool.exists() else ""
+        blocks = re.findall(r"^=+ (?=\S)(?!COMPUTE-SANITIZER|.*SUMMARY|Target application returned)(.*(?:\n=+ {2,}.*)*)",
+                            text, re.MULTILINE)
+        return [block.split("\n")[0].split(" at ")[0] + "".join(f" in {name}" for name in re.findall(
+            r"\bat (.+?)\+0x", block)[:1]) for block in blocks]
+
+
+def collected(expression: str) -> list[str]:
+    """The tests that -k EXPRESSION chooses; exits where there are none."""
+    files = [path for path in sorted(TESTS.glob("test_cuda*.py")) if path.name != "test_cuda_on_cpu.py"]
+    listed = subprocess.run([sys.executable, "-m", "pytest", "--collect-only", "-q", "-k", expression, *files],
+                            cwd=TESTS.parent, capture_output=True, text=True, check=False)
+    found = [line for line in listed.stdout.splitlines() if "::" in line]
+    if listed.returncode or not found:
+        sys.exit(f"sanitize_cuda: no tests: they need a GPU and a build with LFGS_CUDA=ON\n{listed.stdout[-2000:]}")
+    return found
+
+
+def folder_of(tool: str) -> Path:
+    """Of the logs of the tool over this very package and these tests."""
+    digest = hashlib.sha256(Path(_core.__file__).read_bytes())
+    for package in (Path(_core.__file__).parent, TESTS.parent / "training", TESTS):
+        for path in sorted(package.rglob("*.py")):
+            digest.update(path.read_bytes())
+    return TESTS.parent / "build" / "sanitize-cuda" / f"{tool}-{digest.hexdigest()[:12]}"
+
+
+def start(tool: str, log: Log, tests: list[str]) -> subprocess.Popen:
+    """--show-backtrace device: for the host's the tool visits Python's frames at every launch and keeps them, and with
+    them the tensors that they hold."""
+    with log.tests.open("w") as out:
+        return subprocess.Popen(
+            ["compute-sanitizer", "--tool", tool, "--show-backtrace", "device", "--print-limit", "0",
+             "--log-file", str(log.tool), *OPTIONS[tool], sys.executable, "-m", "pytest", "-v", "--tb=short", *tests],
+            cwd=TESTS.parent, stdout=out, stderr=subprocess.STDOUT, start_new_session=True)
+
+
+def stop(process: subprocess.Popen) -> None:
+    process.kill()  # first, or the tool reports that the tests ended early
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+    process.wait()
+
+
+def run(tool: str, tests: list[str], folder: Path, processes: int, seconds: float) -> None:
+    """Until all have run, or for so many seconds."""
+    count, end, running = -(-len(tests) // GROUP), time.monotonic() + seconds, {}
+    groups = [tests[k::count] for k in range(count)]  # tests of one kind take alike: not in one group
+    bar = tqdm(total=len(tests), desc=tool, unit="test")
+    try:
+        while (groups or running) and time.monotonic() < end:
+            for process in [p for p in running if p.poll() is not None]:
+                bar.update(running.pop(process))
+            while groups and len(running) < processes:
+                group = groups.pop(0)
+                running[start(tool, Log(folder / f"{time.time_ns()}.log"), group)] = len(group)
+            time.sleep(0.1)
+    finally:
+        bar.close()
+        for process in running:
+            stop(process)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tool", choices=OPTIONS)
+    parser.add_argument("--processes", type=int, default=max(1, 3 * os.cpu_count() // 4),
+                        help="side by side on the GPU (default: three for four cores)")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop what runs after so many")
+    options = parser.parse_args(arguments)
+
+    tests, folder = collected(LEFT_OUT.get(options.tool, "")), folder_of(options.tool)
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def outcomes() -> dict[str, str]:
+        return {test: outcome for path in sorted(folder.glob("*.log")) for test, outcome in Log(path).outcomes().items()}
+
+    before = outcomes()
+    rest = [test for test in tests if before.get(test) not in ("PASSED", "SKIPPED")]
+    run(options.tool, rest, folder, options.processes, options.seconds)
+
+    found = outcomes()
+    reports = Counter(report for path in folder.glob("*.log") for report in Log(path).reports())
+    for report, times in reports.most_common():
+        print(f"{times} x {report}")
+    wrong = [test for test in tests if found.get(test) not in ("PASSED", "SKIPPED")]
+    for test in wrong:
+        print(f"{found.get(test, 'NOT RUN')} {test}")
+    ours = sum(times for report, times in reports.items() if not re.search(LIBRARIES, report))
+    print(f"{options.tool}: {len(tests) - len(wrong)} of {len(tests)} tests passed, {ours} reports of our own, "
+          f"{reports.total() - ours} of libraries' kernels; logs in {folder}")
+    return int(bool(wrong or ours))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
