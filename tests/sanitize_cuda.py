@@ -38,6 +38,11 @@ OPTIONS = {
 LEFT_OUT = {"racecheck": "not trained_network and not 31_bits"}
 
 
+# A line that begins a report, and the indented ones below it
+REPORT = re.compile(r"^={9} (?! |COMPUTE-SANITIZER|.*SUMMARY|Target application returned)(.+(?:\n={9}  .*)*)", re.MULTILINE)
+KERNEL = re.compile(r"\bat (.+?)\+0x")
+
+
 class Log:
     """What one process wrote: pytest's lines, and beside them the tool's."""
 
@@ -49,12 +54,15 @@ class Log:
         return dict(re.findall(r"^(\S+\.py::.+?) (PASSED|SKIPPED|FAILED|ERROR)\b", text, re.MULTILINE))
 
     def reports(self) -> list[str]:
-        """The first line of each, and the kernel where one is named."""
+        """What each says first, and the kernel where one is named."""
         text = self.tool.read_text(errors="replace") if self.tool.exists() else ""
-        blocks = re.findall(r"^=+ (?=\S)(?!COMPUTE-SANITIZER|.*SUMMARY|Target application returned)(.*(?:\n=+ {2,}.*)*)",
-                            text, re.MULTILINE)
-        return [block.split("\n")[0].split(" at ")[0] + "".join(f" in {name}" for name in re.findall(
-            r"\bat (.+?)\+0x", block)[:1]) for block in blocks]
+        found = [(re.split("\n| at ", report)[0], KERNEL.search(report)) for report in REPORT.findall(text)]
+        return [f"{said} in {kernel[1]}" if kernel else said for said, kernel in found]
+
+
+def outcomes(folder: Path) -> dict[str, str]:
+    """Of every test, the last time that it ran."""
+    return {test: outcome for log in sorted(folder.glob("*.log")) for test, outcome in Log(log).outcomes().items()}
 
 
 def collected(expression: str) -> list[str]:
@@ -126,14 +134,11 @@ def main(arguments: list[str] | None = None) -> int:
     tests, folder = collected(LEFT_OUT.get(options.tool, "")), folder_of(options.tool)
     folder.mkdir(parents=True, exist_ok=True)
 
-    def outcomes() -> dict[str, str]:
-        return {test: outcome for path in sorted(folder.glob("*.log")) for test, outcome in Log(path).outcomes().items()}
-
-    before = outcomes()
+    before = outcomes(folder)
     rest = [test for test in tests if before.get(test) not in ("PASSED", "SKIPPED")]
     run(options.tool, rest, folder, options.processes, options.seconds)
 
-    found = outcomes()
+    found = outcomes(folder)
     reports = Counter(report for path in folder.glob("*.log") for report in Log(path).reports())
     for report, times in reports.most_common():
         print(f"{times} x {report}")

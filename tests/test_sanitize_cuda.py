@@ -1,4 +1,4 @@
-"""The tests of the GPU under compute-sanitizer, tests/sanitize_cuda.py, with a tool that only writes what it is told."""
+"""Running the tests of the GPU under compute-sanitizer, with a tool that only writes what it is told."""
 
 from __future__ import annotations
 
@@ -25,13 +25,19 @@ def test_case(case):
 def test_skipped(): pass
 """
 CLEAN = "========= COMPUTE-SANITIZER\n========= ERROR SUMMARY: 0 errors\n"
-OURS = ("========= Invalid __global__ read of size 4 bytes\n=========     at void lfgs::cuda::fill_kernel(int)+0x10 in "
-        "bin.cu:60\n=========     by thread (0,0,0) in block (1,0,0)\n========= \n")
-TORCHS = ("========= Uninitialized __global__ memory read of size 2 bytes\n=========     at void at::native::"
-          "elementwise_kernel<(int)128>(int)+0x1730\n=========     by thread (32,0,0) in block (16,0,0)\n========= \n")
-RACE = ("========= Error: Race reported between Write access at lfgs::cuda::rank(int)+0x90 in order.cu:7\n=========     "
-        "and Read access at lfgs::cuda::rank(int)+0xa0 in order.cu:8 [4 hazards]\n========= \n")
-API = "========= Program hit cudaErrorInvalidValue (error 1) due to \"invalid argument\" on CUDA API call to cudaFree.\n"
+OURS = """========= Invalid __global__ read of size 4 bytes
+=========     at void lfgs::cuda::fill_kernel(int)+0x10 in bin.cu:60
+=========     by thread (0,0,0) in block (1,0,0)
+"""
+TORCHS = """========= Uninitialized __global__ memory read of size 2 bytes
+=========     at void at::native::elementwise_kernel<(int)128>(int)+0x1730
+=========     by thread (32,0,0) in block (16,0,0)
+"""
+RACE = """========= Error: Race reported between Write access at lfgs::cuda::rank(int)+0x90 in order.cu:7
+=========     and Read access at lfgs::cuda::rank(int)+0xa0 in order.cu:8 [4 hazards]
+"""
+CALL = """========= Program hit cudaErrorInvalidValue (error 1) due to "invalid argument" on CUDA API call to cudaFree.
+"""
 
 
 @pytest.fixture
@@ -75,7 +81,7 @@ def test_a_test_that_fails_is_named_and_run_again(tool):
 
 @pytest.mark.parametrize("reports, line", [(OURS, "Invalid __global__ read of size 4 bytes in void lfgs::cuda::fill"),
                                            (RACE, "Error: Race reported between Write access in lfgs::cuda::rank(int)"),
-                                           (API, "Program hit cudaErrorInvalidValue"), (TORCHS + OURS, "3 x Invalid")])
+                                           (CALL, "Program hit cudaErrorInvalidValue"), (TORCHS + OURS, "3 x Invalid")])
 def test_reports_of_our_kernels_and_of_calls_fail(tool, reports, line):
     code, text, _ = tool(reports=CLEAN[:28] + reports + CLEAN[28:])
     assert code == 1 and line in text and "12 of 12 tests passed, 3 reports of our own" in text
