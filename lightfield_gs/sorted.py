@@ -272,8 +272,8 @@ class _Encoding:
     def _refuse(self) -> None:
         least = max(sum(self._memory(place, 1, self._counts_of(place)).values()) for place in range(self.plan.count))
         least += least // (self.stages.reserve - 1) + 1
-        raise InputError(f"memory_budget: {self.budget} bytes are too few even for one view at a time; this scene and "
-                         f"panel need {least} bytes or more beside the image")
+        raise InputError(f"a memory budget of {self.budget} bytes is too small even for one view at a time; this scene "
+                         f"and panel need {least} bytes or more beside the image")
 
     def _counts_of(self, place: int) -> Counts:
         """Pairs of one view and a bound on those of a band, counted in little memory: some Gaussians at a time."""

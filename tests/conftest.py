@@ -14,8 +14,6 @@ if os.environ.get("LFGS_CORE"):
     sys.modules["lightfield_gs._core"] = lightfield_gs._core = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(lightfield_gs._core)
 
-from srn_scene import write_object  # noqa: E402
-
 
 @pytest.fixture(scope="session")
 def shared_dir() -> Path:
@@ -29,6 +27,8 @@ def shared_dir() -> Path:
 @pytest.fixture(scope="session")
 def small_set(tmp_path_factory) -> Path:
     """A folder whose subfolder "set" holds three small objects of four views each, with room beside it for runs."""
+    from srn_scene import write_object
+
     folder = tmp_path_factory.mktemp("data")
     for index in range(3):
         write_object(folder / "set" / f"object-{index}", seed=index)

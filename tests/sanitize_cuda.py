@@ -39,7 +39,8 @@ LEFT_OUT = {"racecheck": "not trained_network and not 31_bits"}
 
 
 # A line that begins a report, and the indented ones below it
-REPORT = re.compile(r"^={9} (?! |COMPUTE-SANITIZER|.*SUMMARY|Target application returned)(.+(?:\n={9}  .*)*)", re.MULTILINE)
+REPORT = re.compile(r"^={9} (?! |COMPUTE-SANITIZER|.*SUMMARY|Target application returned)(.+(?:\n={9}  .*)*)",
+                    re.MULTILINE)
 KERNEL = re.compile(r"\bat (.+?)\+0x")
 
 

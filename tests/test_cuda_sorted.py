@@ -123,7 +123,7 @@ def test_any_budget_gives_the_same_bits_and_is_kept(unbounded, share):
 
 
 def test_the_least_budget_that_the_error_names_is_enough(unbounded):
-    with pytest.raises(InputError, match="memory_budget") as error:
+    with pytest.raises(InputError, match="memory budget of 1000 bytes") as error:
         within(1000)
     least = int(re.search(r"need (\d+) bytes", str(error.value))[1])
     used, image, _ = within(least)
