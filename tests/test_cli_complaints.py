@@ -27,7 +27,7 @@ from lightfield_gs.panel import Panel
     ("encode s.ply -o o.png --memory-budget 1GB", "for --method sorted"),
     ("encode s.ply -o o.png --method sorted --memory-budget 1000", "256MB"),
     ("encode s.ply -o o.png --method sorted --memory-budget 0MB", "256MB"),
-    ("encode s.ply -o o.png --method sorted --memory-budget 1KB", "too few"),
+    ("encode s.ply -o o.png --method sorted --memory-budget 1KB", "too small"),
     ("encode s.ply -o o.png --method sorted --cameras no.json", "cannot read"),
     ("encode s.ply -o o.png --method sorted --cameras text.png", "not JSON"),
     ("encode s.ply -o o.png --method sorted --cameras c.json --save-rig r.yaml", "leave out one"),
