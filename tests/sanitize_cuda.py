@@ -12,6 +12,7 @@ import argparse
 import hashlib
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -97,12 +98,15 @@ def start(tool: str, log: Log, tests: list[str]) -> subprocess.Popen:
 
 
 def stop(process: subprocess.Popen) -> None:
-    process.kill()  # first, or the tool reports that the tests ended early
-    try:
-        os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
+    """Ends the process, before the tool reports that its tests ended early, and all that it started."""
+    process.kill()
     process.wait()
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            if os.getsid(int(entry.name)) == process.pid:
+                os.kill(int(entry.name), signal.SIGKILL)
+        except ProcessLookupError:
+            pass
 
 
 def run(tool: str, tests: list[str], folder: Path, processes: int, seconds: float) -> None:
@@ -131,10 +135,11 @@ def main(arguments: list[str] | None = None) -> int:
                         help="side by side on the GPU (default: three for four cores)")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop what runs after so many")
     options = parser.parse_args(arguments)
+    if not shutil.which("compute-sanitizer"):
+        sys.exit("sanitize_cuda: no compute-sanitizer on the PATH: it is in the bin folder of the CUDA toolkit")
 
     tests, folder = collected(LEFT_OUT.get(options.tool, "")), folder_of(options.tool)
     folder.mkdir(parents=True, exist_ok=True)
-
     before = outcomes(folder)
     rest = [test for test in tests if before.get(test) not in ("PASSED", "SKIPPED")]
     run(options.tool, rest, folder, options.processes, options.seconds)

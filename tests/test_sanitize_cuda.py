@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 
 import pytest
 import sanitize_cuda
@@ -18,7 +19,7 @@ SMALL = """
 import os, time, pytest
 @pytest.mark.parametrize("case", ["one", "two words", *range(9)])
 def test_case(case):
-    open(os.environ["RUNS"], "a").write("x")
+    open(os.environ["RUNS"], "a").write(f"{os.getpid()}\\n")
     assert str(case) not in os.environ["WRONG"].split(",")
     time.sleep(60 if str(case) in os.environ["SLOW"].split(",") else 0)
 @pytest.mark.skip
@@ -58,7 +59,7 @@ def tool(tmp_path, monkeypatch, capsys):
         for key, value in {"REPORTS": reports, "WRONG": wrong, "SLOW": slow, "RUNS": str(runs)}.items():
             monkeypatch.setenv(key, value)
         code = sanitize_cuda.main([name, "--processes", "2", *options])
-        return code, capsys.readouterr().out, len(runs.read_text())
+        return code, capsys.readouterr().out, len(runs.read_text().split())
 
     return run
 
@@ -93,9 +94,10 @@ def test_reports_of_libraries_are_counted_apart(tool):
     assert "0 reports of our own, 6 of libraries' kernels" in text
 
 
-def test_a_run_that_is_cut_off_goes_on(tool):
+def test_a_run_that_is_cut_off_ends_all_and_goes_on(tool, tmp_path):
     code, text, _ = tool("memcheck", CLEAN, "", "one", "--seconds", "4")
     assert code == 1 and "NOT RUN tests/test_cuda_small.py::test_case[one]\n" in text
+    assert not any(Path(f"/proc/{process}").exists() for process in (tmp_path / "runs").read_text().split())
     code, text, ran = tool()
     assert code == 0 and 1 <= ran < 11
 
@@ -104,3 +106,9 @@ def test_no_gpu_is_said(tool, tmp_path):
     (tmp_path / "tests/test_cuda_small.py").write_text("import pytest\npytest.skip('no', allow_module_level=True)")
     with pytest.raises(SystemExit, match="need a GPU and a build with LFGS_CUDA"):
         tool()
+
+
+def test_no_tool_is_said(tool, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(SystemExit, match="no compute-sanitizer on the PATH"):
+        sanitize_cuda.main(["memcheck"])
