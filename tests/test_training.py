@@ -13,6 +13,7 @@ import torch
 import yaml
 from safetensors.torch import load_file
 
+from lightfield_gs import InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.paths import config_names, config_path
 from photo_cases import TINY, tiny_net
@@ -373,3 +374,8 @@ def test_shipped_configurations_can_be_read(name):
     config = train.read_config(["--config", str(config_path("training", name))])
     assert config.total_steps > 0
     assert ModelConfig.from_yaml(config.model).image_size_px == config.stages[-1].image_size_px
+
+
+def test_a_comparison_is_sent_to_its_own_command():
+    with pytest.raises(InputError, match="several arms is for python -m training.compare"):
+        train.read_config(["--config", str(config_path("training", "compare"))])

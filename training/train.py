@@ -36,7 +36,10 @@ def parse(parser: ArgumentParser, arguments: list[str] | None) -> tuple[Training
     try:
         options = instantiate(parser.parse_args(arguments))
     except argparse.ArgumentError as error:
-        raise InputError(" ".join(str(error).split())) from None
+        said = " ".join(str(error).split())
+        if "'arms." in said or "'scored." in said:
+            said += ": a configuration of several arms is for python -m training.compare"
+        raise InputError(said) from None
     fields = {field.name: options[field.name] for field in dataclasses.fields(TrainingConfig)}
     return TrainingConfig(**fields), options
 
