@@ -37,7 +37,7 @@ def parse(parser: ArgumentParser, arguments: list[str] | None) -> tuple[Training
         options = instantiate(parser.parse_args(arguments))
     except argparse.ArgumentError as error:
         said = " ".join(str(error).split())
-        if "'arms." in said or "'scored." in said:
+        if "arms." in said:
             said += ": a configuration of several arms is for python -m training.compare"
         raise InputError(said) from None
     fields = {field.name: options[field.name] for field in dataclasses.fields(TrainingConfig)}
