@@ -74,8 +74,11 @@ def _add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
     """The panel that is drawn for, and what it is seen from."""
     add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
         help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
-    add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM",
-        help=f"distance of the viewer from the panel, in place of the panel's own: {purpose}")
+    _add_viewing_distance(add, f"distance of the viewer from the panel, in place of the panel's own: {purpose}")
+
+
+def _add_viewing_distance(add: Callable[..., argparse.Action], help: str) -> None:
+    add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM", help=help)
 
 
 def _add_encode(commands: argparse._SubParsersAction) -> None:
@@ -165,8 +168,7 @@ def _add_simulate(commands: argparse._SubParsersAction) -> None:
     add = simulate.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
     add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
-    add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM",
-        help="distance from which the panel shows one view all over, in place of the panel's own")
+    _add_viewing_distance(add, "distance from which the panel shows one view all over, in place of the panel's own")
     add("--eye", type=numbers(3), required=True, metavar="X,Y,Z",
         help="place of the eye in mm from the panel's centre: right, up, towards the viewer")
     add("--spread", type=within(0.01, 1000, "sub-pixels"), default=1.0, metavar="SUBPIXELS",
