@@ -62,9 +62,10 @@ class Log:
         return [f"{said} in {kernel[1]}" if kernel else said for said, kernel in found]
 
 
-def outcomes(folder: Path) -> dict[str, str]:
-    """Of every test, the last time that it ran."""
-    return {test: outcome for log in sorted(folder.glob("*.log")) for test, outcome in Log(log).outcomes().items()}
+def left(tests: list[str], folder: Path) -> dict[str, str]:
+    """Of tests that have neither passed nor been skipped: how they ended the last time that they ran."""
+    found = {test: outcome for log in sorted(folder.glob("*.log")) for test, outcome in Log(log).outcomes().items()}
+    return {test: found.get(test, "NOT RUN") for test in tests if found.get(test) not in ("PASSED", "SKIPPED")}
 
 
 def collected(expression: str) -> list[str]:
@@ -140,17 +141,14 @@ def main(arguments: list[str] | None = None) -> int:
 
     tests, folder = collected(LEFT_OUT.get(options.tool, "")), folder_of(options.tool)
     folder.mkdir(parents=True, exist_ok=True)
-    before = outcomes(folder)
-    rest = [test for test in tests if before.get(test) not in ("PASSED", "SKIPPED")]
-    run(options.tool, rest, folder, options.processes, options.seconds)
+    run(options.tool, list(left(tests, folder)), folder, options.processes, options.seconds)
 
-    found = outcomes(folder)
     reports = Counter(report for path in folder.glob("*.log") for report in Log(path).reports())
     for report, times in reports.most_common():
         print(f"{times} x {report}")
-    wrong = [test for test in tests if found.get(test) not in ("PASSED", "SKIPPED")]
-    for test in wrong:
-        print(f"{found.get(test, 'NOT RUN')} {test}")
+    wrong = left(tests, folder)
+    for test, outcome in wrong.items():
+        print(f"{outcome} {test}")
     ours = sum(times for report, times in reports.items() if not re.search(LIBRARIES, report))
     print(f"{options.tool}: {len(tests) - len(wrong)} of {len(tests)} tests passed, {ours} reports of our own, "
           f"{reports.total() - ours} of libraries' kernels; logs in {folder}")
