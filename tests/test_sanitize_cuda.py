@@ -76,10 +76,18 @@ def test_what_passed_is_not_run_again_until_something_changes(tool, tmp_path):
     assert tool()[::2] == (0, 11)
 
 
-def test_a_test_that_fails_is_named_and_run_again(tool):
+def test_a_test_that_fails_is_named_and_all_of_its_process_run_again(tool, tmp_path):
     code, text, _ = tool(wrong="two words,3")
     assert code == 1 and "FAILED tests/test_cuda_small.py::test_case[two words]\n" in text and "10 of 12" in text
-    assert tool()[::2] == (0, 2)
+    code, _, ran = tool()
+    assert code == 0 and ran == 7  # of two processes, but for the test that is skipped
+    assert len(set((tmp_path / "runs").read_text().split())) == 7
+
+
+def test_what_is_reported_of_a_process_with_a_failed_test_is_forgotten_when_it_runs_again(tool):
+    assert "3 reports of our own" in tool("memcheck", CLEAN + CALL, "one,two words,0")[1]
+    code, text, ran = tool()
+    assert code == 0 and ran == 11 and "12 of 12 tests passed, 0 reports" in text
 
 
 @pytest.mark.parametrize("reports, line", [(OURS, "Invalid __global__ read of size 4 bytes in void lfgs::cuda::fill"),
