@@ -62,22 +62,26 @@ class Log:
         found = [(re.split("\n| at ", report)[0], KERNEL.search(report)) for report in REPORT.findall(text)]
         return [f"{said} in {kernel[1]}" if kernel else said for said, kernel in found]
 
+    def ended_badly(self) -> bool:
+        """Whether a test failed or the process crashed: its other tests may have been disturbed."""
+        return (not {"FAILED", "ERROR"}.isdisjoint(self.outcomes().values())
+                or "Error: process didn't terminate successfully" in self.reports())
 
-def take_failed(folder: Path) -> set[str]:
-    """Takes away the logs in which a test failed, which may have taken others with it; returns the tests in them."""
+
+def take_broken(folder: Path) -> set[str]:
+    """Takes away the logs of processes that ended badly; returns the tests in them."""
     tests = set()
-    for path in folder.glob("*.log"):
-        outcomes = Log(path).outcomes()
-        if not {"FAILED", "ERROR"}.isdisjoint(outcomes.values()):
-            tests.update(outcomes)
-            path.unlink()
-            path.with_suffix(".tool").unlink(missing_ok=True)
+    for log in filter(Log.ended_badly, map(Log, folder.glob("*.log"))):
+        tests.update(log.outcomes())
+        log.tests.unlink()
+        log.tool.unlink(missing_ok=True)
     return tests
 
 
-def grouped(tests: list[str], failed: set[str]) -> list[list[str]]:
-    """The tests of each process: alone what is long, which begins lest the last ends late, and what has failed."""
-    alone = [test for test in tests if test in failed or LONG.search(test)]
+def grouped(tests: list[str], apart: set[str]) -> list[list[str]]:
+    """The tests of each process. Those that are to run apart do so, and the long ones: these begin, lest the last ends
+    late."""
+    alone = [test for test in tests if test in apart or LONG.search(test)]
     others = [test for test in tests if test not in alone]
     count = -(-len(others) // GROUP)
     return [[test] for test in alone] + [others[k::count] for k in range(count)]  # not one kind, which takes alike
@@ -161,8 +165,8 @@ def main(arguments: list[str] | None = None) -> int:
 
     tests, folder = collected(LEFT_OUT.get(options.tool, "")), folder_of(options.tool)
     folder.mkdir(parents=True, exist_ok=True)
-    failed = take_failed(folder)
-    run(options.tool, grouped(list(left(tests, folder)), failed), folder, options.processes, options.seconds)
+    apart = take_broken(folder)
+    run(options.tool, grouped(list(left(tests, folder)), apart), folder, options.processes, options.seconds)
 
     reports = Counter(report for path in folder.glob("*.log") for report in Log(path).reports())
     for report, times in reports.most_common():

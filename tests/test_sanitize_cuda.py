@@ -41,6 +41,7 @@ RACE = """========= Error: Race reported between Write access at lfgs::cuda::ran
 """
 CALL = """========= Program hit cudaErrorInvalidValue (error 1) due to "invalid argument" on CUDA API call to cudaFree.
 """
+ENDED = "========= Error: process didn't terminate successfully\n"
 
 
 @pytest.fixture
@@ -84,8 +85,9 @@ def test_a_test_that_fails_is_named_and_all_of_its_process_run_again(tool, tmp_p
     assert len(set((tmp_path / "runs").read_text().split())) == 7
 
 
-def test_what_is_reported_of_a_process_with_a_failed_test_is_forgotten_when_it_runs_again(tool):
-    assert "3 reports of our own" in tool("memcheck", CLEAN + CALL, "one,two words,0")[1]
+@pytest.mark.parametrize("reports, wrong", [(CALL, "one,two words,0"), (ENDED, "")])
+def test_what_is_reported_of_a_process_that_ended_badly_is_forgotten_when_it_runs_again(tool, reports, wrong):
+    assert "3 reports of our own" in tool("memcheck", CLEAN + reports, wrong)[1]
     code, text, ran = tool()
     assert code == 0 and ran == 11 and "12 of 12 tests passed, 0 reports" in text
 
