@@ -47,10 +47,11 @@ KERNEL = re.compile(r"\bat (.+?)\+0x")
 
 
 class Log:
-    """What one process wrote: pytest's lines, and beside them the tool's."""
+    """What one process wrote: pytest's lines, and beside them the tool's. broken: where the names of its tests stand if
+    it ended badly, by a failure or a crash that may have disturbed the others."""
 
     def __init__(self, path: Path):
-        self.tests, self.tool = path, path.with_suffix(".tool")
+        self.tests, self.tool, self.broken = path, path.with_suffix(".tool"), path.with_suffix(".broken")
 
     def outcomes(self) -> dict[str, str]:
         text = self.tests.read_text(errors="replace")
@@ -62,19 +63,14 @@ class Log:
         found = [(re.split("\n| at ", report)[0], KERNEL.search(report)) for report in REPORT.findall(text)]
         return [f"{said} in {kernel[1]}" if kernel else said for said, kernel in found]
 
-    def ended_badly(self) -> bool:
-        """Whether a test failed or the process crashed: its other tests may have been disturbed."""
-        return (not {"FAILED", "ERROR"}.isdisjoint(self.outcomes().values())
-                or "Error: process didn't terminate successfully" in self.reports())
-
 
 def take_broken(folder: Path) -> set[str]:
-    """Takes away the logs of processes that ended badly; returns the tests in them."""
+    """Takes away the logs of processes that ended badly; returns their tests."""
     tests = set()
-    for log in filter(Log.ended_badly, map(Log, folder.glob("*.log"))):
-        tests.update(log.outcomes())
-        log.tests.unlink()
-        log.tool.unlink(missing_ok=True)
+    for path in folder.glob("*.broken"):
+        tests.update(path.read_text().splitlines())
+        for file in folder.glob(f"{path.stem}.*"):
+            file.unlink()
     return tests
 
 
@@ -139,15 +135,23 @@ def run(tool: str, groups: list[list[str]], folder: Path, processes: int, second
     """Until all have run, or for so many seconds."""
     end, running = time.monotonic() + seconds, {}
     bar = tqdm(total=sum(map(len, groups)), desc=tool, unit="test")
+
+    def take_ended() -> None:
+        for process in [p for p in running if p.poll() is not None]:
+            log, group = running.pop(process)
+            if process.returncode:
+                log.broken.write_text("\n".join(group))
+            bar.update(len(group))
+
     try:
         while (groups or running) and time.monotonic() < end:
-            for process in [p for p in running if p.poll() is not None]:
-                bar.update(running.pop(process))
+            take_ended()
             while groups and len(running) < processes:
-                group = groups.pop(0)
-                running[start(tool, Log(folder / f"{time.time_ns()}.log"), group)] = len(group)
+                log, group = Log(folder / f"{time.time_ns()}.log"), groups.pop(0)
+                running[start(tool, log, group)] = log, group
             time.sleep(0.1)
     finally:
+        take_ended()
         bar.close()
         for process in running:
             stop(process)

@@ -23,6 +23,7 @@ import os, time, pytest
 def test_case(case):
     open(os.environ["RUNS"], "a").write(f"{os.getpid()}\\n")
     assert str(case) not in os.environ["WRONG"].split(",")
+    str(case) not in os.environ["CRASH"].split(",") or os._exit(134)
     time.sleep(60 if str(case) in os.environ["SLOW"].split(",") else 0)
 @pytest.mark.skip
 def test_skipped(): pass
@@ -41,7 +42,6 @@ RACE = """========= Error: Race reported between Write access at lfgs::cuda::ran
 """
 CALL = """========= Program hit cudaErrorInvalidValue (error 1) due to "invalid argument" on CUDA API call to cudaFree.
 """
-ENDED = "========= Error: process didn't terminate successfully\n"
 
 
 @pytest.fixture
@@ -56,10 +56,12 @@ def tool(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # starts faster
     monkeypatch.setattr(sanitize_cuda, "TESTS", tmp_path / "tests")
 
-    def run(name: str = "memcheck", reports: str = CLEAN, wrong: str = "", slow: str = "", *options: str):
+    def run(name: str = "memcheck", reports: str = CLEAN, wrong: str = "", slow: str = "", *options: str,
+            crash: str = ""):
         runs = tmp_path / "runs"
         runs.write_text("")
-        for key, value in {"REPORTS": reports, "WRONG": wrong, "SLOW": slow, "RUNS": str(runs)}.items():
+        for key, value in {"REPORTS": reports, "WRONG": wrong, "CRASH": crash, "SLOW": slow,
+                           "RUNS": str(runs)}.items():
             monkeypatch.setenv(key, value)
         code = sanitize_cuda.main([name, "--processes", "2", *options])
         return code, capsys.readouterr().out, len(runs.read_text().split())
@@ -85,11 +87,17 @@ def test_a_test_that_fails_is_named_and_all_of_its_process_run_again(tool, tmp_p
     assert len(set((tmp_path / "runs").read_text().split())) == 7
 
 
-@pytest.mark.parametrize("reports, wrong", [(CALL, "one,two words,0"), (ENDED, "")])
-def test_what_is_reported_of_a_process_that_ended_badly_is_forgotten_when_it_runs_again(tool, reports, wrong):
-    assert "3 reports of our own" in tool("memcheck", CLEAN + reports, wrong)[1]
+@pytest.mark.parametrize("how", ["wrong", "crash"])
+def test_what_is_reported_of_a_process_that_ended_badly_is_forgotten_when_it_runs_again(tool, how):
+    assert "3 reports of our own" in tool("memcheck", CLEAN + CALL, **{how: "one,two words,0"})[1]
     code, text, ran = tool()
     assert code == 0 and ran == 11 and "12 of 12 tests passed, 0 reports" in text
+
+
+def test_a_crash_does_not_keep_the_tests_behind_it_from_running(tool):
+    assert "8 of 12 tests passed" in tool(crash="one")[1]
+    code, text, _ = tool(crash="one")
+    assert code == 1 and "NOT RUN tests/test_cuda_small.py::test_case[one]\n" in text and "11 of 12" in text
 
 
 @pytest.mark.parametrize("reports, line", [(OURS, "Invalid __global__ read of size 4 bytes in void lfgs::cuda::fill"),
