@@ -97,10 +97,8 @@ __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) 
   constexpr float kMostOrder = 4;
   const Splats<float>& splats = frame.splats;
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
-  // Read before the order is known: there is room for four, and few need the last two
-  const float4 none = make_float4(0, 0, 0, 0), c0 = powers[0], first = powers[1], second = powers[2];
-  const float order = c0.w;
-  const float4 c1 = order >= 1 ? first : none, c2 = order >= 2 ? second : none;
+  const float4 none = make_float4(0, 0, 0, 0), c0 = powers[0], c1 = powers[1], c2 = powers[2];
+  const float order = c0.w;  // those beyond it are zero up to the second, and not there from the third on
   const float4 c3 = order >= 3 ? powers[3] : none, c4 = order >= 4 ? powers[4] : none;
   const float most = fmaxf(kStraightColour, frame.tolerance), beyond = largest(c3) + largest(c4);
   const bool bent = largest(c2) + beyond > most;

@@ -34,8 +34,8 @@ __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const
   return reach > 0 ? kBound * slope * slope * slope * sqrtf(square) : 0.f;
 }
 
-// The colour polynomial of one drawn splat: values at the nodes -> Chebyshev coefficients -> the powers it needs. The
-// first one's fourth number says the order again, for who would wait for it.
+// The colour polynomial of one drawn splat: values at the nodes -> Chebyshev coefficients -> the powers it needs, at
+// least those up to the second. The first one's fourth number says the order again, for who would wait for it.
 template <int Order>
 __device__ void store_colours(const Gaussians<const float>& gaussians, const vec3& mean, const View<float>& rig,
                               const BasisTable& basis, float tolerance, int64_t i, const Splats<float>& out,
@@ -76,6 +76,7 @@ __device__ void store_colours(const Gaussians<const float>& gaussians, const vec
     if (kept == 0) power = glm::max(power, vec3(0));
     colours[p] = make_float4(power.x, power.y, power.z, p == 0 ? float(kept) : 0.f);
   }
+  for (int p = kept + 1; p <= 2; ++p) colours[p] = make_float4(0, 0, 0, 0);
 }
 
 // One colour for all cameras.
