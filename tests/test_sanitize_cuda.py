@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 import time
@@ -13,6 +14,10 @@ import sanitize_cuda
 
 TOOL = """#!{python}
 import os, sys
+if sys.argv[1:] == ["--version"]:
+    sys.exit(print("Version {version}.0.0 (build 1) (public-release)"))
+with open(os.environ["RUNS"] + ".called", "a") as called:
+    print("PYTORCH_NO_CUDA_MEMORY_CACHING" in os.environ, *sys.argv, file=called)
 with open(sys.argv[sys.argv.index("--log-file") + 1], "w") as log:
     log.write(os.environ["REPORTS"])
 os.execv(sys.executable, sys.argv[sys.argv.index(sys.executable):])
@@ -33,9 +38,8 @@ OURS = """========= Invalid __global__ read of size 4 bytes
 =========     at void lfgs::cuda::fill_kernel(int)+0x10 in bin.cu:60
 =========     by thread (0,0,0) in block (1,0,0)
 """
-TORCHS = """========= Uninitialized __global__ memory read of size 2 bytes
-=========     at void at::native::elementwise_kernel<(int)128>(int)+0x1730
-=========     by thread (32,0,0) in block (16,0,0)
+COPY = """========= Host API memory access error at host access to 0x7f2d8d609a00 of size 24,576 bytes
+=========     Uninitialized access to 0x7f2d8d609a20 on access by cudaMemcpy source
 """
 RACE = """========= Error: Race reported between Write access at lfgs::cuda::rank(int)+0x90 in order.cu:7
 =========     and Read access at lfgs::cuda::rank(int)+0xa0 in order.cu:8 [4 hazards]
@@ -44,14 +48,19 @@ CALL = """========= Program hit cudaErrorInvalidValue (error 1) due to "invalid 
 """
 
 
+def put_tool(folder: Path, version: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "compute-sanitizer").write_text(TOOL.format(python=sys.executable, version=version))
+    (folder / "compute-sanitizer").chmod(0o755)
+
+
 @pytest.fixture
 def tool(tmp_path, monkeypatch, capsys):
     """Runs main with reports of the tool; returns exit code, output and the number of tests that ran."""
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests/test_cuda_small.py").write_text(SMALL)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")
-    (tmp_path / "compute-sanitizer").write_text(TOOL.format(python=sys.executable))
-    (tmp_path / "compute-sanitizer").chmod(0o755)
+    put_tool(tmp_path, "2026.4")
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # starts faster
     monkeypatch.setattr(sanitize_cuda, "TESTS", tmp_path / "tests")
@@ -71,7 +80,7 @@ def tool(tmp_path, monkeypatch, capsys):
 
 def test_what_passed_is_not_run_again_until_something_changes(tool, tmp_path):
     code, text, ran = tool()
-    assert code == 0 and ran == 11 and "12 of 12 tests passed, 0 reports" in text
+    assert code == 0 and ran == 11 and "12 of 12 tests passed, 0 reports;" in text
     assert tool()[::2] == (0, 0)
     assert tool("initcheck")[::2] == (0, 11)
     with (tmp_path / "tests/test_cuda_small.py").open("a") as file:
@@ -89,7 +98,7 @@ def test_a_test_that_fails_is_named_and_all_of_its_process_run_again(tool, tmp_p
 
 @pytest.mark.parametrize("how", ["wrong", "crash"])
 def test_what_is_reported_of_a_process_that_ended_badly_is_forgotten_when_it_runs_again(tool, how):
-    assert "3 reports of our own" in tool("memcheck", CLEAN + CALL, **{how: "one,two words,0"})[1]
+    assert "3 reports;" in tool("memcheck", CLEAN + CALL, **{how: "one,two words,0"})[1]
     code, text, ran = tool()
     assert code == 0 and ran == 11 and "12 of 12 tests passed, 0 reports" in text
 
@@ -102,16 +111,26 @@ def test_a_crash_does_not_keep_the_tests_behind_it_from_running(tool):
 
 @pytest.mark.parametrize("reports, line", [(OURS, "Invalid __global__ read of size 4 bytes in void lfgs::cuda::fill"),
                                            (RACE, "Error: Race reported between Write access in lfgs::cuda::rank(int)"),
-                                           (CALL, "Program hit cudaErrorInvalidValue"), (TORCHS + OURS, "3 x Invalid")])
-def test_reports_of_our_kernels_and_of_calls_fail(tool, reports, line):
+                                           (CALL, "Program hit cudaErrorInvalidValue"),
+                                           (COPY, "Host API memory access error")])
+def test_reports_fail(tool, reports, line):
     code, text, _ = tool(reports=CLEAN[:28] + reports + CLEAN[28:])
-    assert code == 1 and line in text and "12 of 12 tests passed, 3 reports of our own" in text
+    assert code == 1 and f"3 x {line}" in text and "12 of 12 tests passed, 3 reports;" in text
+    assert "6 reports" in tool("racecheck", CLEAN + 2 * reports)[1]
 
 
-def test_reports_of_libraries_are_counted_apart(tool):
-    code, text, _ = tool(reports=2 * TORCHS)
-    assert code == 0 and "6 x Uninitialized __global__ memory read of size 2 bytes in void at::native" in text
-    assert "0 reports of our own, 6 of libraries' kernels" in text
+def test_torch_keeps_no_memory_but_where_a_test_needs_that(tool, tmp_path):
+    (tmp_path / "tests/test_cuda_photo.py").write_text("def test_drawn(): pass")
+    (tmp_path / "tests/test_cuda_small.py").write_text("def test_captured(): pass\ndef test_drawn(): pass")
+    assert tool("initcheck")[0] == tool("memcheck")[0] == 0
+    calls = [line.split() for line in (tmp_path / "runs.called").read_text().splitlines()]
+    assert sorted((call[3], *call[-1].split("::"), call[0], "--check-api-memory-access" in call) for call in calls) == [
+        ("initcheck", "tests/test_cuda_photo.py", "test_drawn", "False", True),
+        ("initcheck", "tests/test_cuda_small.py", "test_captured", "False", False),
+        ("initcheck", "tests/test_cuda_small.py", "test_drawn", "True", False),
+        ("memcheck", "tests/test_cuda_photo.py", "test_drawn", "False", False),
+        ("memcheck", "tests/test_cuda_small.py", "test_captured", "False", False),
+        ("memcheck", "tests/test_cuda_small.py", "test_drawn", "True", False)]
 
 
 def test_a_run_that_is_cut_off_ends_all_and_goes_on(tool, tmp_path, monkeypatch):
@@ -131,7 +150,19 @@ def test_no_gpu_is_said(tool, tmp_path):
         tool()
 
 
-def test_no_tool_is_said(tool, monkeypatch):
+def test_a_tool_of_the_package_index_is_taken_where_that_of_the_toolkit_is_too_old(tool, tmp_path, monkeypatch):
+    put_tool(tmp_path, "2025.10")
+    with pytest.raises(SystemExit, match="2026.4 or newer, found 2025.10: pip install nvidia-cuda"):
+        tool()
+    put_tool(tmp_path / "site/nvidia/cu13/bin", "2026.10")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    assert tool()[0] == 0
+    assert {line.split()[1] for line in (tmp_path / "runs.called").read_text().splitlines()} == {
+        str(tmp_path / "site/nvidia/cu13/bin/compute-sanitizer")}
+
+
+def test_no_tool_is_said(monkeypatch):
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(SystemExit, match="no compute-sanitizer on the PATH"):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(SystemExit, match="needs compute-sanitizer 2026.4 or newer, found none"):
         sanitize_cuda.main(["memcheck"])
