@@ -57,12 +57,18 @@ class Log:
         self.tests, self.tool, self.broken = path, path.with_suffix(".tool"), path.with_suffix(".broken")
 
     def outcomes(self) -> dict[str, str]:
+        """Of all tests, once the tool has summed up: until then reports may be missing."""
+        if "SUMMARY" not in self._said():
+            return {}
         text = self.tests.read_text(errors="replace")
         return dict(re.findall(r"^(\S+\.py::.+?) (PASSED|SKIPPED|FAILED|ERROR)\b", text, re.MULTILINE))
 
+    def _said(self) -> str:
+        return self.tool.read_text(errors="replace") if self.tool.exists() else ""
+
     def reports(self) -> list[str]:
         """What each says first, and the kernel where one is named."""
-        text = self.tool.read_text(errors="replace") if self.tool.exists() else ""
+        text = self._said()
         found = [(re.split("\n| at ", report)[0], KERNEL.search(report)) for report in REPORT.findall(text)]
         return [f"{said} in {kernel[1]}" if kernel else said for said, kernel in found]
 
