@@ -12,6 +12,7 @@ import torch
 
 import lightfield_gs
 
+torch.use_deterministic_algorithms(True)  # torch.empty gives NaN and largest numbers: what nothing has written shows
 sys.setdlopenflags(os.RTLD_LAZY)  # the module has no CPU stages
 _specification = importlib.util.spec_from_file_location("lightfield_gs._core", sys.argv[1])
 sys.modules["lightfield_gs._core"] = lightfield_gs._core = importlib.util.module_from_spec(_specification)
