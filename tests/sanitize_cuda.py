@@ -28,16 +28,16 @@ from lightfield_gs import _core
 TESTS = Path(__file__).resolve().parent
 GROUP = 5  # tests of a process: it starts in some 6 s under a tool
 LONG = re.compile("test_cuda_training|test_cuda_photo|budget")  # minutes each under racecheck
-# Our kernels and CUB's in our module, as names are written with and without mangling. A hazard is within a kernel, and
-# what others store initcheck sees, too, so that ours lose nothing. Those of libraries take most of the time; racecheck
-# takes some of their asynchronous copies for hazards, and initcheck does not know all of their stores (tensormap
-# instructions, as its release notes say).
+# Our kernels, and CUB's, as names are written with and without mangling. A hazard is within a kernel, and what others
+# store initcheck sees, too, so that ours lose nothing. Those of libraries take most of the time; racecheck takes some of
+# their asynchronous copies for hazards, and initcheck does not know all of their stores (tensormap instructions, as its
+# release notes say).
 OURS = ["--kernel-name", "regex=lfgs|cub::|3cub"]
 OPTIONS = {"memcheck": ["--report-api-errors", "explicit"], "racecheck": [], "initcheck": []}
 # Tests that capture CUDA graphs or count torch's memory, which takes its caching allocator. The others go without: in
 # its blocks no bounds are seen, and what was freed passes for written.
 CACHING = re.compile("test_cuda_(encoder|photo|training)|captured|budget")
-# Tests that capture copies, which initcheck looks at as if they ran at once: of memory that nothing has written yet.
+# Tests that capture copies, which initcheck seems to look at as if they ran at once: of memory not yet written.
 CAPTURED_COPIES = re.compile("test_cuda_(photo|training)")
 LEFT_OUT = {"racecheck": "not 31_bits"}  # which takes more than nine minutes over its 2^31 pairs
 LEAST_VERSION = (2026, 4)  # earlier ones forget what kernels store that they are not asked for, or crash with torch's
