@@ -29,9 +29,9 @@ TESTS = Path(__file__).resolve().parent
 GROUP = 5  # tests of a process: it starts in some 6 s under a tool
 LONG = re.compile("test_cuda_training|test_cuda_photo|budget")  # minutes each under racecheck
 # Our kernels, and CUB's, as names are written with and without mangling. A hazard is within a kernel, and what others
-# store initcheck sees, too, so that ours lose nothing. Those of libraries take most of the time; racecheck takes some of
-# their asynchronous copies for hazards, and initcheck does not know all of their stores (tensormap instructions, as its
-# release notes say).
+# store initcheck sees, too, so that ours lose nothing. Those of libraries take most of the time; racecheck takes some
+# of their asynchronous copies for hazards, and initcheck does not know all of their stores (tensormap instructions, as
+# its release notes say).
 OURS = ["--kernel-name", "regex=lfgs|cub::|3cub"]
 OPTIONS = {"memcheck": ["--report-api-errors", "explicit"], "racecheck": [], "initcheck": []}
 # Tests that capture CUDA graphs or count torch's memory, which takes its caching allocator. The others go without: in
