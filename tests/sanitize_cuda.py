@@ -27,7 +27,8 @@ from lightfield_gs import _core
 
 TESTS = Path(__file__).resolve().parent
 GROUP = 5  # tests of a process: it starts in some 6 s under a tool
-LONG = re.compile("test_cuda_training|test_cuda_photo|budget")  # minutes each under racecheck
+NETWORK = "test_cuda_(photo|training)"
+LONG = re.compile(f"{NETWORK}|budget")  # minutes each under racecheck
 # Our kernels, and CUB's, as names are written with and without mangling. A hazard is within a kernel, and what others
 # store initcheck sees, too, so that ours lose nothing. Those of libraries take most of the time; racecheck takes some
 # of their asynchronous copies for hazards, and initcheck does not know all of their stores (tensormap instructions, as
@@ -36,9 +37,9 @@ OURS = ["--kernel-name", "regex=lfgs|cub::|3cub"]
 OPTIONS = {"memcheck": ["--report-api-errors", "explicit"], "racecheck": [], "initcheck": []}
 # Tests that capture CUDA graphs or count torch's memory, which takes its caching allocator. The others go without: in
 # its blocks no bounds are seen, and what was freed passes for written.
-CACHING = re.compile("test_cuda_(encoder|photo|training)|captured|budget")
+CACHING = re.compile(f"{NETWORK}|test_cuda_encoder|captured|budget")
 # Tests that capture copies, which initcheck seems to look at as if they ran at once: of memory not yet written.
-CAPTURED_COPIES = re.compile("test_cuda_(photo|training)")
+CAPTURED_COPIES = re.compile(NETWORK)
 LEFT_OUT = {"racecheck": "not 31_bits"}  # which takes more than nine minutes over its 2^31 pairs
 LEAST_VERSION = (2026, 4)  # earlier ones forget what kernels store that they are not asked for, or crash with torch's
 
@@ -58,17 +59,22 @@ class Log:
 
     def outcomes(self) -> dict[str, str]:
         """Of all tests, once the tool has summed up: until then reports may be missing."""
-        if "SUMMARY" not in self._said():
+        if not self._summed_up():
             return {}
         text = self.tests.read_text(errors="replace")
         return dict(re.findall(r"^(\S+\.py::.+?) (PASSED|SKIPPED|FAILED|ERROR)\b", text, re.MULTILINE))
 
-    def _said(self) -> str:
-        return self.tool.read_text(errors="replace") if self.tool.exists() else ""
+    def _summed_up(self) -> bool:
+        """By its last line; what stands before may be hundreds of megabytes."""
+        if not self.tool.exists():
+            return False
+        with self.tool.open("rb") as said:
+            said.seek(max(0, self.tool.stat().st_size - 200))
+            return b"SUMMARY" in said.read()
 
     def reports(self) -> list[str]:
         """What each says first, and the kernel where one is named."""
-        text = self._said()
+        text = self.tool.read_text(errors="replace") if self.tool.exists() else ""
         found = [(re.split("\n| at ", report)[0], KERNEL.search(report)) for report in REPORT.findall(text)]
         return [f"{said} in {kernel[1]}" if kernel else said for said, kernel in found]
 
