@@ -144,7 +144,7 @@ def compute_sanitizer() -> str:
              f"{', '.join(map('.'.join, versions)) or 'none'}: pip install nvidia-cuda-sanitizer-api")
 
 
-def start(path: str, tool: str, log: Log, tests: list[str]) -> subprocess.Popen:
+def start(sanitizer: str, tool: str, log: Log, tests: list[str]) -> subprocess.Popen:
     """Of tests that are all of CACHING or none. --show-backtrace device: for the host's the tool visits Python's frames
     at every launch, and keeps them, and with them the tensors that they hold. One thread of torch.compile: its others
     are processes, which the tool would run as well."""
@@ -156,7 +156,7 @@ def start(path: str, tool: str, log: Log, tests: list[str]) -> subprocess.Popen:
         variables["PYTORCH_NO_CUDA_MEMORY_CACHING"] = "1"
     with log.tests.open("w") as out:
         return subprocess.Popen(
-            [path, "--tool", tool, "--show-backtrace", "device", "--print-limit", "0", "--log-file", str(log.tool),
+            [sanitizer, "--tool", tool, "--show-backtrace", "device", "--print-limit", "0", "--log-file", str(log.tool),
              *options, sys.executable, "-m", "pytest", "-v", "--tb=short", *tests],
             cwd=TESTS.parent, env=os.environ | variables, stdout=out, stderr=subprocess.STDOUT, start_new_session=True)
 
@@ -173,7 +173,7 @@ def stop(process: subprocess.Popen) -> None:
             pass
 
 
-def run(path: str, tool: str, groups: list[list[str]], folder: Path, processes: int, seconds: float) -> None:
+def run(sanitizer: str, tool: str, groups: list[list[str]], folder: Path, processes: int, seconds: float) -> None:
     """Until all have run, or for so many seconds."""
     end, running = time.monotonic() + seconds, {}
     bar = tqdm(total=sum(map(len, groups)), desc=tool, unit="test")
@@ -190,7 +190,7 @@ def run(path: str, tool: str, groups: list[list[str]], folder: Path, processes: 
             take_ended()
             while groups and len(running) < processes:
                 log, group = Log(folder / f"{time.time_ns()}.log"), groups.pop(0)
-                running[start(path, tool, log, group)] = log, group
+                running[start(sanitizer, tool, log, group)] = log, group
             time.sleep(0.1)
     finally:
         take_ended()
@@ -207,11 +207,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop what runs after so many")
     options = parser.parse_args(arguments)
 
-    path = compute_sanitizer()
+    sanitizer = compute_sanitizer()
     tests, folder = collected(LEFT_OUT.get(options.tool, "")), folder_of(options.tool)
     folder.mkdir(parents=True, exist_ok=True)
     apart = take_broken(folder)
-    run(path, options.tool, grouped(list(left(tests, folder)), apart), folder, options.processes, options.seconds)
+    run(sanitizer, options.tool, grouped(list(left(tests, folder)), apart), folder, options.processes, options.seconds)
 
     reports = Counter(report for path in folder.glob("*.log") for report in Log(path).reports())
     for report, times in reports.most_common():
