@@ -89,8 +89,8 @@ def render_dense(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: 
     [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized). Differentiable in all but intrinsics and limits.
     Source: Kerbl et al. 2023. Raises InputError.
     """
-    return torch.ops.lightfield_gs.render_dense_with_state(means, quaternions, scales, opacities, sh, background,
-                                                           world_to_camera, intrinsics, limits, width, height)[:3]
+    return _RenderDense.apply(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics,
+                              limits, width, height)[:3]
 
 
 _library = torch.library.Library("lightfield_gs", "FRAGMENT")
@@ -135,10 +135,9 @@ def render_dense_backward(means: Tensor, quaternions: Tensor, scales: Tensor, op
     grads = [check(n, t, s, means) for n, t, s in zip(("g_image", "g_alpha", "g_depth"), (g_image, g_alpha, g_depth),
                                                       job.image_shapes())]
     native = [core.DenseImages(*(t.data_ptr() for t in ts)) for ts in (images, grads)]
-    g_cameras = torch.zeros_like(job.cameras_tensors[0])
     with job.scene.guard:
-        out, parts = work.dense_backward(job.cameras, job.background, *native, g_cameras)
-    return (*out, parts.view(*job.lead, -1, 3).sum(2), g_cameras)
+        out, parts, g_cameras = work.dense_backward(job.cameras, job.background, *native)
+    return (*out, parts.view(*job.lead, -1, 3).sum(2), g_cameras.view(*job.lead, 4, 4))
 
 
 @render_dense_backward.register_fake
@@ -162,6 +161,19 @@ def _dense_backward(ctx, *grads):
 
 
 render_dense_with_state.register_autograd(_dense_backward, setup_context=_dense_setup)
+
+
+class _RenderDense(torch.autograd.Function):
+    """render_dense_with_state as register_autograd records it, without its look at every argument's default: the host
+    takes 0.1 ms for that, between forward and reverse, where the device waits for it."""
+
+    @staticmethod
+    def forward(ctx, *inputs):
+        outputs = torch.ops.lightfield_gs.render_dense_with_state(*inputs)
+        _dense_setup(ctx, inputs, outputs)
+        return outputs
+
+    backward = staticmethod(_dense_backward)
 
 
 # Lens: the sub-pixels of a panel

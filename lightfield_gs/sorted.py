@@ -136,10 +136,10 @@ class _CudaStages:
 
     def composite(self, work: Any, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor,
                   out: Tensor) -> None:
-        pairs = work.ranges.view(-1, 2).diff().squeeze(1)
+        pairs = work.tile_ranges().diff().squeeze(1)
         heaviest = torch.argsort((pairs + 1) * lists[0].diff(), descending=True)
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
-        _core.cuda.composite_sorted(work.native, work.image, work.ranges.data_ptr(), work.pairs, native,
+        _core.cuda.composite_sorted(work.native, work.image, work.ranges, work.pairs, native,
                                     heaviest.data_ptr(), background.data_ptr(), *_floats_or_bytes(out), work.stream)
 
 

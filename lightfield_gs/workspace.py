@@ -92,7 +92,8 @@ def _core_of(tensor: Tensor) -> Any:
 
 def check(name: str, tensor: Tensor, shape: tuple[int | None, ...], like: Tensor) -> Tensor:
     """`tensor` contiguous, after checking its shape (None: any), and dtype and device against `like`."""
-    if len(shape) != tensor.dim() or any(s is not None and s != t for s, t in zip(shape, tensor.shape)):
+    if tensor.shape != shape and (
+            len(shape) != tensor.dim() or any(s is not None and s != t for s, t in zip(shape, tensor.shape))):
         raise InputError(f"{name} must be {['any' if s is None else s for s in shape]}, got {list(tensor.shape)}")
     if tensor.dtype != like.dtype or tensor.device != like.device:
         raise InputError(f"{name} must be {like.dtype} on {like.device} like the means, got {tensor.dtype} on "
@@ -245,16 +246,16 @@ class Workspace:
             self.stats.pruned = int((self.splats[..., _core.SPLAT_FIELDS - 2] == _core.PRUNED).sum())
             self.stats.skipped = skips.of_lens(counters, self.orders, self.splats, self.colour_order)
 
-    def dense_backward(self, cameras: Any, background: Tensor, images: Any, gradients: Any,
-                       g_cameras: Tensor) -> tuple[list[Tensor], Tensor]:
-        """Gradients of the five fields, and of the background in parts [I * parts, 3]; fills g_cameras [B, V, 4, 4]."""
+    def dense_backward(self, cameras: Any, background: Tensor, images: Any,
+                       gradients: Any) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Gradients of the five fields, of the background in parts [I * parts, 3], and of the cameras [I, 4, 4]."""
         core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
         core.composite_dense_backward(self.native, self.bins, cameras, background.data_ptr(), images, gradients,
                                       first.data_ptr(), pairs.data_ptr(), g_background.data_ptr(), self.threads)
-        out, native = self.scene.gradients()
+        (out, native), g_cameras = self.scene.gradients(), self.scene.new(self.images, 4, 4, zero=True)
         core.project_dense_backward(self.scene.native(), cameras, self.native, first.data_ptr(), pairs.data_ptr(),
                                     native, g_cameras.data_ptr(), self.threads)
-        return out, g_background
+        return out, g_background, g_cameras
 
     def lens_backward(self, rig: Any, lens: Any, background: Tensor, image: Tensor,
                       g_image: Tensor) -> tuple[list[Tensor], Tensor]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from lightfield_gs import _core
 from lightfield_gs.quality import Quality
@@ -32,17 +33,22 @@ class CudaWorkspace:
         self.native = scene.core.Splats(images, n, colour_order, self.splats.data_ptr(), self.colours.data_ptr(),
                                         self.orders.data_ptr())
 
-    def _use_lists(self, lists: Tensor, *buffers: Tensor) -> None:
+    def _use_lists(self, lists: Tensor, unsorted: Tensor | None = None) -> None:
         """Bytes: range of each tile [tiles, 2] int64, of slots of each splat [I, N, 2] int32, then slots and splats of
-        the sorted pairs, int32. buffers: tiles, sorted tiles, slots and their splats, which only the filling needs.
+        the sorted pairs, int32. unsorted [4, pairs] int32: tiles, sorted tiles, slots and their splats, which only the
+        filling needs. Kept as addresses: parts of tensors take the host longer, and here the device waits for it.
         """
         self.lists, self.count = lists, (lists.numel() - self.lists_bytes) // 8
-        self.ranges = lists[:16 * self.image.tiles()].view(torch.int64)
-        self.slot_ranges = lists.data_ptr() + 16 * self.image.tiles()
-        tiles, sorted_tiles, slots, slot_splats = (t.data_ptr() for t in buffers) if buffers else (0, 0, 0, 0)
-        sorted_slots = lists.data_ptr() + self.lists_bytes
+        self.ranges, sorted_slots = lists.data_ptr(), lists.data_ptr() + self.lists_bytes
+        self.slot_ranges = self.ranges + 16 * self.image.tiles()
+        tiles, sorted_tiles, slots, slot_splats = (
+            0 if unsorted is None else unsorted.data_ptr() + 4 * self.count * row for row in range(4))
         self.pairs = _core.cuda.Pairs(self.count, tiles, sorted_tiles, slots, sorted_slots, slot_splats,
                                       sorted_slots + 4 * self.count)
+
+    def tile_ranges(self) -> Tensor:
+        """[tiles, 2] int64, of each tile's pairs among the sorted ones."""
+        return self.lists[:16 * self.image.tiles()].view(torch.int64).view(-1, 2)
 
     def state(self) -> State:
         return State(self.splats, self.colours, self.lists)
@@ -64,7 +70,8 @@ class CudaWorkspace:
         """
         scene, cuda, items = self.scene, _core.cuda, self.items
         with self.stats.stage("bin"):
-            counts, pairs = scene.new(items, dtype=torch.int32), scene.new(1, dtype=torch.int64, zero=True)
+            counts = scene.new(items, dtype=torch.int32)
+            pairs = scene.new(1, dtype=torch.int64, zero=items == 0)  # nothing counts what there is not
             total = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
             cuda.bin_count(self.native, self.image, counts.data_ptr(), pairs.data_ptr(), total.data_ptr(),
                            total.numel(), self.stream)
@@ -83,42 +90,41 @@ class CudaWorkspace:
             # First: raises for more pairs than can be
             scratch = scene.new(cuda.fill_bytes(items, count), dtype=torch.uint8)
             ends = scene.new(items, dtype=torch.int64)
-            buffers = [scene.new(count, dtype=torch.int32) for _ in range(4)]
-            self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), *buffers)
-            self.ranges.zero_()
+            unsorted = scene.new(4, count, dtype=torch.int32)
+            self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), unsorted)
+            self.lists[:16 * self.image.tiles()].zero_()
             cuda.bin_fill(self.native, self.image, indices.data_ptr(), counts.data_ptr(), ends.data_ptr(), self.pairs,
-                          self.ranges.data_ptr(), self.slot_ranges, scratch.data_ptr(), scratch.numel(), self.stream)
+                          self.ranges, self.slot_ranges, scratch.data_ptr(), scratch.numel(), self.stream)
         self.stats.pairs += count
         if self.stats.device is not None:  # reading the count back waits
             self.stats.images += self.images
             self.stats.gaussians_drawn += int((self.keys != -1).sum())
         self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, sorted_keys, indices, temporary,
-                               counts, ends, total, *buffers, self.lists, scratch)
+                               counts, ends, total, unsorted, self.lists, scratch)
         return True
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
-        _core.cuda.composite_dense(self.native, self.image, self.ranges.data_ptr(), self.pairs,
+        _core.cuda.composite_dense(self.native, self.image, self.ranges, self.pairs,
                                    background.data_ptr(), out, self.stream)
 
     def composite_lens(self, lens: Any, _: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], float32. Images of bytes are frames (frame_cuda)."""
-        _core.cuda.composite_lens(self.native, self.image, self.ranges.data_ptr(), self.pairs, lens,
+        _core.cuda.composite_lens(self.native, self.image, self.ranges, self.pairs, lens,
                                   background.data_ptr(), out.data_ptr(), self.stream)
 
-    def dense_backward(self, cameras: Any, background: Tensor, images: Any, gradients: Any,
-                       g_cameras: Tensor) -> tuple[list[Tensor], Tensor]:
-        """Gradients of the five fields, and of the background in parts [I * parts, 3]; fills g_cameras [B, V, 4, 4]."""
+    def dense_backward(self, cameras: Any, background: Tensor, images: Any,
+                       gradients: Any) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Gradients of the five fields, of the background in parts [I * parts, 3], and of the cameras [I, 4, 4]."""
         scene, cuda = self.scene, _core.cuda
         slots = scene.new(self.count, cuda.DENSE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
-        cuda.composite_dense_backward(self.native, self.image, self.ranges.data_ptr(), self.pairs, images, gradients,
+        cuda.composite_dense_backward(self.native, self.image, self.ranges, self.pairs, images, gradients,
                                       slots.data_ptr(), g_background.data_ptr(), self.stream)
         out, native = scene.gradients()
         views = scene.new(self.images, cuda.view_blocks(scene.count), 3, 4)
         cuda.project_dense_backward(scene.native(), cameras, self.native, self.slot_ranges, slots.data_ptr(), native,
                                     views.data_ptr(), self.stream)
-        g_cameras.view(-1, 4, 4)[:, :3] = views.sum(1)
-        return out, g_background
+        return out, g_background, functional.pad(views.sum(1), (0, 0, 0, 1))
 
     def lens_backward(self, rig: Any, lens: Any, background: Tensor, image: Tensor,
                       g_image: Tensor) -> tuple[list[Tensor], Tensor]:
@@ -126,7 +132,7 @@ class CudaWorkspace:
         scene, cuda = self.scene, _core.cuda
         slots = scene.new(self.count, cuda.LENS_SUMS + 3 * self.colours.shape[2])
         g_background = scene.new(self.image.tiles(), 3)
-        cuda.composite_lens_backward(self.native, self.image, self.ranges.data_ptr(), self.pairs, lens,
+        cuda.composite_lens_backward(self.native, self.image, self.ranges, self.pairs, lens,
                                      image.data_ptr(), g_image.data_ptr(), slots.data_ptr(), g_background.data_ptr(),
                                      self.stream)
         out, native = scene.gradients()

@@ -19,7 +19,7 @@ SHORT_MS = 50.0  # on CUDA what takes less is repeated more often: one hiccup mo
 REPEATS, SHORT_REPEATS = 5, 20
 # What does not count on CUDA, whichever lasts longer: kernels load, the allocator fills, clocks rise
 WARM_UP, WARM_UP_MS = 2, 100.0
-AHEAD_CYCLES = 1_000_000  # half a millisecond, in which the host gets ahead of the device
+AHEAD_CYCLES = 2_000_000  # a millisecond, in which the host gets ahead of the device: a render's forward takes it 1 ms
 
 
 def timed(call: Callable[[], Any], cuda: bool, repeats: int | None = None,
