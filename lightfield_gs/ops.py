@@ -89,8 +89,9 @@ def render_dense(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: 
     [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized). Differentiable in all but intrinsics and limits.
     Source: Kerbl et al. 2023. Raises InputError.
     """
-    return _RenderDense.apply(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics,
-                              limits, width, height)[:3]
+    tensors = (means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits)
+    # Views are copied here, once: the reverse would copy them again, while the device waits for it
+    return _RenderDense.apply(*(t.contiguous() for t in tensors), width, height)[:3]
 
 
 _library = torch.library.Library("lightfield_gs", "FRAGMENT")

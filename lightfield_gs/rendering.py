@@ -51,12 +51,12 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
     like, batched = gaussians.means, gaussians.is_batched
     views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     if cameras.world_to_camera.dim() == 3:
-        views = [t.expand(like.shape[0] if batched else 1, *t.shape).contiguous() for t in views]
+        views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
     elif not batched:
         raise InputError(f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
                          f"cameras {list(cameras.world_to_camera.shape)}")
     tensors = [t if batched else t.unsqueeze(0) for t in _tensors(gaussians)]
-    colour = background_tensor(background, like).expand(*views[0].shape[:2], 3).contiguous()
+    colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
     draw = torch.ops.lightfield_gs.render_dense
     if not (torch.is_grad_enabled() and any(t.requires_grad for t in (*tensors, colour, *views))):
         draw = ops.dense_forward  # the first call of an operator with a reverse has torch import for a second

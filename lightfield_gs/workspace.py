@@ -90,11 +90,10 @@ def _core_of(tensor: Tensor) -> Any:
     raise InputError(f"the rasterizer takes float32 or float64 tensors, got {tensor.dtype}")
 
 
-def check(name: str, tensor: Tensor, shape: tuple[int | None, ...], like: Tensor) -> Tensor:
-    """`tensor` contiguous, after checking its shape (None: any), and dtype and device against `like`."""
-    if tensor.shape != shape and (
-            len(shape) != tensor.dim() or any(s is not None and s != t for s, t in zip(shape, tensor.shape))):
-        raise InputError(f"{name} must be {['any' if s is None else s for s in shape]}, got {list(tensor.shape)}")
+def check(name: str, tensor: Tensor, shape: tuple[int, ...], like: Tensor) -> Tensor:
+    """`tensor` contiguous, after checking its shape, and dtype and device against `like`."""
+    if tensor.shape != shape:
+        raise InputError(f"{name} must be {list(shape)}, got {list(tensor.shape)}")
     if tensor.dtype != like.dtype or tensor.device != like.device:
         raise InputError(f"{name} must be {like.dtype} on {like.device} like the means, got {tensor.dtype} on "
                          f"{tensor.device}")
@@ -252,7 +251,8 @@ class Workspace:
         core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
         core.composite_dense_backward(self.native, self.bins, cameras, background.data_ptr(), images, gradients,
                                       first.data_ptr(), pairs.data_ptr(), g_background.data_ptr(), self.threads)
-        (out, native), g_cameras = self.scene.gradients(), self.scene.new(self.images, 4, 4, zero=True)
+        out, native = self.scene.gradients()
+        g_cameras = self.scene.new(self.images, 4, 4, zero=True)
         core.project_dense_backward(self.scene.native(), cameras, self.native, first.data_ptr(), pairs.data_ptr(),
                                     native, g_cameras.data_ptr(), self.threads)
         return out, g_background, g_cameras

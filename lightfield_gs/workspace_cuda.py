@@ -22,7 +22,8 @@ class CudaWorkspace:
         n, self.scene, self.images, self.stats, self.items = scene.count, scene, images, stats, images * scene.count
         self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
         self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
-        self.lists_bytes = 16 * self.image.tiles() + 8 * self.items  # before those of the pairs
+        self.ranges_bytes = 16 * self.image.tiles()  # of tiles
+        self.lists_bytes = self.ranges_bytes + 8 * self.items  # before those of the pairs
         if state is None:
             self.splats, self.colours = (scene.new(*shape) for shape in State.shapes(images, n, colour_order))
             self.keys = scene.new(self.items, dtype=torch.int64)
@@ -40,7 +41,7 @@ class CudaWorkspace:
         """
         self.lists, self.count = lists, (lists.numel() - self.lists_bytes) // 8
         self.ranges, sorted_slots = lists.data_ptr(), lists.data_ptr() + self.lists_bytes
-        self.slot_ranges = self.ranges + 16 * self.image.tiles()
+        self.slot_ranges = self.ranges + self.ranges_bytes
         tiles, sorted_tiles, slots, slot_splats = (
             0 if unsorted is None else unsorted.data_ptr() + 4 * self.count * row for row in range(4))
         self.pairs = _core.cuda.Pairs(self.count, tiles, sorted_tiles, slots, sorted_slots, slot_splats,
@@ -48,7 +49,7 @@ class CudaWorkspace:
 
     def tile_ranges(self) -> Tensor:
         """[tiles, 2] int64, of each tile's pairs among the sorted ones."""
-        return self.lists[:16 * self.image.tiles()].view(torch.int64).view(-1, 2)
+        return self.lists[:self.ranges_bytes].view(torch.int64).view(-1, 2)
 
     def state(self) -> State:
         return State(self.splats, self.colours, self.lists)
@@ -70,8 +71,7 @@ class CudaWorkspace:
         """
         scene, cuda, items = self.scene, _core.cuda, self.items
         with self.stats.stage("bin"):
-            counts = scene.new(items, dtype=torch.int32)
-            pairs = scene.new(1, dtype=torch.int64, zero=items == 0)  # nothing counts what there is not
+            counts, pairs = scene.new(items, dtype=torch.int32), scene.new(1, dtype=torch.int64, zero=True)
             total = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
             cuda.bin_count(self.native, self.image, counts.data_ptr(), pairs.data_ptr(), total.data_ptr(),
                            total.numel(), self.stream)
@@ -92,7 +92,7 @@ class CudaWorkspace:
             ends = scene.new(items, dtype=torch.int64)
             unsorted = scene.new(4, count, dtype=torch.int32)
             self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), unsorted)
-            self.lists[:16 * self.image.tiles()].zero_()
+            self.lists[:self.ranges_bytes].zero_()
             cuda.bin_fill(self.native, self.image, indices.data_ptr(), counts.data_ptr(), ends.data_ptr(), self.pairs,
                           self.ranges, self.slot_ranges, scratch.data_ptr(), scratch.numel(), self.stream)
         self.stats.pairs += count
@@ -104,13 +104,13 @@ class CudaWorkspace:
         return True
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
-        _core.cuda.composite_dense(self.native, self.image, self.ranges, self.pairs,
-                                   background.data_ptr(), out, self.stream)
+        _core.cuda.composite_dense(self.native, self.image, self.ranges, self.pairs, background.data_ptr(), out,
+                                   self.stream)
 
     def composite_lens(self, lens: Any, _: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], float32. Images of bytes are frames (frame_cuda)."""
-        _core.cuda.composite_lens(self.native, self.image, self.ranges, self.pairs, lens,
-                                  background.data_ptr(), out.data_ptr(), self.stream)
+        _core.cuda.composite_lens(self.native, self.image, self.ranges, self.pairs, lens, background.data_ptr(),
+                                  out.data_ptr(), self.stream)
 
     def dense_backward(self, cameras: Any, background: Tensor, images: Any,
                        gradients: Any) -> tuple[list[Tensor], Tensor, Tensor]:
@@ -132,9 +132,8 @@ class CudaWorkspace:
         scene, cuda = self.scene, _core.cuda
         slots = scene.new(self.count, cuda.LENS_SUMS + 3 * self.colours.shape[2])
         g_background = scene.new(self.image.tiles(), 3)
-        cuda.composite_lens_backward(self.native, self.image, self.ranges, self.pairs, lens,
-                                     image.data_ptr(), g_image.data_ptr(), slots.data_ptr(), g_background.data_ptr(),
-                                     self.stream)
+        cuda.composite_lens_backward(self.native, self.image, self.ranges, self.pairs, lens, image.data_ptr(),
+                                     g_image.data_ptr(), slots.data_ptr(), g_background.data_ptr(), self.stream)
         out, native = scene.gradients()
         cuda.project_lens_backward(scene.native(), rig, self.native, self.slot_ranges, slots.data_ptr(), native,
                                    self.stream)
