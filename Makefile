@@ -7,8 +7,7 @@ DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 
-.PHONY: setup demo test suite sanitize sanitize-threads sanitized-module sanitize-stages sanitize-rest sanitize-cuda fuzz
-.PHONY: bench clean
+.PHONY: setup demo test suite sanitize sanitize-threads sanitized-module sanitize-cuda fuzz bench clean
 
 setup: $(VENV)/.installed
 
@@ -25,18 +24,22 @@ test: setup
 suite: setup
 	$(BIN)/python -m pytest -q tests
 
-# The whole suite with the native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code,
-# but for the tests of a module of their own; and the stages on several threads under ThreadSanitizer. In two parts, so
-# that two cores stay busy beside the suite. --capture=sys, or pytest keeps to itself what a sanitizer says at the end;
-# how far a process grows is another matter there.
-SANITIZED_stages := tests/test_quality.py tests/test_lens.py $(sort $(wildcard tests/test_stress_*.py))
-SANITIZED_rest := $(filter-out $(SANITIZED_stages) tests/test_cuda_on_cpu.py,$(sort $(wildcard tests/test_*.py)))
+# The suite with the native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code, but for
+# the tests of a module of their own and those all of whose work is in processes that load the installed one; and the
+# stages on several threads under ThreadSanitizer. In parts, the longest first, so that two cores stay busy to the end.
+# --capture=sys, or pytest keeps to itself what a sanitizer says at the end; how far a process grows is another matter there.
+NOT_SANITIZED := tests/test_cuda_on_cpu.py tests/test_distributed.py tests/test_sanitize_cuda.py
+SANITIZED_stress := $(sort $(wildcard tests/test_stress_*.py))
+SANITIZED_quality := tests/test_quality.py tests/test_lens.py
+SANITIZED_rest := $(filter-out $(NOT_SANITIZED) $(SANITIZED_stress) $(SANITIZED_quality),$(sort $(wildcard tests/test_*.py)))
+SANITIZED_PARTS := $(addprefix sanitize-,rest stress quality)
 CONFIGURE = PATH=$(CURDIR)/$(BIN):$$PATH cmake -G Ninja -S . -DCMAKE_BUILD_TYPE=Release -DLFGS_CUDA=OFF \
   -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dpybind11_DIR=$$($(BIN)/python -m pybind11 --cmakedir) \
   -DSKBUILD_PROJECT_VERSION_FULL=$$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 PRELOAD = $(foreach library,libasan.so libubsan.so libstdc++.so,$(shell g++ -print-file-name=$(library)))
 
-sanitize: sanitize-threads sanitize-stages sanitize-rest
+.PHONY: $(SANITIZED_PARTS)
+sanitize: sanitize-threads $(SANITIZED_PARTS)
 
 # MAKEFLAGS=, or ninja complains that it cannot share make's jobs.
 sanitize-threads: setup
@@ -48,7 +51,7 @@ sanitized-module: setup
 	$(CONFIGURE) -B build/sanitize -DLFGS_SANITIZE=address,undefined
 	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/sanitize --target _core
 
-sanitize-stages sanitize-rest: sanitize-%: sanitized-module
+$(SANITIZED_PARTS): sanitize-%: sanitized-module
 	LD_PRELOAD="$(PRELOAD)" ASAN_OPTIONS=detect_leaks=0:quarantine_size_mb=16 UBSAN_OPTIONS=print_stacktrace=1 \
 	  LFGS_CORE=$$(ls build/sanitize/_core*.so) \
 	  $(BIN)/python -m pytest -q --capture=sys -k "not process_grows" $(SANITIZED_$*)
