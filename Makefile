@@ -25,10 +25,10 @@ suite: setup
 	$(BIN)/python -m pytest -q tests
 
 # The suite with the native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code, but for
-# the tests of a module of their own and those all of whose work is in processes that load the installed one; and the
-# stages on several threads under ThreadSanitizer. In parts, the longest first, so that two cores stay busy to the end.
-# --capture=sys, or pytest keeps to itself what a sanitizer says at the end; how far a process grows is another matter there.
-NOT_SANITIZED := tests/test_cuda_on_cpu.py tests/test_distributed.py tests/test_sanitize_cuda.py
+# the tests of a module of their own and those of a program that never calls it; and the stages on several threads under
+# ThreadSanitizer. In parts, the longest first, so that two cores stay busy to the end. --capture=sys, or pytest keeps to
+# itself what a sanitizer says at the end; how far a process grows is another matter there.
+NOT_SANITIZED := tests/test_cuda_on_cpu.py tests/test_sanitize_cuda.py
 SANITIZED_stress := $(sort $(wildcard tests/test_stress_*.py))
 SANITIZED_quality := tests/test_quality.py tests/test_lens.py
 SANITIZED_rest := $(filter-out $(NOT_SANITIZED) $(SANITIZED_stress) $(SANITIZED_quality),$(sort $(wildcard tests/test_*.py)))
