@@ -25,65 +25,51 @@ namespace HWY_NAMESPACE {
 template <class Footprint, int kOrder, class T>
 HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
                                const Footprint& shape, int64_t count) {
-  constexpr int kLanes = LensTile<T>::kLanes;
+  constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share the look-out for what stops
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
   const Footprint footprint = shape;
   const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
   T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
-  const auto* channels = tile.channel.get();
   const int order = job.splats.orders[id];
   const V least_after = hn::Set(d, T(job.quality.stop));
   // Positive floats in the order of their bits, less one: samples that have stopped, at zero, come last
   const hn::RebindToUnsigned<Tag<T>> du;
-  using Ranks = hn::Vec<decltype(du)>;
-  const Ranks one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
+  const auto one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
   const bool ends_early = job.quality.ends_early();
 
-  // What a vector of samples takes of the splat, and what it lets through then
-  struct Weighed {
-    V weight, after;
-    Ranks rank;
-  };
-  auto weigh = [&](uint16_t vector) __attribute__((always_inline)) {
-    const int64_t i = int64_t(vector) * kLanes;
-    const V before = hn::Load(d, transmittances + i);
-    const V weight = footprint.weight(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(vector), before);
-    const V after = hn::Sub(before, weight);
-    return Weighed{weight, after, hn::Sub(hn::BitCast(du, after), one)};
-  };
-  auto any_below = [&](Ranks ranks) __attribute__((always_inline)) {
-    return !hn::AllTrue(du, hn::Eq(hn::Min(ranks, limit), limit));
-  };
-  auto blend = [&](uint16_t vector, const Weighed& weighed, bool stops) __attribute__((always_inline)) {
-    const int64_t i = int64_t(vector) * kLanes;
-    const auto channel = hn::Load(di, channels + i);
-    V weight = weighed.weight, after = weighed.after;
-    V c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
-
-    // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
-    if (HWY_UNLIKELY(stops)) {
-      const auto stop = hn::Lt(after, least_after);
-      weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
-      if (!ends_early) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
-      after = hn::IfThenZeroElse(stop, after);
-      if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(vector);
+  auto blend = [&](auto vectors, const uint16_t* list) {
+    V weights[vectors], afters[vectors];
+    auto least = limit;
+    for (int n = 0; n < vectors; ++n) {
+      const int64_t i = int64_t(list[n]) * kLanes;
+      const V before = hn::Load(d, transmittances + i);
+      weights[n] = footprint.weight(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n]), before);
+      afters[n] = hn::Sub(before, weights[n]);
+      least = hn::Min(least, hn::Sub(hn::BitCast(du, afters[n]), one));
     }
-    hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
-    hn::Store(after, d, transmittances + i);
+    const bool stops = !hn::AllTrue(du, hn::Eq(least, limit));
+    for (int n = 0; n < vectors; ++n) {
+      const int64_t i = int64_t(list[n]) * kLanes;
+      const auto channel = hn::Load(di, &tile.channel[i]);
+      V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
+
+      // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
+      if (HWY_UNLIKELY(stops)) {
+        const auto stop = hn::Lt(after, least_after);
+        weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
+        if (!ends_early) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
+        after = hn::IfThenZeroElse(stop, after);
+        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
+      }
+      hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+      hn::Store(after, d, transmittances + i);
+    }
   };
-  // Four vectors share the look-out for what stops; by name, which is quicker than in an array
   const uint16_t *list = tile.list(), *end = list + count;
-  for (; list + 4 <= end; list += 4) {
-    const Weighed w0 = weigh(list[0]), w1 = weigh(list[1]), w2 = weigh(list[2]), w3 = weigh(list[3]);
-    const bool stops = any_below(hn::Min(hn::Min(w0.rank, w1.rank), hn::Min(w2.rank, w3.rank)));
-    blend(list[0], w0, stops), blend(list[1], w1, stops), blend(list[2], w2, stops), blend(list[3], w3, stops);
-  }
-  for (; list < end; ++list) {
-    const Weighed last = weigh(*list);
-    blend(*list, last, any_below(last.rank));
-  }
+  for (; list + kStep <= end; list += kStep) blend(std::integral_constant<int, kStep>(), list);
+  for (; list < end; ++list) blend(std::integral_constant<int, 1>(), list);
 }
 
 // Calls visit with the order of a colour polynomial, as a constant where it is small (else -1).
