@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -120,11 +121,15 @@ class Gaussians:
             raise InputError(f"sh: expected 1, 4, 9 or 16 coefficients (degree 0..3), got {self.sh.shape[-2]}")
 
     @staticmethod
-    def load(path: str | Path) -> "Gaussians":
-        """Reads a standard 3DGS .ply: float32, CPU. See lightfield_gs.io.ply.read_ply."""
-        from lightfield_gs.io.ply import read_ply
+    def load(path: str | Path, *, skip_invalid: bool = False) -> "Gaussians":
+        """Reads a standard 3DGS .ply: float32, CPU. What looks wrong is a warning; skip_invalid: leave out Gaussians
+        with values that have no meaning. See lightfield_gs.io.scene_file.read_scene, which tells more of the file."""
+        from lightfield_gs.io.scene_file import read_scene
 
-        return read_ply(path)
+        scene = read_scene(path, skip_invalid=skip_invalid)
+        for words in scene.notes:
+            warnings.warn(f"{path}: {words}", stacklevel=2)
+        return scene.gaussians
 
     def save(self, path: str | Path) -> None:
         """Writes a standard 3DGS .ply. See lightfield_gs.io.ply.write_ply."""

@@ -32,9 +32,9 @@ def describe(path: Path) -> list[tuple[str, object]]:
 
 def _scene(path: Path) -> list[tuple[str, object]]:
     from lightfield_gs.commands.encode import scene_hash
-    from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.commands.scene import read_noted
 
-    scene = Gaussians.load(path)
+    scene = read_noted(path).gaussians
     quantile = [scene.means.sort(0).values[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
     facts: list[tuple[str, object]] = [
         ("gaussians", scene.count), ("sh_degree", scene.sh_degree), ("sha256", scene_hash(scene)),

@@ -6,7 +6,7 @@ import argparse
 
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.panel import at_distance
-from lightfield_gs.commands.scene import check_scene_path
+from lightfield_gs.commands.scene import check_scene_path, read_noted
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path, check_outputs
@@ -23,13 +23,12 @@ def run(args: argparse.Namespace) -> None:
     panel = at_distance(Panel.load(args.panel), args.viewing_distance)
     device = choose_device(args.device)
 
-    from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.pruning import prune
     from lightfield_gs.rig import Rig
 
     rig = None if args.rig is None else Rig.from_yaml(args.rig)
     watch.lap("start")
-    scene = Gaussians.load(args.input)
+    scene = read_noted(args.input).gaussians
     watch.lap("load")
     on_device = scene.to(device)
     rig = rig or Rig.frame(on_device, panel)

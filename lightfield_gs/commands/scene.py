@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path
 
 if TYPE_CHECKING:
     from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.io.scene_file import SceneFile
 
 _SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 _PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth")
@@ -43,12 +45,20 @@ def check_scene_path(path: Path) -> None:
         raise InputError(f"cannot write {path}: expected a name that ends in .ply")
 
 
+def read_noted(path: Path) -> "SceneFile":
+    """What a file of Gaussians holds; says what looks wrong in it."""
+    from lightfield_gs.io.scene_file import read_scene
+
+    scene = read_scene(path)
+    for words in scene.notes:
+        note(f"{path}: {words}")
+    return scene
+
+
 def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":
     """The Gaussians of the input, and the pose of its camera if it has one."""
     if _is_scene_file(args):
-        from lightfield_gs.gaussians import Gaussians
-
-        gaussians = Gaussians.load(args.input).to(device)
+        gaussians = read_noted(args.input).gaussians.to(device)
         watch.lap("load")
         return gaussians, None
     return (_photo_object if args.depth is None else _photo_scene)(args, device, watch), np.eye(4)

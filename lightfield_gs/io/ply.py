@@ -6,80 +6,39 @@ Stored are x y z, the log of the standard deviations (scale_0..2), the logit of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from lightfield_gs.checks import expect, is_row, shown
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.ply_header import read_header
-from lightfield_gs.paths import checked_path
+from lightfield_gs.io.ply_header import HEADER_LIMIT_BYTES, Header
 
 _REQUIRED = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
              "rot_0", "rot_1", "rot_2", "rot_3")
 _REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1), degree 0..3
 _TINY = np.finfo(np.float32).tiny
-_OTHER_FORMATS = {".spz": "SPZ", ".splat": "splat", ".ksplat": "ksplat", ".sog": "SOG", ".json": "SOG or JSON"}
 _MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
 
 
-def read_ply(path: str | Path) -> Gaussians:
-    """The Gaussians of a standard 3DGS .ply: float32 tensors on the CPU, N >= 1, SH degree 0-3.
-
-    Properties may come in any order and number type; other properties and elements are ignored. An opacity that
-    underflows float32 is stored as the smallest normal number, so opacities are in (0, 1]; scales likewise.
-    Raises InputError when the file is not such a .ply, is cut, has wrong counts, lacks a property (it is named) or
-    holds a value that is not finite (property and index are named).
-    """
-    path = checked_path(path)
-    if path.suffix.lower() in _OTHER_FORMATS:
-        raise InputError(f"{path}: {_OTHER_FORMATS[path.suffix.lower()]} files are not supported in this version; "
-                         "convert it to a standard 3DGS .ply")
-    return _from_records(path, _vertex_records(path))
-
-
-def _vertex_records(path: Path) -> np.ndarray:
-    """Structured array of the element "vertex", read after its size has been checked."""
-    try:
-        with open(path, "rb") as file:
-            header = read_header(path, file.read(1 << 16))
-        size = path.stat().st_size
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    if any(element.name == "chunk" for element in header.elements):
+def check_header(path: Path, header: Header) -> None:
+    """Raises InputError unless the header is that of a file of Gaussians."""
+    elements = {element.name: element for element in reversed(header.elements)}
+    if "chunk" in elements:
         raise InputError(f"{path} is a compressed .ply (SuperSplat), which this version does not read; "
                          "export it as a standard 3DGS .ply")
-    offset = header.size_bytes
-    for element in header.elements:
-        if element.name == "vertex":
-            break
-        if element.dtype is None:
-            raise InputError(f"{path}: element {element.name[:60]} with lists comes before the vertices; "
-                             "export the file with the vertices first")
-        offset += element.count * element.dtype.itemsize
-    else:
+    if "vertex" not in elements:
         raise InputError(f"{path}: no element 'vertex'; this is not a file of Gaussians")
-    if element.dtype is None:
+    vertex = elements["vertex"]
+    if vertex.has_lists:
         raise InputError(f"{path}: the vertices have list properties; this is not a file of Gaussians")
-    if element.count == 0:
+    if vertex.count == 0:
         raise InputError(f"{path} has no Gaussians (element vertex 0)")
-    _check_properties(path, element.dtype.names or ())
-    wanted = offset + element.count * element.dtype.itemsize
-    if size < wanted:
-        raise InputError(f"{path}: the header promises {element.count} Gaussians, {wanted} bytes, but the file has "
-                         f"{size}; it is cut or its header is wrong")
-    if element is header.elements[-1] and size > wanted:
-        raise InputError(f"{path}: {size - wanted} bytes are left after the {element.count} Gaussians that the header "
-                         "promises; its header is wrong")
-    records = np.fromfile(path, element.dtype, element.count, offset=offset)
-    if len(records) < element.count:
-        raise InputError(f"{path} was changed while it was read; try again")
-    return records
-
-
-def _check_properties(path: Path, names: tuple[str, ...]) -> None:
+    names = tuple(column.name for column in vertex.properties)
     missing = [name for name in _REQUIRED if name not in names]
     if missing:
         raise InputError(f"{path}: missing {', '.join(missing)}; expected the properties of a 3DGS .ply")
@@ -92,7 +51,12 @@ def _rest_names(names: tuple[str, ...]) -> list[str]:
     return [f"f_rest_{i}" for i in range(sum(name.startswith("f_rest_") for name in names))]
 
 
-def _from_records(path: Path, records: np.ndarray) -> Gaussians:
+def gaussians_of(path: Path, records: np.ndarray) -> Gaussians:
+    """The Gaussians of the vertices, whose header has been checked.
+
+    An opacity that underflows float32 becomes the smallest normal number, so opacities are in (0, 1]; scales likewise.
+    Raises InputError that names the property and the index of a value that has no meaning.
+    """
     def columns(*names: str) -> np.ndarray:
         out = np.empty((len(records), len(names)), np.float32)
         for i, name in enumerate(names):
@@ -126,11 +90,12 @@ def _check_finite(path: Path, name: str, values: np.ndarray, when: str = "") -> 
                          "remove these Gaussians or export the file again")
 
 
-def write_ply(path: str | Path, gaussians: Gaussians) -> None:
+def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
     """Writes one set of Gaussians as a standard 3DGS .ply (float32), complete or not at all.
 
-    Raises InputError on a batch of sets, a set of none, on values that `Gaussians.validate` refuses, or when it cannot
-    be written.
+    comments: texts of one line each for the header, 64 KiB in all at most with it.
+    Raises InputError on a batch of sets, a set of none, on values that `Gaussians.validate` refuses, on comments that
+    are no single lines, or when it cannot be written.
     """
     if gaussians.is_batched:
         raise InputError(f"a .ply holds one set of Gaussians, got a batch of {gaussians.means.shape[0]}; save one")
@@ -146,8 +111,29 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     table = np.concatenate([arrays["means"], np.zeros((count, 3)), arrays["sh"][:, 0], rest,
                             np.clip(logits, -1e3, _MAX_LOGIT)[:, None], np.log(arrays["scales"]),
                             arrays["quaternions"]], 1, dtype="<f4")
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
-    header += "".join(f"property float {name}\n" for name in names) + "end_header\n"
+    header = "ply\nformat binary_little_endian 1.0\n".encode() + _comment_lines(comments)
+    header += f"element vertex {count}\n".encode()
+    header += "".join(f"property float {name}\n" for name in names).encode() + b"end_header\n"
+    if len(header) > HEADER_LIMIT_BYTES:
+        raise InputError(f"{path}: expected comments that leave the header within {HEADER_LIMIT_BYTES} bytes, got "
+                         f"{len(header)}")
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        file.write(header.encode())
+        file.write(header)
         file.write(table.tobytes())
+
+
+def _comment_lines(comments: Sequence[str]) -> bytes:
+    """Lines of the header. Raises InputError."""
+    if not is_row(comments):
+        raise InputError(f"comments: expected texts of one line each, got {shown(comments)}")
+    lines = []
+    for text in comments:
+        expect("comments", text, str)
+        try:
+            line = f"comment {text}".encode()
+        except UnicodeEncodeError:
+            line = b"\n"
+        if b"\n" in line or b"\r" in line:
+            raise InputError(f"comments: expected texts of one line each, got {shown(text)}")
+        lines.append(line + b"\n")
+    return b"".join(lines)
