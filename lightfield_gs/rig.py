@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lightfield_gs.axes import DEFAULT_UP
 from lightfield_gs.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
@@ -71,15 +72,18 @@ class Rig:
         write_mapping(path, self.to_dict())
 
     @staticmethod
-    def frame(gaussians: "Gaussians", panel: Panel, world_to_camera: np.ndarray | None = None) -> "Rig":
-        """A rig that fits the scene to the panel's height (or width, where that is met first).
+    def frame(gaussians: "Gaussians", panel: Panel, world_to_camera: np.ndarray | None = None, *, up: str = DEFAULT_UP,
+              notes: list[str] | None = None) -> "Rig":
+        """A rig that fits the scene to the panel's height (or width, where that is met first), in 90 degrees at most.
 
         The zero plane is at the harmonic mean of robust near and far depths. With `world_to_camera` the camera stays
-        where it is, otherwise it looks along +z at the scene from in front. See lightfield_gs.framing.frame.
+        where it is, otherwise it looks at the scene from in front, upright by `up`, the axis that points up: "x", "y",
+        "z", "-x", "-y" or "-z". With -y, as in OpenCV axes, it looks along +z. What was left out of a scene that
+        surrounds what it is about is said in `notes`, a list to append to. See lightfield_gs.framing.frame.
         """
         from lightfield_gs.framing import frame
 
-        return frame(gaussians, panel, world_to_camera)
+        return frame(gaussians, panel, world_to_camera, up=up, notes=notes)
 
     # The fan
 

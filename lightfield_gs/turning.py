@@ -61,7 +61,7 @@ def harmonics_rotation(rotation: Tensor, count: int) -> Tensor:
     the same degree, so the coefficients follow, exactly, from their values in enough directions (Wigner, 1931).
     count: K, 1, 4, 9 or 16.
     """
-    directions = torch.from_numpy(_directions()).to(rotation)
+    directions = torch.from_numpy(spiral(_DIRECTIONS)).to(rotation)
     before = harmonics(directions @ rotation, count)
     parts, first = [], 0
     for inverse, last in zip(_inverses(), SH_COEFFICIENTS):
@@ -72,10 +72,10 @@ def harmonics_rotation(rotation: Tensor, count: int) -> Tensor:
 
 
 @functools.cache
-def _directions() -> np.ndarray:
-    """Unit vectors [M, 3] spread evenly: a spiral of equal steps in height and of the golden angle."""
-    steps = np.arange(_DIRECTIONS)
-    heights = 1 - (2 * steps + 1) / _DIRECTIONS
+def spiral(count: int) -> np.ndarray:
+    """Unit vectors [count, 3] spread evenly: a spiral of equal steps in height and of the golden angle."""
+    steps = np.arange(count)
+    heights = 1 - (2 * steps + 1) / count
     angles = steps * math.pi * (3 - math.sqrt(5))
     radii = np.sqrt(1 - heights**2)
     return np.stack([radii * np.cos(angles), radii * np.sin(angles), heights], 1)
@@ -84,7 +84,7 @@ def _directions() -> np.ndarray:
 @functools.cache
 def _inverses() -> tuple[np.ndarray, ...]:
     """For degree 0..3 what takes values in the directions to coefficients, [2 degree + 1, M]."""
-    values = harmonics(torch.from_numpy(_directions()), SH_COEFFICIENTS[-1]).numpy()
+    values = harmonics(torch.from_numpy(spiral(_DIRECTIONS)), SH_COEFFICIENTS[-1]).numpy()
     return tuple(np.linalg.pinv(values[:, first:last]) for first, last in zip((0, *SH_COEFFICIENTS), SH_COEFFICIENTS))
 
 
