@@ -205,8 +205,11 @@ def test_hostile_headers(tmp_path, case):
 
 @pytest.mark.parametrize("name", ["x", "f_dc_1", "opacity", "scale_2", "rot_0"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_values_that_are_not_finite_are_named(tmp_path, name, value):
+def test_values_that_have_no_meaning_are_named(tmp_path, name, value):
     path = write(tmp_path / "a.ply", rows=[VALUES, VALUES, {**VALUES, name: value}])
+    if name == "opacity" and math.isinf(value) or (name, value) == ("scale_2", -math.inf):
+        Gaussians.load(path).validate()
+        return
     with pytest.raises(InputError, match=f"{name} of Gaussian 2 is"):
         Gaussians.load(path)
 

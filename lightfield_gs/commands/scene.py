@@ -26,6 +26,8 @@ def check_scene_options(args: argparse.Namespace) -> None:
     """Raises InputError where options of the scene do not go together, or not with the input."""
     if _is_scene_file(args):
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
+    else:
+        _refuse(args, ("skip_invalid",), f"is for files of Gaussians, and {args.input} is none")
     if args.depth is None:
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
@@ -45,11 +47,11 @@ def check_scene_path(path: Path) -> None:
         raise InputError(f"cannot write {path}: expected a name that ends in .ply")
 
 
-def read_noted(path: Path) -> "SceneFile":
-    """What a file of Gaussians holds; says what looks wrong in it."""
+def read_noted(path: Path, skip_invalid: bool) -> "SceneFile":
+    """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
     from lightfield_gs.io.scene_file import read_scene
 
-    scene = read_scene(path)
+    scene = read_scene(path, skip_invalid=skip_invalid)
     for words in scene.notes:
         note(f"{path}: {words}")
     return scene
@@ -58,7 +60,7 @@ def read_noted(path: Path) -> "SceneFile":
 def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":
     """The Gaussians of the input, and the pose of its camera if it has one."""
     if _is_scene_file(args):
-        gaussians = read_noted(args.input).gaussians.to(device)
+        gaussians = read_noted(args.input, args.skip_invalid).gaussians.to(device)
         watch.lap("load")
         return gaussians, None
     return (_photo_object if args.depth is None else _photo_scene)(args, device, watch), np.eye(4)
