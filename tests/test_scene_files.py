@@ -11,8 +11,10 @@ import torch
 from command_line import PANEL, complaint, run, scene
 from test_gaussians_ply import NAMES, VALUES, random_gaussians, write
 
-from lightfield_gs import InputError, cli
+from lightfield_gs import InputError, SplatterNet, cli
+from lightfield_gs.commands.info import describe
 from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.io.npy import open_array
 from lightfield_gs.io.ply_data import read_elements
 from lightfield_gs.io.ply_header import read_header
 from lightfield_gs.io.scene_file import read_scene
@@ -24,7 +26,7 @@ FAR = (500123.0, 5412345.0, -420.0)
 
 
 def stored_rows(gaussians: Gaussians, **changes) -> list[dict[str, float]]:
-    """Rows of a hand-written .ply of SH degree 0. changes: a function of the stored value and the index, by property."""
+    """Rows of a hand-written .ply of degree 0. changes: by property, a function of the stored value and the index."""
     table = torch.cat([gaussians.means, gaussians.sh[:, 0], torch.logit(gaussians.opacities)[:, None],
                        gaussians.scales.log(), gaussians.quaternions], 1).tolist()
     rows = [dict(zip(NAMES, row)) for row in table]
@@ -117,7 +119,8 @@ def test_rigs_are_in_the_coordinates_of_the_file(folder, capsys):
     write(folder / "far.ply", rows=far_rows(scene()), kind="double")
     write(folder / "near.ply", rows=stored_rows(scene()))
     for name in ("far", "near"):
-        run(capsys, f"encode {name}.ply -o {name}.exr --panel p.yaml --save-rig {name}.yaml --save-gaussians {name}-2.ply")
+        run(capsys, f"encode {name}.ply -o {name}.exr --panel p.yaml --save-rig {name}.yaml "
+            f"--save-gaussians {name}-2.ply")
     near, far = Rig.from_yaml("near.yaml"), Rig.from_yaml("far.yaml")
     assert far.world_to_camera[:3, 3] + FAR == pytest.approx(near.world_to_camera[:3, 3], abs=1e-5)
     near.relative_to([-part for part in FAR]).to_yaml("moved.yaml")
@@ -252,3 +255,26 @@ def test_files_that_hold_something_else_say_what(tmp_path, names, kind, words):
     (tmp_path / "a.ply").write_bytes(header.encode() + bytes(len(names) * (2 if kind == "ushort" else 4)))
     with pytest.raises(InputError, match=words):
         Gaussians.load(tmp_path / "a.ply")
+
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab2935\nsize 12345\n"
+PAGE = b"\xef\xbb\xbf\n<!DOCTYPE html>\n<html><head><title>Not found</title></head></html>\n"
+
+
+@pytest.mark.parametrize("name", ["s.ply", "s.png", "s.json", "s.yaml", "s.npy", "s.safetensors"])
+@pytest.mark.parametrize("content, words", [(POINTER, "Git LFS pointer.*git lfs pull"), (PAGE, "web page")])
+def test_what_a_download_left_is_named(folder, capsys, name, content, words):
+    (folder / name).write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        if name == "s.npy":
+            open_array(name)
+        elif name == "s.safetensors":
+            SplatterNet.from_pretrained(name)
+        else:
+            describe(folder / name)
+
+
+def test_quilts_are_told_from_photos(folder, capsys):
+    assert cli.main("encode views_qs8x6a0.75.png -o o.png --panel p.yaml".split()) == 2
+    note, error = capsys.readouterr().err.splitlines()
+    assert "quilt of 8 x 6 views" in note and "cannot read" in error

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.panel import Panel
 
 
@@ -82,6 +83,7 @@ def _checkpoint(path: Path) -> list[tuple[str, object]]:
             counts = [_product(part.get_shape()) for part in slices.values()]
             types = sorted({part.get_dtype() for part in slices.values()})
     except (SafetensorError, OSError) as error:
+        refuse_stand_in(path)
         raise InputError(f"{path} is no safetensors file: {' '.join(str(error).split())[:200]}") from error
     return [("checkpoint", path), ("parameters", sum(counts)), ("tensors", len(counts)),
             ("types", ", ".join(types)), ("bytes", path.stat().st_size),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,7 +64,15 @@ def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tupl
         gaussians = read_noted(args.input, args.skip_invalid).gaussians.to(device)
         watch.lap("load")
         return gaussians, None
+    _note_quilt(args.input)
     return (_photo_object if args.depth is None else _photo_scene)(args, device, watch), np.eye(4)
+
+
+def _note_quilt(path: Path) -> None:
+    """Says so where a photo's name is that of a quilt: <name>_qs<columns>x<rows>a<aspect>."""
+    if name := re.search(r"_qs(\d+)x(\d+)a\d", path.stem):
+        note(f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
+             "photo; its views are interlaced by lightfield_gs.interlace (Python)")
 
 
 def _photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":

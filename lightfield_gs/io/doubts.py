@@ -1,5 +1,7 @@
-"""What looks wrong in the numbers of a file of Gaussians, though each has a meaning. A wrong guess costs a line of text,
-so each rule asks for what no scene shows that was fitted to photographs."""
+"""What looks wrong in the numbers of a file of Gaussians, though each has a meaning.
+
+Each rule asks for what no scene shows that was fitted to photographs: a note that is often wrong is soon not read.
+"""
 
 from __future__ import annotations
 
@@ -42,8 +44,9 @@ def about_values(log_scales: np.ndarray, logits: np.ndarray, means: np.ndarray) 
                      "file with their logarithms")
     low, high = np.nanmin(logits), np.nanmax(logits)
     if low >= 0 and 0 < high <= 1:
-        notes.append(f"all opacities are within {low:.3g}..{high:.3g}, which as logits makes no Gaussian fainter than 0.5 or "
-                     "more opaque than 0.73: they look like opacities themselves; export the file with their logits")
+        notes.append(f"all opacities are within {low:.3g}..{high:.3g}, which as logits makes no Gaussian fainter than "
+                     "0.5 or more opaque than 0.73: they look like opacities themselves; export the file with their "
+                     "logits")
     return notes
 
 

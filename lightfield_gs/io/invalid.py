@@ -37,8 +37,8 @@ def check_or_skip(path: Path, records: np.ndarray, fields: dict[str, np.ndarray]
         seen |= flags
     share = f"{int(bad.sum())} of {len(bad)} Gaussians have values without a meaning ({', '.join(counts)})"
     if not skip:
-        raise InputError(f"{path}: {_named(records[first], first, fields)}; {share}; leave them out with --skip-invalid "
-                         "(Python: skip_invalid=True) or export the file again")
+        raise InputError(f"{path}: {_named(records[first], first, fields)}; {share}; leave them out with "
+                         "--skip-invalid (Python: skip_invalid=True) or export the file again")
     if bad.all():
         raise InputError(f"{path}: {share}, and nothing is left without them; export the file again")
     return {name: array[~bad] for name, array in fields.items()}, [f"{share} and were left out"]

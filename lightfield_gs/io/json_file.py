@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.paths import checked_path
 
 
@@ -28,6 +29,7 @@ def read_object(path: str | Path, limit_bytes: int) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except ValueError as error:
+        refuse_stand_in(path)
         raise InputError(f"{path} is not JSON: {' '.join(str(error).split())[:200]}") from error
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object {{\"key\": value}}, got {type(data).__name__}")
