@@ -130,13 +130,19 @@ class Gaussians:
 
     @staticmethod
     def load(path: str | Path, *, skip_invalid: bool = False) -> "Gaussians":
-        """Reads a standard 3DGS .ply: float32, CPU. What looks wrong is a warning; skip_invalid: leave out Gaussians
-        with values that have no meaning. See lightfield_gs.io.scene_file.read_scene, which tells more of the file."""
+        """Reads a standard 3DGS .ply: float32, CPU. What looks wrong is a warning, and so is an origin.
+
+        skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.io.scene_file.read_scene,
+        which tells more of the file.
+        """
         from lightfield_gs.io.scene_file import read_scene
 
         scene = read_scene(path, skip_invalid=skip_invalid)
         for words in scene.notes:
             warnings.warn(f"{path}: {words}", stacklevel=2)
+        if any(scene.gaussians.origin):
+            warnings.warn(f"{path}: the means are given from the origin {scene.gaussians.origin}; cameras in the file's "
+                          "coordinates fit after relative_to(gaussians.origin)", stacklevel=2)
         return scene.gaussians
 
     def save(self, path: str | Path) -> None:

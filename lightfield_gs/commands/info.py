@@ -46,7 +46,7 @@ def _scene(path: Path, skip_invalid: bool) -> list[tuple[str, object]]:
     digits = 4
     if any(scene.origin):
         digits = 10
-        facts.append(("origin, taken off the double coordinates", ", ".join(f"{part:.0f}" for part in scene.origin)))
+        facts.append(("origin", ", ".join(f"{part:.0f}" for part in scene.origin)))
     for name, values in zip(("1 %", "median", "99 %"), quantile):
         facts.append((f"centres, {name}", ", ".join(f"{value:.{digits}g}" for value in values)))
     return facts

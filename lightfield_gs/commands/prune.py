@@ -6,7 +6,7 @@ import argparse
 
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.panel import at_distance
-from lightfield_gs.commands.scene import check_scene_path, read_noted
+from lightfield_gs.commands.scene import check_scene_path, read_noted, say_origin
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path, check_outputs
@@ -29,6 +29,7 @@ def run(args: argparse.Namespace) -> None:
     rig = None if args.rig is None else Rig.from_yaml(args.rig)
     watch.lap("start")
     scene = read_noted(args.input, args.skip_invalid).gaussians
+    say_origin(args.input, scene)
     watch.lap("load")
     on_device = scene.to(device)
     rig = Rig.frame(on_device, panel) if rig is None else rig.relative_to(scene.origin)

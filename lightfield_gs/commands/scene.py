@@ -58,10 +58,17 @@ def read_noted(path: Path, skip_invalid: bool) -> "SceneFile":
     return scene
 
 
+def say_origin(path: Path, gaussians: "Gaussians") -> None:
+    if any(gaussians.origin):
+        place = ", ".join(f"{part:.0f}" for part in gaussians.origin)
+        print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
+
+
 def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":
     """The Gaussians of the input, and the pose of its camera if it has one."""
     if _is_scene_file(args):
         gaussians = read_noted(args.input, args.skip_invalid).gaussians.to(device)
+        say_origin(args.input, gaussians)
         watch.lap("load")
         return gaussians, None
     _note_quilt(args.input)

@@ -45,16 +45,17 @@ def check_header(path: Path, header: Header) -> None:
         raise InputError(f"{path}: the vertices have list properties; this is not a file of Gaussians")
     if vertex.count == 0:
         raise InputError(f"{path} has no Gaussians (element vertex 0)")
-    _check_properties(path, vertex)
+    _check_properties(path, vertex, "face" in elements)
 
 
-def _check_properties(path: Path, vertex: Element) -> None:
+def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
     names = tuple(column.name for column in vertex.properties)
     required = (*_CENTRE, *(_DC if _is_harmonic(names) else ()), *_SHAPE)
     missing = [name for name in required if name not in names]
     if missing and not set(_SHAPE) & set(names) and set(_CENTRE) <= set(names):
-        raise InputError(f"{path}: missing {', '.join(missing)}; this is a point cloud, the start of a fit to "
-                         "photographs and not a scene of Gaussians; give the .ply that such a fit wrote")
+        kind = "mesh" if has_faces else "point cloud, the start of a fit to photographs"
+        raise InputError(f"{path}: missing {', '.join(missing)}; this is a {kind}, and no scene of Gaussians; give "
+                         "the .ply that a 3DGS trainer wrote")
     if missing:
         raise InputError(f"{path}: missing {', '.join(missing)}; expected the properties of a 3DGS .ply")
     whole = [column for column in vertex.properties if column.name in required and column.kind in ("i2", "u2")]
