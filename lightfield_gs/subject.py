@@ -139,7 +139,7 @@ class _Hull:
         far, order = whitened.norm(dim=1).sort()
         sums = areas[order].cumsum(0)
         usual = far[torch.searchsorted(sums, _SUPPORT * sums[-1:]).clamp_max(len(points) - 1)]
-        kept = whitened[whitened.norm(dim=1) <= _STRAY * usual]
+        kept = whitened[~(whitened.norm(dim=1) > _STRAY * usual)]
         self.supports = (self.bins @ kept.T).amax(1).clamp_min(1e-9)
 
     def whitened(self, points: Tensor) -> Tensor:

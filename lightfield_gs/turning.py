@@ -29,8 +29,10 @@ def rotated(gaussians: "Gaussians", rotation: Any) -> "Gaussians":
     matrix = rotation_matrix(rotation, gaussians.device)
     like = gaussians.means
     turn = _quaternion(matrix).to(like)
+    origin = matrix.detach().cpu() @ torch.tensor(gaussians.origin, dtype=torch.float64)
     return replace(gaussians, means=like @ matrix.T.to(like), quaternions=_product(turn, gaussians.quaternions),
-                   sh=harmonics_rotation(matrix, gaussians.sh.shape[-2]).to(like) @ gaussians.sh)
+                   sh=harmonics_rotation(matrix, gaussians.sh.shape[-2]).to(like) @ gaussians.sh,
+                   origin=tuple((origin + 0.0).tolist()))
 
 
 def rotation_matrix(rotation: Any, device: torch.device | str = "cpu") -> Tensor:

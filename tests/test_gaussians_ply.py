@@ -142,8 +142,8 @@ def test_lying_files_of_other_formats(shared_dir):
 
 
 def test_comments_and_small_elements_are_kept(tmp_path):
-    first = ("ply\nformat binary_little_endian 1.0\ncomment  by M\u00fcller\u2028& end_header\nobj_info Vertical Axis: z\n"
-             "element face 2\nproperty list uchar int v\nproperty uchar flag\n")
+    first = ("ply\nformat binary_little_endian 1.0\ncomment  by M\u00fcller\u2028& end_header\n"
+             "obj_info Vertical Axis: z\nelement face 2\nproperty list uchar int v\nproperty uchar flag\n")
     extra = "element size 2\nproperty uint px\nelement big 16385\nproperty int v\n"
     path = write(tmp_path / "a.ply", first=first, extra=extra, tail=struct.pack("<2I", 640, 480) + bytes(65540) + b"\n")
     data = path.read_bytes()
@@ -205,8 +205,11 @@ def test_hostile_headers(tmp_path, case):
 
 @pytest.mark.parametrize("name", ["x", "f_dc_1", "opacity", "scale_2", "rot_0"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_values_that_are_not_finite_are_named(tmp_path, name, value):
+def test_values_that_have_no_meaning_are_named(tmp_path, name, value):
     path = write(tmp_path / "a.ply", rows=[VALUES, VALUES, {**VALUES, name: value}])
+    if name == "opacity" and math.isinf(value) or (name, value) == ("scale_2", -math.inf):
+        Gaussians.load(path).validate()
+        return
     with pytest.raises(InputError, match=f"{name} of Gaussian 2 is"):
         Gaussians.load(path)
 

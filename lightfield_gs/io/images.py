@@ -15,6 +15,7 @@ import numpy as np
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
@@ -135,6 +136,7 @@ def _opened(path: str | Path) -> Iterator:
     with _NATIVE_STDERR_SILENCED:
         source = oiio.ImageInput.open(str(path), config)
     if source is None:
+        refuse_stand_in(path)
         raise InputError(f"{path} is not an image that can be read: {_first_line(oiio.geterror)}")
     try:
         spec = source.spec()

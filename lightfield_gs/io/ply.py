@@ -1,7 +1,8 @@
-"""The standard .ply of 3D Gaussian splatting (Kerbl et al., 2023): binary little-endian, one vertex a Gaussian.
+"""The standard .ply of 3D Gaussian splatting (Kerbl et al., 2023), one vertex a Gaussian.
 
 Stored are x y z, the log of the standard deviations (scale_0..2), the logit of the opacity, the quaternion wxyz
 (rot_0..3) and the spherical harmonics: f_dc_0..2, and f_rest_* channel by channel (all of red, then green, then blue).
+In place of f_dc there may be red, green and blue: colours, not coefficients.
 """
 
 from __future__ import annotations
@@ -14,15 +15,21 @@ import torch
 
 from lightfield_gs.checks import expect, is_row, shown
 from lightfield_gs.errors import InputError
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
+from lightfield_gs.io import doubts
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.ply_header import HEADER_LIMIT_BYTES, Header
+from lightfield_gs.io.invalid import check_or_skip
+from lightfield_gs.io.ply_header import HEADER_LIMIT_BYTES, Element, Header
 
-_REQUIRED = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
-             "rot_0", "rot_1", "rot_2", "rot_3")
+_CENTRE = ("x", "y", "z")
+_DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_RGB = ("red", "green", "blue")
+_SHAPE = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
 _REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1), degree 0..3
 _TINY = np.finfo(np.float32).tiny
 _MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
+_ROWS_AT_ONCE = 2048  # of the file and of what becomes of them: both stay in the cache, eleven times as quick
+_ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: where rounding to float32 moves centres by more, an origin is taken
 
 
 def check_header(path: Path, header: Header) -> None:
@@ -38,60 +45,104 @@ def check_header(path: Path, header: Header) -> None:
         raise InputError(f"{path}: the vertices have list properties; this is not a file of Gaussians")
     if vertex.count == 0:
         raise InputError(f"{path} has no Gaussians (element vertex 0)")
+    _check_properties(path, vertex, "face" in elements)
+
+
+def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
     names = tuple(column.name for column in vertex.properties)
-    missing = [name for name in _REQUIRED if name not in names]
+    required = (*_CENTRE, *(_DC if _is_harmonic(names) else ()), *_SHAPE)
+    missing = [name for name in required if name not in names]
+    if missing and not set(_SHAPE) & set(names) and set(_CENTRE) <= set(names):
+        kind = "mesh" if has_faces else "point cloud, the start of a fit to photographs"
+        raise InputError(f"{path}: missing {', '.join(missing)}; this is a {kind}, and no scene of Gaussians; give "
+                         "the .ply that a 3DGS trainer wrote")
     if missing:
         raise InputError(f"{path}: missing {', '.join(missing)}; expected the properties of a 3DGS .ply")
+    whole = [column for column in vertex.properties if column.name in required and column.kind in ("i2", "u2")]
+    if whole:
+        raise InputError(f"{path}: expected float or double for {whole[0].name}, got integers of 16 bits, in "
+                         f"{len(whole)} of {len(required)} properties; it looks like half floats that were written as "
+                         "integers; export it again with float properties")
     rest = _rest_names(names)
     if len(rest) not in _REST_COUNTS or any(name not in names for name in rest):
         raise InputError(f"{path}: {len(rest)} properties f_rest_*; expected f_rest_0 on, 0, 9, 24 or 45 of them")
 
 
-def _rest_names(names: tuple[str, ...]) -> list[str]:
+def _is_harmonic(names: Sequence[str]) -> bool:
+    """Whether colours are coefficients of harmonics (or nothing at all)."""
+    return any(name in names for name in _DC) or not all(name in names for name in _RGB)
+
+
+def _rest_names(names: Sequence[str]) -> list[str]:
     return [f"f_rest_{i}" for i in range(sum(name.startswith("f_rest_") for name in names))]
 
 
-def gaussians_of(path: Path, records: np.ndarray) -> Gaussians:
-    """The Gaussians of the vertices, whose header has been checked.
+def gaussians_of(path: Path, records: np.ndarray, skip_invalid: bool = False) -> tuple[Gaussians, list[str]]:
+    """The Gaussians of the vertices, whose header has been checked, and notes on what looks wrong in them.
 
-    An opacity that underflows float32 becomes the smallest normal number, so opacities are in (0, 1]; scales likewise.
-    Raises InputError that names the property and the index of a value that has no meaning.
+    An infinite logit is the opacity 1 or, as what underflows float32, the smallest normal number, which is never drawn;
+    so opacities are in (0, 1]. Scales likewise: the log -inf is a flat disc.
+    skip_invalid: leaves out the Gaussians that `check_or_skip` complains of. Raises InputError.
     """
-    def columns(*names: str) -> np.ndarray:
-        out = np.empty((len(records), len(names)), np.float32)
-        for i, name in enumerate(names):
-            with np.errstate(over="ignore"):
-                out[:, i] = records[name]
-            _check_finite(path, name, out[:, i])
-        return out
-
-    log_scales = columns("scale_0", "scale_1", "scale_2")
+    log_scales, logits = _columns(records, _SHAPE[1:4]), _columns(records, _SHAPE[:1])[:, 0]
     with np.errstate(over="ignore", under="ignore"):
         scales = np.exp(log_scales)
-        logits = columns("opacity")[:, 0].astype(np.float64)
-        opacities = (1 / (1 + np.exp(-logits))).astype(np.float32)
-    for i in range(3):
-        _check_finite(path, f"scale_{i}", scales[:, i], " after exp")
-    rest_names = _rest_names(records.dtype.names or ())
-    rest = columns(*rest_names).reshape(len(records), 3, -1)
-    sh = np.concatenate([columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None], rest.transpose(0, 2, 1)], 1)
-    quaternions = columns("rot_0", "rot_1", "rot_2", "rot_3")
-    zero = np.flatnonzero(~quaternions.any(1))
-    if len(zero):
-        raise InputError(f"{path}: rot_0..rot_3 of Gaussian {zero[0]} are all zero, which is no rotation")
-    tensors = (columns("x", "y", "z"), quaternions, np.maximum(scales, _TINY), np.maximum(opacities, _TINY), sh)
-    return Gaussians(*(torch.from_numpy(array) for array in tensors))
+        opacities = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
+    means, origin = _centres(records, scales)
+    sh, notes = _harmonics(records)
+    fields = {"means": means, "quaternions": _columns(records, _SHAPE[4:]), "scales": scales, "opacities": opacities,
+              "sh": sh}
+    fields, skipped = check_or_skip(path, records, fields, skip_invalid)
+    notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]
+    for name in ("scales", "opacities"):
+        np.maximum(fields[name], _TINY, out=fields[name])
+    return Gaussians(*(torch.from_numpy(array) for array in fields.values()), origin), notes
 
 
-def _check_finite(path: Path, name: str, values: np.ndarray, when: str = "") -> None:
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        raise InputError(f"{path}: {name} of Gaussian {bad[0]} is {values[bad[0]]}{when} ({len(bad)} such); "
-                         "remove these Gaussians or export the file again")
+def _columns(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """These properties as float32 [N, len(names)]."""
+    out = np.empty((len(records), len(names)), np.float32)
+    with np.errstate(over="ignore"):
+        for start in range(0, len(records), _ROWS_AT_ONCE):
+            rows, target = records[start:start + _ROWS_AT_ONCE], out[start:start + _ROWS_AT_ONCE]
+            for i, name in enumerate(names):
+                target[:, i] = rows[name]
+    return out
+
+
+def _centres(records: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, tuple[float, float, float]]:
+    """Centres float32 [N, 3] and the origin they are given from, which is not zero only for doubles far from it."""
+    if all(records.dtype[name] != np.float64 for name in _CENTRE):
+        return _columns(records, _CENTRE), (0.0, 0.0, 0.0)
+    exact = np.stack([records[name] for name in _CENTRE], 1, dtype=np.float64)
+    origin = np.zeros(3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        usual = doubts.usual(exact)
+        if usual is not None and doubts.float_step(usual) > _ORIGIN_STEP * doubts.usual_size(scales):
+            origin = np.round(usual)
+        return (exact - origin).astype(np.float32), tuple((origin + 0.0).tolist())
+
+
+def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """sh [N, K, 3], and a note where red, green and blue had to be guessed at."""
+    names = records.dtype.names or ()
+    bands = len(_rest_names(names)) // 3
+    rest = [f"f_rest_{channel * bands + band}" for band in range(bands) for channel in range(3)]
+    first = _DC if _is_harmonic(names) else _RGB
+    sh, notes = _columns(records, (*first, *rest)).reshape(len(records), 1 + bands, 3), []
+    if first is _RGB:
+        kind = records.dtype["red"]
+        largest = np.iinfo(kind).max if kind.kind in "iu" else 1.0
+        if kind.kind == "f" and np.nanmax(sh[:, 0], initial=0) > 1:
+            largest = 255.0
+            notes.append("red, green and blue have numbers above 1 and are taken for 0..255")
+        sh[:, 0] = (sh[:, 0] / np.float32(largest) - np.float32(0.5)) / np.float32(SH_CONSTANT)
+    return sh, notes
 
 
 def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
-    """Writes one set of Gaussians as a standard 3DGS .ply (float32), complete or not at all.
+    """Writes one set of Gaussians as a standard 3DGS .ply, complete or not at all: float32, but for the centres of
+    Gaussians with an origin, which are written as double with the origin added.
 
     comments: texts of one line each for the header, 64 KiB in all at most with it.
     Raises InputError on a batch of sets, a set of none, on values that `Gaussians.validate` refuses, on comments that
@@ -106,20 +157,22 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     with np.errstate(divide="ignore"):
         logits = np.log(arrays["opacities"]) - np.log1p(-arrays["opacities"])
     rest = arrays["sh"][:, 1:].transpose(0, 2, 1).reshape(count, 3 * (coefficients - 1))
-    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2",
-             *(f"f_rest_{i}" for i in range(rest.shape[1])), *_REQUIRED[6:]]
-    table = np.concatenate([arrays["means"], np.zeros((count, 3)), arrays["sh"][:, 0], rest,
+    names = ["nx", "ny", "nz", *_DC, *(f"f_rest_{i}" for i in range(rest.shape[1])), *_SHAPE]
+    centre_kind = "double" if any(gaussians.origin) else "float"
+    centres = (arrays["means"] + gaussians.origin).astype("<f8" if any(gaussians.origin) else "<f4")
+    table = np.concatenate([np.zeros((count, 3)), arrays["sh"][:, 0], rest,
                             np.clip(logits, -1e3, _MAX_LOGIT)[:, None], np.log(arrays["scales"]),
                             arrays["quaternions"]], 1, dtype="<f4")
     header = "ply\nformat binary_little_endian 1.0\n".encode() + _comment_lines(comments)
     header += f"element vertex {count}\n".encode()
+    header += "".join(f"property {centre_kind} {name}\n" for name in _CENTRE).encode()
     header += "".join(f"property float {name}\n" for name in names).encode() + b"end_header\n"
     if len(header) > HEADER_LIMIT_BYTES:
         raise InputError(f"{path}: expected comments that leave the header within {HEADER_LIMIT_BYTES} bytes, got "
                          f"{len(header)}")
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write(header)
-        file.write(table.tobytes())
+        file.write(np.concatenate([centres.view(np.uint8), table.view(np.uint8)], 1).tobytes())
 
 
 def _comment_lines(comments: Sequence[str]) -> bytes:

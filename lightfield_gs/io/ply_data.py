@@ -1,4 +1,4 @@
-"""The rows of a .ply file after its header: never more memory than the file itself has bytes, whatever it promises."""
+"""The rows of a .ply file after its header, in memory that goes with the size of the file, whatever it promises."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import io
 import itertools
 import mmap
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,6 +18,7 @@ from lightfield_gs.io.ply_header import Element, Header
 SMALL_BYTES = 1 << 16  # elements beside the vertices are kept up to this size
 _MOST_STEPS = 1 << 20  # through rows with lists, one by one: a second's work
 _MOST_BYTES_AFTER = 16  # blank ones after the data, as editors and shells append them
+_LINES_AT_ONCE = 1 << 14  # of text
 _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 
 
@@ -64,32 +66,37 @@ def _text_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np.n
     for element in header.elements:
         if element.count * 2 * len(element.properties) > size + 1:  # a digit and a space each
             raise _cut(path, element, f"{size} bytes of text are left after it")
-        if element.has_lists or not element.properties:
-            given = sum(1 for _ in itertools.islice(lines, element.count if element.properties else 0))
-        else:
-            rows = list(itertools.islice(lines, element.count))
-            given = len(rows)
-            if given == element.count > 0 and element.name not in found:
-                table = _table(path, element, rows)
-                if _is_kept(element, table.nbytes):
-                    found[element.name] = table
-        if given < element.count and element.properties:
+        if not element.properties:
+            continue
+        record = None if element.has_lists else _text_record(element)
+        if record and element.name not in found and _is_kept(element, element.count * record.itemsize):
+            found[element.name] = _table(path, element, record, lines)
+        elif (given := sum(1 for _ in itertools.islice(lines, element.count))) < element.count:
             raise _cut(path, element, f"the file has {given}")
     if next(lines, None) is not None:
         raise InputError(f"{path}: lines are left after what the header promises; its header is wrong")
     return found
 
 
-def _table(path: Path, element: Element, rows: list[str]) -> np.ndarray:
-    """The numbers of these lines; all that are no integers in double precision, whatever the header says: the words may
-    have more digits than it promises."""
-    record = np.dtype([(column.name, "f8" if column.kind[0] == "f" else column.kind)
-                       for column in element.properties])
-    try:
-        return np.loadtxt(rows, record, comments=None, ndmin=1)
-    except (ValueError, OverflowError) as error:
-        raise InputError(f"{path}: cannot read the rows of '{element.name[:60]}', expected {len(element.properties)} "
-                         f"numbers in each: {' '.join(str(error).split())[:200]}") from None
+def _text_record(element: Element) -> np.dtype:
+    """Dtype of the rows. What is no integer is double, whatever the header says: the words may have more digits."""
+    return np.dtype([(column.name, "f8" if column.kind[0] == "f" else column.kind) for column in element.properties])
+
+
+def _table(path: Path, element: Element, record: np.dtype, lines: Iterator[str]) -> np.ndarray:
+    table = np.empty(element.count, record)
+    for start in range(0, element.count, _LINES_AT_ONCE):
+        wanted = min(_LINES_AT_ONCE, element.count - start)
+        rows = list(itertools.islice(lines, wanted))
+        if len(rows) < wanted:
+            raise _cut(path, element, f"the file has {start + len(rows)}")
+        try:
+            table[start:start + wanted] = np.loadtxt(rows, record, comments=None, ndmin=1)
+        except (ValueError, OverflowError) as error:
+            raise InputError(f"{path}: cannot read the rows of '{element.name[:60]}' from row {start} on, expected "
+                             f"{len(element.properties)} numbers in each: {' '.join(str(error).split())[:200]}"
+                             ) from None
+    return table
 
 
 def _cut(path: Path, element: Element, found: str) -> InputError:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 
 HEADER_LIMIT_BYTES = 1 << 16
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
@@ -60,6 +61,7 @@ def read_header(path: Path, start: bytes) -> Header:
     """Parses the first bytes of a .ply. Raises InputError when it is another kind of file, or a malformed header."""
     start = start[:HEADER_LIMIT_BYTES]
     if start[:4] not in (b"ply\n", b"ply\r"):
+        refuse_stand_in(path)
         raise InputError(f"{path} is not a .ply file: it does not begin with 'ply'")
     end = _END.search(start)
     if end is None:

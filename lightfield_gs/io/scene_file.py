@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightfield_gs.checks import expect
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io import ply
@@ -36,10 +37,14 @@ class SceneFile:
 def read_scene(path: str | Path, *, skip_invalid: bool = False) -> SceneFile:
     """Reads a standard 3DGS .ply.
 
-    Properties may come in any order and number type; properties that no Gaussian has are ignored.
-    Raises InputError when the file is not such a .ply, is cut, has wrong counts, lacks a property (it is named) or
-    holds a value that has no meaning (property and index are named).
+    Text or binary of either byte order, properties in any order and number type; properties that no Gaussian has are
+    ignored. Coordinates that are stored as double, far from zero, are given from an origin of whole numbers near them,
+    which the Gaussians remember. skip_invalid: leave out Gaussians with values that have no meaning (a note counts
+    them): not finite, a rotation of zeros, a scale that overflows. Infinite logits and a log scale of -inf have one.
+    Raises InputError when the file is not such a .ply, is cut, has wrong counts, lacks a property (it is named) or,
+    without skip_invalid, holds a value that has no meaning (property, index and count are named).
     """
+    expect("skip_invalid", skip_invalid, bool)
     path = checked_path(path)
     if path.suffix.lower() in _OTHER_FORMATS:
         raise InputError(f"{path}: {_OTHER_FORMATS[path.suffix.lower()]} files are not supported in this version; "
@@ -51,5 +56,5 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False) -> SceneFile:
         elements = read_elements(path, header)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    gaussians = ply.gaussians_of(path, elements.pop("vertex"))
-    return SceneFile(gaussians, header.comments, elements)
+    gaussians, notes = ply.gaussians_of(path, elements.pop("vertex"), skip_invalid)
+    return SceneFile(gaussians, header.comments, elements, notes)

@@ -52,6 +52,7 @@ def _read_image(path: Path) -> None:
 
 READERS = {
     "ply": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply"),
+    "ply-valid": Reader(".ply", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "ply"),
     "image": Reader(".png", _read_image, "image"),
     "photo": Reader(".png", lambda path: load_photo(path, whole=True), "image"),
     "depth": Reader(".png", lambda path: read_depth(path, limits=(0.5, 2.0)), "image"),
