@@ -23,15 +23,15 @@ _FORWARD = {"-y": (0, 0, 1), "y": (0, 0, -1), "z": (0, 1, 0), "-z": (0, -1, 0), 
 class Up:
     """A direction that points up.
 
-    words: how it is called, one of UP_AXES or three numbers. source: who says so.
+    axis: one of UP_AXES, or three numbers. source: who says so.
     """
 
-    words: str
+    axis: str
     source: str
 
-    def line(self) -> str:
-        """One line for whoever wants to know what was taken."""
-        return f"axes: {self.words} is up ({self.source})"
+    def words(self) -> str:
+        """For whoever wants to know what was taken."""
+        return f"{self.axis} is up ({self.source})"
 
 
 def stated_up(comments: Iterable[str]) -> Up | None:

@@ -33,8 +33,8 @@ _UNKNOWN_FIELD_OF_VIEW_DEG = 30.0
 _WIDEST_RAD = math.radians(90)  # what the panel takes at most where a camera was not given with its focal length
 _WIDEST_TAN = math.tan(_WIDEST_RAD / 2)
 _SEEN = 0.7  # share of the content that is enough to be seen past the rest of the scene; else the camera goes nearer,
-_NEARER = (0.8, 0.6, 0.45, 0.3, 0.2, 0.12, 0.06)  # to these shares of its usual distance,
-_WORTH = 0.15  # where that much more is seen
+_NEARER = (0.85, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12, 0.06)  # to these shares of its usual distance,
+_WORTH = 0.1  # where that much more is seen
 _NOTHING_IN_FRONT = "no Gaussian lies in front of the camera; give another rig"
 
 
@@ -209,15 +209,28 @@ def _weights(gaussians: Gaussians) -> Tensor:
 def _in_front(content: Gaussians, rest: Gaussians | None, panel: Panel, turn: np.ndarray) -> Rig:
     """The rig of a camera with this rotation [3, 3] (world to camera) before the content, where it sees most of it."""
     rig = _bounded(content, panel, _camera_in_front(content, panel, turn, 1.0))
-    best = 0.0 if rest is None else visible.share(content, rest, panel, rig)
-    for nearer in _NEARER if rest is not None and best < _SEEN else ():
-        other = _bounded(content, panel, _camera_in_front(content, panel, turn, nearer))
-        share = visible.share(content, rest, panel, other)
-        if share > best + _WORTH:
-            rig, best = other, share
-        if share >= _SEEN:
+    if rest is None:
+        return rig
+    best = visible.share(content, rest, panel, rig)
+    for nearer in _NEARER:
+        if best >= _SEEN:
             break
+        other = _bounded(content, panel, _camera_in_front(content, panel, turn, nearer))
+        seen = visible.share(content, rest, panel, other) * _share_in_frame(content, panel, other)
+        if seen > best + _WORTH:
+            rig, best = other, seen
     return rig
+
+
+def _share_in_frame(gaussians: Gaussians, panel: Panel, rig: Rig) -> float:
+    """How many of the Gaussians have their centres on the panel, 0..1."""
+    matrix = _tensor(rig.world_to_camera, gaussians)
+    x, y, z = (gaussians.means @ matrix[:3, :3].T + matrix[:3, 3]).unbind(1)
+    inside = z > _NEAR
+    for slope, focal, centre, size in zip((x / z, y / z), rig.focal_px, rig.principal_point_px,
+                                          (panel.width_px, panel.height_px)):
+        inside &= (focal * slope + centre >= 0) & (focal * slope + centre <= size)
+    return float(inside.double().mean())
 
 
 def _camera_in_front(gaussians: Gaussians, panel: Panel, turn: np.ndarray, share: float) -> np.ndarray:

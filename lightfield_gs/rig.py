@@ -169,6 +169,16 @@ class Rig:
                        jacobian_limits=torch.from_numpy(limits))
 
 
+def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
+    """The same view of the scene on a panel of another width; a panel is never enlarged."""
+    scale = min(1.0, width_px / panel.width_px)
+    width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
+    scales = width / panel.width_px, height / panel.height_px
+    focal, centre = (tuple(value * s for value, s in zip(pair, scales))
+                     for pair in (rig.focal_px, rig.principal_point_px))
+    return replace(panel, width_px=width, height_px=height), replace(rig, focal_px=focal, principal_point_px=centre)
+
+
 def _float64(values: Any) -> np.ndarray | None:
     """A copy of `values` as a float64 array; None where they are no real numbers."""
     try:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.panel import at_distance, why_no_eye
@@ -36,28 +37,27 @@ def run(args: argparse.Namespace) -> None:
     if args.preview is not None:
         check_folder(args.preview)
     check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
-                                   args.view_map, args.checkpoint))
+                                   args.view_map, args.checkpoint, args.camera and args.camera[0]))
     _check_options(args)
     panel = at_distance(Panel.load(args.panel), args.viewing_distance)
     import torch
 
+    from lightfield_gs.io.ply import write_ply
     from lightfield_gs.rendering import encode
-    from lightfield_gs.rig import Rig
 
     if args.threads is not None:
         _use_threads(args.threads)
     device = choose_device(args.device)
-    rig = None if args.rig is None else Rig.from_yaml(args.rig)
+    given, rig, said = read_given(args, panel), None, []
     views = _views(args, panel)
     watch.lap("start")
     with torch.inference_mode():
-        gaussians, camera = load_scene(args, device, watch)
+        gaussians, file = load_scene(args, device, watch)
         # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
-        rig = rig and rig.relative_to(gaussians.origin)
         if "cameras" in views:
             views["cameras"] = views["cameras"].relative_to(gaussians.origin)
-        if rig is None and "cameras" not in views:
-            rig = Rig.frame(gaussians, panel, camera)
+        else:
+            rig, said = choose_rig(given, args, panel, gaussians, file)
         rig_of_file = rig and rig.relative_to([-part for part in gaussians.origin])
         stats: dict = {}
         image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
@@ -69,7 +69,8 @@ def run(args: argparse.Namespace) -> None:
         if args.save_rig is not None:
             rig_of_file.to_yaml(args.save_rig)
         if args.save_gaussians is not None:
-            gaussians.save(args.save_gaussians)
+            write_ply(args.save_gaussians, gaussians, comments_of(args, panel, file, rig_of_file))
+            said.append(f"{args.save_gaussians}: the Gaussians in their own axes, with the framing and what is up")
         watch.lap("write")
         if args.preview is not None:
             from lightfield_gs.preview import write_preview
@@ -82,6 +83,7 @@ def run(args: argparse.Namespace) -> None:
     print(watch.line())
     if args.stats:
         print("\n".join(_stats_lines(stats, gaussians.count)))
+    print("".join(f"{line}\n" for line in said), end="")
 
 
 def _outputs(args: argparse.Namespace) -> list[Path | None]:
@@ -117,7 +119,8 @@ def _check_options(args: argparse.Namespace) -> None:
             raise InputError(f"--views continuous is for a rig and the panel's lens, and {option} takes the place of "
                              "one; leave out one of them")
     if args.cameras is not None:
-        for option, value in (("--rig", args.rig), ("--save-rig", args.save_rig), ("--preview", args.preview)):
+        for option, value in (("--rig", args.rig), ("--camera", args.camera), ("--up", args.up),
+                              ("--save-rig", args.save_rig), ("--preview", args.preview)):
             if value is not None:
                 raise InputError(f"{option} is about a rig, and --cameras takes its place; leave out one of them")
 
@@ -171,7 +174,8 @@ def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
         scene["origin"] = gaussians.origin
     encoding = {"method": args.method, "views": args.views, "background": list(args.background),
                 "quality": args.quality}
-    for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth)):
+    for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth),
+                       ("camera", args.camera and args.camera[0])):
         if path is not None:
             encoding[name] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     versions = package_versions()
