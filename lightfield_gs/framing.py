@@ -35,6 +35,7 @@ _WIDEST_TAN = math.tan(_WIDEST_RAD / 2)
 _SEEN = 0.7  # share of the content that is enough to be seen past the rest of the scene; else the camera goes nearer,
 _NEARER = (0.85, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12, 0.06)  # to these shares of its usual distance,
 _WORTH = 0.1  # where that much more is seen
+_FEW = 0.1  # of the scene: floaters, which are left out also where a given camera could show them
 _NOTHING_IN_FRONT = "no Gaussian lies in front of the camera; give another rig"
 
 
@@ -59,12 +60,20 @@ def frame(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray | None
     """
     gaussians = _checked(gaussians, panel)
     turn = upright(up)
-    content, rest = _content(gaussians, [] if notes is None else notes)
+    if world_to_camera is not None:
+        world_to_camera = Rig(world_to_camera, (1.0, 1.0), (0.0, 0.0), 1.0).world_to_camera  # checks the matrix
+    found = _subject(gaussians)
+    content, rest = _parted(gaussians, found)
     if world_to_camera is None:
-        return _in_front(content, rest, panel, turn)
-    pose = Rig(world_to_camera, (1.0, 1.0), (0.0, 0.0), 1.0).world_to_camera  # checks the matrix
-    rig = _bounded(content if _is_seen(content, pose) else gaussians, panel, pose)
-    return _with_something_at_zero(rig, gaussians, panel)
+        rig = _in_front(content, rest, panel, turn)
+    else:
+        whole = fit(extent(gaussians, _tensor(world_to_camera, gaussians)).tolist(), panel, world_to_camera)
+        if found.left_out > _FEW and _is_narrow(whole, panel) or not _is_seen(content, world_to_camera):
+            content, found = gaussians, subject.Subject()
+        rig = _with_something_at_zero(_bounded(content, panel, world_to_camera), gaussians, panel)
+    if notes is not None and found.why:
+        notes.append(found.why)
+    return rig
 
 
 def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
@@ -99,13 +108,14 @@ def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:
     return gaussians.detach()
 
 
-def _content(gaussians: Gaussians, notes: list[str]) -> tuple[Gaussians, Gaussians | None]:
-    """What is to be framed, and the rest of the scene; says in notes where that is not all."""
+def _subject(gaussians: Gaussians) -> subject.Subject:
     sizes, weights = _sizes(gaussians), _weights(gaussians)
     bounds = _bounds(*_ordered(_sides(gaussians.means.T, sizes), weights))
-    found = subject.find(gaussians.means, sizes, weights, float((bounds[:, 1] - bounds[:, 0]).max()))
-    if found.why:
-        notes.append(found.why)
+    return subject.find(gaussians.means, sizes, weights, float((bounds[:, 1] - bounds[:, 0]).max()))
+
+
+def _parted(gaussians: Gaussians, found: subject.Subject) -> tuple[Gaussians, Gaussians | None]:
+    """What is to be framed, and the rest of the scene."""
     if found.inside is None:
         return gaussians, None
     return tuple(Gaussians(*(field[which] for field in gaussians.fields().values()))

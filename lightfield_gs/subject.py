@@ -34,11 +34,13 @@ _SUPPORT, _STRAY = 0.995, 1.2  # share of the surface, and how many times as far
 class Subject:
     """The Gaussians that a scene is about, and why not all.
 
-    inside: [N], which; None: all. why: what was found, in one line; empty: nothing that matters.
+    inside: [N], which; None: all. why: what was found, in one line; empty: nothing that matters. left_out: share of what
+    counts.
     """
 
     inside: Tensor | None = None
     why: str = ""
+    left_out: float = 0.0
 
 
 def find(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -> Subject:
@@ -54,10 +56,12 @@ def find(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -> Subjec
     if cut is not None and _SMALLER * cut <= _CUT * extent:
         share = float(weight[distances > cut].sum() / weight.sum())
         return Subject((means.double() - place).norm(dim=1) <= cut,
-                       f"{share:.1%} of the scene lies far around its dense part and was left out of the framing")
+                       f"{share:.1%} of the scene lies far around its dense part and was left out of the framing", share)
     if radius <= _SMALL_BALL * extent and _surrounds(points - place, distances > 2 * _NEIGHBOURHOOD * radius):
+        far = distances > _NEIGHBOURHOOD * radius
         return Subject((means.double() - place).norm(dim=1) <= _NEIGHBOURHOOD * radius,
-                       "the scene surrounds its densest part, which was framed from within the scene")
+                       "the scene surrounds its densest part, which was framed from within the scene",
+                       float(weight[far].sum() / weight.sum()))
     return _in_a_shell(means, sizes[sample].double(), points, weight)
 
 
@@ -120,10 +124,11 @@ def _in_a_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor) -
     if (hull.areas[shell].sum() < _SHELL_SHARE * hull.areas.sum()
             or _share_of_directions(hull.whitened(points[shell])) < _CLOSED):
         return Subject()
-    if weights[inside].sum() < _INSIDE_SHARE * weights.sum():
+    kept = float(weights[inside].sum() / weights.sum())
+    if kept < _INSIDE_SHARE:
         return Subject(None, "the scene is a shell, closed on most sides with nothing inside: it was framed from outside")
     return Subject(torch.cat([hull.gauge(part) for part in means.split(1 << 16)]) < _INSIDE,
-                   "the scene is closed on most sides, like a room: what is inside was framed, from inside")
+                   "the scene is closed on most sides, like a room: what is inside was framed, from inside", 1 - kept)
 
 
 class _Hull:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import torch
@@ -18,10 +19,10 @@ _LEAST_SEEN = 0.01  # share of the picture that must show surfaces
 _MIDDLE = 0.2  # standard deviation of what counts as the middle, in units of the picture's shorter side
 _NEAREST_SHARE = 0.1  # of what is seen in the middle: the front of the subject is nearer
 _SUBJECT = 1.5  # depths of a subject, in units of that of its front
-_DEPTH_TAIL = 0.05  # of what is seen, left out at either end
+_DEPTH_TAIL = 0.01  # of what is seen, left out at either end
 _DEEP = 2.5  # far to near: an object and no more is less deep
-_GAP_HALF_WIDTH = 0.15  # of the range of disparities, to either side of the zero plane
-_IN_GAP = 0.03  # share of what is seen that is nothing
+_NEAR_ZERO = 1.3  # what is as many times as far as the zero plane, or as near, is near it
+_IN_GAP = 0.06  # share of what is seen that is next to nothing: edges, where near and far blend
 
 
 def subject_depth(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
@@ -37,7 +38,7 @@ def depth_beside_a_gap(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | 
         return None
     disparities, _ = seen
     far, near = torch.quantile(disparities, torch.tensor([_DEPTH_TAIL, 1 - _DEPTH_TAIL]).to(disparities)).tolist()
-    around = (disparities - 1 / rig.zero_depth).abs() <= _GAP_HALF_WIDTH * (near - far)
+    around = (disparities * rig.zero_depth).log().abs() <= math.log(_NEAR_ZERO)
     if near < _DEEP * far or float(around.double().mean()) > _IN_GAP:
         return None
     return _nearest_in_the_middle(*seen)
