@@ -49,20 +49,24 @@ def find(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -> Subjec
     extent: the largest side of what would be framed otherwise, scene units.
     """
     sample = _sample(weights)
-    points, weight = means[sample].double(), weights[sample].double()
+    points, sides, weight = (values[sample].cpu().double() for values in (means, sizes, weights))
     place, radius = _densest(points, weight)
     distances = (points - place).norm(dim=1)
     cut = _cut(points - place, distances, weight, radius)
     if cut is not None and _SMALLER * cut <= _CUT * extent:
         share = float(weight[distances > cut].sum() / weight.sum())
-        return Subject((means.double() - place).norm(dim=1) <= cut,
+        return Subject(_within(means, place, cut),
                        f"{share:.1%} of the scene lies far around its dense part and was left out of the framing", share)
     if radius <= _SMALL_BALL * extent and _surrounds(points - place, distances > 2 * _NEIGHBOURHOOD * radius):
         far = distances > _NEIGHBOURHOOD * radius
-        return Subject((means.double() - place).norm(dim=1) <= _NEIGHBOURHOOD * radius,
+        return Subject(_within(means, place, _NEIGHBOURHOOD * radius),
                        "the scene surrounds its densest part, which was framed from within the scene",
                        float(weight[far].sum() / weight.sum()))
-    return _in_a_shell(means, sizes[sample].double(), points, weight)
+    return _in_a_shell(means, sides, points, weight)
+
+
+def _within(means: Tensor, place: Tensor, radius: float) -> Tensor:
+    return (means.double() - place.to(means.device)).norm(dim=1) <= radius
 
 
 def _sample(weights: Tensor) -> Tensor:
@@ -127,7 +131,7 @@ def _in_a_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor) -
     kept = float(weights[inside].sum() / weights.sum())
     if kept < _INSIDE_SHARE:
         return Subject(None, "the scene is a shell, closed on most sides with nothing inside: it was framed from outside")
-    return Subject(torch.cat([hull.gauge(part) for part in means.split(1 << 16)]) < _INSIDE,
+    return Subject(torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _INSIDE,
                    "the scene is closed on most sides, like a room: what is inside was framed, from inside", 1 - kept)
 
 
