@@ -103,7 +103,8 @@ def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:
 
 def _subject(gaussians: Gaussians) -> subject.Subject:
     low, high = reach.bounds_of(reach.some(gaussians)).unbind(1)
-    return subject.find(gaussians.means, reach.sizes_of(gaussians), reach.weights_of(gaussians), float((high - low).max()))
+    return subject.find(gaussians.means, reach.sizes_of(gaussians), reach.weights_of(gaussians),
+                        float((high - low).max()))
 
 
 def _parted(gaussians: Gaussians, found: subject.Subject) -> tuple[Gaussians, Gaussians | None]:

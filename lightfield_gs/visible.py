@@ -60,8 +60,8 @@ def _nearest(disparities: Tensor, weights: Tensor, share: float) -> float:
 
 
 def share(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig) -> float:
-    """How much of the content, as it would be seen alone, the cameras see past the rest of the scene, 0..1: the least of
-    the outermost two and the one in the middle."""
+    """How much of the content, as it would be seen alone, the cameras see past the rest of the scene, 0..1: the least
+    of the outermost two and the one in the middle."""
     both = Gaussians(*(torch.cat(fields) for fields in zip(content.fields().values(), rest.fields().values())))
     white = torch.zeros(both.count, 1, 3).to(both.means)
     white[:content.count], white[content.count:] = 0.5 / SH_CONSTANT, -0.5 / SH_CONSTANT

@@ -99,7 +99,8 @@ def test_pruning_does_not_turn_the_scene(folder, capsys):
     out = run(capsys, "prune f.ply -o less.ply --panel p.yaml --contribution-cut 0 --device cpu")
     assert "axes: z is up" in out and "in the axes of f.ply" in out
     less = read_scene("less.ply")
-    assert set(map(tuple, less.gaussians.means.tolist())) <= set(map(tuple, read_scene("f.ply").gaussians.means.tolist()))
+    before, after = (set(map(tuple, s.gaussians.means.tolist())) for s in (read_scene("f.ply"), less))
+    assert after <= before
     assert stated_up(less.comments).axis == "z"
     assert np.abs(picture(capsys, "less.ply") - expected).max() < 1e-4
 
@@ -119,7 +120,7 @@ def test_a_camera_of_a_file_is_the_centre_camera(folder, capsys):
     out = run(capsys, "encode f.ply -o o.png --panel p.yaml --camera c.json --save-rig r.yaml")
     assert out.splitlines()[-1] == "camera: c.json, 0 (photo0) of 2, the first; another: --camera c.json:1"
     rig = Rig.from_yaml("r.yaml")
-    assert np.array_equal(rig.world_to_camera[:3, 3], [0, 0, 3]) and np.array_equal(rig.world_to_camera[:3, :3], np.eye(3))
+    assert np.array_equal(rig.world_to_camera[:3], np.eye(4)[:3] + np.outer([0, 0, 3], [0, 0, 0, 1]))
     assert rig.focal_px == (90, 90) and rig.principal_point_px == (48, 30)  # 60 x 60 in the middle of 96 x 60
     assert rig.zero_depth == pytest.approx(3, abs=0.1)
     out = run(capsys, "prune f.ply -o less.ply --panel p.yaml --camera c.json:1 --save-rig r.yaml")
@@ -133,8 +134,8 @@ def test_transforms_and_rigs_are_centre_cameras_too(folder, capsys):
     expected = picture(capsys, "f.ply --camera c.json --save-rig r.yaml")
     matrix = np.diag([1.0, -1, -1, 1])
     matrix[2, 3] = -3
-    (folder / "transforms.json").write_text(json.dumps(
-        {"camera_angle_x": 2 * np.arctan(30 / 90), "frames": [{"file_path": "a", "transform_matrix": matrix.tolist()}]}))
+    frame = {"file_path": "a", "transform_matrix": matrix.tolist()}
+    (folder / "transforms.json").write_text(json.dumps({"camera_angle_x": 2 * np.arctan(30 / 90), "frames": [frame]}))
     out = run(capsys, "encode f.ply -o o.exr --panel p.yaml --camera transforms.json --device cpu")
     assert "transforms.json, 0 (a) of 1; its image is taken as square" in out
     assert np.allclose(read_image("o.exr"), expected, atol=1e-5)
@@ -196,8 +197,8 @@ def test_the_camera_of_the_photo_is_the_centre_camera(folder, capsys):
     assert "camera: that of the photo, 600 x 500" in run(capsys, "info sharp.ply")
     out = run(capsys, "encode sharp.ply -o o.png --panel p.yaml --up -y --save-rig r.yaml")
     assert "axes: -y is up (--up)" in out and not np.allclose(Rig.from_yaml("r.yaml").world_to_camera, pose)
-    for name, numbers, words in (("extrinsic", np.zeros(16), "are no camera"), ("intrinsic", [1, 2], "9 finite numbers"),
-                                 ("image_size", [0, np.nan], "2 finite numbers")):
+    for name, numbers, words in (("extrinsic", np.zeros(16), "are no camera"), ("intrinsic", [1, 2], "9 finite"),
+                                 ("image_size", [0, np.nan], "2 finite")):
         with_elements("bad.ply", photo_scene(), **{**camera, name: numbers})
         error = complaint(capsys, "encode bad.ply -o o.png --panel p.yaml")
         assert words in error and "give --up, --camera or --rig" in error
@@ -256,7 +257,8 @@ def test_info_shows_extent_and_ranges_with_enough_digits(folder, capsys):
     write_ply("f.ply", scene)
     facts = dict(line.split(": ", 1) for line in run(capsys, "info f.ply").splitlines())
     assert facts["opacity"] == "0.25 to 0.95" and facts["scale"] == "0.001 to 0.015"
-    lowest, highest = ([float(part) for part in facts[f"centres, {name}"].split(", ")] for name in ("lowest", "highest"))
+    lowest, highest = ([float(part) for part in facts[f"centres, {name}"].split(", ")]
+                       for name in ("lowest", "highest"))
     means = read_scene("f.ply").gaussians.means
     assert lowest == pytest.approx(means.amin(0).tolist(), abs=1e-4)
     assert highest == pytest.approx(means.amax(0).tolist(), abs=1e-4)

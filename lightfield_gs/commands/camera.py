@@ -116,14 +116,15 @@ def _automatic(args: argparse.Namespace, panel: Panel, gaussians: "Gaussians",
                file: "SceneFile") -> tuple[Rig, list[str]]:
     up, notes = axes_of(args.up, file), []
     rig = Rig.frame(gaussians, panel, up=up.axis, notes=notes)
-    return rig, [f"axes: {up.words()}", *(f"framing: {words}; another view: --camera, --rig or --up" for words in notes)]
+    others = "another view: --camera, --rig or --up"
+    return rig, [f"axes: {up.words()}", *(f"framing: {words}; {others}" for words in notes)]
 
 
 def axes_of(up: str | None, file: "SceneFile") -> Up:
     """Which axis points up, and who says so; up: what the command line says."""
     if up:
         return Up(up, "--up")
-    return stated_up(file.comments) or Up(DEFAULT_UP, "assumed, as in OpenCV axes: the file does not say; another: --up")
+    return stated_up(file.comments) or Up(DEFAULT_UP, "assumed: the file does not say; another: --up")
 
 
 def brought_along(file: "SceneFile") -> list[tuple[str, str]]:

@@ -119,8 +119,8 @@ def _frame(where: str, fields: dict[str, Any], images: "_Images") -> FileCamera:
     rotation = _rotation(f"{where}.transform_matrix", matrix[:3, :3])
     model = fields.get("camera_model", "PINHOLE")
     if model not in _PINHOLES or fields.get("is_fisheye") is True:
-        raise InputError(f"{where}.camera_model: expected a pinhole camera ({', '.join(_PINHOLES)}), got {shown(model)}; "
-                         "a panel shows flat perspective only")
+        raise InputError(f"{where}.camera_model: expected a pinhole camera ({', '.join(_PINHOLES)}), got "
+                         f"{shown(model)}; a panel shows flat perspective only")
     width, height, assumed = _size(where, fields, images)
     focal = _focal(where, fields, width, height)
     centre = tuple(side / 2 if fields.get(key) is None else _number(where, fields, key, -1e9, 1e9)
@@ -139,8 +139,8 @@ def _size(where: str, fields: dict[str, Any], images: "_Images") -> tuple[float,
         return *size, ""
     if fields.get("fl_x") is None and fields.get("fl_y") is None:
         return 1.0, 1.0, "its image is taken as square: the file does not say w and h, and there is no image"
-    raise InputError(f"{where}.w: expected w and h, the size of the image, beside fl_x: neither the file says it nor is "
-                     "there the image of file_path")
+    raise InputError(f"{where}.w: expected w and h, the size of the image, beside fl_x: neither does the file say it, "
+                     "nor is there the image of file_path")
 
 
 def _focal(where: str, fields: dict[str, Any], width: float, height: float) -> tuple[float, float]:
@@ -221,8 +221,8 @@ def _rotation(what: str, matrix: np.ndarray) -> np.ndarray:
     """The rotation that is nearest to a matrix that nearly is one; raises InputError."""
     error = np.abs(matrix @ matrix.T - np.eye(3)).max()
     if not error <= _ORTHONORMAL or np.linalg.det(matrix) < 0:
-        raise InputError(f"{what}: expected a rotation (orthonormal, determinant +1), got {shown(matrix.tolist())}; scale, "
-                         "shear and mirroring are not allowed")
+        raise InputError(f"{what}: expected a rotation (orthonormal, determinant +1), got {shown(matrix.tolist())}; "
+                         "scale, shear and mirroring are not allowed")
     left, _, right = np.linalg.svd(matrix)
     return left @ right
 

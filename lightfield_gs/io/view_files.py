@@ -29,8 +29,8 @@ def read_cameras(path: str | Path, panel: Panel) -> "Cameras":
 
     data = read_json(path, _LIMIT_BYTES)
     if isinstance(data, list) or isinstance(data, dict) and "frames" in data:
-        raise InputError(f"{path}: holds the cameras of photographs (cameras.json or transforms.json), not one for each "
-                         "view of the panel; give it as --camera FILE[:INDEX] for the centre camera")
+        raise InputError(f"{path}: holds the cameras of photographs (cameras.json or transforms.json), not one for "
+                         "each view of the panel; give it as --camera FILE[:INDEX] for the centre camera")
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object with {', '.join(_FIELDS)}, got {type(data).__name__}")
     check_keys(data, _FIELDS, (), str(path))
