@@ -134,5 +134,7 @@ def _end_of_lists(file: BinaryIO, element: Element, order: str, at: int, size: i
                     return size + 1
                 else:
                     count = length.unpack_from(data, at)[0]
-                    at += length.size + max(count, 0) * item_bytes
+                    if count < 0:
+                        return size + 1
+                    at += length.size + count * item_bytes
     return at
