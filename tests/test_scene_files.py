@@ -215,8 +215,8 @@ def test_hostile_text(tmp_path, content, words):
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
 
 
-@pytest.mark.parametrize("kind, code, full", [("uchar", "B", 255), ("ushort", "H", 65535), ("float", "f", 1.0),
-                                              ("float", "f", 255.0)])
+@pytest.mark.parametrize("kind, code, full", [("uchar", "B", 255), ("int", "i", 255), ("ushort", "H", 65535),
+                                              ("float", "f", 1.0), ("float", "f", 255.0)])
 def test_colours_in_place_of_harmonics(tmp_path, kind, code, full):
     names = [name for name in NAMES if not name.startswith("f_dc")]
     rows = stored_rows(scene())

@@ -69,7 +69,7 @@ def _text_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np.n
         if not element.properties:
             continue
         record = None if element.has_lists else _text_record(element)
-        if record and element.name not in found and _is_kept(element, element.count * record.itemsize):
+        if record is not None and element.name not in found and _is_kept(element, element.count * record.itemsize):
             found[element.name] = _table(path, element, record, lines)
         elif (given := sum(1 for _ in itertools.islice(lines, element.count))) < element.count:
             raise _cut(path, element, f"the file has {given}")
