@@ -160,15 +160,15 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
         logits = np.log(arrays["opacities"]) - np.log1p(-arrays["opacities"])
     rest = arrays["sh"][:, 1:].transpose(0, 2, 1).reshape(count, 3 * (coefficients - 1))
     names = ["nx", "ny", "nz", *_DC, *(f"f_rest_{i}" for i in range(rest.shape[1])), *_SHAPE]
-    centres = (arrays["means"] + gaussians.origin).astype("<f8" if any(gaussians.origin) else "<f4")
-    table = np.concatenate([np.zeros((count, 3)), arrays["sh"][:, 0], rest,
-                            np.clip(logits, -1e3, _MAX_LOGIT)[:, None], np.log(arrays["scales"]),
-                            arrays["quaternions"]], 1, dtype="<f4")
+    rows = np.empty(count, [("centre", "<f8" if any(gaussians.origin) else "<f4", 3), ("rest", "<f4", len(names))])
+    rows["centre"] = arrays["means"] + gaussians.origin
+    np.concatenate([np.zeros((count, 3)), arrays["sh"][:, 0], rest, np.clip(logits, -1e3, _MAX_LOGIT)[:, None],
+                    np.log(arrays["scales"]), arrays["quaternions"]], 1, out=rows["rest"], casting="same_kind")
     kinds = dict.fromkeys(_CENTRE, "double" if any(gaussians.origin) else "float") | dict.fromkeys(names, "float")
     header = _header(count, kinds, comments)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write(header)
-        file.write(np.concatenate([centres.view(np.uint8), table.view(np.uint8)], 1).data)
+        file.write(rows.tobytes())
 
 
 def _header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes:
