@@ -153,8 +153,8 @@ class Gaussians:
         for words in scene.notes:
             warnings.warn(f"{path}: {words}", stacklevel=2)
         if any(scene.gaussians.origin):
-            warnings.warn(f"{path}: the means are given from the origin {scene.gaussians.origin}; cameras in the file's "
-                          "coordinates fit after relative_to(gaussians.origin)", stacklevel=2)
+            warnings.warn(f"{path}: the means are given from the origin {scene.gaussians.origin}; cameras in the "
+                          "file's coordinates fit after relative_to(gaussians.origin)", stacklevel=2)
         return scene.gaussians
 
     def save(self, path: str | Path) -> None:

@@ -46,6 +46,7 @@ def test_infinite_logits_and_logs_are_drawn_for_what_they_mean(tmp_path):
                        scale_1=lambda value, i: -math.inf if i % 5 == 0 else value,
                        scale_2=lambda value, i: -math.inf if i % 4 == 0 else value)
     loaded = Gaussians.load(write(tmp_path / "a.ply", rows=rows)).validate()
+    assert read_scene(tmp_path / "a.ply").notes == []
     assert (loaded.opacities[1::3] == 1).all() and (loaded.opacities[2::3] < 1e-37).all()
     assert (loaded.scales[1::2, 0] < 1e-37).all() and (loaded.scales[::2, 0] > 0.01).all()
     rig = Rig.frame(loaded, PANEL)
@@ -56,6 +57,13 @@ def test_infinite_logits_and_logs_are_drawn_for_what_they_mean(tmp_path):
     shown = torch.arange(loaded.count) % 3 != 2
     visible = Gaussians(*(field[shown] for field in loaded.fields().values()))
     assert torch.equal(encode(visible, PANEL, rig), encode(loaded, PANEL, rig))
+
+
+def test_a_scene_of_points_is_not_doubted(tmp_path):
+    rows = stored_rows(scene(), **{f"scale_{i}": lambda value, i: -math.inf for i in range(3)})
+    for kind in ("float", "double"):
+        file = read_scene(write(tmp_path / "a.ply", rows=rows, kind=kind))
+        assert file.notes == [] and file.gaussians.origin == (0, 0, 0)
 
 
 MEANINGLESS = {"x": math.nan, "f_dc_1": -math.inf, "rot_0": math.inf, "opacity": math.nan, "scale_1": 200.0}
@@ -207,8 +215,8 @@ def test_hostile_text(tmp_path, content, words):
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
 
 
-@pytest.mark.parametrize("kind, code, full", [("uchar", "B", 255), ("ushort", "H", 65535), ("float", "f", 1.0),
-                                              ("float", "f", 255.0)])
+@pytest.mark.parametrize("kind, code, full", [("uchar", "B", 255), ("int", "i", 255), ("ushort", "H", 65535),
+                                              ("float", "f", 1.0), ("float", "f", 255.0)])
 def test_colours_in_place_of_harmonics(tmp_path, kind, code, full):
     names = [name for name in NAMES if not name.startswith("f_dc")]
     rows = stored_rows(scene())
@@ -261,7 +269,7 @@ def test_files_that_hold_something_else_say_what(tmp_path, names, kind, words):
 
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab2935\nsize 12345\n"
-PAGE = b"\xef\xbb\xbf\n<!DOCTYPE html>\n<html><head><title>Not found</title></head></html>\n"
+PAGE = b"\xef\xbb\xbf\n<!-- mirror --><!DOCTYPE html>\n<html><head><title>Not found</title></head></html>\n"
 
 
 @pytest.mark.parametrize("name", ["s.ply", "s.png", "s.json", "s.yaml", "s.npy", "s.safetensors"])

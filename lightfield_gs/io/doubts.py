@@ -5,12 +5,15 @@ Each rule asks for what no scene shows that was fitted to photographs: a note th
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 _LEAST_COUNT = 20  # Gaussians: fewer say nothing about how they were made
 _SAMPLE = 4096  # Gaussians that medians are taken of
 _LARGE = 0.1  # of the scene's extent: no usual Gaussian is as large
 _NEAR_ONE = 0.1  # log scale: half of the Gaussians between 1 and 1.1 scene units, and none below
+_NO_SIZE = 1e-37  # what log scales of -inf are stored as
 _STEP = 0.5  # of the usual Gaussian's size: centres that are rounded so much tear surfaces
 
 
@@ -22,8 +25,10 @@ def usual(values: np.ndarray) -> np.ndarray | None:
 
 
 def usual_size(scales: np.ndarray) -> float:
-    """Median of the middle standard deviations of scales [N, 3]."""
-    return _middle(np.sort(scales[::max(1, len(scales) // _SAMPLE)], 1)[:, 1:2])
+    """Median of the middle standard deviations of scales [N, 3]; infinite where that is 0: points have no size that
+    anything could be large beside."""
+    size = _middle(np.sort(scales[::max(1, len(scales) // _SAMPLE)], 1)[:, 1:2])
+    return size if size > _NO_SIZE else math.inf
 
 
 def float_step(coordinates: np.ndarray) -> float:

@@ -136,8 +136,9 @@ def _opened(path: str | Path) -> Iterator:
     with _NATIVE_STDERR_SILENCED:
         source = oiio.ImageInput.open(str(path), config)
     if source is None:
+        reason = _first_line(oiio.geterror)  # if it stays there, it is printed when the program ends
         refuse_stand_in(path)
-        raise InputError(f"{path} is not an image that can be read: {_first_line(oiio.geterror)}")
+        raise InputError(f"{path} is not an image that can be read: {reason}")
     try:
         spec = source.spec()
         if spec.depth > 1 or not 1 <= spec.nchannels <= 16:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from lightfield_gs.errors import InputError
 
 _START_BYTES = 512
 _POINTER = b"version https://git-lfs.github.com/spec/"
-_WEB_PAGES = (b"<!doctype html", b"<html", b'<?xml version="1.0" encoding="utf-8"?><error>')  # the last: of buckets
+# Comments may come first; <Error> is what storage servers answer, in XML
+_WEB_PAGE = re.compile(rb"(?:\xef\xbb\xbf)?\s*<(?:.*<)?(?:!doctype html|html[\s>]|error>)", re.IGNORECASE | re.DOTALL)
 
 
 def refuse_stand_in(path: Path) -> None:
@@ -20,6 +22,6 @@ def refuse_stand_in(path: Path) -> None:
         return  # whoever calls has a complaint of their own
     if start.startswith(_POINTER):
         raise InputError(f"{path} is a Git LFS pointer, not the file itself; fetch it with `git lfs pull`")
-    if b"".join(start.removeprefix(b"\xef\xbb\xbf").lower().splitlines()).strip().startswith(_WEB_PAGES):
+    if _WEB_PAGE.match(start):
         raise InputError(f"{path} is a web page (HTML), not the file itself; download it again, by the link of the raw "
                          "file")

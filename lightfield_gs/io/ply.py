@@ -131,12 +131,14 @@ def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
     first = _DC if _is_harmonic(names) else _RGB
     sh, notes = _columns(records, (*first, *rest)).reshape(len(records), 1 + bands, 3), []
     if first is _RGB:
-        kind = records.dtype["red"]
-        largest = np.iinfo(kind).max if kind.kind in "iu" else 1.0
-        if kind.kind == "f" and np.nanmax(sh[:, 0], initial=0) > 1:
-            largest = 255.0
+        kind, full = records.dtype["red"], 255.0
+        if kind.kind == "f" and not np.nanmax(sh[:, 0], initial=0) > 1:
+            full = 1.0
+        elif kind.kind == "f":
             notes.append("red, green and blue have numbers above 1 and are taken for 0..255")
-        sh[:, 0] = (sh[:, 0] / np.float32(largest) - np.float32(0.5)) / np.float32(SH_CONSTANT)
+        elif kind == np.uint16:
+            full = 65535.0
+        sh[:, 0] = (sh[:, 0] / np.float32(full) - np.float32(0.5)) / np.float32(SH_CONSTANT)
     return sh, notes
 
 
@@ -158,21 +160,26 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
         logits = np.log(arrays["opacities"]) - np.log1p(-arrays["opacities"])
     rest = arrays["sh"][:, 1:].transpose(0, 2, 1).reshape(count, 3 * (coefficients - 1))
     names = ["nx", "ny", "nz", *_DC, *(f"f_rest_{i}" for i in range(rest.shape[1])), *_SHAPE]
-    centre_kind = "double" if any(gaussians.origin) else "float"
-    centres = (arrays["means"] + gaussians.origin).astype("<f8" if any(gaussians.origin) else "<f4")
-    table = np.concatenate([np.zeros((count, 3)), arrays["sh"][:, 0], rest,
-                            np.clip(logits, -1e3, _MAX_LOGIT)[:, None], np.log(arrays["scales"]),
-                            arrays["quaternions"]], 1, dtype="<f4")
-    header = "ply\nformat binary_little_endian 1.0\n".encode() + _comment_lines(comments)
-    header += f"element vertex {count}\n".encode()
-    header += "".join(f"property {centre_kind} {name}\n" for name in _CENTRE).encode()
-    header += "".join(f"property float {name}\n" for name in names).encode() + b"end_header\n"
-    if len(header) > HEADER_LIMIT_BYTES:
-        raise InputError(f"{path}: expected comments that leave the header within {HEADER_LIMIT_BYTES} bytes, got "
-                         f"{len(header)}")
+    rows = np.empty(count, [("centre", "<f8" if any(gaussians.origin) else "<f4", 3), ("rest", "<f4", len(names))])
+    rows["centre"] = arrays["means"] + gaussians.origin
+    np.concatenate([np.zeros((count, 3)), arrays["sh"][:, 0], rest, np.clip(logits, -1e3, _MAX_LOGIT)[:, None],
+                    np.log(arrays["scales"]), arrays["quaternions"]], 1, out=rows["rest"], casting="same_kind")
+    kinds = dict.fromkeys(_CENTRE, "double" if any(gaussians.origin) else "float") | dict.fromkeys(names, "float")
+    header = _header(count, kinds, comments)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write(header)
-        file.write(np.concatenate([centres.view(np.uint8), table.view(np.uint8)], 1).tobytes())
+        file.write(rows.tobytes())
+
+
+def _header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes:
+    """Header for `count` vertices with properties of these kinds, by name. Raises InputError."""
+    columns = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
+    header = (b"ply\nformat binary_little_endian 1.0\n" + _comment_lines(comments)
+              + f"element vertex {count}\n{columns}end_header\n".encode())
+    if len(header) > HEADER_LIMIT_BYTES:
+        raise InputError(f"comments: expected at most {HEADER_LIMIT_BYTES} bytes with the rest of the header, got "
+                         f"{len(header)}")
+    return header
 
 
 def _comment_lines(comments: Sequence[str]) -> bytes:

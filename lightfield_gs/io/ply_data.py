@@ -69,7 +69,7 @@ def _text_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np.n
         if not element.properties:
             continue
         record = None if element.has_lists else _text_record(element)
-        if record and element.name not in found and _is_kept(element, element.count * record.itemsize):
+        if record is not None and element.name not in found and _is_kept(element, element.count * record.itemsize):
             found[element.name] = _table(path, element, record, lines)
         elif (given := sum(1 for _ in itertools.islice(lines, element.count))) < element.count:
             raise _cut(path, element, f"the file has {given}")
@@ -134,5 +134,7 @@ def _end_of_lists(file: BinaryIO, element: Element, order: str, at: int, size: i
                     return size + 1
                 else:
                     count = length.unpack_from(data, at)[0]
-                    at += length.size + max(count, 0) * item_bytes
+                    if count < 0:
+                        return size + 1
+                    at += length.size + count * item_bytes
     return at
