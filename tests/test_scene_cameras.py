@@ -219,6 +219,18 @@ def test_saved_gaussians_give_the_same_picture(folder, capsys):
     assert "a framing stored for 96 x 60" in run(capsys, "info g.ply")
 
 
+def test_saved_gaussians_of_a_photo_give_the_same_picture(folder, capsys):
+    from lightfield_gs.io.images import write_image
+
+    rows, columns = np.indices((20, 30))
+    write_image("photo.png", np.stack([8 * columns, 12 * rows, 9 * rows], -1).astype(np.uint8))
+    write_image("depth.exr", np.where(columns < 12, 2.0, 3 + 0.05 * rows).astype(np.float32)[..., None])
+    run(capsys, "encode photo.png --depth depth.exr -o a.png --panel p.yaml --save-gaussians g.ply --device cpu")
+    run(capsys, "encode g.ply -o b.png --panel p.yaml --device cpu")
+    first, second = (read_image(name, as_stored=True).astype(int) for name in ("a.png", "b.png"))
+    assert np.abs(first - second).max() <= 1 and (first != second).mean() < 0.01
+
+
 def test_a_stored_framing_fits_other_panels_and_gives_way(folder, capsys):
     run(capsys, "encode s.ply -o a.png --panel p.yaml --save-rig a.yaml --save-gaussians g.ply")
     text = (folder / "p.yaml").read_text().replace("width_px: 96", "width_px: 192").replace("height_px: 60",
@@ -246,6 +258,12 @@ def test_far_coordinates_keep_their_cameras(folder, capsys):
     expected = picture(capsys, "near.ply --camera near.json")
     assert psnr_db(picture(capsys, "far.ply --camera far.json --save-gaussians g.ply"), expected) > 60
     assert psnr_db(picture(capsys, "g.ply"), expected) > 60
+
+
+def test_info_lists_the_cameras_of_a_file(folder, capsys):
+    cameras_json(folder / "c.json", [(0.25, 0, -3)] * 25)
+    lines = run(capsys, "info c.json").splitlines()
+    assert lines[:2] == ["cameras: 25", "camera 0: photo0, 60 x 60, at 0.25, 0, -3"] and len(lines) == 21
 
 
 # info

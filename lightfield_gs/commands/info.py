@@ -15,6 +15,8 @@ from lightfield_gs.panel import Panel
 if TYPE_CHECKING:
     from torch import Tensor
 
+_CAMERAS_SHOWN = 20
+
 
 def run(args: argparse.Namespace) -> None:
     """Prints what args.file holds, a line a fact. Raises InputError."""
@@ -31,6 +33,8 @@ def describe(path: Path, skip_invalid: bool = False, up: str | None = None) -> l
         return _checkpoint(path)
     if suffix in (".yaml", ".yml") and _is_rig(path):
         return _rig(path)
+    if suffix == ".json" and _is_camera_file(path):
+        return _camera_file(path)
     if suffix in (".yaml", ".yml", ".json") or not suffix and not path.exists():
         return [("panel", path), *Panel.load(path).to_dict().items()]
     return _image(path)
@@ -87,6 +91,26 @@ def _is_rig(path: Path) -> bool:
         return "world_to_camera" in path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _is_camera_file(path: Path) -> bool:
+    from lightfield_gs.io.camera_files import LIMIT_BYTES, is_camera_file
+    from lightfield_gs.io.json_file import read_json
+
+    return is_camera_file(read_json(path, LIMIT_BYTES))
+
+
+def _camera_file(path: Path) -> list[tuple[str, object]]:
+    """The cameras by the index that --camera takes; of many the first."""
+    from lightfield_gs.io.camera_files import read_camera_file
+
+    cameras = read_camera_file(path)
+    facts: list[tuple[str, object]] = [("cameras", len(cameras))]
+    for index, camera in enumerate(cameras[:_CAMERAS_SHOWN]):
+        centre = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
+        facts.append((f"camera {index}", f"{camera.name}, {camera.width_px:g} x {camera.height_px:g}, at "
+                      + ", ".join(f"{part:.6g}" for part in centre + 0.0)))
+    return facts
 
 
 def _rig(path: Path) -> list[tuple[str, object]]:
