@@ -87,11 +87,17 @@ class Panel:
     # Where panels come from
 
     @staticmethod
-    def load(source: str | Path) -> "Panel":
-        """A panel by name (configs/panels), from a YAML file, or from a Looking Glass visual.json."""
+    def load(source: str | Path, *, serial: str | None = None) -> "Panel":
+        """A panel by name (configs/panels), from a YAML file, or from a Looking Glass calibration in a .json file.
+
+        serial: which display, where the file has calibrations of several (see from_looking_glass). Raises InputError.
+        """
         expect("panel", source, str, Path)
         if str(source).lower().endswith(".json"):
-            return Panel.from_looking_glass(source)
+            return Panel.from_looking_glass(source, serial=serial)
+        if serial is not None:
+            raise InputError(f"--device-serial (serial= in Python) chooses among Looking Glass calibrations in a .json "
+                             f"file, and {shown(str(source))} is none; leave it out")
         return Panel.from_yaml(source)
 
     @staticmethod
@@ -133,14 +139,16 @@ class Panel:
                      cone_deg=cone_deg, viewing_distance_mm=distance, pixel_pitch_mm=pixel, name=name)
 
     @staticmethod
-    def from_looking_glass(source: str | Path | dict[str, Any], *, views: int = 96) -> "Panel":
-        """A panel from a Looking Glass calibration: visual.json, or the mapping in it.
+    def from_looking_glass(source: str | Path | dict[str, Any] | list[Any], *, views: int = 96,
+                           serial: str | None = None) -> "Panel":
+        """A panel from a Looking Glass calibration: visual.json, the answer of Looking Glass Bridge, or what is in one.
 
-        Its values may be plain numbers or {"value": number}. Raises InputError when one is missing or makes no sense.
+        Its values may be plain or {"value": v}, and numbers may be strings. serial: of the calibration or the display;
+        needed where there are several. Raises InputError when a value is missing or makes no sense.
         """
         from lightfield_gs.io.looking_glass import panel_fields
 
-        return Panel(**panel_fields(source, views))
+        return Panel(**panel_fields(source, views, serial))
 
     def to_dict(self) -> dict[str, Any]:
         """The fields that are known, as from_yaml reads them."""

@@ -7,6 +7,8 @@ import json
 from pathlib import Path
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.yaml_file import MOST_BYTES
 from lightfield_gs.panel import Panel
 
 
@@ -53,10 +55,7 @@ def _image(path: Path) -> list[tuple[str, object]]:
 
 
 def _is_rig(path: Path) -> bool:
-    try:
-        return "world_to_camera" in path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    return "world_to_camera" in read_text(path, MOST_BYTES, "YAML")
 
 
 def _rig(path: Path) -> list[tuple[str, object]]:

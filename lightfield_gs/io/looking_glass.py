@@ -8,22 +8,25 @@ from typing import Any
 
 from lightfield_gs.checks import expect, shown
 from lightfield_gs.errors import InputError
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.calibration_file import find_calibration
+from lightfield_gs.io.json_file import read_json
 
 _LIMIT_BYTES = 1 << 20
 
 
-def panel_fields(source: str | Path | dict[str, Any], views: int) -> dict[str, Any]:
-    """Fields of Panel from visual.json or the mapping in it.
+def panel_fields(source: str | Path | dict[str, Any] | list[Any], views: int,
+                 serial: str | None = None) -> dict[str, Any]:
+    """Fields of Panel from visual.json, or from what holds calibrations otherwise (see find_calibration).
 
     Used are pitch (lenses per inch across the axis), slope, center (lens widths), DPI, screenW, screenH, and
     optionally viewCone (degrees), flipSubp and invView.
     P_e = 3 DPI / (pitch cos(atan(1/slope))), tan(theta) = -1/slope, D_0 = 1.5 + 3 (H - 0.5)/slope - center P_e.
     Raises InputError when the file cannot be read, or a value is missing or makes no sense.
     """
-    expect("calibration", source, dict, str, Path)
-    where = "Looking Glass calibration" if isinstance(source, dict) else str(source)
-    data = source if isinstance(source, dict) else read_object(source, _LIMIT_BYTES)
+    expect("calibration", source, dict, list, str, Path)
+    is_file = isinstance(source, (str, Path))
+    where = str(source) if is_file else "Looking Glass calibration"
+    data = find_calibration(read_json(source, _LIMIT_BYTES) if is_file else source, where, serial)
     pitch, slope, center, dpi, width, height = (
         _number(data, key, where) for key in ("pitch", "slope", "center", "DPI", "screenW", "screenH"))
     if pitch <= 0 or dpi <= 0 or abs(slope) < 0.1:
@@ -48,8 +51,6 @@ def _number(data: dict[str, Any], key: str, where: str) -> float:
     if key not in data:
         raise InputError(f"{where}: missing {key}; a visual.json has pitch, slope, center, DPI, screenW, screenH")
     value = data[key]
-    if isinstance(value, dict):
-        value = value.get("value")
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:  # not for NaN
         raise InputError(f"{where}: {key} must be a number, got {shown(value)}")
     return value

@@ -12,9 +12,9 @@ from typing import Any
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.paths import checked_path
+from lightfield_gs.io.text_file import read_text
 
-_LIMIT_BYTES = 1 << 16  # a second's work at most
+MOST_BYTES = 1 << 16  # a second's work at most
 
 
 def read_mapping(path: str | Path, required: Collection[str], optional: Collection[str]) -> dict[str, Any]:
@@ -24,13 +24,9 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
     """
     import yaml
 
-    path = checked_path(path)
+    text = read_text(path, MOST_BYTES, "YAML")
     try:
-        if path.stat().st_size > _LIMIT_BYTES:
-            raise InputError(f"{path}: {path.stat().st_size} bytes is too long for a YAML file of settings")
-        data = yaml.load(path.read_text(encoding="utf-8"), _loader())
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+        data = yaml.load(text, _loader())
     except (ValueError, IndexError, yaml.YAMLError, RecursionError) as error:  # ValueError: of dates
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path} is not YAML: {reason}") from error
