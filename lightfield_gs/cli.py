@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from lightfield_gs.commands.complaint import complain
+from lightfield_gs.commands.complaint import complain, notes_of_the_library
 from lightfield_gs.commands.values import background, byte_size, numbers, threads, within
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL
@@ -40,7 +40,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")  # what files are called, or hold, may be no text
     try:
         args = build_parser(arguments[:1]).parse_args(_joined(arguments), argparse.Namespace(began=began))
-        code = importlib.import_module(args.module).run(args) or 0
+        with notes_of_the_library():
+            code = importlib.import_module(args.module).run(args) or 0
         sys.stdout.flush()
         return code
     except BrokenPipeError:  # of stdout: nobody reads on
@@ -62,6 +63,7 @@ def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
     info = commands.add_parser("info", help="say what a file holds", allow_abbrev=False)
     info.add_argument("file", type=Path, metavar="FILE",
                       help="a .ply, an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file")
+    _add_device_serial(info.add_argument)
     info.set_defaults(module="lightfield_gs.commands.info")
     bench = commands.add_parser("bench", help="measure speed and accuracy", allow_abbrev=False)
     bench.set_defaults(module="lightfield_gs.bench.command")
@@ -74,7 +76,13 @@ def _add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
     """The panel that is drawn for, and what it is seen from."""
     add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
         help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
+    _add_device_serial(add)
     _add_viewing_distance(add, f"distance of the viewer from the panel, in place of the panel's own: {purpose}")
+
+
+def _add_device_serial(add: Callable[..., argparse.Action]) -> None:
+    add("--device-serial", metavar="SERIAL",
+        help="which display, where a Looking Glass .json has calibrations of several")
 
 
 def _add_viewing_distance(add: Callable[..., argparse.Action], help: str) -> None:
@@ -168,6 +176,7 @@ def _add_simulate(commands: argparse._SubParsersAction) -> None:
     add = simulate.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
     add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
+    _add_device_serial(add)
     _add_viewing_distance(add, "distance from which the panel shows one view all over, in place of the panel's own")
     add("--eye", type=numbers(3), required=True, metavar="X,Y,Z",
         help="place of the eye in mm from the panel's centre: right, up, towards the viewer")

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.notes import Note
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 _NO_MEMORY = ("allocate memory", "out of memory")  # torch's words for the host's and the device's
@@ -37,3 +42,20 @@ def complain(program: str, error: BaseException, remedy: str) -> int:
 def note(words: str) -> None:
     """Says in one line on stderr what may not be as it was meant."""
     print(f"note: {words}", file=sys.stderr)
+
+
+@contextmanager
+def notes_of_the_library() -> Iterator[None]:
+    """Says what the library warns of, each in a line; other warnings go where they went before."""
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *rest: Any, **options: Any) -> None:
+            if issubclass(category, Note):
+                note(str(message))
+            else:
+                usual(message, category, *rest, **options)
+
+        warnings.simplefilter("always", Note)
+        warnings.showwarning = show
+        yield

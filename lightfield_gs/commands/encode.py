@@ -12,7 +12,7 @@ import numpy as np
 
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.panel import at_distance, why_no_eye
+from lightfield_gs.commands.panel import load_panel, why_no_eye
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> None:
     check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
                                    args.view_map, args.checkpoint))
     _check_options(args)
-    panel = at_distance(Panel.load(args.panel), args.viewing_distance)
+    panel = load_panel(args)
     import torch
 
     from lightfield_gs.rendering import encode

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 
 from lightfield_gs.panel import Panel
@@ -9,6 +10,11 @@ from lightfield_gs.simulate import unknown_of
 
 _REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM",
              "pixel_pitch_mm": "give a panel that has it"}
+
+
+def load_panel(args: argparse.Namespace) -> Panel:
+    """The panel of --panel and --device-serial, seen from --viewing-distance, or from its own. Raises InputError."""
+    return at_distance(Panel.load(args.panel, serial=args.device_serial), args.viewing_distance)
 
 
 def at_distance(panel: Panel, viewing_distance_mm: float | None) -> Panel:

@@ -6,7 +6,7 @@ import argparse
 import math
 
 from lightfield_gs.commands.complaint import note
-from lightfield_gs.commands.panel import at_distance, why_no_eye
+from lightfield_gs.commands.panel import at_distance, load_panel, why_no_eye
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_outputs
@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> None:
     path = check_image_path(args.output)
     check_outputs((path,), (args.image, args.panel))
     watch.lap("start")
-    panel = at_distance(_panel_of(args), args.viewing_distance)
+    panel = load_panel(args) if args.panel is not None else at_distance(_stored_panel(args), args.viewing_distance)
     if why := why_no_eye(panel):
         raise InputError(why)
     image = read_image(args.image, as_stored=True)
@@ -54,10 +54,10 @@ def _doubt_of_eye(panel: Panel, eye_mm: tuple[float, float, float]) -> str | Non
     return None
 
 
-def _panel_of(args: argparse.Namespace) -> Panel:
-    """The panel named, else the one that the image was encoded for."""
-    if args.panel is not None:
-        return Panel.load(args.panel)
+def _stored_panel(args: argparse.Namespace) -> Panel:
+    """The panel that the image was encoded for."""
+    if args.device_serial is not None:
+        raise InputError("--device-serial chooses among the calibrations of a --panel; give one, or leave it out")
     stored = read_info(args.image).metadata.get("panel")
     if stored is None:
         raise InputError(f"{args.image} does not say which panel it is for; give --panel")
