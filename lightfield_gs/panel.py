@@ -112,7 +112,7 @@ class Panel:
         path = Path(source) if is_file else config_path("panels", text)
         required = ("width_px", "height_px", "views", "line_number", "slant_tan")
         data = read_mapping(path, required, [f.name for f in fields(Panel) if f.name not in required])
-        return Panel(**{"name": path.stem, **data})
+        return Panel._of_file(path, {"name": path.stem, **data})
 
     @staticmethod
     def from_physical(*, width_px: int, height_px: int, views: int, lens_pitch_mm: float, slant_tan: float,
@@ -148,7 +148,15 @@ class Panel:
         """
         from lightfield_gs.io.looking_glass import panel_fields
 
-        return Panel(**panel_fields(source, views, serial))
+        return Panel._of_file(source, panel_fields(source, views, serial))
+
+    @staticmethod
+    def _of_file(source: object, data: dict[str, Any]) -> "Panel":
+        """A panel of these fields; what is wrong with them is told with the name of the file that they are from."""
+        try:
+            return Panel(**data)
+        except InputError as error:
+            raise InputError(f"{source}: {error}" if isinstance(source, (str, Path)) else str(error)) from None
 
     def to_dict(self) -> dict[str, Any]:
         """The fields that are known, as from_yaml reads them."""

@@ -139,3 +139,12 @@ def test_what_is_no_text_is_refused_in_one_line(tmp_path):
             with pytest.raises(InputError, match=f"{name} {words}") as caught:
                 Panel.load(path)
             assert "\n" not in str(caught.value)
+
+
+def test_values_out_of_range_are_told_with_their_file(tmp_path):
+    calibration, panel = tmp_path / "visual.json", tmp_path / "panel.yaml"
+    calibration.write_text(json.dumps({**FLAT, "viewCone": -3}))
+    panel.write_text("width_px: 3\nheight_px: 2\nviews: 4\nline_number: '5'\nslant_tan: 0\n")
+    for path, words in ((calibration, "panel: cone_deg must be"), (panel, "panel: line_number must be a number")):
+        with pytest.raises(InputError, match=f"{path.name}: {words}"):
+            Panel.load(path)
