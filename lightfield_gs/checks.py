@@ -18,8 +18,9 @@ def shown(value: object) -> str:
 def expect(what: str, value: object, *kinds: type) -> None:
     """Raises InputError unless the value is of one of these types; True and False are no numbers."""
     if not isinstance(value, kinds) or isinstance(value, bool) and bool not in kinds:
-        wanted = " or ".join("none" if kind is type(None) else kind.__name__ for kind in kinds)
-        raise InputError(f"{what}: expected {wanted}, got {type(value).__name__}")
+        wanted = ["none" if kind is type(None) else kind.__name__ for kind in kinds]
+        hint = "; make it one with torch.from_numpy" if isinstance(value, np.ndarray) and "Tensor" in wanted else ""
+        raise InputError(f"{what}: expected {' or '.join(wanted)}, got {type(value).__name__}{hint}")
 
 
 def _is_number(value: object) -> bool:

@@ -18,6 +18,7 @@ from typing import NoReturn
 from lightfield_gs.commands.complaint import complain, notes_of_the_library
 from lightfield_gs.commands.values import background, byte_size, numbers, threads, within
 from lightfield_gs.errors import InputError
+from lightfield_gs.options import COMPRESSIONS, DEPTH_KINDS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
 from lightfield_gs.panel import DEFAULT_PANEL
 
 _VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics")  # their values may begin with a minus sign
@@ -113,24 +114,24 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     _add_depth(encode)
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add("--save-gaussians", type=Path, metavar="PLY", help="write the scene as a 3DGS .ply")
-    add("--method", choices=("direct", "sorted", "classic"), default="direct",
+    add("--method", choices=METHODS, default="direct",
         help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
         "picture a view, then interlaced (slow; for comparison)")
     add("--memory-budget", type=byte_size, metavar="SIZE",
         help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
         "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)")
-    add("--device", choices=("auto", "cpu", "cuda"), default="auto",
+    add("--device", choices=DEVICES, default="auto",
         help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)")
-    add("--views", choices=("integer", "continuous"), default="integer",
+    add("--views", choices=VIEWS, default="integer",
         help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)")
-    add("--quality", choices=("exact", "high", "fast", "draft"), default="exact",
+    add("--quality", choices=QUALITY_NAMES, default="exact",
         help="less time for more error, of --method direct (default exact)")
     add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
     add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp and, where the "
         "panel has a pixel pitch and a viewing distance (see there), left-eye.png and right-eye.png")
     add("--bit-depth", type=int, choices=(8, 16, 32), metavar="BITS",
         help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32")
-    add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")
+    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
     add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
     add("--stats", action="store_true", help="print what was drawn and what was skipped")
 
@@ -139,7 +140,7 @@ def _add_depth(encode: argparse.ArgumentParser) -> None:
     add = encode.add_argument
     add("--depth", type=Path, metavar="FILE", help="depth map of the photo, of its size: the whole scene is shown, "
         "without the network; a grey .png (8 or 16 bits), .exr or .tif, or a .npy of numbers [H,W]")
-    add("--depth-kind", choices=("distance", "disparity"), help="what its numbers are: distance, along the camera's "
+    add("--depth-kind", choices=DEPTH_KINDS, help="what its numbers are: distance, along the camera's "
         "axis (default), or disparity, 1 / distance, as most networks give it (bright is near)")
     add("--depth-range", type=numbers(2), metavar="NEAR,FAR", help="distances, in any unit, at the ends of the file's "
         "full scale (0..255, 0..65535, floats 0..1); their ratio sets how deep the scene looks")
@@ -165,7 +166,7 @@ def _add_prune(commands: argparse._SubParsersAction) -> None:
     add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
     add("--save-rig", type=Path, metavar="YAML",
         help="write the rig that was used: automatic framing may see a pruned scene otherwise")
-    add("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where the scene is drawn (default auto)")
+    add("--device", choices=DEVICES, default="auto", help="where the scene is drawn (default auto)")
 
 
 def _add_simulate(commands: argparse._SubParsersAction) -> None:

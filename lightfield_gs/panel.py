@@ -21,6 +21,7 @@ import numpy as np
 from lightfield_gs.checks import expect, real_number, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
+from lightfield_gs.options import SUBPIXEL_ORDERS, SubpixelOrder
 from lightfield_gs.paths import config_path
 
 MAX_SIZE_PX = 65536
@@ -58,7 +59,7 @@ class Panel:
     line_number: float
     slant_tan: float
     phase: float = 0.0
-    subpixel_order: str = "RGB"
+    subpixel_order: SubpixelOrder = "RGB"
     invert_views: bool = False
     cone_deg: float = 40.0
     viewing_distance_mm: float | None = None
@@ -75,7 +76,7 @@ class Panel:
                 self._set(key, real_number(f"panel: {key}", getattr(self, key), low, high))
         if self.cone_deg >= 180:
             raise InputError(f"panel: cone_deg must be below 180, got {self.cone_deg}")
-        if not isinstance(self.subpixel_order, str) or self.subpixel_order not in ("RGB", "BGR"):
+        if not isinstance(self.subpixel_order, str) or self.subpixel_order not in SUBPIXEL_ORDERS:
             raise InputError(f"panel: subpixel_order must be RGB or BGR, got {shown(self.subpixel_order)}")
         if not isinstance(self.invert_views, bool):
             raise InputError(f"panel: invert_views must be true or false, got {shown(self.invert_views)}")
@@ -117,7 +118,7 @@ class Panel:
     @staticmethod
     def from_physical(*, width_px: int, height_px: int, views: int, lens_pitch_mm: float, slant_tan: float,
                       viewing_distance_mm: float, lens_gap_mm: float, pixel_pitch_mm: float, phase: float = 0.0,
-                      subpixel_order: str = "RGB", invert_views: bool = False, cone_deg: float | None = None,
+                      subpixel_order: SubpixelOrder = "RGB", invert_views: bool = False, cone_deg: float | None = None,
                       name: str = "panel") -> "Panel":
         """A panel from its measures in mm.
 

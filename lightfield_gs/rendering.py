@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from lightfield_gs import ops, skips
-from lightfield_gs.arrays import bytes_of, dense_tensor
+from lightfield_gs.arrays import Colour, bytes_of, dense_tensor
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.checks import expect, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
@@ -23,15 +23,28 @@ from lightfield_gs.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.sorted_plan import SortedPlan, views_shown
 from lightfield_gs.workspace import Stats
 
-METHODS = ("direct", "sorted", "classic")
-VIEWS = ("integer", "continuous")
-OUTPUTS = {"uint8": torch.uint8, "float32": torch.float32, "float64": torch.float64}
+_DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
 MOST_THREADS = 1024
 _MOST_BYTES = 1 << 62
 _CLASSIC_PIXELS = 4_000_000  # rendered at a time: small images go in batches
 
 
-def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float] | Tensor = (1.0, 1.0, 1.0),
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[False] = ..., depth: Literal[False] = ...) -> Tensor: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[True], depth: Literal[False] = ...) -> tuple[Tensor, Tensor]: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[False] = ..., depth: Literal[True]) -> tuple[Tensor, Tensor]: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[True], depth: Literal[True]) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: bool = ..., depth: bool = ...) -> Tensor | tuple[Tensor, ...]: ...
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = (1.0, 1.0, 1.0),
            alpha: bool = False, depth: bool = False) -> Tensor | tuple[Tensor, ...]:
     """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
 
@@ -70,11 +83,11 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
     return tuple(out) if len(out) > 1 else out[0]
 
 
-def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: str = "direct", *,
-           views: str = "integer", cameras: Cameras | None = None,
+def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: Method = "direct", *,
+           views: Views = "integer", cameras: Cameras | None = None,
            view_map: np.ndarray | Tensor | SortedPlan | None = None, memory_budget: int | None = None,
-           background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8",
-           quality: str | Quality = "exact", threads: int | None = None, stats: dict[str, Any] | None = None,
+           background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
+           quality: QualityName | Quality = "exact", threads: int | None = None, stats: dict[str, Any] | None = None,
            out: Tensor | None = None) -> Tensor:
     """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
 
@@ -147,12 +160,12 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     return image
 
 
-def _check_out(out: Tensor, method: str, output: str, panel: Panel, device: torch.device) -> None:
+def _check_out(out: Tensor, method: Method, output: Output, panel: Panel, device: torch.device) -> None:
     """Raises InputError for what an image cannot be drawn over."""
     expect("out", out, Tensor)
     if method != "direct":
         raise InputError(f"out is for method 'direct', not {method!r}")
-    expected = (panel.height_px, panel.width_px, 3), OUTPUTS[output], device
+    expected = (panel.height_px, panel.width_px, 3), _DTYPES[output], device
     if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:
         raise InputError(f"out must be a contiguous {expected[1]} tensor {list(expected[0])} on {device} without "
                          f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
@@ -167,7 +180,7 @@ def check_options(method: str, views: str, output: str) -> None:
     for name, value in (("method", method), ("views", views), ("output", output)):
         expect(name, value, str)
     if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
-        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {tuple(OUTPUTS)}, got {method!r}, "
+        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {OUTPUTS}, got {method!r}, "
                          f"{views!r} and {output!r}")
 
 
@@ -196,7 +209,7 @@ def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float
     return [float(v) for v in numbers], lens, [float(v) for v in shape]
 
 
-def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
+def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
             quality: Quality, threads: int | None, stats: Stats, out: Tensor | None) -> Tensor:
     """The image without gradients."""
     with torch.no_grad():
@@ -204,7 +217,7 @@ def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background
                                 as_bytes=output == "uint8", quality=quality, stats=stats, threads=threads, out=out)
 
 
-def _wants_gradients(output: str, gaussians: Gaussians, background: Tensor) -> bool:
+def _wants_gradients(output: Output, gaussians: Gaussians, background: Tensor) -> bool:
     """Whether torch is to follow how an image came about; bytes have no gradients."""
     return output != "uint8" and torch.is_grad_enabled() and any(
         t.requires_grad for t in (*_tensors(gaussians), background))
@@ -217,14 +230,14 @@ def _refuse_with_gradients(**given: bool) -> None:
 
 
 @torch.no_grad()
-def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
+def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
              threads: int | None, stats: Stats) -> Tensor:
     """One dense image per view that the panel shows; with continuous views, one per distinct x."""
     with stats.stage("plan"):
         places, x = _classic_plan(panel, views == "continuous", gaussians.device)
     tensors = [t.unsqueeze(0) for t in _tensors(gaussians)]
     pixels = panel.width_px * panel.height_px
-    out = torch.empty(3 * pixels, dtype=OUTPUTS[output], device=gaussians.device)
+    out = torch.empty(3 * pixels, dtype=_DTYPES[output], device=gaussians.device)
     chunk = max(1, _CLASSIC_PIXELS // pixels)
     for first in range(0, len(x), chunk):
         cameras = rig.cameras_at(panel, x[first:first + chunk]).to(gaussians.means)
@@ -257,7 +270,7 @@ def _classic_plan(panel: Panel, continuous: bool, device: torch.device) -> tuple
     return torch.from_numpy(places).to(device), x
 
 
-def _check_sorted_only(method: str, views: str, rig: Rig | None, cameras: Cameras | None, view_map: Any,
+def _check_sorted_only(method: Method, views: Views, rig: Rig | None, cameras: Cameras | None, view_map: Any,
                        memory_budget: int | None) -> None:
     """Raises InputError where arguments of one method meet another."""
     if method != "sorted":
@@ -276,7 +289,7 @@ def _tensors(gaussians: Gaussians) -> list[Tensor]:
     return [gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh]
 
 
-def background_tensor(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
+def background_tensor(background: Colour, like: Tensor) -> Tensor:
     """A background as a tensor [..., 3] of the dtype and on the device of `like`. Raises InputError."""
     if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
         colour = _constant_background(tuple(background), like.dtype, like.device)
@@ -296,7 +309,7 @@ def _constant_background(background: tuple[float, ...], dtype: torch.dtype, devi
         return _checked_background(background, dtype, device)
 
 
-def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype, device: torch.device) -> Tensor:
+def _checked_background(background: Colour, dtype: torch.dtype, device: torch.device) -> Tensor:
     """A tensor on a GPU is taken as it is: looking for NaN there would wait for it.
 
     Tensors and arrays may leave 0..1, for optimizers do; plain numbers that do are mistakes.

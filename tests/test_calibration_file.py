@@ -41,9 +41,10 @@ def test_a_calibration_reads_the_same_however_it_is_written():
 
 
 def test_what_is_no_number_stays_as_it_is():
-    cells = [{"ROffsetX": -0.31}]
+    cells = [{"ROffsetX": "-0.31"}, {"ROffsetX": {"value": 0.5}}, 3]
     flat = find_calibration({**STRINGS, "subpixelCells": {"value": cells}, "invView": True, "odd": "7"}, "here")
-    assert flat["subpixelCells"] == cells and flat["invView"] is True and flat["odd"] == "7"
+    assert flat["subpixelCells"] == [{"ROffsetX": -0.31}, {"ROffsetX": 0.5}, 3]
+    assert flat["invView"] is True and flat["odd"] == "7"
     assert flat["configVersion"] == "3.0" and flat["screenW"] == 256
 
 
@@ -51,9 +52,11 @@ def test_what_is_no_number_stays_as_it_is():
                                         ("nan", "got 'nan'"), ("1_0", "got '1_0'"), ("4 7", "got '4 7'")])
 def test_strings_that_are_no_numbers_are_refused_by_name(tmp_path, text, hint):
     path = tmp_path / "visual.json"
-    path.write_text(json.dumps({"calibration": {**WRAPPED, "pitch": {"value": text}}}))
-    with pytest.raises(InputError, match=f"visual.json: calibration: pitch must be a number, .*{hint}"):
-        Panel.load(path)
+    for change, key in (({"pitch": {"value": text}}, "pitch"),
+                        ({"subpixelCells": [{}, {"GOffsetY": text}]}, r"subpixelCells\[1\]: GOffsetY")):
+        path.write_text(json.dumps({"calibration": {**WRAPPED, **change}}))
+        with pytest.raises(InputError, match=f"visual.json: calibration: {key} must be a number, .*{hint}"):
+            Panel.load(path)
 
 
 @pytest.mark.parametrize("shape", DISPLAYS)

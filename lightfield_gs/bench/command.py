@@ -29,8 +29,8 @@ from lightfield_gs.commands.values import byte_size
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
 from lightfield_gs.io.photo import load_photo
+from lightfield_gs.options import METHODS
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.rendering import METHODS
 
 BENCH_METHODS = (*METHODS, *peers.PEERS)
 COUNTERS = ("stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes", "memory_bytes",

@@ -53,6 +53,9 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
     if found.place:
         where = f"{where}: {_path(found.place)}"
     flat = {key: _number(value, key, where) if key in _NUMBERS else value for key, value in found.data.items()}
+    if isinstance(flat.get("subpixelCells"), list):
+        flat["subpixelCells"] = [_cell(cell, f"{where}: subpixelCells[{number}]")
+                                 for number, cell in enumerate(flat["subpixelCells"])]
     cone = flat.get("viewCone")
     if cone is None or type(cone) in (int, float) and cone == 0:
         flat.pop("viewCone", None)
@@ -138,6 +141,11 @@ def _parsed(text: str) -> Any:
 
 def _plain(value: Any) -> Any:
     return value["value"] if isinstance(value, dict) and "value" in value else value
+
+
+def _cell(cell: Any, where: str) -> Any:
+    """A cell with its numbers, which are all that it has; anything else as it is."""
+    return {key: _number(_plain(value), key, where) for key, value in cell.items()} if isinstance(cell, dict) else cell
 
 
 def _number(value: Any, key: str, where: str) -> Any:
