@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from lightfield_gs.commands.complaint import complain, notes_of_the_library
+from lightfield_gs.commands.complaint import assumptions_said, complain
 from lightfield_gs.commands.values import background, byte_size, numbers, threads, within
 from lightfield_gs.errors import InputError
 from lightfield_gs.options import COMPRESSIONS, DEPTH_KINDS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")  # what files are called, or hold, may be no text
     try:
         args = build_parser(arguments[:1]).parse_args(_joined(arguments), argparse.Namespace(began=began))
-        with notes_of_the_library():
+        with assumptions_said():
             code = importlib.import_module(args.module).run(args) or 0
         sys.stdout.flush()
         return code

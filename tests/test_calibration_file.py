@@ -7,10 +7,9 @@ import warnings
 import pytest
 from command_line import complaint, run
 
-from lightfield_gs import cli
+from lightfield_gs.assumptions import Assumption
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.calibration_file import find_calibration
-from lightfield_gs.notes import Note
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
 
@@ -93,7 +92,7 @@ def test_what_holds_no_calibration_is_refused():
                                           ({"viewCone": None}, "is not given"), ({}, "is not given")])
 def test_without_a_cone_the_default_is_taken_and_said(tmp_path, change, said):
     without = {key: value for key, value in FLAT.items() if key != "viewCone"}
-    with pytest.warns(Note, match=f"calibration: viewCone {said}; 40 degrees are taken"):
+    with pytest.warns(Assumption, match=f"cone of 40 degrees, Looking Glass calibration: viewCone {said}"):
         assert Panel.from_looking_glass({**without, **change}).cone_deg == 40
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -112,9 +111,9 @@ def test_the_command_line_chooses_a_display_and_says_what_was_assumed(folder, ca
                         ("simulate o.png --eye 0,0,1 -o e.png --device-serial A", "--device-serial .* a --panel")):
         assert re.search(words, complaint(capsys, line))
     (folder / "cone.json").write_text(json.dumps({**FLAT, "viewCone": 0}))
-    for _ in range(2):  # a note of Python's own would come once
-        assert cli.main(["info", "cone.json"]) == 0
-        assert capsys.readouterr().err.startswith("note: cone.json: viewCone is 0; 40 degrees are taken")
+    for _ in range(2):  # a warning of Python's own would come once
+        said = run(capsys, "info cone.json").splitlines()[-1]
+        assert said.startswith("assumed: a viewing cone of 40 degrees, cone.json: viewCone is 0; on a display")
 
 
 ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32")

@@ -1,4 +1,5 @@
-"""What a command says on stderr: how it ends that could not do its work, and notes on work that may disappoint."""
+"""What a command says on stderr: how it ends that could not do its work, and notes on work that may disappoint; and on
+stdout what it assumed."""
 
 from __future__ import annotations
 
@@ -8,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from lightfield_gs.assumptions import Assumption
 from lightfield_gs.errors import InputError
-from lightfield_gs.notes import Note
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 _NO_MEMORY = ("allocate memory", "out of memory")  # torch's words for the host's and the device's
@@ -45,17 +46,20 @@ def note(words: str) -> None:
 
 
 @contextmanager
-def notes_of_the_library() -> Iterator[None]:
-    """Says what the library warns of, each in a line; other warnings go where they went before."""
+def assumptions_said() -> Iterator[None]:
+    """Says on stdout, once the work is done, what the library assumed for it; other warnings go their usual way."""
+    lines: dict[str, None] = {}  # each once, in order
     with warnings.catch_warnings():
         usual = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *rest: Any, **options: Any) -> None:
-            if issubclass(category, Note):
-                note(str(message))
+            if issubclass(category, Assumption):
+                lines[f"assumed: {message}"] = None
             else:
                 usual(message, category, *rest, **options)
 
-        warnings.simplefilter("always", Note)
+        warnings.simplefilter("always", Assumption)
         warnings.showwarning = show
         yield
+    for line in lines:
+        print(line)

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from lightfield_gs.assumptions import assume
 from lightfield_gs.checks import expect, shown
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.notes import say
 from lightfield_gs.panel import Panel
 
 _MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
@@ -44,7 +44,7 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
 
     data: a calibration, whose values may be plain or {"value": v}; or mappings and lists of any kind that hold some, of
     which `serial` chooses one, by the serial of the calibration or the display. where: for messages. Without a cone
-    the result has no viewCone, and a note says so. Raises InputError that names the file and the key.
+    the result has no viewCone, and the default is assumed. Raises InputError that names the file and the key.
     """
     try:
         found = _chosen(_distinct(_calibrations(data)), where, serial)
@@ -59,8 +59,9 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
     cone = flat.get("viewCone")
     if cone is None or type(cone) in (int, float) and cone == 0:
         flat.pop("viewCone", None)
-        say(f"{where}: viewCone is {'not given' if cone is None else 0}; {Panel.cone_deg:g} degrees are taken, so that "
-            "there may be more depth than the display can show, or less; write its cone into the file")
+        given = "not given" if cone is None else 0
+        assume(f"a viewing cone of {Panel.cone_deg:g} degrees, {where}: viewCone is {given}; on a display of another cone "
+               "there is more depth than it can show, or less")
     return flat
 
 
