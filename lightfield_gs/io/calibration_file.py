@@ -60,8 +60,8 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
     if cone is None or type(cone) in (int, float) and cone == 0:
         flat.pop("viewCone", None)
         given = "not given" if cone is None else 0
-        assume(f"a viewing cone of {Panel.cone_deg:g} degrees, {where}: viewCone is {given}; on a display of another cone "
-               "there is more depth than it can show, or less")
+        assume(f"a viewing cone of {Panel.cone_deg:g} degrees, {where}: viewCone is {given}; on a display of "
+               "another cone there is more depth than it can show, or less")
     return flat
 
 
