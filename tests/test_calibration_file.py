@@ -39,6 +39,14 @@ def test_a_calibration_reads_the_same_however_it_is_written():
         assert Panel.from_looking_glass(written) == panel
 
 
+def test_keys_are_known_whatever_their_capitals():
+    loud = {key.upper(): value for key, value in WRAPPED.items()}
+    assert Panel.from_looking_glass(loud) == Panel.from_looking_glass(WRAPPED)
+    assert find_calibration({**WRAPPED, "cellPatternMode": "2"}, "here")["CellPatternMode"] == 2
+    with pytest.raises(InputError, match="here: expected each key once"):
+        find_calibration({**WRAPPED, "Pitch": 3}, "here")
+
+
 def test_what_is_no_number_stays_as_it_is():
     cells = [{"ROffsetX": "-0.31"}, {"ROffsetX": {"value": 0.5}}, 3]
     flat = find_calibration({**STRINGS, "subpixelCells": {"value": cells}, "invView": True, "odd": "7"}, "here")

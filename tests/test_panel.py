@@ -181,6 +181,7 @@ def test_nonsense_is_refused(change, words):
 @pytest.mark.parametrize("text, words", [
     ("width: 3\n", "did you mean 'width_px'"), ("[1, 2]\n", "mapping"), ("a: [", "not YAML"), ("", "mapping"),
     ("width_px: 3\nheight_px: 2\nviews: 4\nslant_tan: 0\n", "missing line_number"),
+    ("width_px: 3\nheight_px: 2\nviews: 4\nviews: 5\nline_number: 5\nslant_tan: 0\n", "'views' twice"),
     ("width_px: &a [1]\nheight_px: *a\n", "aliases")])
 def test_bad_yaml(tmp_path, text, words):
     path = tmp_path / "p.yaml"

@@ -22,6 +22,7 @@ _SERIALS = ("serial", "hwid")  # of a calibration, and of the display that it is
 _NUMBERS = ("pitch", "slope", "center", "DPI", "screenW", "screenH", "viewCone", "invView", "verticalAngle", "fringe",
             "flipImageX", "flipImageY", "flipSubp", "CellPatternMode")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_USUAL_NAMES = {key.casefold(): key for key in (*_NUMBERS, "subpixelCells")}
 _DEEPEST = 16
 _MOST_LISTED = 8
 
@@ -52,7 +53,8 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
         raise InputError(f"{where}: its lists and mappings are nested too deeply") from None
     if found.place:
         where = f"{where}: {_path(found.place)}"
-    flat = {key: _number(value, key, where) if key in _NUMBERS else value for key, value in found.data.items()}
+    flat = {key: _number(value, key, where) if key in _NUMBERS else value
+            for key, value in _named(found.data, where).items()}
     if isinstance(flat.get("subpixelCells"), list):
         flat["subpixelCells"] = [_cell(cell, f"{where}: subpixelCells[{number}]")
                                  for number, cell in enumerate(flat["subpixelCells"])]
@@ -105,7 +107,7 @@ def _calibrations(data: Any) -> Iterator[_Found]:
         if isinstance(value, dict):
             plain = {key: _plain(part) for key, part in value.items()}
             own = _serials(plain)
-            if len(_MARKS & plain.keys()) > 1:
+            if len(_MARKS & {_usual_name(key) for key in plain}) > 1:
                 yield _Found(plain, (*own, *serials), place)
                 continue
             serials = own or serials
@@ -142,6 +144,18 @@ def _parsed(text: str) -> Any:
 
 def _plain(value: Any) -> Any:
     return value["value"] if isinstance(value, dict) and "value" in value else value
+
+
+def _named(data: dict[Any, Any], where: str) -> dict[Any, Any]:
+    """With the keys that are known as they are usually written: a cellPatternMode would else be overlooked."""
+    named = {_usual_name(key): value for key, value in data.items()}
+    if len(named) < len(data):
+        raise InputError(f"{where}: expected each key once, got some that differ in capitals only")
+    return named
+
+
+def _usual_name(key: Any) -> Any:
+    return _USUAL_NAMES.get(key.casefold(), key) if isinstance(key, str) else key
 
 
 def _cell(cell: Any, where: str) -> Any:

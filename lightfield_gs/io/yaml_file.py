@@ -6,6 +6,7 @@ import difflib
 import functools
 import json
 import re
+from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
 @functools.cache
 def _loader() -> type:
     """SafeLoader without aliases (a small file could grow without bound), without tags (settings need none, and they
-    fail in many ways), and with 1e-5 as a number (YAML 1.2)."""
+    fail in many ways), without keys that come twice, and with 1e-5 as a number (both as in YAML 1.2)."""
     import yaml
 
     class Loader(yaml.SafeLoader):
@@ -49,6 +50,12 @@ def _loader() -> type:
             if self.peek_event().tag is not None:
                 raise yaml.YAMLError("tags (!...) are not allowed")
             return super().compose_node(parent, index)
+
+        def construct_mapping(self, node, deep=False):
+            counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+            if twice := [key for key, count in counts.items() if count > 1]:
+                raise yaml.YAMLError(f"expected each key once, got '{twice[0][:60]}' twice")
+            return super().construct_mapping(node, deep)
 
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
                                  list("-+0123456789"))
