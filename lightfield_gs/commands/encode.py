@@ -13,6 +13,7 @@ import numpy as np
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.panel import load_panel, why_no_eye
+from lightfield_gs.commands.rig import load_rig, note_of_centre
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace) -> None:
     if args.threads is not None:
         _use_threads(args.threads)
     device = choose_device(args.device)
-    rig = None if args.rig is None else Rig.from_yaml(args.rig)
+    rig = load_rig(args, panel)
     views = _views(args, panel)
     watch.lap("start")
     with torch.inference_mode():
@@ -73,6 +74,9 @@ def run(args: argparse.Namespace) -> None:
             watch.lap("preview")
             if why := why_no_eye(panel):
                 note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
+    if stats["pairs"] == 0 and stats["gaussians_culled"] == gaussians.count:
+        note(f"{args.output} is all background: none of {gaussians.count} Gaussians is within what the cameras see, or "
+             "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras")
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians.count} Gaussians")
     print(watch.line())
     if args.stats:
@@ -124,6 +128,7 @@ def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
     views: dict[str, Any] = {}
     if args.cameras is not None:
         views["cameras"] = read_cameras(args.cameras, panel)
+        note_of_centre(args.cameras, views["cameras"].principal_point_px.median(0).values.tolist(), panel)
     if args.view_map is not None:
         count = views["cameras"].count if "cameras" in views else panel.views
         views["view_map"] = read_view_map(args.view_map, panel, count)

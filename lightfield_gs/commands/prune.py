@@ -6,6 +6,7 @@ import argparse
 
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.panel import load_panel
+from lightfield_gs.commands.rig import load_rig
 from lightfield_gs.commands.scene import check_scene_path
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -26,7 +27,7 @@ def run(args: argparse.Namespace) -> None:
     from lightfield_gs.pruning import prune
     from lightfield_gs.rig import Rig
 
-    rig = None if args.rig is None else Rig.from_yaml(args.rig)
+    rig = load_rig(args, panel)
     watch.lap("start")
     scene = Gaussians.load(args.input)
     watch.lap("load")
