@@ -102,8 +102,9 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     _add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
     add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
     add("--cameras", type=Path, metavar="JSON",
-        help="one camera for each view, for --method sorted, in place of a rig: world_to_camera [N,4,4] (OpenCV axes, "
-        "scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of the panel)")
+        help="one camera for each view, the right-most eye's first, for --method sorted, in place of a rig: "
+        "world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of "
+        "the panel)")
     add("--view-map", type=Path, metavar="NPY",
         help="the view of each sub-pixel, for --method sorted, in place of the panel's lens: int32 [H,W,3], 0..N-1, or "
         "-1 for the background")

@@ -95,11 +95,11 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: M
     renders only the sub-pixels too, but view by view, with any cameras and any view map (Shi et al. 2025); "classic"
     renders one dense image per view and interlaces them, the usual way and the cross-check of the others.
     views: "integer": camera at floor(x) + 1/2; "continuous": at the exact x of the sub-pixel.
-    Only for "sorted": cameras [N] at the panel's resolution, in place of the rig's; view_map int32 [H, W, 3] by image
-    channel, which of the N cameras each sub-pixel shows, or -1 for the background (or a SortedPlan made of such a map,
-    to sort only once), in place of the panel's; memory_budget: bytes that the work memory may take on the device of
-    the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or 1 GiB on CUDA); on CUDA those
-    asked of torch's allocator, which may round each buffer up.
+    Only for "sorted": cameras [N] at the panel's resolution, the right-most eye's first, in place of the rig's;
+    view_map int32 [H, W, 3] by image channel, which of the N cameras each sub-pixel shows, or -1 for the background
+    (or a SortedPlan made of such a map, to sort only once), in place of the panel's; memory_budget: bytes that the work
+    memory may take on the device of the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or
+    1 GiB on CUDA); on CUDA those asked of torch's allocator, which may round each buffer up.
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
     "direct" are differentiable; where gradients are wanted, quality, threads, stats and out are refused.
     quality: "exact", "high", "fast", "draft" or a Quality, of "direct": how much error is allowed for less time.
@@ -187,7 +187,8 @@ def check_options(method: str, views: str, output: str) -> None:
 def interlace(views: Tensor, panel: Panel) -> Tensor:
     """Takes every sub-pixel of a panel from the view that it belongs to: views [N, H, W, 3] -> [H, W, 3], same dtype.
 
-    N = panel.views, H and W the panel's size. Raises InputError.
+    N = panel.views, H and W the panel's size. View 0 is the right-most eye's (with invert_views the left-most one's):
+    tiles of a quilt, whose first is the left-most, are in the other order. Raises InputError.
     """
     views = dense_tensor("views", views)
     expect("panel", panel, Panel)

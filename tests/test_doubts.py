@@ -59,6 +59,20 @@ def test_cameras_of_a_panel_of_another_size_are_doubted(folder, capsys):
         assert [words.split(" (")[0] for words in said] == ["note: c.json: its principal point"] * (ratio == 2)
 
 
+@pytest.mark.parametrize("invert", [False, True])
+def test_cameras_in_the_order_of_a_quilt_are_doubted(folder, capsys, invert):
+    panel = replace(PANEL, invert_views=invert)
+    panel.to_yaml("p.yaml")
+    cameras = Rig.frame(scene(), panel).cameras(panel)
+    for step in (1, -1):
+        fields = ("world_to_camera", "focal_px", "principal_point_px")
+        (folder / "c.json").write_text(json.dumps({name: getattr(cameras, name).tolist()[::step] for name in fields}))
+        said = notes(capsys, "encode s.ply -o o.png --panel p.yaml --method sorted --cameras c.json")
+        eye, side = ("left", "right") if invert else ("right", "left")
+        assert [words.split(": depth")[0] for words in said] == (step < 0) * [
+            f"note: c.json: view 0 of panel small goes to the {eye}-most eye, and camera 0 stands on the {side}"]
+
+
 @pytest.mark.parametrize("method", ["direct", "sorted", "classic"])
 def test_a_picture_of_nothing_is_doubted(folder, capsys, method):
     away = Rig(np.diag([1.0, -1, -1, 1]), (96, 96), (48, 30), 2.0)

@@ -13,7 +13,7 @@ import numpy as np
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.panel import load_panel, why_no_eye
-from lightfield_gs.commands.rig import load_rig, note_of_centre
+from lightfield_gs.commands.rig import load_cameras, load_rig
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -123,12 +123,11 @@ def _check_options(args: argparse.Namespace) -> None:
 
 def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
     """The arguments of `encode` that only the method sorted has, those that were given."""
-    from lightfield_gs.io.view_files import read_cameras, read_view_map
+    from lightfield_gs.io.view_files import read_view_map
 
     views: dict[str, Any] = {}
     if args.cameras is not None:
-        views["cameras"] = read_cameras(args.cameras, panel)
-        note_of_centre(args.cameras, views["cameras"].principal_point_px.median(0).values.tolist(), panel)
+        views["cameras"] = load_cameras(args, panel)
     if args.view_map is not None:
         count = views["cameras"].count if "cameras" in views else panel.views
         views["view_map"] = read_view_map(args.view_map, panel, count)
