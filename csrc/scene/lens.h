@@ -59,6 +59,8 @@ struct Lens {
   // Whether sub-pixels of a row follow each other as their stripes do, less than one aside: those of a lens then lie
   // side by side.
   bool stands_in_order() const;
+  // Whether the places of all pixels have the same channels.
+  bool has_one_order() const;
 
   // Largest |s| over x in [0, views].
   LFGS_HD double reach() const {
@@ -110,6 +112,13 @@ inline bool Lens::stands_in_order() const {
     for (int m = 0; m < kRowPeriod; ++m)
       in_order = in_order && int64_t(row[(m + 1) % kRowPeriod] - row[m] + phase_x) > 0;
   return in_order;
+}
+
+inline bool Lens::has_one_order() const {
+  bool one = true;
+  for (const auto& row : cells.channels)
+    for (int m = 0; m < kRowPeriod; ++m) one = one && row[m] == cells.channels[0][m % 3];
+  return one;
 }
 
 }  // namespace lfgs
