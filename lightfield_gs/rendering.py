@@ -15,6 +15,7 @@ from lightfield_gs.cameras import Cameras
 from lightfield_gs.checks import expect, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.lens import lens_lists
 from lightfield_gs.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
@@ -204,10 +205,7 @@ def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float
     start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
     numbers = [*np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist(), *rig.focal_px,
                *rig.principal_point_px, *rig.jacobian_limits(panel), 0.0, rig.zero_depth]
-    signed = [p - 2**64 if p >= 2**63 else p for p in panel.phase_steps()]
-    lens = [panel.width_px, panel.height_px, panel.views, *signed, int(panel.subpixel_order == "BGR"), int(continuous)]
-    shape = [panel.line_number, panel.slant_tan, panel.phase, start, (end - start) / panel.views]
-    return [float(v) for v in numbers], lens, [float(v) for v in shape]
+    return [float(v) for v in numbers], *lens_lists(panel, continuous, start, (end - start) / panel.views)
 
 
 def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
