@@ -41,6 +41,8 @@ def run(args: argparse.Namespace) -> None:
     panel = at_distance(Panel.load(args.panel), args.viewing_distance)
     import torch
 
+    from lightfield_gs.lens import slow_way
+    from lightfield_gs.quality import Quality
     from lightfield_gs.rendering import encode
     from lightfield_gs.rig import Rig
 
@@ -49,6 +51,9 @@ def run(args: argparse.Namespace) -> None:
     device = choose_device(args.device)
     rig = None if args.rig is None else Rig.from_yaml(args.rig)
     views = _views(args, panel)
+    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
+    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+        note(why)
     watch.lap("start")
     with torch.inference_mode():
         gaussians, camera = load_scene(args, device, watch)
