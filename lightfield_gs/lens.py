@@ -28,6 +28,22 @@ def lens_lists(panel: "Panel", continuous: bool = False, offset_start: float = 0
     return numbers, [float(v) for v in (panel.line_number, panel.slant_tan, phase, offset_start, offset_step)]
 
 
+def slow_way(panel: "Panel", lattices_on_cuda: bool) -> str | None:
+    """What `direct` cannot do for a panel because of its sub-pixel cells, and hence takes longer; None: nothing.
+
+    lattices_on_cuda: whether a frame with lattices is to be drawn on CUDA.
+    """
+    if not panel.subpixel_cells:
+        return None
+    lens = native_lens(*lens_lists(panel))
+    if not (lens.stands_in_order() and lens.has_one_order()):
+        return (f"the sub-pixel cells of panel {panel.name} have no one order along the lens: it is drawn by slower "
+                "ways, on the CPU a sub-pixel at a time, on CUDA by tiles of pixels, and without lattices")
+    if lattices_on_cuda:
+        return "panels with sub-pixel cells are drawn without lattices on CUDA: this quality saves little time"
+    return None
+
+
 def _signed(phase: int) -> int:
     """A 64-bit pattern as the signed integer that operators carry."""
     phase %= 1 << 64

@@ -255,7 +255,8 @@ class LensBands {
 };
 
 template <class T>
-Counters CompositeLensImpl(const LensJob<T>& job) {
+Counters CompositeLensImpl(LensJob<T> job) {
+  if (!LensLattice::knows(*job.lens)) job.quality.lattice = 0;
   const LensScene<T> scene(job);
   std::vector<std::unique_ptr<LensBands<T>>> workers(size_t(std::max(job.threads, 1)));
   auto draw = [&](int64_t band, int worker, bool try_lattices) {
@@ -308,7 +309,6 @@ Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, co
   LensJob<T> job{};
   job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
   job.quality = quality, job.out = out, job.out8 = out8;
-  if (lens.has_cells) job.quality.lattice = 0;  // lattices know stripes
   return dispatch(job);
 }
 

@@ -42,6 +42,8 @@ def run(args: argparse.Namespace) -> None:
     panel = load_panel(args)
     import torch
 
+    from lightfield_gs.lens import slow_way
+    from lightfield_gs.quality import Quality
     from lightfield_gs.rendering import encode
     from lightfield_gs.rig import Rig
 
@@ -50,6 +52,9 @@ def run(args: argparse.Namespace) -> None:
     device = choose_device(args.device)
     rig = load_rig(args, panel)
     views = _views(args, panel)
+    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
+    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+        note(why)
     watch.lap("start")
     with torch.inference_mode():
         gaussians, camera = load_scene(args, device, watch)
