@@ -16,6 +16,7 @@ import numpy as np
 
 from lightfield_gs.checks import is_row, real_number, shown
 from lightfield_gs.errors import InputError
+from lightfield_gs.options import CELL_ROWS, CELL_RULES
 
 if TYPE_CHECKING:
     from lightfield_gs.panel import Panel
@@ -32,7 +33,7 @@ Cell = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]  # (
 _UNITY = {0: lambda x, y: 0 * (x + y), 1: lambda x, y: (x + y) % 2, 2: lambda x, y: x % 2 + 0 * y,
           3: lambda x, y: (y + 2 * (x % 2)) % 4, 4: lambda x, y: y % 2 + 0 * x}
 _RULES = {"unity": _UNITY, "webxr": {**_UNITY, 2: lambda x, y: y % 4 + 0 * x, 4: lambda x, y: x % 2 + 0 * y}}
-PATTERNS, RULES, ROWS_FROM = tuple(_UNITY), tuple(_RULES), ("bottom", "top")
+PATTERNS = tuple(_UNITY)
 
 
 class CellTable(NamedTuple):
@@ -67,12 +68,12 @@ def _checked_cell(number: int, cell: Any) -> Cell:
 
 def check_pattern(panel: "Panel") -> None:
     """Raises InputError for a pattern, rule or origin of rows that is not known, or asks for more cells than there are."""
-    for name, value, known in (("cell_pattern", panel.cell_pattern, PATTERNS), ("cell_rule", panel.cell_rule, RULES),
-                               ("cell_rows", panel.cell_rows, ROWS_FROM)):
+    for name, value, known in (("cell_pattern", panel.cell_pattern, PATTERNS),
+                               ("cell_rule", panel.cell_rule, CELL_RULES), ("cell_rows", panel.cell_rows, CELL_ROWS)):
         if isinstance(value, bool) or not isinstance(value, (int, str)) or value not in known:
             raise InputError(f"panel: {name} must be one of {', '.join(map(str, known))}, got {shown(value)}")
     if not panel.subpixel_cells:
-        if (panel.cell_pattern, panel.cell_rule, panel.cell_rows) != (0, RULES[0], ROWS_FROM[0]):
+        if (panel.cell_pattern, panel.cell_rule, panel.cell_rows) != (0, CELL_RULES[0], CELL_ROWS[0]):
             raise InputError(f"panel: cell_pattern {panel.cell_pattern}, {panel.cell_rule}, {panel.cell_rows} without "
                              "subpixel_cells; give the cells, or leave the pattern out")
         return

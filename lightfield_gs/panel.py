@@ -23,7 +23,7 @@ from lightfield_gs import cells
 from lightfield_gs.checks import expect, real_number, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
-from lightfield_gs.options import SUBPIXEL_ORDERS, SubpixelOrder
+from lightfield_gs.options import SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
 from lightfield_gs.paths import config_path
 
 MAX_SIZE_PX = 65536
@@ -75,8 +75,8 @@ class Panel:
     name: str = "panel"
     subpixel_cells: tuple[cells.Cell, ...] = ()
     cell_pattern: int = 0
-    cell_rule: str = "unity"
-    cell_rows: str = "bottom"
+    cell_rule: CellRule = "unity"
+    cell_rows: CellRows = "bottom"
 
     def __post_init__(self) -> None:
         for key, low, high in (("width_px", 1, MAX_SIZE_PX), ("height_px", 1, MAX_SIZE_PX), ("views", 1, MAX_VIEWS)):

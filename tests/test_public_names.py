@@ -45,7 +45,8 @@ def test_options_are_words_that_checkers_know():
     for call, named in ((encode, {"method": options.Method, "views": options.Views, "output": options.Output}),
                         (Encoder.__init__, {"views": options.Views, "output": options.Output}),
                         (PhotoEncoder.__init__, {"views": options.Views, "output": options.Output}),
-                        (Panel, {"subpixel_order": options.SubpixelOrder})):
+                        (Panel, {"subpixel_order": options.SubpixelOrder, "cell_rule": options.CellRule,
+                                 "cell_rows": options.CellRows})):
         hints = typing.get_type_hints(call)
         assert {name: hints[name] for name in named} == named
     assert typing.get_type_hints(encode)["quality"] == options.QualityName | Quality
