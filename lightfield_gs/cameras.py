@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -80,6 +81,12 @@ class Cameras:
         limits = None if self.jacobian_limits is None else self.jacobian_limits[..., views, :]
         return Cameras(self.world_to_camera[..., views, :, :], self.focal_px[..., views, :],
                        self.principal_point_px[..., views, :], self.width_px, self.height_px, limits)
+
+    def relative_to(self, origin: Sequence[float]) -> "Cameras":
+        """The same cameras for coordinates that are given from `origin`; see Rig.relative_to."""
+        poses = self.world_to_camera.clone()
+        poses[..., :3, 3] += poses[..., :3, :3] @ poses.new_tensor(origin)
+        return replace(self, world_to_camera=poses)
 
     def to(self, *args, **kwargs) -> "Cameras":
         """Every tensor through torch.Tensor.to."""

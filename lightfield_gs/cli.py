@@ -65,6 +65,7 @@ def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
     info.add_argument("file", type=Path, metavar="FILE",
                       help="a .ply, an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file")
     _add_device_serial(info.add_argument)
+    _add_skip_invalid(info.add_argument)
     info.set_defaults(module="lightfield_gs.commands.info")
     bench = commands.add_parser("bench", help="measure speed and accuracy", allow_abbrev=False)
     bench.set_defaults(module="lightfield_gs.bench.command")
@@ -88,6 +89,11 @@ def _add_device_serial(add: Callable[..., argparse.Action]) -> None:
 
 def _add_viewing_distance(add: Callable[..., argparse.Action], help: str) -> None:
     add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM", help=help)
+
+
+def _add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
+    add("--skip-invalid", action="store_true", help="leave out Gaussians whose values have no meaning (not finite, a "
+        "rotation of zeros), and say how many")
 
 
 def _add_encode(commands: argparse._SubParsersAction) -> None:
@@ -115,6 +121,7 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     _add_depth(encode)
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add("--save-gaussians", type=Path, metavar="PLY", help="write the scene as a 3DGS .ply")
+    _add_skip_invalid(add)
     add("--method", choices=METHODS, default="direct",
         help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
         "picture a view, then interlaced (slow; for comparison)")
@@ -161,6 +168,7 @@ def _add_prune(commands: argparse._SubParsersAction) -> None:
     add = prune.add_argument
     add("input", type=Path, metavar="INPUT", help="a standard 3DGS .ply")
     add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene without them")
+    _add_skip_invalid(add)
     add("--contribution-cut", type=within(0, 1), default=3e-4, metavar="SHARE",
         help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)")
     _add_panel(add, "for framing, as `encode` takes it")

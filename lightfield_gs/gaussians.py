@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
 import torch
 
-from lightfield_gs.checks import expect
+from lightfield_gs.checks import expect, is_row, real_number, shown
 from lightfield_gs.errors import InputError
 
 SH_COEFFICIENTS = (1, 4, 9, 16)  # (degree + 1)^2, degree 0..3
@@ -28,6 +29,8 @@ class Gaussians:
     opacities:   [..., N] in (0, 1].
     sh:          [..., N, K, 3] spherical harmonics of red, green and blue; K = (degree + 1)^2, degree 0..3;
                  colour = max(0, 0.5 + sum), in the (sRGB-coded) colour space of the training images.
+    origin:      where the zero of `means` lies in the coordinates of the file they are from, scene units, double
+                 precision. Cameras for these Gaussians are given from there too: Rig.relative_to(origin).
     """
 
     means: torch.Tensor
@@ -35,6 +38,7 @@ class Gaussians:
     scales: torch.Tensor
     opacities: torch.Tensor
     sh: torch.Tensor
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         self._expect_tensors()
@@ -82,11 +86,11 @@ class Gaussians:
 
     def to(self, *args, **kwargs) -> "Gaussians":
         """As torch.Tensor.to, on every field."""
-        return Gaussians(**{name: tensor.to(*args, **kwargs) for name, tensor in self.fields().items()})
+        return replace(self, **{name: tensor.to(*args, **kwargs) for name, tensor in self.fields().items()})
 
     def detach(self) -> "Gaussians":
         """The same data outside the autograd graph."""
-        return Gaussians(**{name: tensor.detach() for name, tensor in self.fields().items()})
+        return replace(self, **{name: tensor.detach() for name, tensor in self.fields().items()})
 
     def validate(self) -> "Gaussians":
         """Returns self.
@@ -136,13 +140,27 @@ class Gaussians:
                                  f"got {tensor.dtype} on {tensor.device}")
         if self.sh.shape[-2] not in SH_COEFFICIENTS:
             raise InputError(f"sh: expected 1, 4, 9 or 16 coefficients (degree 0..3), got {self.sh.shape[-2]}")
+        if not is_row(self.origin, 3):
+            raise InputError(f"origin: expected three numbers, got {shown(self.origin)}")
+        for value in self.origin:
+            real_number("origin", value, -1e300, 1e300)
 
     @staticmethod
-    def load(path: str | Path) -> "Gaussians":
-        """Reads a standard 3DGS .ply: float32, CPU. See lightfield_gs.io.ply.read_ply."""
-        from lightfield_gs.io.ply import read_ply
+    def load(path: str | Path, *, skip_invalid: bool = False) -> "Gaussians":
+        """Reads a standard 3DGS .ply: float32, CPU. What looks wrong is a warning, and so is an origin.
 
-        return read_ply(path)
+        skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.io.scene_file.read_scene,
+        which tells more of the file.
+        """
+        from lightfield_gs.io.scene_file import read_scene
+
+        scene = read_scene(path, skip_invalid=skip_invalid)
+        for words in scene.notes:
+            warnings.warn(f"{path}: {words}", stacklevel=2)
+        if any(scene.gaussians.origin):
+            warnings.warn(f"{path}: the means are given from the origin {scene.gaussians.origin}; cameras in the "
+                          "file's coordinates fit after relative_to(gaussians.origin)", stacklevel=2)
+        return scene.gaussians
 
     def save(self, path: str | Path) -> None:
         """Writes a standard 3DGS .ply. See lightfield_gs.io.ply.write_ply."""

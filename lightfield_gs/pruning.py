@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -31,7 +33,7 @@ def prune(gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float)
     ascending = weights.sort()
     left_out = ascending.values.cumsum(0) <= contribution_cut * 3 * panel.width_px * panel.height_px
     kept = ascending.indices[~left_out].sort().values
-    return Gaussians(*(field[kept] for field in gaussians.fields().values()))
+    return replace(gaussians, **{name: field[kept] for name, field in gaussians.fields().items()})
 
 
 def contributions(gaussians: Gaussians, panel: Panel, rig: Rig) -> Tensor:

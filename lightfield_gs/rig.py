@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,6 +80,18 @@ class Rig:
         from lightfield_gs.framing import frame
 
         return frame(gaussians, panel, world_to_camera)
+
+    def relative_to(self, origin: Sequence[float]) -> "Rig":
+        """The same cameras for coordinates that are given from `origin`, three numbers in scene units.
+
+        rig.relative_to(gaussians.origin) is the rig for Gaussians with an origin of one in their file's coordinates;
+        with the origin negated it goes back. Double precision.
+        """
+        if not any(origin):
+            return self
+        matrix = self.world_to_camera.copy()
+        matrix[:3, 3] += matrix[:3, :3] @ np.asarray(origin, np.float64)
+        return replace(self, world_to_camera=matrix)
 
     # The fan
 

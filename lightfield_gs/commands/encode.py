@@ -58,17 +58,22 @@ def run(args: argparse.Namespace) -> None:
     watch.lap("start")
     with torch.inference_mode():
         gaussians, camera = load_scene(args, device, watch)
+        # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
+        rig = rig and rig.relative_to(gaussians.origin)
+        if "cameras" in views:
+            views["cameras"] = views["cameras"].relative_to(gaussians.origin)
         if rig is None and "cameras" not in views:
             rig = Rig.frame(gaussians, panel, camera)
+        rig_of_file = rig and rig.relative_to([-part for part in gaussians.origin])
         stats: dict = {}
         image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
                        output="uint8" if bits == 8 else "float32", quality=args.quality, threads=args.threads,
                        stats=stats, **views)
         image = image.cpu().numpy()
         watch.lap("image", stats["stages_ms"])
-        write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig), args.compression)
+        write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig_of_file), args.compression)
         if args.save_rig is not None:
-            rig.to_yaml(args.save_rig)
+            rig_of_file.to_yaml(args.save_rig)
         if args.save_gaussians is not None:
             gaussians.save(args.save_gaussians)
         watch.lap("write")
@@ -171,6 +176,8 @@ def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
               rig: "Rig | None") -> dict[str, str]:
     """What the image was made from and by; the values but "software" and "input" are JSON."""
     scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
+    if any(gaussians.origin):
+        scene["origin"] = gaussians.origin
     encoding = {"method": args.method, "views": args.views, "background": list(args.background),
                 "quality": args.quality}
     for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth)):

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.io.yaml_file import MOST_BYTES
 from lightfield_gs.panel import Panel
@@ -14,20 +15,20 @@ from lightfield_gs.panel import Panel
 
 def run(args: argparse.Namespace) -> None:
     """Prints what args.file holds, a line a fact. Raises InputError."""
-    for key, value in describe(args.file, args.device_serial):
+    for key, value in describe(args.file, args.device_serial, args.skip_invalid):
         print(f"{key}: {value}")
 
 
-def describe(path: Path, serial: str | None = None) -> list[tuple[str, object]]:
+def describe(path: Path, serial: str | None = None, skip_invalid: bool = False) -> list[tuple[str, object]]:
     """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file.
 
-    serial: of the display, where the file has several.
+    serial: of the display, where the file has several. skip_invalid: of a scene, see read_scene.
     """
     suffix = path.suffix.lower()
     if serial is not None and suffix != ".json":
         raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
     if suffix in (".ply", ".spz", ".splat", ".ksplat", ".sog"):
-        return _scene(path)
+        return _scene(path, skip_invalid)
     if suffix == ".safetensors":
         return _checkpoint(path)
     if suffix in (".yaml", ".yml") and _is_rig(path):
@@ -37,17 +38,24 @@ def describe(path: Path, serial: str | None = None) -> list[tuple[str, object]]:
     return _image(path)
 
 
-def _scene(path: Path) -> list[tuple[str, object]]:
-    from lightfield_gs.commands.encode import scene_hash
-    from lightfield_gs.gaussians import Gaussians
+def _scene(path: Path, skip_invalid: bool) -> list[tuple[str, object]]:
+    import torch
 
-    scene = Gaussians.load(path)
-    quantile = [scene.means.sort(0).values[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
+    from lightfield_gs.commands.encode import scene_hash
+    from lightfield_gs.commands.scene import read_noted
+
+    scene = read_noted(path, skip_invalid).gaussians
+    centres = (scene.means.double() + scene.means.new_tensor(scene.origin, dtype=torch.float64)).sort(0).values
+    quantile = [centres[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
     facts: list[tuple[str, object]] = [
         ("gaussians", scene.count), ("sh_degree", scene.sh_degree), ("sha256", scene_hash(scene)),
         ("median opacity", f"{scene.opacities.median():.3f}"), ("median scale", f"{scene.scales.median():.4g}")]
+    digits = 4
+    if any(scene.origin):
+        digits = 10
+        facts.append(("origin", ", ".join(f"{part:.0f}" for part in scene.origin)))
     for name, values in zip(("1 %", "median", "99 %"), quantile):
-        facts.append((f"centres, {name}", ", ".join(f"{value:.4g}" for value in values)))
+        facts.append((f"centres, {name}", ", ".join(f"{value:.{digits}g}" for value in values)))
     return facts
 
 
@@ -79,6 +87,7 @@ def _checkpoint(path: Path) -> list[tuple[str, object]]:
             counts = [_product(part.get_shape()) for part in slices.values()]
             types = sorted({part.get_dtype() for part in slices.values()})
     except (SafetensorError, OSError) as error:
+        refuse_stand_in(path)
         raise InputError(f"{path} is no safetensors file: {' '.join(str(error).split())[:200]}") from error
     return [("checkpoint", path), ("parameters", sum(counts)), ("tensors", len(counts)),
             ("types", ", ".join(types)), ("bytes", path.stat().st_size),

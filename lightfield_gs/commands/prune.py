@@ -7,7 +7,7 @@ import argparse
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.panel import load_panel
 from lightfield_gs.commands.rig import load_rig
-from lightfield_gs.commands.scene import check_scene_path
+from lightfield_gs.commands.scene import check_scene_path, read_noted, say_origin
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path, check_outputs
@@ -23,16 +23,16 @@ def run(args: argparse.Namespace) -> None:
     panel = load_panel(args)
     device = choose_device(args.device)
 
-    from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.pruning import prune
     from lightfield_gs.rig import Rig
 
     rig = load_rig(args, panel)
     watch.lap("start")
-    scene = Gaussians.load(args.input)
+    scene = read_noted(args.input, args.skip_invalid).gaussians
+    say_origin(args.input, scene)
     watch.lap("load")
     on_device = scene.to(device)
-    rig = rig or Rig.frame(on_device, panel)
+    rig = Rig.frame(on_device, panel) if rig is None else rig.relative_to(scene.origin)
     kept = prune(on_device, panel, rig, args.contribution_cut)
     watch.lap("prune")
     if kept.count == 0:
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> None:
                          "--contribution-cut or another --rig")
     kept.to("cpu").save(args.output)
     if args.save_rig is not None:
-        rig.to_yaml(args.save_rig)
+        rig.relative_to([-part for part in scene.origin]).to_yaml(args.save_rig)
     watch.lap("write")
     print(f"{args.output}: {kept.count} of {scene.count} Gaussians, the others within {args.contribution_cut:g} of the "
           f"light of {panel.width_px} x {panel.height_px}, {panel.views} views")

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path
 
 if TYPE_CHECKING:
     from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.io.scene_file import SceneFile
 
 _SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 _PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth")
@@ -24,6 +27,8 @@ def check_scene_options(args: argparse.Namespace) -> None:
     """Raises InputError where options of the scene do not go together, or not with the input."""
     if _is_scene_file(args):
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
+    else:
+        _refuse(args, ("skip_invalid",), f"is for files of Gaussians, and {args.input} is none")
     if args.depth is None:
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
@@ -43,15 +48,38 @@ def check_scene_path(path: Path) -> None:
         raise InputError(f"cannot write {path}: expected a name that ends in .ply")
 
 
+def read_noted(path: Path, skip_invalid: bool) -> "SceneFile":
+    """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
+    from lightfield_gs.io.scene_file import read_scene
+
+    scene = read_scene(path, skip_invalid=skip_invalid)
+    for words in scene.notes:
+        note(f"{path}: {words}")
+    return scene
+
+
+def say_origin(path: Path, gaussians: "Gaussians") -> None:
+    if any(gaussians.origin):
+        place = ", ".join(f"{part:.0f}" for part in gaussians.origin)
+        print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
+
+
 def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":
     """The Gaussians of the input, and the pose of its camera if it has one."""
     if _is_scene_file(args):
-        from lightfield_gs.gaussians import Gaussians
-
-        gaussians = Gaussians.load(args.input).to(device)
+        gaussians = read_noted(args.input, args.skip_invalid).gaussians.to(device)
+        say_origin(args.input, gaussians)
         watch.lap("load")
         return gaussians, None
+    _note_quilt(args.input)
     return (_photo_object if args.depth is None else _photo_scene)(args, device, watch), np.eye(4)
+
+
+def _note_quilt(path: Path) -> None:
+    """Says so where a photo's name is that of a quilt: <name>_qs<columns>x<rows>a<aspect>."""
+    if name := re.search(r"_qs(\d+)x(\d+)a\d", path.stem):
+        note(f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
+             "photo; its views are interlaced by lightfield_gs.interlace (Python)")
 
 
 def _photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":

@@ -15,6 +15,7 @@ import numpy as np
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.options import Compression
 from lightfield_gs.paths import checked_path
 
@@ -136,7 +137,9 @@ def _opened(path: str | Path) -> Iterator:
     with _NATIVE_STDERR_SILENCED:
         source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        raise InputError(f"{path} is not an image that can be read: {_first_line(oiio.geterror)}")
+        reason = _first_line(oiio.geterror)  # if it stays there, it is printed when the program ends
+        refuse_stand_in(path)
+        raise InputError(f"{path} is not an image that can be read: {reason}")
     try:
         spec = source.spec()
         if spec.depth > 1 or not 1 <= spec.nchannels <= 16:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.paths import checked_path
 
 
@@ -28,4 +29,5 @@ def open_array(path: str | Path) -> np.ndarray:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:
+        refuse_stand_in(path)
         raise InputError(f"{path} is not a .npy file of numbers: {' '.join(str(error).split())[:200]}") from error

@@ -16,7 +16,7 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.io.depth import read_depth
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.json_file import read_object
-from lightfield_gs.io.ply import read_ply
+from lightfield_gs.io.scene_file import read_scene
 from lightfield_gs.io.view_files import read_cameras, read_view_map
 from lightfield_gs.models.config import ModelConfig
 from training.data.srn import read_intrinsics, read_pose
@@ -59,7 +59,8 @@ def _read_display(path: Path) -> None:
 
 
 READERS = {
-    "ply": Reader(".ply", lambda path: read_ply(path).validate(), "ply"),
+    "ply": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply"),
+    "ply-valid": Reader(".ply", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "ply"),
     "image": Reader(".png", _read_image, "image"),
     "photo": Reader(".png", lambda path: load_photo(path, whole=True), "image"),
     "depth": Reader(".png", lambda path: read_depth(path, limits=(0.5, 2.0)), "image"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +18,31 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
 
+_RGB = ("red", "green", "blue")
+
 
 def _gaussians(degree: int) -> Gaussians:
     count = (degree + 1) ** 2
     return Gaussians(torch.tensor([[0.0, 0, 2], [1, 2, 3]]), torch.eye(4)[:2], torch.full((2, 3), 0.1),
                      torch.tensor([0.5, 0.9]), torch.linspace(-1, 1, 6 * count).view(2, count, 3))
+
+
+def _scenes(folder: Path) -> None:
+    """In every encoding that is read, with elements before and after the vertices."""
+    for degree in (0, 3):
+        _gaussians(degree).save(folder / f"degree{degree}.ply")
+    replace(_gaussians(0), origin=(500123.0, 5412345.0, -420.0)).save(folder / "double.ply")
+    names = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
+    lines = ["comment Vertical Axis: z", "element face 2", "property list uchar short v", "property uchar flag",
+             "element vertex 24", *(f"property double {name}" for name in "xyz"),
+             *(f"property float {name}" for name in names), *(f"property uchar {name}" for name in _RGB),
+             "element size 1", "property ushort px", "end_header\n"]
+    rows = [(0.1 * i, 3.0, 2.0 - i, 0.5, -2.0, -3.0, -4.0, 1.0, 0.0, 0.5, 0.0, 10 * i, 255 - i, 7) for i in range(24)]
+    text = "3 0 1 2 9\n0 8\n" + "".join(" ".join(map(str, row)) + "\n" for row in rows) + "640\n"
+    (folder / "text.ply").write_text("\n".join(["ply", "format ascii 1.0", *lines]) + text)
+    body = struct.pack(">B3hBBB", 3, 0, 1, 2, 9, 0, 8) + b"".join(struct.pack(">3d8f3B", *row) for row in rows)
+    header = "\n".join(["ply", "format binary_big_endian 1.0", *lines])
+    (folder / "big-endian.ply").write_bytes(header.encode() + body + struct.pack(">H", 640) + b"\n")
 
 
 def _images(folder: Path, metadata: dict[str, str] | None = None) -> None:
@@ -60,8 +82,7 @@ def main() -> None:
     folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
     for folder in folders.values():
         folder.mkdir(parents=True, exist_ok=True)
-    for degree in (0, 3):
-        _gaussians(degree).save(folders["ply"] / f"degree{degree}.ply")
+    _scenes(folders["ply"])
     _images(folders["image"], {"panel": "small"})
     np.save(folders["depth-npy"] / "millimetres.npy", np.arange(1, 13, dtype=np.uint16).reshape(3, 4))
     np.save(folders["depth-npy"] / "metres.npy", np.linspace(0.5, 2, 12, dtype=np.float32).reshape(3, 4).T)
