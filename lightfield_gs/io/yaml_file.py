@@ -40,8 +40,8 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
 @functools.cache
 def _loader() -> type:
     """SafeLoader without aliases (a small file could grow without bound), without tags (settings need none, and they
-    fail in many ways), without keys that come twice, and with 1e-5 as a number (both as in YAML 1.2); 010 and 1:30, which
-    are 8 and 90 before YAML 1.2, are refused."""
+    fail in many ways), without keys that come twice, and with 1e-5 as a number (both as in YAML 1.2); 010 and 1:30,
+    which are 8 and 90 before YAML 1.2, are refused."""
     import yaml
 
     class Loader(yaml.SafeLoader):
