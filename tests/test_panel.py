@@ -254,7 +254,8 @@ def test_nonsense_is_refused(change, words):
     ("width: 3\n", "did you mean 'width_px'"), ("[1, 2]\n", "mapping"), ("a: [", "not YAML"), ("", "mapping"),
     ("width_px: 3\nheight_px: 2\nviews: 4\nslant_tan: 0\n", "missing line_number"),
     ("width_px: 3\nheight_px: 2\nviews: 4\nviews: 5\nline_number: 5\nslant_tan: 0\n", "'views' twice"),
-    ("width_px: &a [1]\nheight_px: *a\n", "aliases")])
+    ("width_px: 010\n", "'010' is a different number"), ("width_px: 1:30\n", "'1:30' is a"),
+    ("line_number: 1_0.5\n", "'1_0.5' is a"), ("width_px: &a [1]\nheight_px: *a\n", "aliases")])
 def test_bad_yaml(tmp_path, text, words):
     path = tmp_path / "p.yaml"
     path.write_text(text)

@@ -43,7 +43,8 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
 @functools.cache
 def _loader() -> type:
     """SafeLoader without aliases (a small file could grow without bound), without tags (settings need none, and they
-    fail in many ways), without keys that come twice, and with 1e-5 as a number (both as in YAML 1.2)."""
+    fail in many ways), without keys that come twice, and with 1e-5 as a number (both as in YAML 1.2); 010 and 1:30,
+    which are 8 and 90 before YAML 1.2, are refused."""
     import yaml
 
     class Loader(yaml.SafeLoader):
@@ -60,6 +61,14 @@ def _loader() -> type:
                 raise yaml.YAMLError(f"expected each key once, got '{twice[0][:60]}' twice")
             return super().construct_mapping(node, deep)
 
+    def plain_number(loader: Loader, node: yaml.ScalarNode) -> int | float:
+        if re.match(r"[-+]?0[0-9_]|.*[:_]", node.value):
+            raise yaml.YAMLError(f"'{node.value[:60]}' is a different number to different programs; write it plain")
+        return usual[node.tag](loader, node)
+
+    usual = dict(Loader.yaml_constructors)
+    for tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
+        Loader.add_constructor(tag, plain_number)
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
                                  list("-+0123456789"))
     return Loader
