@@ -125,7 +125,8 @@ def test_looking_glass_options_and_errors():
     assert (panel.views, panel.cone_deg, panel.subpixel_order, panel.invert_views) == (48, 54, "BGR", False)
     assert Panel.from_looking_glass({**TEMPLATE, "invView": 0}).invert_views
     for change, word in (({"pitch": "x"}, "pitch"), ({"DPI": 0}, "DPI"), ({"slope": 0}, "slope"),
-                         ({"flipImageY": 1}, "flipImageY"), ({"center": math.nan}, "center"),
+                         ({"flipImageY": 1}, "flipImageY"), ({"fringe": 0.5}, "fringe"),
+                         ({"verticalAngle": 1.57}, "verticalAngle"), ({"center": math.nan}, "center"),
                          ({"CellPatternMode": 7}, "CellPatternMode 7 is not known"),
                          ({"CellPatternMode": 2}, "no subpixelCells"), ({"subpixelCells": [{}]}, "missing ROffsetX"),
                          ({"subpixelCells": "none"}, "must be a list"), ({"subpixelCells": [3]}, "must be an object"),

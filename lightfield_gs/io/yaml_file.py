@@ -13,7 +13,6 @@ from typing import Any
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.text_file import read_text
 
 MOST_BYTES = 1 << 16  # a second's work at most
@@ -30,11 +29,9 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
     try:
         data = yaml.load(text, _loader())
     except (ValueError, IndexError, yaml.YAMLError, RecursionError) as error:  # ValueError: of dates
-        refuse_stand_in(path)
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path} is not YAML: {reason}") from error
     if not isinstance(data, dict):
-        refuse_stand_in(path)
         raise InputError(f"{path}: expected a mapping 'key: value', got {type(data).__name__}")
     check_keys(data, required, optional, str(path))
     return data
