@@ -15,13 +15,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from lightfield_gs.axes import UP_AXES
 from lightfield_gs.commands.complaint import assumptions_said, complain
-from lightfield_gs.commands.values import background, byte_size, numbers, threads, within
+from lightfield_gs.commands.values import background, byte_size, camera_choice, numbers, threads, within
 from lightfield_gs.errors import InputError
 from lightfield_gs.options import COMPRESSIONS, DEPTH_KINDS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
 from lightfield_gs.panel import DEFAULT_PANEL
 
-_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics")  # their values may begin with a minus sign
+_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up")  # may begin with a minus sign
 
 
 class _Parser(argparse.ArgumentParser):
@@ -66,6 +67,7 @@ def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
                       help="a .ply, an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file")
     _add_device_serial(info.add_argument)
     _add_skip_invalid(info.add_argument)
+    _add_up(info.add_argument)
     info.set_defaults(module="lightfield_gs.commands.info")
     bench = commands.add_parser("bench", help="measure speed and accuracy", allow_abbrev=False)
     bench.set_defaults(module="lightfield_gs.bench.command")
@@ -96,6 +98,21 @@ def _add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
         "rotation of zeros), and say how many")
 
 
+def _add_camera(add: Callable[..., argparse.Action]) -> None:
+    """The cameras of the views, of a scene that has a file; without any, framed automatically."""
+    add("--rig", type=Path, metavar="YAML", help="cameras of the views, in the file's own axes (default: those that the "
+        "file brings along, else framed automatically)")
+    add("--camera", type=camera_choice, metavar="FILE[:INDEX]", help="centre camera of the views, in the file's own "
+        "axes: one of a cameras.json (3D Gaussian splatting), of a transforms.json (NeRF), or a rig; its picture is "
+        "fitted to the panel (default index 0)")
+    _add_up(add)
+
+
+def _add_up(add: Callable[..., argparse.Action]) -> None:
+    add("--up", choices=UP_AXES, metavar="AXIS", help="axis that points up in the file, x, y, z, -x, -y or -z, for "
+        "automatic framing; the Gaussians stay as they are (default: what the file says, else -y)")
+
+
 def _add_encode(commands: argparse._SubParsersAction) -> None:
     encode = commands.add_parser(
         "encode", help="a photo or a .ply to the image of a panel", allow_abbrev=False,
@@ -106,7 +123,7 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         "or --remove-background), a photo of a scene with --depth, or a standard 3DGS .ply")
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     _add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
-    add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
+    _add_camera(add)
     add("--cameras", type=Path, metavar="JSON",
         help="one camera for each view, the right-most eye's first, for --method sorted, in place of a rig: "
         "world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of "
@@ -120,7 +137,8 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         help="cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)")
     _add_depth(encode)
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
-    add("--save-gaussians", type=Path, metavar="PLY", help="write the scene as a 3DGS .ply")
+    add("--save-gaussians", type=Path, metavar="PLY", help="write the scene as a 3DGS .ply, in its own "
+        "axes, with the framing: encoding it gives the same picture")
     _add_skip_invalid(add)
     add("--method", choices=METHODS, default="direct",
         help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
@@ -172,7 +190,7 @@ def _add_prune(commands: argparse._SubParsersAction) -> None:
     add("--contribution-cut", type=within(0, 1), default=3e-4, metavar="SHARE",
         help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)")
     _add_panel(add, "for framing, as `encode` takes it")
-    add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
+    _add_camera(add)
     add("--save-rig", type=Path, metavar="YAML",
         help="write the rig that was used: automatic framing may see a pruned scene otherwise")
     add("--device", choices=DEVICES, default="auto", help="where the scene is drawn (default auto)")

@@ -6,7 +6,7 @@ import math
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import torch
 
@@ -91,6 +91,18 @@ class Gaussians:
     def detach(self) -> "Gaussians":
         """The same data outside the autograd graph."""
         return replace(self, **{name: tensor.detach() for name, tensor in self.fields().items()})
+
+    def rotated(self, rotation: Any) -> "Gaussians":
+        """The same Gaussians turned about the zero of their file: places, quaternions, spherical harmonics of degree 0..3.
+
+        rotation: [3, 3], applied to column vectors, or a quaternion [4] (wxyz, any length but zero): tensor, array or
+        numbers. What a camera `world_to_camera` sees of them, one with the rotation world_to_camera[:3, :3] @
+        rotation^T and the same translation sees of what is returned, exactly. Keeps batch, dtype, device and gradients.
+        Raises InputError for what is no proper rotation.
+        """
+        from lightfield_gs.turning import rotated
+
+        return rotated(self, rotation)
 
     def validate(self) -> "Gaussians":
         """Returns self.

@@ -80,7 +80,7 @@ class PhotoEncoder:
         with stats.stage("network"):
             self.gaussians = self.net.seen_gaussians(cropped)
         with stats.stage("framing"):
-            self.rig = Rig.frame(self.gaussians, self.panel, np.eye(4))
+            self.rig = framing.frame_photo(self.gaussians, self.panel)
         with stats.stage("encode"):
             return rendering.encode(self.gaussians, self.panel, self.rig, views=self.views, background=self.background,
                                     output=self.output, quality=self.quality)

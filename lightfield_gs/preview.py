@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path, make_folder, remove_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.rig import Rig, reduced
 from lightfield_gs.simulate import simulate, unknown_of
 
 EYE_SEPARATION_MM = 63.0
@@ -73,16 +72,6 @@ def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
         strip = np.nan_to_num(image[first:first + 256].astype(np.float64))
         out[first:first + 256] = np.floor(np.clip(strip, 0, 1) * top + 0.5)
     return out
-
-
-def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
-    """The same view of the scene on a panel of another width; a panel is never enlarged."""
-    scale = min(1.0, width_px / panel.width_px)
-    width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
-    scales = width / panel.width_px, height / panel.height_px
-    focal, centre = (tuple(value * s for value, s in zip(pair, scales))
-                     for pair in (rig.focal_px, rig.principal_point_px))
-    return replace(panel, width_px=width, height_px=height), replace(rig, focal_px=focal, principal_point_px=centre)
 
 
 def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float, float, float], count: int,

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.panel import load_panel, why_no_eye
-from lightfield_gs.commands.rig import load_cameras, load_rig
+from lightfield_gs.commands.rig import load_cameras
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -37,33 +38,32 @@ def run(args: argparse.Namespace) -> None:
     if args.preview is not None:
         check_folder(args.preview)
     check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
-                                   args.view_map, args.checkpoint))
+                                   args.view_map, args.checkpoint, args.camera and args.camera[0]))
     _check_options(args)
     panel = load_panel(args)
     import torch
 
+    from lightfield_gs.io.ply import write_ply
     from lightfield_gs.lens import slow_way
     from lightfield_gs.quality import Quality
     from lightfield_gs.rendering import encode
-    from lightfield_gs.rig import Rig
 
     if args.threads is not None:
         _use_threads(args.threads)
     device = choose_device(args.device)
-    rig = load_rig(args, panel)
+    given, rig, said = read_given(args, panel), None, []
     views = _views(args, panel)
     lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
     if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
         note(why)
     watch.lap("start")
     with torch.inference_mode():
-        gaussians, camera = load_scene(args, device, watch)
+        gaussians, file = load_scene(args, device, watch)
         # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
-        rig = rig and rig.relative_to(gaussians.origin)
         if "cameras" in views:
             views["cameras"] = views["cameras"].relative_to(gaussians.origin)
-        if rig is None and "cameras" not in views:
-            rig = Rig.frame(gaussians, panel, camera)
+        else:
+            rig, said = choose_rig(given, args, panel, gaussians, file)
         rig_of_file = rig and rig.relative_to([-part for part in gaussians.origin])
         stats: dict = {}
         image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
@@ -75,7 +75,8 @@ def run(args: argparse.Namespace) -> None:
         if args.save_rig is not None:
             rig_of_file.to_yaml(args.save_rig)
         if args.save_gaussians is not None:
-            gaussians.save(args.save_gaussians)
+            write_ply(args.save_gaussians, gaussians, comments_of(args, panel, file, rig_of_file))
+            said.append(f"{args.save_gaussians}: the Gaussians in their own axes, with the framing and what is up")
         watch.lap("write")
         if args.preview is not None:
             from lightfield_gs.preview import write_preview
@@ -91,6 +92,7 @@ def run(args: argparse.Namespace) -> None:
     print(watch.line())
     if args.stats:
         print("\n".join(_stats_lines(stats, gaussians.count)))
+    print("".join(f"{line}\n" for line in said), end="")
 
 
 def _outputs(args: argparse.Namespace) -> list[Path | None]:
@@ -126,7 +128,8 @@ def _check_options(args: argparse.Namespace) -> None:
             raise InputError(f"--views continuous is for a rig and the panel's lens, and {option} takes the place of "
                              "one; leave out one of them")
     if args.cameras is not None:
-        for option, value in (("--rig", args.rig), ("--save-rig", args.save_rig), ("--preview", args.preview)):
+        for option, value in (("--rig", args.rig), ("--camera", args.camera), ("--up", args.up),
+                              ("--save-rig", args.save_rig), ("--preview", args.preview)):
             if value is not None:
                 raise InputError(f"{option} is about a rig, and --cameras takes its place; leave out one of them")
 
@@ -180,7 +183,8 @@ def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
         scene["origin"] = gaussians.origin
     encoding = {"method": args.method, "views": args.views, "background": list(args.background),
                 "quality": args.quality}
-    for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth)):
+    for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth),
+                       ("camera", args.camera and args.camera[0])):
         if path is not None:
             encoding[name] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     versions = package_versions()

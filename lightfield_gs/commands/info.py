@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
@@ -12,23 +14,28 @@ from lightfield_gs.io.text_file import read_text
 from lightfield_gs.io.yaml_file import MOST_BYTES
 from lightfield_gs.panel import Panel
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 
 def run(args: argparse.Namespace) -> None:
     """Prints what args.file holds, a line a fact. Raises InputError."""
-    for key, value in describe(args.file, args.device_serial, args.skip_invalid):
+    for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up):
         print(f"{key}: {value}")
 
 
-def describe(path: Path, serial: str | None = None, skip_invalid: bool = False) -> list[tuple[str, object]]:
+def describe(path: Path, serial: str | None = None, skip_invalid: bool = False,
+             up: str | None = None) -> list[tuple[str, object]]:
     """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file.
 
-    serial: of the display, where the file has several. skip_invalid: of a scene, see read_scene.
+    serial: of the display, where the file has several. skip_invalid: of a scene, see read_scene. up: which axis of it
+    points up, in place of what its file says.
     """
     suffix = path.suffix.lower()
     if serial is not None and suffix != ".json":
         raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
     if suffix in (".ply", ".spz", ".splat", ".ksplat", ".sog"):
-        return _scene(path, skip_invalid)
+        return _scene(path, skip_invalid, up)
     if suffix == ".safetensors":
         return _checkpoint(path)
     if suffix in (".yaml", ".yml") and _is_rig(path):
@@ -38,25 +45,42 @@ def describe(path: Path, serial: str | None = None, skip_invalid: bool = False) 
     return _image(path)
 
 
-def _scene(path: Path, skip_invalid: bool) -> list[tuple[str, object]]:
+def _scene(path: Path, skip_invalid: bool, up: str | None) -> list[tuple[str, object]]:
     import torch
 
+    from lightfield_gs.commands.camera import axes_of, brought_along
     from lightfield_gs.commands.encode import scene_hash
     from lightfield_gs.commands.scene import read_noted
 
-    scene = read_noted(path, skip_invalid).gaussians
+    file = read_noted(path, skip_invalid)
+    scene = file.gaussians
     centres = (scene.means.double() + scene.means.new_tensor(scene.origin, dtype=torch.float64)).sort(0).values
     quantile = [centres[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
     facts: list[tuple[str, object]] = [
         ("gaussians", scene.count), ("sh_degree", scene.sh_degree), ("sha256", scene_hash(scene)),
-        ("median opacity", f"{scene.opacities.median():.3f}"), ("median scale", f"{scene.scales.median():.4g}")]
-    digits = 4
+        ("axes", axes_of(up, file).words()), *brought_along(file),
+        ("opacity", _range(scene.opacities)), ("median opacity", f"{scene.opacities.median():.3f}"),
+        ("scale", _range(scene.scales)), ("median scale", f"{scene.scales.median():.4g}")]
+    digits = _digits(centres)
     if any(scene.origin):
-        digits = 10
         facts.append(("origin", ", ".join(f"{part:.0f}" for part in scene.origin)))
-    for name, values in zip(("1 %", "median", "99 %"), quantile):
+    for name, values in (("lowest", centres[0].tolist()), *zip(("1 %", "median", "99 %"), quantile),
+                         ("highest", centres[-1].tolist())):
         facts.append((f"centres, {name}", ", ".join(f"{value:.{digits}g}" for value in values)))
+    facts.append(("extent", " x ".join(f"{side:.4g}" for side in (centres[-1] - centres[0]).tolist())
+                  + " (1 % to 99 %: " + " x ".join(f"{b - a:.4g}" for a, b in zip(quantile[0], quantile[2])) + ")"))
     return facts
+
+
+def _range(values: "Tensor") -> str:
+    return f"{values.min():.4g} to {values.max():.4g}"
+
+
+def _digits(centres: "Tensor") -> int:
+    """Significant digits that show centres [N, 3] to a ten-thousandth of the extent of most, 4 to 17."""
+    spread = float((centres[int(0.99 * (len(centres) - 1))] - centres[int(0.01 * (len(centres) - 1))]).max())
+    farthest = float(centres.abs().max())
+    return 4 if spread <= 0 or farthest <= 0 else min(17, 4 + max(0, math.ceil(math.log10(farthest / spread))))
 
 
 def _image(path: Path) -> list[tuple[str, object]]:

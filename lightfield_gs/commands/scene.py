@@ -7,8 +7,6 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -28,7 +26,7 @@ def check_scene_options(args: argparse.Namespace) -> None:
     if _is_scene_file(args):
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
     else:
-        _refuse(args, ("skip_invalid",), f"is for files of Gaussians, and {args.input} is none")
+        _refuse(args, ("skip_invalid", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
     if args.depth is None:
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
@@ -64,15 +62,16 @@ def say_origin(path: Path, gaussians: "Gaussians") -> None:
         print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
 
 
-def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":
-    """The Gaussians of the input, and the pose of its camera if it has one."""
+def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, SceneFile | None]":
+    """The Gaussians of the input, on the device, and what else its file holds; None of a photo."""
     if _is_scene_file(args):
-        gaussians = read_noted(args.input, args.skip_invalid).gaussians.to(device)
-        say_origin(args.input, gaussians)
+        file = read_noted(args.input, args.skip_invalid)
+        say_origin(args.input, file.gaussians)
+        gaussians = file.gaussians.to(device)
         watch.lap("load")
-        return gaussians, None
+        return gaussians, file
     _note_quilt(args.input)
-    return (_photo_object if args.depth is None else _photo_scene)(args, device, watch), np.eye(4)
+    return (_photo_object if args.depth is None else _photo_scene)(args, device, watch), None
 
 
 def _note_quilt(path: Path) -> None:
