@@ -95,8 +95,8 @@ def depth_map(path: str | Path, numbers: DepthNumbers, kind: str | None = None, 
         z[far] = beyond if invalid == "far" else np.nan
         said += f", {far.mean():.1%} " + (f"infinitely far (put at {beyond:.4g})" if invalid == "far" else
                                            "infinitely far and left out")
-    if (holes := 1 - measured.mean() - far.mean()) > 0:
-        said += f", {holes:.1%} not measured"
+    if (holes := ~(measured | far)).any():
+        said += f", {holes.mean():.1%} not measured"
     with np.errstate(over="ignore"):
         z = z.astype(np.float32)
     return DepthMap(z, numbers.focal_px, said, [f"{path} {words}" for words in numbers.notes])

@@ -36,6 +36,10 @@ class Photo:
     said: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
+    def floats(self) -> np.ndarray:
+        """The pixels as float32 in 0..1."""
+        return as_floats(self.pixels)
+
 
 def load_photo(path: str | Path, mask: str | Path | None = None, *, remove_background: bool = False,
                whole: bool = False, map_orientation: str | None = None) -> np.ndarray:
@@ -50,7 +54,7 @@ def load_photo(path: str | Path, mask: str | Path | None = None, *, remove_backg
     """
     photo = photo_of(path, read_picture(path), mask, remove_background=remove_background, whole=whole,
                      map_orientation=map_orientation)
-    return as_floats(photo.pixels)
+    return photo.floats()
 
 
 def photo_of(path: str | Path, picture: Picture, mask: str | Path | None = None, *, remove_background: bool = False,
@@ -151,7 +155,7 @@ def _without_specks(alpha: np.ndarray) -> str:
              "pixels")
     if pieces > 1:
         words += f", in {pieces} pieces"
-    return words + (f" ({specks} specks beside it left out)" if specks else "")
+    return words + (f" (specks beside it left out: {specks})" if specks else "")
 
 
 def _colour_and_alpha(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
