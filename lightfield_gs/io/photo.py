@@ -15,6 +15,7 @@ from lightfield_gs.io.images import Picture, as_floats, read_picture
 from lightfield_gs.io.orientation import turned_with_photo
 from lightfield_gs.io.pieces import object_pieces
 from lightfield_gs.io.plain import PlainCut, cut_from_plain_background, plain_background_mask
+from lightfield_gs.io.strips import strips
 
 __all__ = ["Photo", "load_photo", "photo_of", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
@@ -22,6 +23,7 @@ _OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/c
 _COVERS_ALL = 0.95  # share of the pixels: alpha that leaves less out has rounded corners or a frame, and no object
 _MOST_FADED, _MOST_LOST = 0.1, 1 / 3  # shares of what an object encloses: more is likely to be the object itself
 _FEW_LEVELS = 16  # of 255: a mask that is never brighter numbers things
+_STRIP_PIXELS = 1 << 19
 _OTHER_CUT_OUTS = ("give RGBA, a cut-out with --mask FILE, or --remove-background (pip install "
                    "'lightfield-gs[rembg]')")
 
@@ -106,8 +108,9 @@ def _shares(alpha: np.ndarray) -> np.ndarray:
 def _joined(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """RGBA of the type of rgb [H, W, 3]; alpha: [H, W] float32."""
     rgba = np.empty((*alpha.shape, 4), rgb.dtype)
-    rgba[..., :3] = rgb
-    rgba[..., 3] = alpha if rgb.dtype == np.float32 else np.rint(255 * alpha)
+    for top, bottom in strips(*alpha.shape, _STRIP_PIXELS):
+        rgba[top:bottom, :, :3] = rgb[top:bottom]
+        rgba[top:bottom, :, 3] = alpha[top:bottom] if rgb.dtype == np.float32 else np.rint(255 * alpha[top:bottom])
     return rgba
 
 

@@ -36,12 +36,12 @@ class Pieces:
     def hit(self, flags: np.ndarray) -> np.ndarray:
         """Which pieces [count] have a pixel that is set in flags [H, W]."""
         found = np.zeros(self.count, bool)
-        found[self.labels[self._sums(flags) > 0]] = True
+        found[self.labels[self._reduced(np.maximum, flags.view(np.uint8)) > 0]] = True
         return found
 
     def masses(self, values: np.ndarray) -> np.ndarray:
         """The sums [count] of values [H, W] over each piece."""
-        return np.bincount(self.labels, self._sums(values), self.count)
+        return np.bincount(self.labels, self._reduced(np.add, values), self.count)
 
     def boxes(self) -> np.ndarray:
         """Top, left, bottom and right of each piece, [count, 4]; the last two are exclusive."""
@@ -61,14 +61,14 @@ class Pieces:
         np.add.at(steps, self.rows[runs] * width + self.ends[runs], -1)
         return np.cumsum(steps[:-1], dtype=np.int8).view(bool).reshape(self.shape)
 
-    def _sums(self, values: np.ndarray) -> np.ndarray:
-        """Of values [H, W] over each run."""
+    def _reduced(self, operation: np.ufunc, values: np.ndarray) -> np.ndarray:
+        """Sums, or whatever the operation gives, of values [H, W] over each run."""
         if not len(self.rows):
-            return np.zeros(0)
+            return np.zeros(0, values.dtype)
         edges = np.stack([self.rows * self.shape[1] + self.starts, self.rows * self.shape[1] + self.ends], 1).ravel()
         if edges[-1] == values.size:  # of the last run, where reduceat goes on to the end by itself
             edges = edges[:-1]
-        return np.add.reduceat(values.ravel(), edges, dtype=np.float64)[::2]
+        return operation.reduceat(values.ravel(), edges)[::2]
 
 
 def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, int]:

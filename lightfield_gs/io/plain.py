@@ -17,6 +17,8 @@ _SAME = 0.02  # colour distance below which an enclosed patch is the background,
 _PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits in it: smaller ones are highlights
 _WINDOWS_PX = (1, 3, 5, 7, 9)  # means over such squares make noise smaller, where it is too strong
 _LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from the background, where it has no noise, is part of it
+_BAND_LINES = 16
+_SHARE_SAMPLES = 1500  # of the longer side
 _STRIP_PIXELS = 1 << 19  # at a time in floating point: eight bytes times all pixels would be more than a photo itself
 
 
@@ -67,10 +69,11 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
 
 
 def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
-    """The four bands [., ., 3] along the edges, float32 in 0..1."""
+    """The four bands [., ., 3] along the edges, float32 in 0..1; of thick ones some of the lines."""
+    each = max(1, thick // _BAND_LINES)
     middle = rgb[thick:-thick]
     bands = (rgb[:thick], rgb[-thick:], middle[:, :thick].swapaxes(0, 1), middle[:, -thick:].swapaxes(0, 1))
-    return [_floats(band) for band in bands]
+    return [_floats(band[::each]) for band in bands]
 
 
 def _floats(rgb: np.ndarray) -> np.ndarray:
@@ -104,10 +107,15 @@ def _distances(rgb: np.ndarray, colour: np.ndarray, window: int) -> np.ndarray:
     """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from `colour`."""
     (height, width), reach = rgb.shape[:2], window // 2
     distances = np.empty((height, width), np.float32)
+    tables = (_floats(np.arange(256, dtype=np.uint8))[:, None] - colour).T ** 2
     for top, bottom in strips(height, width, _STRIP_PIXELS):
-        first = max(0, top - reach)
-        block = _means(_floats(rgb[first:bottom + reach]) - colour, window)[top - first:][:bottom - top]
-        np.sqrt(np.einsum("hwc,hwc->hw", block, block), out=distances[top:bottom])
+        if window == 1 and rgb.dtype == np.uint8:
+            squares = (tables[channel][rgb[top:bottom, :, channel]] for channel in range(3))
+        else:
+            first = max(0, top - reach)
+            block = _means(_floats(rgb[first:bottom + reach]) - colour, window)[top - first:][:bottom - top]
+            squares = (block[..., channel] ** 2 for channel in range(3))
+        np.sqrt(sum(squares), out=distances[top:bottom])
     return distances
 
 
@@ -140,13 +148,14 @@ def _sharpened(outside: np.ndarray, distance: np.ndarray, raw: np.ndarray,
     """outside and distance without the fringe round the object, where means took in some of its colour."""
     grown = outside
     for axis in (0, 1):
-        grown = grown.swapaxes(0, axis).copy()
-        before = grown.copy()
+        before, grown = grown, grown.copy()
         for step in range(1, reach + 1):
-            grown[step:] |= before[:-step]
-            grown[:-step] |= before[step:]
-        grown = grown.swapaxes(0, axis)
-    return outside | grown & (raw < _FAR), np.minimum(distance, raw)
+            for one, other in ((np.s_[step:], np.s_[:-step]), (np.s_[:-step], np.s_[step:])):
+                target, source = (one, other) if axis == 0 else ((slice(None), one), (slice(None), other))
+                grown[target] |= before[source]
+    grown &= raw < _FAR
+    grown |= outside
+    return grown, np.minimum(distance, raw, out=distance)
 
 
 def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
@@ -154,6 +163,8 @@ def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, d
 
     Of a white body before white all but its outline goes: its shades as faded, the rest through holes.
     """
+    step = max(1, round(max(distance.shape) / _SHARE_SAMPLES))  # of a large picture a part will do
+    outside, holes, distance = (values[::step, ::step] for values in (outside, holes, distance))
     opaque = distance > (_NEAR + _FAR) / 2
     opaque |= ~outside
     lost = _between(opaque, 1) & _between(opaque, 0)
