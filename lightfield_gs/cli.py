@@ -19,7 +19,8 @@ from lightfield_gs.axes import UP_AXES
 from lightfield_gs.commands.complaint import assumptions_said, complain
 from lightfield_gs.commands.values import background, byte_size, camera_choice, numbers, threads, within
 from lightfield_gs.errors import InputError
-from lightfield_gs.options import COMPRESSIONS, DEPTH_KINDS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
+from lightfield_gs.options import (COMPRESSIONS, DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, DEVICES, MAP_ORIENTATIONS,
+                                   METHODS, QUALITY_NAMES, VIEWS)
 from lightfield_gs.panel import DEFAULT_PANEL
 
 _VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up")  # may begin with a minus sign
@@ -172,6 +173,12 @@ def _add_depth(encode: argparse.ArgumentParser) -> None:
         "full scale (0..255, 0..65535, floats 0..1); their ratio sets how deep the scene looks")
     add("--depth-scale", type=float, metavar="S", help="in place of a range: distance = S * number, or S / number of a "
         "disparity; 0.001 for millimetres to metres (default for floats: 1); 0 is no measurement")
+    add("--depth-invalid", choices=DEPTH_INVALID, help="what infinite distances and the disparity 0 are: far away "
+        "(default), or holes, as NaN and the distance 0 always are")
+    add("--rgbd", choices=DEPTH_PARTS, help="in place of --depth: which half of the photo is its "
+        "depth map (default for names like photo_rgbd.png); without --depth-kind and --depth-range bright is near, 1,1.6")
+    add("--map-orientation", choices=MAP_ORIENTATIONS, help="of --mask and --depth for a photo that its Exif "
+        "orientation turns: as the photo's file has its pixels, or as it is seen (default: by their size)")
     add("--fov", type=float, metavar="DEG", help="angle that the photo's longer side takes, degrees (default 60)")
     add("--intrinsics", type=numbers(4), metavar="FX,FY,CX,CY", help="in place of --fov: focal lengths and principal "
         "point of the photo, in its pixels, from the outer corner of the first")
