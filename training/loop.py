@@ -32,8 +32,10 @@ from training.trainer import StepValues, Trainer
 def make_planner(config: TrainingConfig, team: Team) -> BatchPlanner:
     """The source of a run's batches, its views on the team's device; decodes the data first where that is not done."""
     with team.leader_first():
-        sets, target_sets = ([load_set(Path(folder), Path(config.cache_dir)) for folder in folders]
-                             for folders in (config.data, config.target_data))
+        sets, target_sets = ([load_set(Path(folder), Path(config.cache_dir), background=config.background)
+                              for folder in folders] for folders in (config.data, config.target_data))
+    if team.leads:
+        print(*sets, *target_sets, sep="\n", flush=True)
     partners = find_partners(sets, target_sets)
     poses = [views.camera_to_world for cached in sets + target_sets for views in cached.objects]
     sampler = ViewSampler(poses[:len(partners)], config.azimuth_deg, config.elevation_deg, config.targets, config.seed,
@@ -90,7 +92,9 @@ def _validate(trainer: Trainer, log: RunLog, decoded: dict[Path, Tensor]) -> Non
     if not (trainer.team.leads and config.scores_due(trainer.step)) or trainer.step <= log.scored:
         return
     report = score_folder(trainer.average.average, Path(config.validation), limit=config.validation_objects,
-                          device=trainer.team.device, decoded=decoded)
+                          device=trainer.team.device, decoded=decoded, background=config.background)
+    if report["skipped"]:
+        log.say(f"{len(report['skipped'])} objects could not be scored; the first: {next(iter(report['skipped'].values()))}")
     log.scores(trainer.step, {name: report[name] for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim")})
 
 

@@ -37,13 +37,15 @@ _SETTINGS = {
 
 @dataclass
 class ImageInfo:
-    """Header of an image file: size in pixels, sample type as OpenImageIO names it, metadata of this package."""
+    """Header of an image file: size in pixels as stored, sample type as OpenImageIO names it, metadata of this package,
+    and the Exif orientation 1..8."""
 
     width_px: int
     height_px: int
     channels: int
     sample_type: str
     metadata: dict[str, str] = field(default_factory=dict)
+    orientation: int = 1
 
 
 def check_image_path(path: str | Path) -> Path:
@@ -94,13 +96,15 @@ def read_info(path: str | Path) -> ImageInfo:
     with _opened(path) as source:
         spec = source.spec()
         return ImageInfo(spec.width, spec.height, spec.nchannels, str(spec.format),
-                         _metadata(spec.get_string_attribute(_METADATA_KEY)))
+                         _metadata(spec.get_string_attribute(_METADATA_KEY)),
+                         spec.get_int_attribute("Orientation", 1))
 
 
-def read_image(path: str | Path, as_stored: bool = False) -> np.ndarray:
-    """Pixels [H, W, C] of an image file (its first sub-image), upright, alpha straight.
+def read_image(path: str | Path, as_stored: bool = False, upright: bool = True) -> np.ndarray:
+    """Pixels [H, W, C] of an image file (its first sub-image), alpha straight.
 
     float32, integers scaled to 0..1; or with `as_stored` uint8, uint16 or float32 as in the file.
+    upright: turned as the Exif orientation says; else as the file has them, which the cameras of posed views refer to.
     Raises InputError when it is no image, damaged, cut, empty or absurdly large.
     """
     with _opened(path) as source, _NATIVE_STDERR_SILENCED:
@@ -111,7 +115,7 @@ def read_image(path: str | Path, as_stored: bool = False) -> np.ndarray:
             raise InputError(f"{path} is damaged or cut: {_first_line(source.geterror)}")
         orientation = spec.get_int_attribute("Orientation", 1)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
-    pixels = np.ascontiguousarray(_upright(pixels, orientation))
+    pixels = np.ascontiguousarray(_upright(pixels, orientation) if upright else pixels)
     if as_stored or pixels.dtype == np.float32:
         return pixels
     return pixels / np.float32(np.iinfo(pixels.dtype).max)  # OpenImageIO's own scaling is not exact

@@ -24,7 +24,7 @@ def read_object(path: str | Path, limit_bytes: int) -> dict[str, Any]:
     try:
         if path.stat().st_size > limit_bytes:
             raise InputError(f"{path}: expected at most {limit_bytes} bytes of JSON, got {path.stat().st_size}")
-        data = parse_json(path.read_text(encoding="utf-8"))
+        data = parse_json(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except ValueError as error:
