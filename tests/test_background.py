@@ -55,6 +55,19 @@ def test_nothing_is_eaten_from_bodies_of_nearly_the_backgrounds_colour(tmp_path,
     assert str(find_cutout(views)) == f"cut out by the background, exactly #{bytes(colour).hex()}"
 
 
+def test_outlines_are_parted_into_object_and_background(tmp_path):
+    """Of an antialiased render: its true opacity and colour, and over white the picture that it was."""
+    rows, columns = (np.mgrid[:8 * SIDE, :8 * SIDE] + 0.5) / 8
+    fine = np.hypot(columns - 50, rows - 45) < 30
+    coverage = fine.reshape(SIDE, 8, SIDE, 8).mean((1, 3))
+    colour = np.array([180.0, 40, 90])
+    picture = (coverage[..., None] * colour + (1 - coverage[..., None]) * 255).round().astype(np.uint8)
+    frame = read_view(_views(tmp_path / "a", [picture] * 2), 0).astype(int)
+    assert np.abs(frame[..., 3] - 255 * coverage).max() < 3
+    assert np.abs(frame[..., :3] - coverage[..., None] * colour).max() < 3
+    assert np.abs(frame[..., :3] + 255 - frame[..., 3:] - picture).max() <= 1
+
+
 def test_clipped_highlight_is_no_hole(tmp_path):
     """What fades to the background's colour inside the object is bright, what has a sharp edge is open."""
     distance = np.hypot(*(np.mgrid[:SIDE, :SIDE] + 0.5 - 48))

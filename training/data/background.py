@@ -1,7 +1,8 @@
 """The background of pictures that have neither alpha nor mask: decided once for all views of an object.
 
 Renders have a background of exactly one colour: then a pixel that differs at all is object, however pale, but for the
-faint thin ring that resizing leaves round an outline. Photographs before a plain wall, and pictures in lossy formats,
+faint thin ring that resizing leaves round an outline, and the outline's mixed pixels can be parted into object and
+background. Photographs before a plain wall, and pictures in lossy formats,
 have a background of about one colour, and the object is what stands out from it.
 """
 from __future__ import annotations
@@ -22,6 +23,7 @@ _SIMILAR_LEVELS, _EXACT_SHARE = 8, 0.5  # further levels from the colour, and of
 _RING_LEVELS = 6  # how far the ringing of a resized render strays from its background
 _HOLE_SIDE = 0.025  # of the shorter side: patches of the background inside the object that are smaller are highlights
 _HOLE_EDGE_LEVELS = 24  # step of colour round a hole; a highlight that is clipped to the background's colour fades
+_PARTED_LEVELS = 64  # an object's own colour is at least so far from the background's where an outline is parted
 # Of plain backgrounds: as lightfield_gs/io/photo.py has them, of colours 0..1.
 _PLAIN_SPREAD, _PLAIN_SHARE, _NEAR, _FAR, _SAME = 0.04, 0.9, 0.06, 0.14, 0.02
 _DRIFT = 0.2  # of a plain background's colour from view to view, by exposure: a border further off is object
@@ -42,12 +44,22 @@ class Background:
     colour: tuple[int, int, int]
     exact: bool
 
-    def alpha(self, rgb: np.ndarray) -> np.ndarray:
-        """Opacity of the object, uint8 [H,W], of a view [H,W,3]."""
-        return _exact_alpha(rgb, self.colour) if self.exact else _plain_alpha(rgb, self.colour)
+    def cut(self, rgb: np.ndarray) -> np.ndarray:
+        """The object of a view [H,W,3], premultiplied uint8 [H,W,4]."""
+        if not self.exact:
+            return premultiplied(rgb, _plain_alpha(rgb, self.colour))
+        frame = premultiplied(rgb, _exact_alpha(rgb, self.colour))
+        _part_outline(frame, np.array(self.colour, np.float32))
+        return frame
 
     def __str__(self) -> str:
         return f"{'exactly' if self.exact else 'about'} #{bytes(self.colour).hex()}"
+
+
+def premultiplied(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Colours uint8 [H,W,3] times opacity uint8 [H,W], and that: [H,W,4]."""
+    colours = (rgb.astype(np.uint16) * alpha[..., None] + 127) // 255
+    return np.concatenate([colours.astype(np.uint8), alpha[..., None]], axis=-1)
 
 
 def border_of(rgb: np.ndarray, lossy: bool) -> Border:
@@ -123,6 +135,29 @@ def _exact_alpha(rgb: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     return np.where(outside | _holes(off, outside, _hole_side(rgb)), 0, 255).astype(np.uint8)
 
 
+def _part_outline(frame: np.ndarray, background: np.ndarray) -> None:
+    """Makes the outline of premultiplied [H,W,4], opaque or empty so far, as transparent as it has background in it.
+
+    The object's own colour is taken from inside: of the pixels that are near, the one most like the outline's pixel, so
+    that pale parts beside dark ones stay. Over the background the picture is what it was.
+    """
+    inside = frame[..., 3] > 0
+    core = inside & ~_grown(~inside, 1)
+    rows, columns = np.nonzero(inside & ~core)
+    colours = frame[rows, columns, :3].astype(np.float32)
+    own, nearest = colours.copy(), np.full(len(rows), np.inf)
+    for down, right in np.ndindex(5, 5):
+        y, x = (np.clip(at + step - 2, 0, size - 1) for at, step, size in zip((rows, columns), (down, right), core.shape))
+        distance = np.where(core[y, x], np.linalg.norm(frame[y, x, :3] - colours, axis=1), np.inf)
+        own = np.where((distance < nearest)[:, None], frame[y, x, :3], own)
+        nearest = np.minimum(nearest, distance)
+    step, size = own - background, np.linalg.norm(own - background, axis=1)
+    share = ((colours - background) * step).sum(1) / np.maximum(size, 1) ** 2
+    alpha = np.where(size > _PARTED_LEVELS, np.clip(share, 1 / 255, 1), 1)[:, None]
+    mixed = np.clip(colours - (1 - alpha) * background, 0, 255 * alpha)
+    frame[rows, columns] = np.rint(np.concatenate([mixed, 255 * alpha], 1)).astype(np.uint8)
+
+
 def _hole_side(rgb: np.ndarray) -> int:
     return max(3, round(_HOLE_SIDE * min(rgb.shape[:2])))
 
@@ -146,8 +181,8 @@ def _holes(off: np.ndarray, outside: np.ndarray, side: int) -> np.ndarray:
 
 
 def _opened(flags: np.ndarray) -> np.ndarray:
-    """Flags [H,W] without what is thinner than 3 pixels; beyond the edges all count as set."""
-    padded = np.pad(flags, 1, constant_values=True)
+    """Flags [H,W] without what is thinner than 3 pixels; beyond the edges each goes on."""
+    padded = np.pad(flags, 1, mode="edge")
     return _grown(~_grown(~padded, 1), 1)[1:-1, 1:-1]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.images import read_image, read_info
-from training.data.background import Background, Choice, border_of, find_background
+from training.data.background import Background, Choice, border_of, find_background, premultiplied
 from training.data.lens import source_places, undistorted
 from training.data.masks import read_mask
 from training.data.views import ObjectViews
@@ -57,9 +57,7 @@ def read_view(views: ObjectViews, index: int, cutout: Cutout | None = None) -> n
     cutout: as find_cutout finds it; None: finds it. Raises InputError for unreadable images and masks, images whose size
     is not that of the intrinsics, and images that show no object.
     """
-    rgb, alpha = _read(views, index, cutout or find_cutout(views))
-    colours = ((rgb.astype(np.uint16) * alpha[..., None] + 127) // 255).astype(np.uint8)
-    return _straightened(views, index, np.concatenate([colours, alpha[..., None]], axis=-1))
+    return _straightened(views, index, _cut_out(views, index, cutout or find_cutout(views)))
 
 
 def read_colours(views: ObjectViews, index: int) -> np.ndarray:
@@ -75,8 +73,8 @@ def _straightened(views: ObjectViews, index: int, image: np.ndarray) -> np.ndarr
     return undistorted(image, places)
 
 
-def _read(views: ObjectViews, index: int, cutout: Cutout) -> tuple[np.ndarray, np.ndarray]:
-    """Colours uint8 [H,W,3] and opacity uint8 [H,W] of a view as it is stored."""
+def _cut_out(views: ObjectViews, index: int, cutout: Cutout) -> np.ndarray:
+    """A view as it is stored, as premultiplied uint8 [H,W,4]."""
     path = views.image_paths[index]
     pixels = _stored(views, path)
     rgb, alpha = pixels[..., :3], np.full(pixels.shape[:2], 255, np.uint8) if pixels.shape[2] == 3 else pixels[..., 3]
@@ -84,11 +82,12 @@ def _read(views: ObjectViews, index: int, cutout: Cutout) -> tuple[np.ndarray, n
     if cutout.by == "masks":
         mask = read_mask(views.mask_paths[index], views.width_px, views.height_px)
         alpha, why = np.minimum(alpha, mask), f"nothing is white in {views.mask_paths[index]}"
-    elif cutout.background is not None:
-        alpha, why = cutout.background.alpha(rgb), f"every pixel is of the background, {cutout.background}"
-    if not alpha.any():
+    frame = premultiplied(rgb, alpha)
+    if cutout.background is not None:
+        frame, why = cutout.background.cut(rgb), f"every pixel is of the background, {cutout.background}"
+    if not frame[..., 3].any():
         raise InputError(f"{path}: empty image: expected an object, {why}")
-    return rgb, alpha
+    return frame
 
 
 def _stored(views: ObjectViews, path: Path) -> np.ndarray:
