@@ -195,6 +195,18 @@ def test_contact_sheet_shows_what_is_left_out(tmp_path, capsys):
     assert "expected a contact sheet's name to end in .png" in capsys.readouterr().err
 
 
+def test_srn_cameras_far_from_the_object_are_noted(tmp_path, capsys):
+    """Such poses are taken as they are, unlike those of transforms.json."""
+    write_object(tmp_path / "a")
+    for path in (tmp_path / "a/pose").iterdir():
+        pose = np.loadtxt(path).reshape(4, 4)
+        pose[:3, 3] *= 2
+        np.savetxt(path, pose.reshape(1, 16))
+    assert main([str(tmp_path)]) == 0
+    said = capsys.readouterr().err
+    assert said.startswith("note: a: the cameras stand 2.60 units") and "by 0.5\n" in said
+
+
 def test_notes_on_what_may_not_be_meant(tmp_path, capsys):
     _write_set(tmp_path / "a")
     assert main([str(tmp_path)]) == 0

@@ -25,7 +25,10 @@ from training.data.images import Cutout, find_cutout, read_view
 from training.data.lens import share_beyond, words
 from training.data.objects import find_objects, read_object
 from training.data.sheet import Sheet, check_sheet_path
-from training.data.views import ObjectViews
+from training.data.transforms import OBJECT_DISTANCE
+from training.data.views import ObjectViews, depths_of_object
+
+_NEAREST, _FARTHEST = 0.75, 1.33  # of the distance that the network expects
 
 
 @dataclass
@@ -64,6 +67,11 @@ class Examined:
             yield f"the whole picture is object in {self._count(whole)}: give alpha, masks or --background where it is not"
         if self.cut > whole:
             yield f"the picture's border cuts the object in {self._count(self.cut - whole)}"
+        if self.views is not None and len(self.views.camera_to_world) > 1:
+            distance = depths_of_object(self.views.camera_to_world).mean()
+            if not _NEAREST < distance / OBJECT_DISTANCE < _FARTHEST:
+                yield (f"the cameras stand {distance:.2f} units from what they look at, the network expects it at "
+                       f"{OBJECT_DISTANCE}: multiply the positions in the poses by {OBJECT_DISTANCE / distance:.3g}")
 
 
 def _orientation(path: Path) -> int:
