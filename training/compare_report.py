@@ -122,8 +122,8 @@ def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
                  *(f"{row[f'{floor}_psnr_db']:.2f} / {row[f'{floor}_ssim']:.3f}" for floor in FLOORS)]
                 for label, row in labelled(report)]
         lines += ["", f"## {folder}", "", _markdown_table(["angle", "views", *scores, *FLOORS.values()], rows)]
-        if report["skipped"]:
-            lines += ["", f"{len(report['skipped'])} objects could not be scored: {', '.join(report['skipped'])}"]
+        if skipped := report.get("skipped"):
+            lines += ["", f"{len(skipped)} objects could not be scored: {', '.join(skipped)}"]
         if others:
             rows = [[label, *(_lead_cell(lead[folder][label]) for lead in differences.values())]
                     for label, _ in labelled(report)]

@@ -29,12 +29,15 @@ from training.log import RunLog
 from training.trainer import StepValues, Trainer
 
 
-def make_planner(config: TrainingConfig, team: Team) -> BatchPlanner:
-    """The source of a run's batches, its views on the team's device; decodes the data first where that is not done."""
+def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> BatchPlanner:
+    """The source of a run's batches, its views on the team's device; decodes the data first where that is not done.
+
+    tell: print what says, in each set, which pixels are object.
+    """
     with team.leader_first():
         sets, target_sets = ([load_set(Path(folder), Path(config.cache_dir), background=config.background)
                               for folder in folders] for folders in (config.data, config.target_data))
-    if team.leads:
+    if tell and team.leads:
         print(*sets, *target_sets, sep="\n", flush=True)
     partners = find_partners(sets, target_sets)
     poses = [views.camera_to_world for cached in sets + target_sets for views in cached.objects]
@@ -129,7 +132,7 @@ def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
     """What train() does, as one of a team."""
     for stage in config.stages:
         team.share(stage.objects)
-    trainer, planner = Trainer(config, team), make_planner(config, team)
+    trainer, planner = Trainer(config, team), make_planner(config, team, tell=True)
     if (output / "last.pt").exists():
         trainer.restore(load_checkpoint(output / "last.pt", config))
     if team.leads:
