@@ -15,7 +15,7 @@ from lightfield_gs.checks import expect
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
-from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range, premultiplied
+from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
@@ -143,7 +143,7 @@ class _Capture:
         return framing.fit(extent, panel, np.eye(4))
 
     def _cropped(self) -> tuple[Tensor, Tensor]:
-        image = premultiplied(self.photo)
+        image = crop.premultiplied(self.photo)
         square = crop.object_square_on_device(image[3])
         checks = torch.stack([in_range(self.photo), crop.has_object(image[3])])
         return crop.crop_resize_on_device(image, square, self.net.config.image_size_px), checks

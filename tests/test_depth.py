@@ -51,9 +51,19 @@ def test_floats_are_distances_or_their_inverse(tmp_path):
     assert np.array_equal(read_depth(tmp_path / "z.exr"), Z.astype(np.float32))
     assert np.allclose(read_depth(tmp_path / "d.npy", "disparity", scale=50), Z, rtol=1e-6)
     assert np.allclose(read_depth(tmp_path / "h.npy"), Z, rtol=1e-3)
-    np.save(tmp_path / "i.npy", np.array([[1, np.inf, -np.inf, np.nan, 0, -1, 2]]))
-    for kind, last in (("distance", 2), ("disparity", 0.5)):
-        assert np.array_equal(read_depth(tmp_path / "i.npy", kind), [[1, *[np.nan] * 5, last]], equal_nan=True)
+
+
+def test_what_is_infinitely_far_is_far_or_left_out_as_asked(tmp_path):
+    """Infinite distances and the disparity 0, behind all else; what is no distance at all is a hole."""
+    path = tmp_path / "i.npy"
+    np.save(path, np.array([[1, np.inf, -np.inf, np.nan, 0, -1, 2]]))
+    for kind, far, last in (("distance", 1, 2), ("disparity", 4, 0.5)):
+        expected = np.array([1, *[np.nan] * 5, last])
+        assert np.array_equal(read_depth(path, kind, invalid="hole"), expected[None], equal_nan=True)
+        expected[far] = 2 * np.nanmax(expected)
+        assert np.array_equal(read_depth(path, kind), expected[None], equal_nan=True)
+    np.save(path, np.array([[0, 51, 255]], np.uint8))
+    assert np.isnan(read_depth(path, "disparity", limits=(2, 6), invalid="hole")).tolist() == [[True, False, False]]
 
 
 @pytest.mark.parametrize("array, options, words", [

@@ -1,4 +1,4 @@
-"""The scene of a command: a file of Gaussians, a photo through the network, or a photo with its depth map."""
+"""The scene of a command: a file of Gaussians, or what is made of a photo."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lightfield_gs.commands.photo import has_depth, photo_object, photo_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path
@@ -16,18 +17,22 @@ if TYPE_CHECKING:
     from lightfield_gs.gaussians import Gaussians
 
 _SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
-_PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth")
-_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "fov", "intrinsics")
+_PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
+_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
 
 
 def check_scene_options(args: argparse.Namespace) -> None:
     """Raises InputError where options of the scene do not go together, or not with the input."""
     if _is_scene_file(args):
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
-    if args.depth is None:
+    if _is_scene_file(args) or not has_depth(args):
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
         _refuse(args, ("checkpoint",), "is for the network, which --depth does without")
+    if args.depth is not None:
+        _refuse(args, ("rgbd",), "takes the place of --depth")
+    if args.mask is None and args.depth is None:
+        _refuse(args, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
     if args.intrinsics is not None and min(args.intrinsics[:2]) <= 0:
         raise InputError(f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and "
                          f"{args.intrinsics[1]:g}")
@@ -51,40 +56,7 @@ def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tupl
         gaussians = Gaussians.load(args.input).to(device)
         watch.lap("load")
         return gaussians, None
-    return (_photo_object if args.depth is None else _photo_scene)(args, device, watch), np.eye(4)
-
-
-def _photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":
-    from lightfield_gs.io.photo import load_photo
-    from lightfield_gs.models import SplatterNet
-
-    photo = load_photo(args.input, args.mask, remove_background=args.remove_background)
-    network = SplatterNet.from_pretrained(args.checkpoint).to(device)
-    watch.lap("load")
-    gaussians = network.predict(photo)
-    watch.lap("network")
-    return gaussians
-
-
-def _photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":
-    import torch
-
-    from lightfield_gs.io.depth import read_depth
-    from lightfield_gs.io.photo import load_photo
-    from lightfield_gs.rgbd import check_depth_size, focal_length_px, from_depth
-
-    photo = load_photo(args.input, args.mask, remove_background=args.remove_background, whole=True)
-    depth = read_depth(args.depth, args.depth_kind or "distance", scale=args.depth_scale, limits=args.depth_range)
-    check_depth_size(str(args.depth), depth, photo)
-    focal, centre = None, None
-    if args.intrinsics is not None:
-        focal, centre = args.intrinsics[:2], args.intrinsics[2:]
-    elif args.fov is not None:
-        focal = (focal_length_px(args.fov, *photo.shape[:2]),) * 2
-    watch.lap("load")
-    gaussians = from_depth(torch.from_numpy(photo).to(device), depth, focal, centre)
-    watch.lap("depth")
-    return gaussians
+    return (photo_scene if has_depth(args) else photo_object)(args, device, watch), np.eye(4)
 
 
 def _is_scene_file(args: argparse.Namespace) -> bool:

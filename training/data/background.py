@@ -12,7 +12,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from lightfield_gs.io.photo import _connected as connected, _large_patches as large_patches
+from lightfield_gs.io.pieces import Pieces
+from lightfield_gs.io.plain import full_squares
 
 Choice = Literal["auto", "white", "black", "none"]
 CHOICES = get_args(Choice)
@@ -24,7 +25,7 @@ _RING_LEVELS = 6  # how far the ringing of a resized render strays from its back
 _HOLE_SIDE = 0.025  # of the shorter side: patches of the background inside the object that are smaller are highlights
 _HOLE_EDGE_LEVELS = 24  # step of colour round a hole; a highlight that is clipped to the background's colour fades
 _PARTED_LEVELS = 64  # an object's own colour is at least so far from the background's where an outline is parted
-# Of plain backgrounds: as lightfield_gs/io/photo.py has them, of colours 0..1.
+# Of plain backgrounds: as lightfield_gs/io/plain.py has them, of colours 0..1.
 _PLAIN_SPREAD, _PLAIN_SHARE, _NEAR, _FAR, _SAME = 0.04, 0.9, 0.06, 0.14, 0.02
 _DRIFT = 0.2  # of a plain background's colour from view to view, by exposure: a border further off is object
 _PLAIN_VIEWS = 0.75  # of an object's views: fewer are chance, as before the walls of a room
@@ -121,7 +122,8 @@ def _plain_alpha(rgb: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     own = _own_plain_colour(rgb[border])
     drifted = own is not None and np.linalg.norm(own - shared) < _DRIFT
     distance = np.linalg.norm(rgb / np.float32(255) - (own if drifted else shared), axis=2)
-    outside = connected(border | large_patches(distance < _SAME, _hole_side(rgb)), distance < _FAR)
+    pieces = Pieces.of(distance < _FAR, diagonal=False)
+    outside = pieces.mask(pieces.hit(border | full_squares(distance < _SAME, _hole_side(rgb))))
     return np.rint(255 * np.where(outside, np.clip((distance - _NEAR) / (_FAR - _NEAR), 0, 1), 1)).astype(np.uint8)
 
 
@@ -131,7 +133,8 @@ def _exact_alpha(rgb: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     empty = (off == 0) | (off <= _RING_LEVELS) & ~_opened(off > 0)
     frame = np.ones(off.shape, bool)
     frame[1:-1, 1:-1] = False
-    outside = connected(frame, empty)
+    pieces = Pieces.of(empty, diagonal=False)
+    outside = pieces.mask(pieces.hit(frame))
     return np.where(outside | _holes(off, outside, _hole_side(rgb)), 0, 255).astype(np.uint8)
 
 
@@ -167,17 +170,14 @@ def _holes(off: np.ndarray, outside: np.ndarray, side: int) -> np.ndarray:
 
     off: how many levels each pixel differs from the background.
     """
-    enclosed, holes = (off == 0) & ~outside, np.zeros_like(outside)
-    seeds = large_patches(enclosed, side)
-    while seeds.any():
-        first = np.zeros_like(seeds)
-        first.flat[seeds.argmax()] = True
-        patch = connected(first, enclosed)
+    enclosed = (off == 0) & ~outside
+    pieces = Pieces.of(enclosed, diagonal=False)
+    open_ = pieces.hit(full_squares(enclosed, side))
+    for piece in np.flatnonzero(open_):
+        patch = pieces.mask(np.arange(pieces.count) == piece)
         edge = _grown(patch, 2) & ~patch
-        if np.median(off[edge]) > _HOLE_EDGE_LEVELS:
-            holes |= patch
-        seeds &= ~patch
-    return holes
+        open_[piece] = np.median(off[edge]) > _HOLE_EDGE_LEVELS
+    return pieces.mask(open_)
 
 
 def _opened(flags: np.ndarray) -> np.ndarray:

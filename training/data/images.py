@@ -93,7 +93,7 @@ def _cut_out(views: ObjectViews, index: int, cutout: Cutout) -> np.ndarray:
 def _stored(views: ObjectViews, path: Path) -> np.ndarray:
     """The pixels uint8 [H,W,3 or 4] of a view as they are stored: its pose is of these, whatever Exif says."""
     try:
-        pixels = read_image(path, as_stored=True, upright=False)
+        pixels = read_image(path, as_stored=True, turn=False)
     except InputError as error:
         raise InputError(f"unreadable image: {error}") from None
     if pixels.dtype != np.uint8 or pixels.shape[2] not in (3, 4):

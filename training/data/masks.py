@@ -48,7 +48,7 @@ def read_mask(path: Path, width_px: int, height_px: int) -> np.ndarray:
 
     Its pixels as stored, like those of the image. Raises InputError for another size than the image's.
     """
-    pixels = read_image(path, as_stored=True, upright=False)
+    pixels = read_image(path, as_stored=True, turn=False)
     if pixels.shape[:2] != (height_px, width_px):
         raise InputError(f"{path}: expected a mask of the image's size {width_px} x {height_px}, got "
                          f"{pixels.shape[1]} x {pixels.shape[0]}")
