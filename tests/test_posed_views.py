@@ -1,4 +1,4 @@
-"""Sets as people have them: Exif orientations, masks, file names of other systems, lens distortion, the contact sheet."""
+"""Sets as people have them: Exif orientations, masks, file names of other systems, lens distortion, contact sheets."""
 from __future__ import annotations
 
 import shutil
@@ -53,7 +53,8 @@ def _mask(index: int, scale: int = 255) -> np.ndarray:
     return mask
 
 
-@pytest.mark.parametrize("name", ["masks/{stem}.png", "masks/{stem}.png.png", "masks/transforms/{stem}.PNG", "m/{stem}.png"])
+@pytest.mark.parametrize("name", ["masks/{stem}.png", "masks/{stem}.png.png", "masks/transforms/{stem}.PNG",
+                                  "m/{stem}.png"])
 def test_masks_are_used(tmp_path, name):
     """Those that the file names, or else those in masks/; of values 0 and 1 too, and as stored like the images."""
     pictures = _write_set(tmp_path / "a", 6)
@@ -133,7 +134,8 @@ def test_distorted_pictures_become_those_of_a_pinhole_camera(tmp_path):
     assert np.abs(distorted(points, np.array([*LENS.values()])) - seen).max() < 1e-12
     scene = 128 + 140 * points
     for path in (tmp_path / "a/transforms").iterdir():
-        Image.fromarray(np.dstack([scene, np.full(scene.shape[:2], 77)]).round().clip(0, 255).astype(np.uint8)).save(path)
+        picture = np.dstack([scene, np.full(scene.shape[:2], 77)]).round().clip(0, 255)
+        Image.fromarray(picture.astype(np.uint8)).save(path)
     views = read_object(tmp_path / "a/transforms.json")
     np.testing.assert_array_equal(views.intrinsics, np.tile((50, 55, 30, 26), (4, 1)))
     frame = read_view(views, 1).astype(float)

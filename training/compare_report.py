@@ -55,7 +55,8 @@ def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, 
     """
     weights = _final_weights(run)
     of = {"weights": hashlib.sha256(weights.read_bytes()).hexdigest(),
-          "data": {name: [str(folder), fingerprint(find_objects(folder, _SPLIT), run.background)] for name, folder in scored.items()}}
+          "data": {name: [str(folder), fingerprint(find_objects(folder, _SPLIT), run.background)]
+                   for name, folder in scored.items()}}
     kept = weights.with_name("final_scores.json")
     if kept.exists() and (known := read_object(kept, _LIMIT_BYTES)).get("of") == of:
         return known["scores"]

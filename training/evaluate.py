@@ -52,10 +52,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--supersampling", type=int, choices=range(1, 9), default=1, metavar="1..8",
                         help="samples of a rendered pixel along each axis (default: 1, as in the model card)")
     parser.add_argument("--source", type=_source, default=0, metavar="INDEX|middle",
-                        help="the view that is the source: its number from 0 on, or the one that looks most nearly along "
-                             "the mean of all directions (default: 0)")
+                        help="the view that is the source: its number from 0 on, or the one whose direction is nearest "
+                             "to the mean of all (default: 0)")
     parser.add_argument("--background", choices=CHOICES, default="auto",
-                        help="of images without alpha and masks (default: auto, one colour that is found for each object)")
+                        help="of images without alpha and masks (default: auto, found for each object)")
     parser.add_argument("--limit", type=int, help="score only so many objects, spread evenly over the folder")
     options = parser.parse_args(arguments)
     from lightfield_gs.commands.device import choose_device

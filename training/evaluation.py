@@ -1,10 +1,10 @@
 """Scores of a network on objects it has not seen: from one view of each, how well are the others predicted?
 
-Protocol: the source is view 0 unless said otherwise, cropped to the object from the stored image; all views are rendered into their full
-frames at size_px on white, clamped to 0..1, and compared with the stored images averaged down to that size. PSNR and
-SSIM are means over images; those of the source view itself stand apart. Beside them stand two floors, what needs no
-network: "copy", the source image itself offered as every other view, and "card", the source image as a flat card at
-OBJECT_DISTANCE, the depth of the object's middle.
+Protocol: the source is view 0 unless said otherwise, cropped to the object from the stored image; all views are
+rendered into their full frames at size_px on white, clamped to 0..1, and compared with the stored images averaged down
+to that size. PSNR and SSIM are means over images; those of the source view itself stand apart. Beside them stand two
+floors, what needs no network: "copy", the source image itself offered as every other view, and "card", the source image
+as a flat card at OBJECT_DISTANCE, the depth of the object's middle.
 
 The rasterizer widens all Gaussians by 0.3 px^2 of variance (Kerbl et al. 2023), which objects of 50 px feel and those
 on a panel do not. Supersampling draws n times as finely and averages, as the stored images are averaged, and so
@@ -197,7 +197,8 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
             folder = save_renders / folder_of(path).relative_to(data).parent
             save_comparison(comparison, folder / f"{comparison.name}.png")
     if not of_objects:
-        raise InputError(f"{data}: none of {len(objects)} objects can be scored; the first: {next(iter(skipped.values()))}")
+        raise InputError(f"{data}: none of {len(objects)} objects can be scored; the first: "
+                         f"{next(iter(skipped.values()))}")
     of_sources = bins.pop(None)
     return {"objects": len(of_objects)} | _means([row for rows in bins.values() for row in rows]) | {
         "source": _means(of_sources), "bins": [{"angle_deg": angle} | _means(bins[angle]) for angle in sorted(bins)],

@@ -97,7 +97,8 @@ def _validate(trainer: Trainer, log: RunLog, decoded: dict[Path, Tensor]) -> Non
     report = score_folder(trainer.average.average, Path(config.validation), limit=config.validation_objects,
                           device=trainer.team.device, decoded=decoded, background=config.background)
     if report["skipped"]:
-        log.say(f"{len(report['skipped'])} objects could not be scored; the first: {next(iter(report['skipped'].values()))}")
+        first = next(iter(report["skipped"].values()))
+        log.say(f"{len(report['skipped'])} objects could not be scored; the first: {first}")
     log.scores(trainer.step, {name: report[name] for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim")})
 
 

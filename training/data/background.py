@@ -150,7 +150,7 @@ def _part_outline(frame: np.ndarray, background: np.ndarray) -> None:
     colours = frame[rows, columns, :3].astype(np.float32)
     own, nearest = colours.copy(), np.full(len(rows), np.inf)
     for down, right in np.ndindex(5, 5):
-        y, x = (np.clip(at + step - 2, 0, size - 1) for at, step, size in zip((rows, columns), (down, right), core.shape))
+        y, x = np.clip(rows + down - 2, 0, len(core) - 1), np.clip(columns + right - 2, 0, core.shape[1] - 1)
         distance = np.where(core[y, x], np.linalg.norm(frame[y, x, :3] - colours, axis=1), np.inf)
         own = np.where((distance < nearest)[:, None], frame[y, x, :3], own)
         nearest = np.minimum(nearest, distance)

@@ -150,7 +150,8 @@ def load_set(root: Path, cache_dir: Path, workers: int | None = None, background
     if not (pixels.exists() and index.exists()):
         _build(names, base, workers, background)
     entries = json.loads(index.read_text())
-    objects = [CachedObject(entry["name"], entry["cutout"], np.array(entry["rectangles"], np.int64), np.array(entry["squares"]),
-                            np.array(entry["camera_to_world"]), np.array(entry["intrinsics"]), entry["width_px"],
-                            entry["height_px"]) for entry in entries]
+    objects = [CachedObject(entry["name"], entry["cutout"], np.array(entry["rectangles"], np.int64),
+                            np.array(entry["squares"]), np.array(entry["camera_to_world"]),
+                            np.array(entry["intrinsics"]), entry["width_px"], entry["height_px"])
+               for entry in entries]
     return CachedSet(root, objects, np.memmap(pixels, np.int32, "c"))

@@ -33,7 +33,8 @@ def _found(field: str, folder: Path, name: str) -> Path:
     for exact in (True, False):
         found = _files_named(base, exact)
         if len(found) > 1:
-            raise InputError(f"{field}: {shown(name)} may be {' or '.join(path.name for path in found[:3])}: rename one")
+            names = " or ".join(path.name for path in found[:3])
+            raise InputError(f"{field}: {shown(name)} may be {names}: rename one")
         if found:
             return found[0]
     raise InputError(f"{field}: missing image {base}: expected such a file, or with one of "

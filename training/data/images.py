@@ -46,16 +46,16 @@ def find_cutout(views: ObjectViews, background: Choice = "auto") -> Cutout:
         borders.append(border_of(pixels[..., :3], _is_lossy(path)))
     found = find_background(borders, background)
     if found and background != "auto" and not any((view.pixels == found.colour).all(-1).any() for view in borders):
-        raise InputError(f"{views.image_paths[0].parent}: expected a {background} background, but no view has a pixel of "
-                         "it at its border: give another, or auto")
+        raise InputError(f"{views.image_paths[0].parent}: expected a {background} background, but no view has a "
+                         "pixel of it at its border: give another, or auto")
     return Cutout("background", found) if found else Cutout("nothing")
 
 
 def read_view(views: ObjectViews, index: int, cutout: Cutout | None = None) -> np.ndarray:
     """One view of an object as premultiplied uint8 [H,W,4], free of lens distortion.
 
-    cutout: as find_cutout finds it; None: finds it. Raises InputError for unreadable images and masks, images whose size
-    is not that of the intrinsics, and images that show no object.
+    cutout: as find_cutout finds it; None: finds it. Raises InputError for unreadable images and masks, images whose
+    size is not that of the intrinsics, and images that show no object.
     """
     return _straightened(views, index, _cut_out(views, index, cutout or find_cutout(views)))
 
@@ -111,9 +111,9 @@ def _way_out(views: ObjectViews, path: Path, pixels: np.ndarray) -> str:
         return ": give the camera of the images as they are stored, or resize them"
     if orientation < 5:
         return ": width and height are exchanged"
-    return (f" as stored, with Exif orientation {orientation}: the cameras seem to be of the turned images, poses are of "
-            "the stored ones: store the images turned (ImageMagick: mogrify -auto-orient), or find the cameras again "
-            "with the orientation left alone")
+    return (f" as stored, with Exif orientation {orientation}: the cameras seem to be of the turned images, poses are "
+            "of the stored ones: store the images turned (ImageMagick: mogrify -auto-orient), or find the cameras "
+            "again with the orientation left alone")
 
 
 def _is_lossy(path: Path) -> bool:

@@ -76,7 +76,8 @@ def undistorted(image: np.ndarray, places: np.ndarray) -> np.ndarray:
     padded = np.pad(image, ((1, 2), (1, 2), (0, 0))).astype(np.float32)
     inside = np.nan_to_num(np.clip(places, -0.5, (width + 0.5, height + 0.5)), nan=-0.5) + 0.5  # pixel centres, padded
     first = np.floor(inside).astype(np.int64)
-    (x, y), (right, down) = np.moveaxis(first, -1, 0), np.moveaxis((inside - first).astype(np.float32)[..., None], -2, 0)
+    x, y = np.moveaxis(first, -1, 0)
+    right, down = np.moveaxis((inside - first).astype(np.float32)[..., None], -2, 0)
     upper = padded[y, x] * (1 - right) + padded[y, x + 1] * right
     lower = padded[y + 1, x] * (1 - right) + padded[y + 1, x + 1] * right
     return np.rint(upper * (1 - down) + lower * down).astype(np.uint8)

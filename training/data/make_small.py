@@ -3,7 +3,7 @@
 Random objects (training/data/procedural.py), drawn by the project's own rasterizer in SRN layout, as the configurations
 cpu.yaml and compare-small.yaml take them: train_cone, 12 views within 30 degrees of azimuth and 10 of elevation about
 the first; train_sphere, 12 views of the same objects in the same worlds, from all round; val, other objects from the
-angles that scores are given for. The same set every time, of less than 2 MB, in less than a minute of two CPU cores.
+angles that scores are given for. On one machine it is the same set every time: less than 2 MB, in less than a minute.
 """
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m training.data.make_small", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, required=True, help="folder for the set, data/small in the configurations")
+    parser.add_argument("--output", type=Path, required=True, help="folder for the set; data/small in configs/training")
     parser.add_argument("--objects", type=int, default=TRAIN,
                         help=f"how many to train on; a third as many more to score (default: {TRAIN})")
     options = parser.parse_args(arguments)

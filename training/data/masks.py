@@ -26,9 +26,10 @@ def masks_beside(folder: Path, images: list[Path]) -> tuple[Path, ...] | None:
     found = [_mask_of(folder.resolve(), image.resolve(), known) for image in images]
     missing = [image.name for image, mask in zip(images, found) if mask is None]
     if missing:
-        raise InputError(f"{root}: missing masks: none for {', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''} "
-                         f"of {len(images)} images: expected {missing[0]}.png or {Path(missing[0]).stem}.png; rename "
-                         "the folder where it is for something else")
+        names = f"{', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}"
+        raise InputError(f"{root}: missing masks: none for {names} of {len(images)} images: expected "
+                         f"{missing[0]}.png or {Path(missing[0]).stem}.png; rename the folder where it is for something "
+                         "else")
     return tuple(found)
 
 

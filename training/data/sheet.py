@@ -19,7 +19,7 @@ _PAPER, _INK, _FAULT = (32, 32, 32), (230, 230, 230), (255, 90, 90)
 
 @dataclass
 class Sheet:
-    """Rows of views, each under a title, of up to 40 of `count` objects, evenly spread; the pictures are small copies."""
+    """Rows of views, each under a title, of up to 40 of `count` objects, evenly spread; the pictures are small."""
     count: int
     _rows: list[tuple[str, list[Image.Image]]] = field(default_factory=list)
     _seen: int = 0

@@ -55,8 +55,8 @@ class Examined:
         yield str(self.cutout)
         turned = [info for path in self.views.image_paths if (info := _orientation(path)) > 1]
         if turned:
-            yield (f"Exif orientation {turned[0]} in {self._count(len(turned))} is not applied: poses are of the pixels "
-                   "as stored")
+            yield (f"Exif orientation {turned[0]} in {self._count(len(turned))} is not applied: poses are of the "
+                   "pixels as stored")
         if self.views.distortion is not None:
             yield _lens(self.views)
 
@@ -64,7 +64,7 @@ class Examined:
         """What may not be meant."""
         whole = sum(share == 1 for share in self.filled)
         if whole:
-            yield f"the whole picture is object in {self._count(whole)}: give alpha, masks or --background where it is not"
+            yield f"the whole picture is object in {self._count(whole)}: give alpha, masks or --background if it is not"
         if self.cut > whole:
             yield f"the picture's border cuts the object in {self._count(self.cut - whole)}"
         if self.views is not None and len(self.views.camera_to_world) > 1:
@@ -86,8 +86,8 @@ def _lens(views: ObjectViews) -> str:
     fx, fy, cx, cy = intrinsics = views.intrinsics[0]
     lens = views.distortion[0]
     beyond = share_beyond(intrinsics, lens, views.width_px, views.height_px)
-    return (f"undistorted ({words(lens)}) to a pinhole camera of {views.width_px} x {views.height_px} px, fx {fx:g}, fy "
-            f"{fy:g}, cx {cx:g}, cy {cy:g}; {beyond:.0%} of the stored picture lies beyond it")
+    return (f"undistorted ({words(lens)}) to a pinhole camera of {views.width_px} x {views.height_px} px, fx {fx:g}, "
+            f"fy {fy:g}, cx {cx:g}, cy {cy:g}; {beyond:.0%} of the stored picture lies beyond it")
 
 
 def examine(path: Path, background: Choice = "auto") -> Examined:
@@ -126,6 +126,32 @@ def _name(path: Path, root: Path) -> str:
     return path.resolve().name if path == root else str(path.relative_to(root))
 
 
+@dataclass
+class Summary:
+    """What was found of all objects: for each line the names that it is true of; shares filled; how many problems."""
+    findings: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    doubts: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    filled: list[float] = field(default_factory=list)
+    faults: int = 0
+
+    def add(self, found: Examined, name: str) -> None:
+        """An object by its name."""
+        for lines, told in ((self.findings, found.findings()), (self.doubts, found.doubts())):
+            for line in told:
+                lines[line].append(name)
+        self.filled += found.filled
+        self.faults += len(found.problems)
+
+    def tell(self) -> None:
+        """Prints the findings and notes the doubts."""
+        for line in _grouped(self.findings):
+            print(line)
+        if self.filled:
+            print(f"the object fills {min(self.filled):.0%} to {max(self.filled):.0%} of a picture")
+        for line in _grouped(self.doubts):
+            note(line)
+
+
 def _grouped(lines: dict[str, list[str]]) -> Iterator[str]:
     """Lines that say of which objects each is true."""
     for line, names in lines.items():
@@ -133,40 +159,35 @@ def _grouped(lines: dict[str, list[str]]) -> Iterator[str]:
         yield f"{', '.join(names[:3])}{more}: {line}"
 
 
-@with_line_errors("training.data.validate")
-def main(arguments: list[str] | None = None) -> int:
-    """Entry point; returns 0 when all is well, 2 otherwise."""
+def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m training.data.validate", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, help="folder of objects: SRN layout or transforms.json")
     parser.add_argument("--background", choices=CHOICES, default="auto",
-                        help="of images without alpha and masks (default: auto, one colour that is found for each object)")
+                        help="of images without alpha and masks (default: auto, found for each object)")
     parser.add_argument("--sheet", type=Path, help="PNG file for a contact sheet")
-    options = parser.parse_args(arguments)
-    objects = find_objects(options.data)
+    return parser.parse_args(arguments)
+
+
+@with_line_errors("training.data.validate")
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; returns 0 when all is well, 2 otherwise."""
+    options = _options(arguments)
+    objects, summary = find_objects(options.data), Summary()
     sheet = Sheet(len(objects)) if options.sheet and check_sheet_path(options.sheet) else None
-    findings, doubts, shares, faults = defaultdict(list), defaultdict(list), [], 0
     for path in objects:
         found, name = examine(path, options.background), _name(path, options.data)
         for line in found.problems:
             print(line, file=sys.stderr)
-        for lines, told in ((findings, found.findings()), (doubts, found.doubts())):
-            for line in told:
-                lines[line].append(name)
-        shares, faults = shares + found.filled, faults + len(found.problems)
+        summary.add(found, name)
         if sheet:
-            sheet.add(f"{name}: {found.problems[0] if found.cutout is None else found.cutout}", found.views, found.cutout)
-    for line in _grouped(findings):
-        print(line)
-    if shares:
-        print(f"the object fills {min(shares):.0%} to {max(shares):.0%} of a picture")
-    for line in _grouped(doubts):
-        note(line)
+            sheet.add(f"{name}: {found.cutout or found.problems[0]}", found.views, found.cutout)
+    summary.tell()
     if sheet:
         print(sheet.write(options.sheet))
-    if not faults:
+    if not summary.faults:
         print(f"{options.data}: {len(objects)} objects, all well")
-    return 2 if faults else 0
+    return 2 if summary.faults else 0
 
 
 if __name__ == "__main__":
