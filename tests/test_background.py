@@ -9,6 +9,7 @@ from PIL import Image
 
 from lightfield_gs.errors import InputError
 from srn_scene import write_object
+from training.data import validate
 from training.data.images import find_cutout, read_view
 from training.data.objects import read_object
 from training.data.views import ObjectViews
@@ -89,6 +90,16 @@ def test_close_ups_are_cut_out_by_the_background_of_all_views(tmp_path, suffix):
     np.testing.assert_array_equal(alpha[0, [0, -1]], 0)
     assert ((alpha > 127) != close).mean() < 0.01
     assert (read_view(views, 3)[..., 3] == 255).all()
+
+
+def test_pale_parts_that_a_lossy_format_hides_are_noted(tmp_path, capsys):
+    """Between noise and a body of nearly the background's colour nothing decides: a person is told."""
+    pictures = [_painted(255, (_disc(40, 50, 24), (200, 40, 60)), (_disc(64, 40, 16), value)) for value in (90, 240)]
+    for name, picture in zip(("dark", "pale"), pictures):
+        _views(tmp_path / "set" / name, [picture] * 2, ".jpg")
+    assert validate.main([str(tmp_path / "set")]) == 0
+    (note,) = capsys.readouterr().err.splitlines()
+    assert note.startswith("note: pale: up to ") and "is lost to the background" in note and "2 of 2 views" in note
 
 
 def test_the_background_may_be_said(tmp_path):

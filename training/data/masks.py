@@ -28,8 +28,7 @@ def masks_beside(folder: Path, images: list[Path]) -> tuple[Path, ...] | None:
     if missing:
         names = f"{', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}"
         raise InputError(f"{root}: missing masks: none for {names} of {len(images)} images: expected "
-                         f"{missing[0]}.png or {Path(missing[0]).stem}.png; rename the folder where it is for something "
-                         "else")
+                         f"{missing[0]}.png or {Path(missing[0]).stem}.png; or another name for that folder")
     return tuple(found)
 
 

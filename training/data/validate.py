@@ -18,16 +18,18 @@ import numpy as np
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.images import read_info
+from lightfield_gs.io.plain import cut_from_plain_background
 from training.command import with_line_errors
 from training.data.background import CHOICES, Choice
 from training.data.cache import square_of_view
-from training.data.images import Cutout, find_cutout, read_view
+from training.data.images import Cutout, find_cutout, read_colours, read_view
 from training.data.lens import share_beyond, words
 from training.data.objects import find_objects, read_object
 from training.data.sheet import Sheet, check_sheet_path
 from training.data.transforms import OBJECT_DISTANCE
 from training.data.views import ObjectViews, depths_of_object
 
+_FADED = 0.02  # share of an object: more is no noise of its outline
 _NEAREST, _FARTHEST = 0.75, 1.33  # of the distance that the network expects
 
 
@@ -36,7 +38,8 @@ class Examined:
     """An object, as find_objects names it, and what was found of it.
 
     views, cutout: None where they cannot be had. problems: lines. filled: for each view that can be read the share of
-    the picture that is object. cut: how many of these the picture's border cuts.
+    the picture that is object. cut: how many of these the picture's border cuts. faded: before a background of about
+    one colour, the share of the object in each view that went with it though its colour is another.
     """
     path: Path
     views: ObjectViews | None = None
@@ -44,6 +47,7 @@ class Examined:
     problems: list[str] = field(default_factory=list)
     filled: list[float] = field(default_factory=list)
     cut: int = 0
+    faded: list[float] = field(default_factory=list)
 
     def _count(self, number: int) -> str:
         return f"{number} of {len(self.views.image_paths)} views"
@@ -67,6 +71,10 @@ class Examined:
             yield f"the whole picture is object in {self._count(whole)}: give alpha, masks or --background if it is not"
         if self.cut > whole:
             yield f"the picture's border cuts the object in {self._count(self.cut - whole)}"
+        faded = [share for share in self.faded if share > _FADED]
+        if faded:
+            yield (f"up to {max(faded):.0%} of the object is lost to the background, which is of nearly its colour, in "
+                   f"{self._count(len(faded))}: give alpha or masks, or renders in a lossless format")
         if self.views is not None and len(self.views.camera_to_world) > 1:
             distance = depths_of_object(self.views.camera_to_world).mean()
             if not _NEAREST < distance / OBJECT_DISTANCE < _FARTHEST:
@@ -106,6 +114,9 @@ def examine(path: Path, background: Choice = "auto") -> Examined:
         except InputError as error:
             found.problems.append(str(error))
             continue
+        if found.cutout.background is not None and not found.cutout.background.exact:
+            plain = cut_from_plain_background(read_colours(found.views, index))
+            found.faded += [] if plain is None else [plain.faded]
         opaque = alpha > 127
         found.filled.append(float(opaque.mean()))
         found.cut += bool(np.concatenate([opaque[[0, -1]].ravel(), opaque[:, [0, -1]].ravel()]).any())
