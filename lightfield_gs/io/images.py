@@ -46,21 +46,23 @@ _SETTINGS = {
 
 @dataclass
 class ImageInfo:
-    """Header of an image file: size in pixels, sample type as OpenImageIO names it, metadata of this package."""
+    """Header of an image file: size in pixels as stored, sample type as OpenImageIO names it, metadata of this package,
+    and the Exif orientation 1..8."""
 
     width_px: int
     height_px: int
     channels: int
     sample_type: str
     metadata: dict[str, str] = field(default_factory=dict)
+    orientation: int = 1
 
 
 @dataclass(frozen=True)
 class Picture:
     """What an image file holds.
 
-    pixels: [H, W, C] upright, alpha straight; uint8, uint16 or float32 as in the file. orientation: the Exif
-    orientation 1..8 that was undone. colour: what the file says of its colours, by OpenImageIO's names, such as
+    pixels: [H, W, C] upright if so wanted, alpha straight; uint8, uint16 or float32 as in the file. orientation: the
+    Exif orientation 1..8 of the file. colour: what the file says of its colours, by OpenImageIO's names, such as
     "ICCProfile" (bytes) and "oiio:ColorSpace"; "format" is the file's.
     """
 
@@ -123,16 +125,18 @@ def read_info(path: str | Path) -> ImageInfo:
     with _opened(path) as source:
         spec = source.spec()
         return ImageInfo(spec.width, spec.height, spec.nchannels, str(spec.format),
-                         _metadata(spec.get_string_attribute(_METADATA_KEY)))
+                         _metadata(spec.get_string_attribute(_METADATA_KEY)),
+                         spec.get_int_attribute("Orientation", 1))
 
 
-def read_image(path: str | Path, as_stored: bool = False) -> np.ndarray:
-    """Pixels [H, W, C] of an image file (its first sub-image), upright, alpha straight.
+def read_image(path: str | Path, as_stored: bool = False, turn: bool = True) -> np.ndarray:
+    """Pixels [H, W, C] of an image file (its first sub-image), alpha straight.
 
     float32, integers scaled to 0..1; or with `as_stored` uint8, uint16 or float32 as in the file.
+    turn: upright, as the Exif orientation says; else as the file has them, which the cameras of posed views refer to.
     Raises InputError when it is no image, damaged, cut, empty or absurdly large.
     """
-    pixels = read_picture(path).pixels
+    pixels = read_picture(path, turn).pixels
     return pixels if as_stored else as_floats(pixels)
 
 
@@ -143,14 +147,14 @@ def as_floats(pixels: np.ndarray) -> np.ndarray:
     return pixels / np.float32(np.iinfo(pixels.dtype).max)  # OpenImageIO's own scaling is not exact
 
 
-def read_picture(path: str | Path) -> Picture:
+def read_picture(path: str | Path, turn: bool = True) -> Picture:
     """An image file (its first sub-image) with what it says of its orientation and colours. Raises InputError as
-    read_image does."""
+    read_image does. turn: see read_image."""
     path = _checked_file(path)
     if is_heif(path):
         with opened_heif(path, partial(_check_size, path)) as image, _NATIVE_STDERR_SILENCED:
             pixels, orientation, colour = decoded_heif(path, image)
-        return Picture(np.ascontiguousarray(upright(pixels, orientation)), orientation, colour)
+        return _picture(pixels, orientation, colour, turn)
     with _opened(path) as source, _NATIVE_STDERR_SILENCED:
         spec = source.spec()
         sample_type = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float")
@@ -166,7 +170,11 @@ def read_picture(path: str | Path) -> Picture:
     straight = colour["format"] not in _MAYBE_ASSOCIATED or "oiio:UnassociatedAlpha" in colour
     if spec.alpha_channel > 0 and not straight:
         pixels = _straight(pixels, spec.alpha_channel)
-    return Picture(np.ascontiguousarray(upright(pixels, orientation)), orientation, colour)
+    return _picture(pixels, orientation, colour, turn)
+
+
+def _picture(pixels: np.ndarray, orientation: int, colour: dict[str, Any], turn: bool) -> Picture:
+    return Picture(np.ascontiguousarray(upright(pixels, orientation) if turn else pixels), orientation, colour)
 
 
 def _straight(pixels: np.ndarray, channel: int) -> np.ndarray:

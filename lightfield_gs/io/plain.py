@@ -133,11 +133,11 @@ def _background(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ring[thick:-thick, thick:-thick] = False
     side = max(3, round(_PATCH_SHARE * min(height, width)))
     pieces = Pieces.of(distance < _FAR, diagonal=False)
-    from_border, from_patch = pieces.hit(ring), pieces.hit(_full_squares(distance < _SAME, side))
+    from_border, from_patch = pieces.hit(ring), pieces.hit(full_squares(distance < _SAME, side))
     return pieces.mask(from_border | from_patch), pieces.mask(from_patch & ~from_border)
 
 
-def _full_squares(flags: np.ndarray, side: int) -> np.ndarray:
+def full_squares(flags: np.ndarray, side: int) -> np.ndarray:
     """The pixels [H, W] at whose lower right a square of `side` pixels is all set."""
     full = flags
     for axis in (0, 1):
