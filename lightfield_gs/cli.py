@@ -117,6 +117,7 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)")
     add("--quality", choices=("exact", "high", "fast", "draft"), default="exact",
         help="less time for more error, of --method direct (default exact)")
+    _add_antialiased(add)
     add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
     add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp and, where the "
         "panel has a pixel pitch and a viewing distance (see there), left-eye.png and right-eye.png")
@@ -125,6 +126,11 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")
     add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
     add("--stats", action="store_true", help="print what was drawn and what was skipped")
+
+
+def _add_antialiased(add: Callable[..., argparse.Action]) -> None:
+    add("--antialiased", action="store_true", help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's "
+        "antialiased mode), which look too bright and too thick without: what a pixel blurs becomes fainter by as much")
 
 
 def _add_depth(encode: argparse.ArgumentParser) -> None:
@@ -153,6 +159,7 @@ def _add_prune(commands: argparse._SubParsersAction) -> None:
     add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene without them")
     add("--contribution-cut", type=within(0, 1), default=3e-4, metavar="SHARE",
         help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)")
+    _add_antialiased(add)
     _add_panel(add, "for framing, as `encode` takes it")
     add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
     add("--save-rig", type=Path, metavar="YAML",

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> None:
         stats: dict = {}
         image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
                        output="uint8" if bits == 8 else "float32", quality=args.quality, threads=args.threads,
-                       stats=stats, **views)
+                       stats=stats, antialiased=args.antialiased, **views)
         image = image.cpu().numpy()
         watch.lap("image", stats["stages_ms"])
         write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig), args.compression)
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> None:
         if args.preview is not None:
             from lightfield_gs.preview import write_preview
 
-            write_preview(args.preview, image, gaussians, panel, rig, args.background)
+            write_preview(args.preview, image, gaussians, panel, rig, args.background, args.antialiased)
             watch.lap("preview")
             if why := why_no_eye(panel):
                 note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
@@ -163,7 +163,7 @@ def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
     """What the image was made from and by; the values but "software" and "input" are JSON."""
     scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
     encoding = {"method": args.method, "views": args.views, "background": list(args.background),
-                "quality": args.quality}
+                "quality": args.quality, **({"antialiased": True} if args.antialiased else {})}
     for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth)):
         if path is not None:
             encoding[name] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> None:
     watch.lap("load")
     on_device = scene.to(device)
     rig = rig or Rig.frame(on_device, panel)
-    kept = prune(on_device, panel, rig, args.contribution_cut)
+    kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased)
     watch.lap("prune")
     if kept.count == 0:
         raise InputError(f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "
