@@ -7,6 +7,7 @@ threads. Every argument is checked here, every buffer is a torch tensor.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -267,9 +268,13 @@ def draw_lens(job: LensArguments, as_bytes: bool, quality: Quality, stats: Stats
 
 
 def frame_kind(job: LensArguments, quality: Quality, moving: bool = False) -> Any:
-    """What frames of such arguments are known to need, on CUDA. moving: of one's own, for frames of changing rigs."""
+    """What frames of such arguments are known to need, on CUDA. moving: of one's own, for frames of changing rigs.
+
+    Anti-aliased ones are evaluated as they are written, whatever the quality."""
     from lightfield_gs.frame_cuda import kind_of, moving_kind
 
+    if job.antialiased:
+        quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)
     orders = (0,) if job.scene.degree == 0 else FRAME_COLOUR_ORDERS
     find = moving_kind if moving else kind_of
     return find(job.scene, job.numbers, job.rig, job.lens, orders, quality)

@@ -23,12 +23,6 @@ Shape<double> shape_of(const Gaussians<const T>& g, int64_t i) {
   return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, double(g.opacities[i])};
 }
 
-template <class T>
-Splat<T> rounded(const Splat<double>& s) {
-  return {T(s.u0), T(s.du), T(s.v0), T(s.log2_opacity), T(s.S0),      T(s.S1),
-          T(s.S2), T(s.tau), T(s.c0), T(s.c1),          T(s.reach_y), T(s.depth)};
-}
-
 // Gradient of one pair summed over the bands of a splat, in band order.
 template <class T>
 void sum_pairs(const Splat<T>& splat, int64_t height_px, int64_t first, int size, const T* pairs, double* sum) {
@@ -81,7 +75,7 @@ void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& camera
       Compensation<double> unused;
       Splat<double> splat = projected(view, shape, unused);
       cull_outside(splat, cameras.width_px, cameras.height_px);
-      out.splats[image * n + i] = rounded<T>(splat);
+      out.splats[image * n + i] = splat_cast<T>(splat);
       T* stored = out.colours + (image * n + i) * kColourStride;
       std::fill_n(stored, kColourStride, T(0));
       if (splat.reach_y < 0) continue;
@@ -177,7 +171,7 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
         raise_cut(splat, quality.log2_cut, quality.rough());
       cull_outside(splat, lens.width_px, lens.height_px);
       if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
-      out.splats[i] = rounded<T>(splat);
+      out.splats[i] = splat_cast<T>(splat);
       out.orders[i] = 0;
       if (out.compensations)
         out.compensations[i] = {T(compensation.D0), T(compensation.D1), T(compensation.D2)};

@@ -28,6 +28,12 @@ struct Splat {
 };
 constexpr int kSplatFields = 12;
 
+template <class T, class R>
+LFGS_HD Splat<T> splat_cast(const Splat<R>& s) {
+  return {T(s.u0), T(s.du), T(s.v0), T(s.log2_opacity), T(s.S0),      T(s.S1),
+          T(s.S2), T(s.tau), T(s.c0), T(s.c1),          T(s.reach_y), T(s.depth)};
+}
+
 // One Gaussian as projection reads it.
 template <class R>
 struct Shape {
