@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import rendering
+from lightfield_gs.arrays import Colour
 from lightfield_gs.checks import expect
 from lightfield_gs.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoder_cuda import CudaFrames
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.options import Output, QualityName, Views
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
@@ -45,9 +46,9 @@ class Encoder:
     and kernels of one's own: call `forget` after those. Inference tensors count nothing and are always drawn.
     """
 
-    def __init__(self, panel: Panel, rig: Rig, *, views: str = "integer",
-                 background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8",
-                 quality: str | Quality = "exact", versioned: bool = False, antialiased: bool = False):
+    def __init__(self, panel: Panel, rig: Rig, *, views: Views = "integer",
+                 background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
+                 quality: QualityName | Quality = "exact", versioned: bool = False, antialiased: bool = False):
         rendering.check_options("direct", views, output)
         expect("panel", panel, Panel)
         expect("rig", rig, Rig)
@@ -68,12 +69,12 @@ class Encoder:
         return self._panel
 
     @property
-    def views(self) -> str:
+    def views(self) -> Views:
         """"integer" or "continuous"."""
         return self._views
 
     @property
-    def output(self) -> str:
+    def output(self) -> Output:
         """"uint8", "float32" or "float64"."""
         return self._output
 

@@ -6,13 +6,13 @@ time of a frame, and no change is missed, whatever made it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core, ops, rendering
+from lightfield_gs.arrays import Colour
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.quality import Quality
 from lightfield_gs.workspace import Stats, Workspace
@@ -41,7 +41,7 @@ class CpuFrames:
         self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
         self.last: _Frame | None = None
 
-    def draw(self, gaussians: Gaussians, background: Sequence[float] | Tensor,
+    def draw(self, gaussians: Gaussians, background: Colour,
              arguments: tuple[list[float], list[int], list[float]]) -> tuple[Tensor, set[str]]:
         """The image, which belongs to the caller, and the stages that were not repeated.
 

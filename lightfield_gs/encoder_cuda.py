@@ -3,13 +3,13 @@ that their input is what it was."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import ops, rendering
+from lightfield_gs.arrays import Colour
 from lightfield_gs.encoder_cpu import STAGES
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.quality import Quality
@@ -61,7 +61,7 @@ class CudaFrames:
         self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
         self.last_arguments: Arguments | None = None
 
-    def draw(self, gaussians: Gaussians, background: Sequence[float] | Tensor,
+    def draw(self, gaussians: Gaussians, background: Colour,
              arguments: Arguments) -> tuple[Tensor, set[str]]:
         """The image, drawn over by the next call, and the stages that were not repeated.
 

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.errors import InputError
+from lightfield_gs.lens import native_lens
 from lightfield_gs.quality import EXACT, Quality
 from lightfield_gs.workspace import Scene, State, Stats, Workspace, check
 
@@ -227,21 +228,6 @@ def _lens_workspace(job: LensArguments, stats: Stats, threads: int, quality: Qua
     return work
 
 
-def native_lens(lens: list[int], lens_shape: list[float]) -> Any:
-    """The core's Lens from the two lists of render_lens."""
-    if len(lens) != 8 or len(lens_shape) != 5:
-        raise InputError(f"lens must be 8 integers and lens_shape 5 numbers, got {len(lens)} and {len(lens_shape)}")
-    width, height, views, *phases, bgr, continuous = lens
-    line_number, slant_tan, phase, offset_start, offset_step = lens_shape
-    if not (1 <= width <= 65536 and 1 <= height <= 65536 and 1 <= views <= 65536 and line_number > 0):
-        raise InputError(f"a lens needs sizes and views of 1..65536 and a line number > 0, got {lens[:3]} and "
-                         f"{line_number}")
-    phase0, phase_x, phase_y = (p % 2**64 for p in phases)
-    return _core.Lens(width_px=width, height_px=height, views=views, phase0=phase0, phase_x=phase_x, phase_y=phase_y,
-                      line_number=line_number, slant_tan=slant_tan, phase=phase, bgr=bool(bgr),
-                      continuous=bool(continuous), offset_start=offset_start, offset_step=offset_step)
-
-
 def lens_forward(*arguments: Any, as_bytes: bool = False, quality: Quality = EXACT, stats: Stats | None = None,
                  threads: int | None = None, out: Tensor | None = None) -> Tensor:
     """render_lens without autograd; see there. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`, and `out`
@@ -304,8 +290,9 @@ def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     rig: 26 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits),
     zero_depth.
     lens: width, height, views, phase0, phase_x, phase_y (64-bit patterns as signed integers, 2^64 = one lens),
-    bgr, continuous. lens_shape: line_number, slant_tan, phase (sub-pixels), offset_start, offset_step (scene units).
-    antialiased: see rendering.encode.
+    bgr, continuous; of a panel with sub-pixel cells then 48 phases that its sub-pixels have beyond those of stripes, by
+    row mod 4, column mod 4 and place, and 48 image channels, likewise. lens_shape: line_number, slant_tan, phase
+    (sub-pixels), offset_start, offset_step (scene units). antialiased: see rendering.encode.
     lightfield_gs.encode builds them from a Panel and a Rig. Raises InputError.
     """
     job = LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -63,14 +63,30 @@ def lens_views(panel: Panel, rows: Sequence[int], columns: Sequence[int], channe
     pitch, slant, phase = (Fraction(float(value)) for value in (panel.line_number, panel.slant_tan, panel.phase))
     # Lens coordinate (D_0 + 3 j + k + 3 i tan) / P_e over one denominator, then whole numbers of any length.
     steps = (phase / pitch, 1 / pitch, 3 * slant / pitch)
-    unit = math.lcm(*(step.denominator for step in steps))
+    places = [_places(panel, cell, slant) for cell in panel.subpixel_cells or (None,)]
+    unit = math.lcm(*(step.denominator for step in (*steps, *(at / pitch for cell in places for at in cell))))
     start, across, down = (int(step * unit) for step in steps)
+    beyond = [[int(at / pitch * unit) for at in cell] for cell in places]
     found = np.empty(len(rows))
     for index, (row, column, channel) in enumerate(zip(rows, columns, channels)):
-        place = int(channel) if panel.subpixel_order == "RGB" else 2 - int(channel)
-        x = (start + across * (3 * int(column) + place) + down * int(row)) % unit * panel.views
+        within = beyond[_cell(panel, int(row), int(column))][int(channel)]
+        x = (start + across * 3 * int(column) + within + down * int(row)) % unit * panel.views
         found[index] = x / unit if continuous else x // unit + 0.5
     return found
+
+
+def _places(panel: Panel, cell: Any, slant: Fraction) -> list[Fraction]:
+    """Sub-pixels from a pixel's reference to its red, green and blue: along the row, and up along the slant."""
+    if cell is None:
+        return [Fraction(k) for k in ((0, 1, 2) if panel.subpixel_order == "RGB" else (2, 1, 0))]
+    return [3 * (Fraction(float(x)) - slant * Fraction(float(y))) for x, y in cell]
+
+
+def _cell(panel: Panel, row: int, column: int) -> int:
+    """Which of the panel's cells a pixel is (Looking Glass: CellPatternMode)."""
+    y = row if panel.cell_rows == "top" else panel.height_px - 1 - row
+    by_rule = {"unity": (column % 2, y % 2), "webxr": (y % 4, column % 2)}[panel.cell_rule]
+    return (0, (column + y) % 2, by_rule[0], (y + column % 2 * 2) % 4, by_rule[1])[panel.cell_pattern]
 
 
 def _rig_cone_rad(panel: Panel, rig: Rig) -> float:

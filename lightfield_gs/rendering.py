@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from lightfield_gs import ops, skips
-from lightfield_gs.arrays import bytes_of, dense_tensor
+from lightfield_gs.arrays import Colour, bytes_of, dense_tensor
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.checks import expect, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.lens import lens_lists
+from lightfield_gs.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
@@ -23,15 +24,28 @@ from lightfield_gs.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.sorted_plan import SortedPlan, views_shown
 from lightfield_gs.workspace import Stats
 
-METHODS = ("direct", "sorted", "classic")
-VIEWS = ("integer", "continuous")
-OUTPUTS = {"uint8": torch.uint8, "float32": torch.float32, "float64": torch.float64}
+_DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
 MOST_THREADS = 1024
 _MOST_BYTES = 1 << 62
 _CLASSIC_PIXELS = 4_000_000  # rendered at a time: small images go in batches
 
 
-def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float] | Tensor = (1.0, 1.0, 1.0),
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[False] = ..., depth: Literal[False] = ..., antialiased: bool = ...) -> Tensor: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[True], depth: Literal[False] = ..., antialiased: bool = ...) -> tuple[Tensor, Tensor]: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[False] = ..., depth: Literal[True], antialiased: bool = ...) -> tuple[Tensor, Tensor]: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[True], depth: Literal[True], antialiased: bool = ...) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: bool = ..., depth: bool = ..., antialiased: bool = ...) -> Tensor | tuple[Tensor, ...]: ...
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = (1.0, 1.0, 1.0),
            alpha: bool = False, depth: bool = False, antialiased: bool = False) -> Tensor | tuple[Tensor, ...]:
     """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
 
@@ -73,11 +87,11 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
     return tuple(out) if len(out) > 1 else out[0]
 
 
-def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: str = "direct", *,
-           views: str = "integer", cameras: Cameras | None = None,
+def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: Method = "direct", *,
+           views: Views = "integer", cameras: Cameras | None = None,
            view_map: np.ndarray | Tensor | SortedPlan | None = None, memory_budget: int | None = None,
-           background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8",
-           quality: str | Quality = "exact", threads: int | None = None, stats: dict[str, Any] | None = None,
+           background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
+           quality: QualityName | Quality = "exact", threads: int | None = None, stats: dict[str, Any] | None = None,
            out: Tensor | None = None, antialiased: bool = False) -> Tensor:
     """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
 
@@ -85,11 +99,11 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     renders only the sub-pixels too, but view by view, with any cameras and any view map (Shi et al. 2025); "classic"
     renders one dense image per view and interlaces them, the usual way and the cross-check of the others.
     views: "integer": camera at floor(x) + 1/2; "continuous": at the exact x of the sub-pixel.
-    Only for "sorted": cameras [N] at the panel's resolution, in place of the rig's; view_map int32 [H, W, 3] by image
-    channel, which of the N cameras each sub-pixel shows, or -1 for the background (or a SortedPlan made of such a map,
-    to sort only once), in place of the panel's; memory_budget: bytes that the work memory may take on the device of
-    the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or 1 GiB on CUDA); on CUDA those
-    asked of torch's allocator, which may round each buffer up.
+    Only for "sorted": cameras [N] at the panel's resolution, the right-most eye's first, in place of the rig's;
+    view_map int32 [H, W, 3] by image channel, which of the N cameras each sub-pixel shows, or -1 for the background
+    (or a SortedPlan made of such a map, to sort only once), in place of the panel's; memory_budget: bytes that the work
+    memory may take on the device of the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or
+    1 GiB on CUDA); on CUDA those asked of torch's allocator, which may round each buffer up.
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
     "direct" are differentiable; where gradients are wanted, quality, threads, stats and out are refused.
     quality: "exact", "high", "fast", "draft" or a Quality, of "direct": how much error is allowed for less time.
@@ -152,12 +166,12 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     return image
 
 
-def _check_out(out: Tensor, method: str, output: str, panel: Panel, device: torch.device) -> None:
+def _check_out(out: Tensor, method: Method, output: Output, panel: Panel, device: torch.device) -> None:
     """Raises InputError for what an image cannot be drawn over."""
     expect("out", out, Tensor)
     if method != "direct":
         raise InputError(f"out is for method 'direct', not {method!r}")
-    expected = (panel.height_px, panel.width_px, 3), OUTPUTS[output], device
+    expected = (panel.height_px, panel.width_px, 3), _DTYPES[output], device
     if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:
         raise InputError(f"out must be a contiguous {expected[1]} tensor {list(expected[0])} on {device} without "
                          f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
@@ -172,14 +186,15 @@ def check_options(method: str, views: str, output: str) -> None:
     for name, value in (("method", method), ("views", views), ("output", output)):
         expect(name, value, str)
     if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
-        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {tuple(OUTPUTS)}, got {method!r}, "
+        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {OUTPUTS}, got {method!r}, "
                          f"{views!r} and {output!r}")
 
 
 def interlace(views: Tensor, panel: Panel) -> Tensor:
     """Takes every sub-pixel of a panel from the view that it belongs to: views [N, H, W, 3] -> [H, W, 3], same dtype.
 
-    N = panel.views, H and W the panel's size. Raises InputError.
+    N = panel.views, H and W the panel's size. View 0 is the right-most eye's (with invert_views the left-most one's):
+    tiles of a quilt, whose first is the left-most, are in the other order. Raises InputError.
     """
     views = dense_tensor("views", views)
     expect("panel", panel, Panel)
@@ -195,13 +210,10 @@ def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float
     start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
     numbers = [*np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist(), *rig.focal_px,
                *rig.principal_point_px, *rig.jacobian_limits(panel), 0.0, rig.zero_depth]
-    signed = [p - 2**64 if p >= 2**63 else p for p in panel.phase_steps()]
-    lens = [panel.width_px, panel.height_px, panel.views, *signed, int(panel.subpixel_order == "BGR"), int(continuous)]
-    shape = [panel.line_number, panel.slant_tan, panel.phase, start, (end - start) / panel.views]
-    return [float(v) for v in numbers], lens, [float(v) for v in shape]
+    return [float(v) for v in numbers], *lens_lists(panel, continuous, start, (end - start) / panel.views)
 
 
-def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
+def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
             quality: Quality, threads: int | None, stats: Stats, out: Tensor | None, antialiased: bool) -> Tensor:
     """The image without gradients."""
     with torch.no_grad():
@@ -210,7 +222,7 @@ def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background
                                 threads=threads, out=out)
 
 
-def _wants_gradients(output: str, gaussians: Gaussians, background: Tensor) -> bool:
+def _wants_gradients(output: Output, gaussians: Gaussians, background: Tensor) -> bool:
     """Whether torch is to follow how an image came about; bytes have no gradients."""
     return output != "uint8" and torch.is_grad_enabled() and any(
         t.requires_grad for t in (*_tensors(gaussians), background))
@@ -223,14 +235,14 @@ def _refuse_with_gradients(**given: bool) -> None:
 
 
 @torch.no_grad()
-def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
+def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
              threads: int | None, stats: Stats, antialiased: bool) -> Tensor:
     """One dense image per view that the panel shows; with continuous views, one per distinct x."""
     with stats.stage("plan"):
         places, x = _classic_plan(panel, views == "continuous", gaussians.device)
     tensors = [t.unsqueeze(0) for t in _tensors(gaussians)]
     pixels = panel.width_px * panel.height_px
-    out = torch.empty(3 * pixels, dtype=OUTPUTS[output], device=gaussians.device)
+    out = torch.empty(3 * pixels, dtype=_DTYPES[output], device=gaussians.device)
     chunk = max(1, _CLASSIC_PIXELS // pixels)
     for first in range(0, len(x), chunk):
         cameras = rig.cameras_at(panel, x[first:first + chunk]).to(gaussians.means)
@@ -263,7 +275,7 @@ def _classic_plan(panel: Panel, continuous: bool, device: torch.device) -> tuple
     return torch.from_numpy(places).to(device), x
 
 
-def _check_sorted_only(method: str, views: str, rig: Rig | None, cameras: Cameras | None, view_map: Any,
+def _check_sorted_only(method: Method, views: Views, rig: Rig | None, cameras: Cameras | None, view_map: Any,
                        memory_budget: int | None) -> None:
     """Raises InputError where arguments of one method meet another."""
     if method != "sorted":
@@ -282,7 +294,7 @@ def _tensors(gaussians: Gaussians) -> list[Tensor]:
     return [gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh]
 
 
-def background_tensor(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
+def background_tensor(background: Colour, like: Tensor) -> Tensor:
     """A background as a tensor [..., 3] of the dtype and on the device of `like`. Raises InputError."""
     if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
         colour = _constant_background(tuple(background), like.dtype, like.device)
@@ -302,7 +314,7 @@ def _constant_background(background: tuple[float, ...], dtype: torch.dtype, devi
         return _checked_background(background, dtype, device)
 
 
-def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype, device: torch.device) -> Tensor:
+def _checked_background(background: Colour, dtype: torch.dtype, device: torch.device) -> Tensor:
     """A tensor on a GPU is taken as it is: looking for NaN there would wait for it.
 
     Tensors and arrays may leave 0..1, for optimizers do; plain numbers that do are mistakes.

@@ -70,7 +70,7 @@ def test_every_subpixel_is_that_of_the_oracle(shape, views):
 
 
 @pytest.mark.parametrize("name", ["very wide cone", "leaning the other way, BGR", "narrower than a pixel", "one view",
-                                  "lenses as wide as the panel"])
+                                  "lenses as wide as the panel", "cells", "cells of narrow lenses"])
 def test_unusual_panels_and_harmonics(name):
     shown, scene = panel(name), fine_scene(degree=2)
     fan = rig(shown, -0.2, 0.1)

@@ -272,6 +272,7 @@ PYBIND11_MODULE(_core, m) {
   m.attr("PRUNED") = kPruned;
   m.attr("NEAR_DEPTH") = kNearDepth;
   m.attr("COLOUR_STRIDE") = kColourStride;
+  m.attr("CELL_SUBPIXELS") = kCellPeriod * kRowPeriod;
   m.def("band_count", &band_count);
   m.attr("COMPENSATION_FIELDS") = kCompensationFields;
   m.def("pair_gradient_size", &pair_gradient_size, py::arg("colour_order"), py::arg("compensated") = false);
@@ -281,16 +282,22 @@ PYBIND11_MODULE(_core, m) {
   py::class_<Lens>(m, "Lens")
       .def(py::init([](int64_t width_px, int64_t height_px, int64_t views, uint64_t phase0, uint64_t phase_x,
                        uint64_t phase_y, double line_number, double slant_tan, double phase, bool bgr, bool continuous,
-                       double offset_start, double offset_step) {
-             return Lens{width_px, height_px, views, phase0, phase_x, phase_y, line_number, slant_tan, phase, bgr,
-                         continuous, offset_start, offset_step};
+                       double offset_start, double offset_step, const std::vector<uint64_t>& cell_phases,
+                       const std::vector<int>& cell_channels) {
+             Lens lens{width_px, height_px, views, phase0, phase_x, phase_y, line_number, slant_tan, phase, bgr,
+                       continuous, offset_start, offset_step, false, {}};
+             lens.set_cells(cell_phases, cell_channels);
+             return lens;
            }),
            py::kw_only(), py::arg("width_px"), py::arg("height_px"), py::arg("views"), py::arg("phase0"),
            py::arg("phase_x"), py::arg("phase_y"), py::arg("line_number"), py::arg("slant_tan"), py::arg("phase"),
-           py::arg("bgr"), py::arg("continuous"), py::arg("offset_start"), py::arg("offset_step"))
+           py::arg("bgr"), py::arg("continuous"), py::arg("offset_start"), py::arg("offset_step"),
+           py::arg("cell_phases") = std::vector<uint64_t>(), py::arg("cell_channels") = std::vector<int>())
       .def("reach", &Lens::reach)
+      .def("stands_in_order", &Lens::stands_in_order)
+      .def("has_one_order", &Lens::has_one_order)
       .def("view_at", [](const Lens& lens, int64_t row, int64_t subpixel) {
-        return integer_view(lens.phase_at(row, subpixel), uint64_t(lens.views));
+        return integer_view(lens.true_phase(row, subpixel), uint64_t(lens.views));
       });
   py::class_<View<double>>(m, "Rig").def(py::init(&view_of), py::kw_only(), py::arg("world_to_camera"),
                                          py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),

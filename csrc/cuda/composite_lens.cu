@@ -47,10 +47,10 @@ struct Place {
 
   __device__ Sample sample(const Image& image, const Lens& lens, float s_start, float s_step, int r, int k) const {
     Sample sample;
-    sample.channel = lens.bgr ? 2 - k : k;
     sample.transmittance = inside(image, r) ? 1.f : 0.f;
-    const uint64_t phase = lens.phase_at(image_row(r), 3 * (x0 + column) + k);
-    sample.s = fmaf(s_step, float(camera_coordinate(lens, phase)), s_start);
+    const int64_t row = image_row(r), subpixel = 3 * (x0 + column) + k;
+    sample.channel = lens.channel_at(row, subpixel);
+    sample.s = fmaf(s_step, float(camera_coordinate(lens, lens.true_phase(row, subpixel))), s_start);
     return sample;
   }
   // Whether a splat, its centre from the tile's corner, may touch the warp's pixels from some camera.

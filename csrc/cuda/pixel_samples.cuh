@@ -42,9 +42,12 @@ struct LanePixels {
 #pragma unroll
       for (int p = 0; p < 2; ++p) {
         uint64_t phase = phase_at(lens, row + 4 * r, 3 * (column + p));
+        const uint64_t* beyond = lens.cells.phases[row % kCellPeriod] + 3 * ((column + p) % kCellPeriod);
 #pragma unroll
-        for (int k = 0; k < 3; ++k, phase += lens.phase_x)
-          visit(r, p, k, fmaf(lens.s_step, camera_of(lens, phase), lens.s_start));
+        for (int k = 0; k < 3; ++k, phase += lens.phase_x) {
+          const uint64_t own = lens.has_cells ? phase + beyond[k] : phase;
+          visit(r, p, k, fmaf(lens.s_step, camera_of(lens, own), lens.s_start));
+        }
       }
   }
   // Puts the sub-pixels value(r, p, k) into the image.

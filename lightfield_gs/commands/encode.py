@@ -12,7 +12,8 @@ import numpy as np
 
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.panel import at_distance, why_no_eye
+from lightfield_gs.commands.panel import load_panel, why_no_eye
+from lightfield_gs.commands.rig import load_cameras, load_rig
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -38,17 +39,22 @@ def run(args: argparse.Namespace) -> None:
     check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
                                    args.view_map, args.checkpoint))
     _check_options(args)
-    panel = at_distance(Panel.load(args.panel), args.viewing_distance)
+    panel = load_panel(args)
     import torch
 
+    from lightfield_gs.lens import slow_way
+    from lightfield_gs.quality import Quality
     from lightfield_gs.rendering import encode
     from lightfield_gs.rig import Rig
 
     if args.threads is not None:
         _use_threads(args.threads)
     device = choose_device(args.device)
-    rig = None if args.rig is None else Rig.from_yaml(args.rig)
+    rig = load_rig(args, panel)
     views = _views(args, panel)
+    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
+    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+        note(why)
     watch.lap("start")
     with torch.inference_mode():
         gaussians, camera = load_scene(args, device, watch)
@@ -73,6 +79,9 @@ def run(args: argparse.Namespace) -> None:
             watch.lap("preview")
             if why := why_no_eye(panel):
                 note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
+    if stats["pairs"] == 0 and stats["gaussians_culled"] == gaussians.count:
+        note(f"{args.output} is all background: none of {gaussians.count} Gaussians is within what the cameras see, or "
+             "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras")
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians.count} Gaussians")
     print(watch.line())
     if args.stats:
@@ -119,11 +128,11 @@ def _check_options(args: argparse.Namespace) -> None:
 
 def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
     """The arguments of `encode` that only the method sorted has, those that were given."""
-    from lightfield_gs.io.view_files import read_cameras, read_view_map
+    from lightfield_gs.io.view_files import read_view_map
 
     views: dict[str, Any] = {}
     if args.cameras is not None:
-        views["cameras"] = read_cameras(args.cameras, panel)
+        views["cameras"] = load_cameras(args, panel)
     if args.view_map is not None:
         count = views["cameras"].count if "cameras" in views else panel.views
         views["view_map"] = read_view_map(args.view_map, panel, count)

@@ -7,18 +7,25 @@ import json
 from pathlib import Path
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.yaml_file import MOST_BYTES
 from lightfield_gs.panel import Panel
 
 
 def run(args: argparse.Namespace) -> None:
     """Prints what args.file holds, a line a fact. Raises InputError."""
-    for key, value in describe(args.file):
+    for key, value in describe(args.file, args.device_serial):
         print(f"{key}: {value}")
 
 
-def describe(path: Path) -> list[tuple[str, object]]:
-    """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file."""
+def describe(path: Path, serial: str | None = None) -> list[tuple[str, object]]:
+    """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file.
+
+    serial: of the display, where the file has several.
+    """
     suffix = path.suffix.lower()
+    if serial is not None and suffix != ".json":
+        raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
     if suffix in (".ply", ".spz", ".splat", ".ksplat", ".sog"):
         return _scene(path)
     if suffix == ".safetensors":
@@ -26,7 +33,7 @@ def describe(path: Path) -> list[tuple[str, object]]:
     if suffix in (".yaml", ".yml") and _is_rig(path):
         return _rig(path)
     if suffix in (".yaml", ".yml", ".json") or not suffix and not path.exists():
-        return [("panel", path), *Panel.load(path).to_dict().items()]
+        return [("panel", path), *Panel.load(path, serial=serial).to_dict().items()]
     return _image(path)
 
 
@@ -53,10 +60,7 @@ def _image(path: Path) -> list[tuple[str, object]]:
 
 
 def _is_rig(path: Path) -> bool:
-    try:
-        return "world_to_camera" in path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    return "world_to_camera" in read_text(path, MOST_BYTES, "YAML")
 
 
 def _rig(path: Path) -> list[tuple[str, object]]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 
 from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.panel import at_distance
+from lightfield_gs.commands.panel import load_panel
+from lightfield_gs.commands.rig import load_rig
 from lightfield_gs.commands.scene import check_scene_path
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path, check_outputs
-from lightfield_gs.panel import Panel
 
 
 def run(args: argparse.Namespace) -> None:
@@ -20,14 +20,14 @@ def run(args: argparse.Namespace) -> None:
     if args.save_rig is not None:
         check_output_path(args.save_rig)
     check_outputs((args.output, args.save_rig), (args.input, args.rig, args.panel))
-    panel = at_distance(Panel.load(args.panel), args.viewing_distance)
+    panel = load_panel(args)
     device = choose_device(args.device)
 
     from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.pruning import prune
     from lightfield_gs.rig import Rig
 
-    rig = None if args.rig is None else Rig.from_yaml(args.rig)
+    rig = load_rig(args, panel)
     watch.lap("start")
     scene = Gaussians.load(args.input)
     watch.lap("load")

@@ -9,12 +9,12 @@ import numpy as np
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.npy import open_array
+from lightfield_gs.options import DEPTH_KINDS, DepthKind
 
-KINDS = ("distance", "disparity")
 _IMAGE_TYPES = ("uint8", "uint16", "half", "float")  # others would be read as shares of their largest number
 
 
-def read_depth(path: str | Path, kind: str = "distance", *, scale: float | None = None,
+def read_depth(path: str | Path, kind: DepthKind = "distance", *, scale: float | None = None,
                limits: tuple[float, float] | None = None) -> np.ndarray:
     """View-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
 
@@ -26,8 +26,8 @@ def read_depth(path: str | Path, kind: str = "distance", *, scale: float | None 
     scale of the file, 0..255, 0..65535 or 0..1 for floats; distance has near at 0, disparity far at 0.
     Raises InputError that names the file: no depth map, numbers out of range, or whole numbers that nothing explains.
     """
-    if kind not in KINDS:
-        raise InputError(f"depth kind: expected {' or '.join(KINDS)}, got {kind!r}")
+    if kind not in DEPTH_KINDS:
+        raise InputError(f"depth kind: expected {' or '.join(DEPTH_KINDS)}, got {kind!r}")
     if scale is not None and limits is not None:
         raise InputError("a depth map has a scale, or near and far limits, not both; leave out one of them")
     values = _read_values(path)

@@ -15,6 +15,7 @@ import numpy as np
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.options import Compression
 from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
@@ -56,7 +57,7 @@ def check_image_path(path: str | Path) -> Path:
 
 
 def write_image(path: str | Path, array: np.ndarray, metadata: dict[str, str] | None = None,
-                compression: str = "fast") -> None:
+                compression: Compression = "fast") -> None:
     """Writes [H, W, C], C = 1, 3 or 4, complete or not at all.
 
     uint8 or uint16 as PNG or TIFF, float32 as EXR or TIFF; the extension decides. `metadata` is kept as one JSON

@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rasterizer_cases import CELLS, MIRRORED
+
 from lightfield_gs import Gaussians, Panel, Quality, Rig, encode, render
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
 from lightfield_gs.panel import DEFAULT_PANEL
@@ -18,14 +20,16 @@ from lightfield_gs.quality import QUALITIES
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
 PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
           "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6),
-          "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0)}
+          "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0),
+          "cells": dict(line_number=19.17, slant_tan=0.1455, subpixel_cells=CELLS, cell_pattern=2),
+          "cells that exchange colours": dict(subpixel_cells=MIRRORED, cell_pattern=1)}
 BACKGROUND = (0.1, 0.6, 0.3)
 PRUNING = Quality(contribution_cut=0.6, opacity_cut=0.02)
 
 
 def frames_of(kernel: str) -> list[tuple[str, int, str]]:
     """Panel, SH degree and views of every frame; fewer of the kernel with tensor cores, which take seconds here."""
-    names = list(PANELS)[:2] if kernel == "ordinal" else PANELS
+    names = [*list(PANELS)[:2], "cells"] if kernel == "ordinal" else PANELS
     frames = [(name, degree, views) for name in names for degree, views in ((0, "integer"), (3, "continuous"))]
     return [*frames, ("default", 0, "continuous")]  # with harmonics or without, lists of more than fits at a time
 

@@ -10,6 +10,9 @@ import emulation  # before all that loads the native module
 
 import sys
 from dataclasses import replace
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 
 import cases
 import torch

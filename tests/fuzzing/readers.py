@@ -50,6 +50,14 @@ def _read_image(path: Path) -> None:
     read_image(path, as_stored=True)
 
 
+def _read_display(path: Path) -> None:
+    """With each of the displays that seeds name, so that one of the ways is taken whatever the file holds."""
+    try:
+        Panel.load(path)
+    except InputError:
+        Panel.load(path, serial="B")
+
+
 READERS = {
     "ply": Reader(".ply", lambda path: read_ply(path).validate(), "ply"),
     "image": Reader(".png", _read_image, "image"),
@@ -58,7 +66,7 @@ READERS = {
     "depth-npy": Reader(".npy", lambda path: read_depth(path, scale=0.001), "depth-npy"),
     "view-map": Reader(".npy", lambda path: read_view_map(path, SMALL_PANEL, 3), "view-map"),
     "cameras": Reader(".json", lambda path: read_cameras(path, SMALL_PANEL), "cameras"),
-    "looking-glass": Reader(".json", Panel.load, "looking-glass"),
+    "looking-glass": Reader(".json", _read_display, "looking-glass"),
     "panel": Reader(".yaml", Panel.from_yaml, "panel"),
     "rig": Reader(".yaml", Rig.from_yaml, "rig"),
     "model": Reader(".yaml", ModelConfig.from_yaml, "model"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,6 +45,17 @@ def _looking_at_the_origin(azimuth_rad: float) -> list[list[float]]:
     return [[cosine, 0, sine, 1.3 * sine], [0, 1, 0, 0], [-sine, 0, cosine, 1.3 * cosine], [0, 0, 0, 1]]
 
 
+def _calibrations(folder: Path, calibration: dict[str, Any]) -> None:
+    """A calibration as it is, in another encoding, and among displays, as a mapping and as JSON in a string."""
+    (folder / "visual.json").write_text(json.dumps(calibration))
+    (folder / "utf16.json").write_bytes(json.dumps({**calibration, "pitch": "42.0"}).encode("utf-16"))
+    cells = {**calibration, "subpixelCells": [{"ROffsetX": -0.3, "ROffsetY": 0.25}], "CellPatternMode": {"value": 2}}
+    displays = {"0": {"hwid": "A", "calibration": cells, "defaultQuilt": {"tileX": 8}},
+                "1": {"hwid": {"value": "B"}, "calibration": {"value": json.dumps(calibration)}}}
+    (folder / "one-display.json").write_text(json.dumps({"devices": {"0": displays["1"]}}))
+    (folder / "displays.json").write_text(json.dumps({"devices": displays}))
+
+
 def main() -> None:
     folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
     for folder in folders.values():
@@ -59,7 +71,7 @@ def main() -> None:
     (folders["cameras"] / "three.json").write_text(json.dumps({n: getattr(cameras, n).tolist() for n in fields}))
     calibration = {"pitch": {"value": 42.0}, "slope": {"value": -6.0}, "center": {"value": 0.3}, "DPI": {"value": 136},
                    "screenW": {"value": 7680}, "screenH": {"value": 4320}, "viewCone": 40, "invView": 1, "flipSubp": 0}
-    (folders["looking-glass"] / "visual.json").write_text(json.dumps(calibration))
+    _calibrations(folders["looking-glass"], calibration)
     Panel(**{**SMALL_PANEL.to_dict(), "pixel_pitch_mm": 0.2}).to_yaml(folders["panel"] / "small.yaml")
     Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0, 30.0).to_yaml(folders["rig"] / "small.yaml")
     unet = UNetConfig(base_channels=4, multipliers=(1,), blocks=1, attention_px=(), heads=1)
