@@ -153,6 +153,7 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)")
     add("--quality", choices=QUALITY_NAMES, default="exact",
         help="less time for more error, of --method direct (default exact)")
+    _add_antialiased(add)
     add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
     add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp and, where the "
         "panel has a pixel pitch and a viewing distance (see there), left-eye.png and right-eye.png")
@@ -161,6 +162,11 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
     add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
     add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
     add("--stats", action="store_true", help="print what was drawn and what was skipped")
+
+
+def _add_antialiased(add: Callable[..., argparse.Action]) -> None:
+    add("--antialiased", action="store_true", help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's "
+        "antialiased mode), which look too bright and too thick without: what a pixel blurs becomes fainter by as much")
 
 
 def _add_depth(encode: argparse.ArgumentParser) -> None:
@@ -196,6 +202,7 @@ def _add_prune(commands: argparse._SubParsersAction) -> None:
     _add_skip_invalid(add)
     add("--contribution-cut", type=within(0, 1), default=3e-4, metavar="SHARE",
         help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)")
+    _add_antialiased(add)
     _add_panel(add, "for framing, as `encode` takes it")
     _add_camera(add)
     add("--save-rig", type=Path, metavar="YAML",

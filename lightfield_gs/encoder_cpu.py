@@ -34,10 +34,11 @@ class _Frame:
 
 
 class CpuFrames:
-    """Frames of one lens and quality. precision: of the arithmetic; as_bytes: images are uint8."""
+    """Frames of one lens and quality. precision: of the arithmetic; as_bytes: images are uint8; antialiased: see
+    rendering.encode."""
 
-    def __init__(self, precision: torch.dtype, as_bytes: bool, quality: Quality):
-        self.precision, self.as_bytes, self.quality = precision, as_bytes, quality
+    def __init__(self, precision: torch.dtype, as_bytes: bool, quality: Quality, antialiased: bool):
+        self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
         self.last: _Frame | None = None
 
     def draw(self, gaussians: Gaussians, background: Colour,
@@ -61,7 +62,8 @@ class CpuFrames:
             return last.image.clone(), set(STAGES)
 
         self.last = None  # what fails below leaves nothing half done
-        job = ops.LensArguments(*gaussians.to(dtype=self.precision).fields().values(), background, *arguments)
+        job = ops.LensArguments(*gaussians.to(dtype=self.precision).fields().values(), background, *arguments,
+                                self.antialiased)
         work, order, kept = self._prepared(job, last, changed)
         image = job.image(self.as_bytes)
         work.composite_lens(job.lens, self.quality, job.background, image)

@@ -118,36 +118,38 @@ def frustum_limits(fx: float, fy: float, cx: float, cy: float, width: int, heigh
 
 def subpixel_colours(gaussians: Gaussians, panel: Panel, rig: Rig, rows: np.ndarray, columns: np.ndarray,
                      channels: np.ndarray, *, continuous: bool = False, background: Sequence[float] = (1, 1, 1),
-                     return_margin: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+                     antialiased: bool = False, return_margin: bool = False
+                     ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Colours that chosen sub-pixels of a light-field image must have, float64 [M].
 
     rows, columns: 0-based pixels [M]; channels: image channels [M], 0 red to 2 blue. continuous: fractional views.
+    antialiased: see rendering.encode.
     With return_margin also [M]: how near, relatively, a decision about the sample came to its threshold (alpha = 1/255
     or transmittance = 1e-4), at most 0.1; below some 1e-4 a float32 program may rightly decide otherwise.
     """
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
-    projection = Projection(Scene.of(gaussians), rig_eye(panel, rig))
+    projection = Projection(Scene.of(gaussians), rig_eye(panel, rig), antialiased)
     colours, margins = _colours(projection, _centres(columns), _centres(rows), torch.from_numpy(offsets),
                                 torch.as_tensor(channels, dtype=torch.int64), _float64(background))
     return (colours.cpu().numpy(), margins.cpu().numpy()) if return_margin else colours.cpu().numpy()
 
 
 def lens_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-               panel: Panel, rig: Rig, *, continuous: bool = False) -> Tensor:
+               panel: Panel, rig: Rig, *, continuous: bool = False, antialiased: bool = False) -> Tensor:
     """The whole light-field image [H,W,3] of one small scene, differentiable in every tensor (float64, no batch)."""
     rows, columns, channels = (index.ravel() for index in np.indices((panel.height_px, panel.width_px, 3)))
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
-    projection = Projection(Scene(means, quaternions, scales, opacities, sh), rig_eye(panel, rig))
+    projection = Projection(Scene(means, quaternions, scales, opacities, sh), rig_eye(panel, rig), antialiased)
     colours, _ = _colours(projection, _centres(columns), _centres(rows), torch.from_numpy(offsets),
                           torch.from_numpy(channels), background)
     return colours.reshape(panel.height_px, panel.width_px, 3)
 
 
 def pixel_colours(gaussians: Gaussians, cameras: Cameras, camera: int, rows: np.ndarray, columns: np.ndarray,
-                  channels: np.ndarray, *, background: Sequence[float] = (1, 1, 1),
+                  channels: np.ndarray, *, background: Sequence[float] = (1, 1, 1), antialiased: bool = False,
                   return_margin: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Colours of chosen pixels and channels of one ordinary camera, float64 [M]; the rest as `subpixel_colours`."""
-    projection = Projection(Scene.of(gaussians), _camera_eye(cameras, camera))
+    projection = Projection(Scene.of(gaussians), _camera_eye(cameras, camera), antialiased)
     offsets = torch.zeros(len(rows), dtype=torch.float64)
     colours, margins = _colours(projection, _centres(columns), _centres(rows), offsets,
                                 torch.as_tensor(channels, dtype=torch.int64), _float64(background))
@@ -155,8 +157,8 @@ def pixel_colours(gaussians: Gaussians, cameras: Cameras, camera: int, rows: np.
 
 
 def dense_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-                world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
-                height: int) -> tuple[Tensor, Tensor, Tensor]:
+                world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int, height: int,
+                antialiased: bool = False) -> tuple[Tensor, Tensor, Tensor]:
     """Images [B,V,H,W,3], alpha and depth [B,V,H,W] of B small scenes before V cameras each, differentiable, float64.
 
     means [B,N,3], quaternions [B,N,4], scales [B,N,3], opacities [B,N], sh [B,N,K,3], background [B,V,3],
@@ -164,7 +166,8 @@ def dense_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     the centre of a rig).
     """
     scenes = [Scene(*fields) for fields in zip(means, quaternions, scales, opacities, sh)]
-    images = [_dense_image(Projection(scene, Eye(pose, camera, limit[:4], limit[4])), colour, width, height)
+    images = [_dense_image(Projection(scene, Eye(pose, camera, limit[:4], limit[4]), antialiased), colour, width,
+                           height)
               for scene, *views in zip(scenes, world_to_camera, intrinsics, limits, background)
               for pose, camera, limit, colour in zip(*views)]
     batch = world_to_camera.shape[:2]

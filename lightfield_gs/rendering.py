@@ -32,33 +32,36 @@ _CLASSIC_PIXELS = 4_000_000  # rendered at a time: small images go in batches
 
 @overload
 def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: Literal[False] = ..., depth: Literal[False] = ...) -> Tensor: ...
+           alpha: Literal[False] = ..., depth: Literal[False] = ..., antialiased: bool = ...) -> Tensor: ...
 @overload
 def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: Literal[True], depth: Literal[False] = ...) -> tuple[Tensor, Tensor]: ...
+           alpha: Literal[True], depth: Literal[False] = ..., antialiased: bool = ...) -> tuple[Tensor, Tensor]: ...
 @overload
 def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: Literal[False] = ..., depth: Literal[True]) -> tuple[Tensor, Tensor]: ...
+           alpha: Literal[False] = ..., depth: Literal[True], antialiased: bool = ...) -> tuple[Tensor, Tensor]: ...
 @overload
 def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: Literal[True], depth: Literal[True]) -> tuple[Tensor, Tensor, Tensor]: ...
+           alpha: Literal[True], depth: Literal[True], antialiased: bool = ...) -> tuple[Tensor, Tensor, Tensor]: ...
 @overload
 def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: bool = ..., depth: bool = ...) -> Tensor | tuple[Tensor, ...]: ...
+           alpha: bool = ..., depth: bool = ..., antialiased: bool = ...) -> Tensor | tuple[Tensor, ...]: ...
 def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = (1.0, 1.0, 1.0),
-           alpha: bool = False, depth: bool = False) -> Tensor | tuple[Tensor, ...]:
+           alpha: bool = False, depth: bool = False, antialiased: bool = False) -> Tensor | tuple[Tensor, ...]:
     """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
 
     gaussians [N, ...] with cameras [C, ...]; or gaussians [B, N, ...] with cameras [B, C, ...], or with the same
     cameras [C, ...] for every set. float32 or float64.
     background: three numbers in 0..1, or a tensor that broadcasts to [..., C, 3], whose values need only be finite.
     Returns the image [..., C, H, W, 3]; with alpha and/or depth a tuple (image, alpha [..., C, H, W], depth
-    [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is. Raises InputError.
+    [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is.
+    antialiased: for scenes that were trained so (Yu et al., Mip-Splatting, 2024; gsplat's rasterize_mode of that name):
+    a Gaussian that 0.3 px^2 of blur spread out becomes fainter by as much, by the root of the ratio of the determinants
+    of its projected covariance. Raises InputError.
     """
     expect("gaussians", gaussians, Gaussians)
     expect("cameras", cameras, Cameras)
-    expect("alpha", alpha, bool)
-    expect("depth", depth, bool)
+    for name, value in (("alpha", alpha), ("depth", depth), ("antialiased", antialiased)):
+        expect(name, value, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         gaussians.validate()  # there, looking at values would wait for the device
@@ -74,7 +77,7 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = (1.0,
     draw = torch.ops.lightfield_gs.render_dense
     if not (torch.is_grad_enabled() and any(t.requires_grad for t in (*tensors, colour, *views))):
         draw = ops.dense_forward  # the first call of an operator with a reverse has torch import for a second
-    image, coverage, weighted_depth = draw(*tensors, colour, *views, cameras.width_px, cameras.height_px)
+    image, coverage, weighted_depth = draw(*tensors, colour, *views, cameras.width_px, cameras.height_px, antialiased)
     out = [image]
     if alpha:
         out.append(coverage)
@@ -89,7 +92,7 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: M
            view_map: np.ndarray | Tensor | SortedPlan | None = None, memory_budget: int | None = None,
            background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
            quality: QualityName | Quality = "exact", threads: int | None = None, stats: dict[str, Any] | None = None,
-           out: Tensor | None = None) -> Tensor:
+           out: Tensor | None = None, antialiased: bool = False) -> Tensor:
     """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
 
     method: "direct" renders only the sub-pixels (all cameras of the rig share one projection and one sort); "sorted"
@@ -112,12 +115,14 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: M
     by stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
     out: of "direct", an image of the same size, type and device, e.g. of the frame before, that is drawn over and
     returned: on a CPU a new one of 88 MB costs 10 to 25 ms, for the system to find its memory.
+    antialiased: for scenes that were trained so, see `render`; of any method. "direct" evaluates those as they are
+    written, which takes longer, and on CUDA neither by lattices nor by lenses, whatever the quality.
     Raises InputError.
     """
     check_options(method, views, output)
     for name, value, kinds in (("gaussians", gaussians, (Gaussians,)), ("panel", panel, (Panel,)),
                                ("rig", rig, (Rig, type(None))), ("cameras", cameras, (Cameras, type(None))),
-                               ("stats", stats, (dict, type(None)))):
+                               ("stats", stats, (dict, type(None))), ("antialiased", antialiased, (bool,))):
         expect(name, value, *kinds)
     gaussians.validate_layout()
     quality = Quality.of(quality)
@@ -140,19 +145,19 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: M
     colour = background_tensor(background, gaussians.means).reshape(-1)
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "classic":
-        image = _classic(gaussians, panel, rig, views, colour, output, threads, counters)
+        image = _classic(gaussians, panel, rig, views, colour, output, threads, counters, antialiased)
     elif method == "sorted":
         with counters.stage("plan"):
             chosen = cameras_and_plan(panel, rig, cameras, view_map, views == "continuous", gaussians.device)
         image = encode_sorted(_tensors(gaussians), *chosen, memory_budget, colour, output == "uint8",
-                              threads or torch.get_num_threads(), counters)
+                              threads or torch.get_num_threads(), counters, antialiased)
     elif _wants_gradients(output, gaussians, colour):
         _refuse_with_gradients(quality=not quality.is_exact, threads=threads is not None, stats=stats is not None,
                                out=out is not None)
         image = torch.ops.lightfield_gs.render_lens(*_tensors(gaussians), colour,
-                                                    *lens_arguments(panel, rig, views == "continuous"))
+                                                    *lens_arguments(panel, rig, views == "continuous"), antialiased)
     else:
-        image = _direct(gaussians, panel, rig, views, colour, output, quality, threads, counters, out)
+        image = _direct(gaussians, panel, rig, views, colour, output, quality, threads, counters, out, antialiased)
     if stats is not None:
         _report(counters, gaussians, panel, stats)
         if method == "direct":
@@ -209,11 +214,12 @@ def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float
 
 
 def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
-            quality: Quality, threads: int | None, stats: Stats, out: Tensor | None) -> Tensor:
+            quality: Quality, threads: int | None, stats: Stats, out: Tensor | None, antialiased: bool) -> Tensor:
     """The image without gradients."""
     with torch.no_grad():
         return ops.lens_forward(*_tensors(gaussians), background, *lens_arguments(panel, rig, views == "continuous"),
-                                as_bytes=output == "uint8", quality=quality, stats=stats, threads=threads, out=out)
+                                antialiased, as_bytes=output == "uint8", quality=quality, stats=stats,
+                                threads=threads, out=out)
 
 
 def _wants_gradients(output: Output, gaussians: Gaussians, background: Tensor) -> bool:
@@ -230,7 +236,7 @@ def _refuse_with_gradients(**given: bool) -> None:
 
 @torch.no_grad()
 def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
-             threads: int | None, stats: Stats) -> Tensor:
+             threads: int | None, stats: Stats, antialiased: bool) -> Tensor:
     """One dense image per view that the panel shows; with continuous views, one per distinct x."""
     with stats.stage("plan"):
         places, x = _classic_plan(panel, views == "continuous", gaussians.device)
@@ -243,7 +249,7 @@ def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, backgro
         one = Stats(device=stats.device)
         images, alpha, depth = ops.dense_forward(
             *tensors, background.expand(1, cameras.count, 3), cameras.world_to_camera[None], cameras.intrinsics()[None],
-            cameras.limits()[None], panel.width_px, panel.height_px, stats=one, threads=threads)
+            cameras.limits()[None], panel.width_px, panel.height_px, antialiased, stats=one, threads=threads)
         one.add_buffers(images, alpha, depth)
         stats.add_render(one)
         with stats.stage("interlace"):

@@ -205,7 +205,7 @@ class LensBands {
       }
       const TileSplat<T>& splat = scene_.splats[*id];
       if constexpr (sizeof(T) == 4) {
-        if (job_.quality.rough() && draw_roughly(*id, splat)) continue;
+        if (rough_ && draw_roughly(*id, splat)) continue;
       }
       const int64_t count = tile_.find(splat.splat);
       counters_.evaluations += count * LensTile<T>::kLanes;
@@ -215,7 +215,8 @@ class LensBands {
       }
       const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
       const int64_t pair = job_.first_pair[*id] + own_band;
-      BackwardSplat(job_, tile_, *id, job_.pair_gradients + pair * pair_gradient_size(job_.splats.colour_order));
+      T* out = job_.pair_gradients + pair * pair_gradient_size(job_.splats.colour_order, antialiased_);
+      antialiased_ ? BackwardSplat<true>(job_, tile_, *id, out) : BackwardSplat<false>(job_, tile_, *id, out);
     }
     if (job_.backward)
       BackgroundGradient(tile_, layout_.samples(), job_.band_background + 3 * band_);
@@ -245,6 +246,8 @@ class LensBands {
   const LensJob<T>& job_;
   const Lens& lens_;
   const LensLayout& layout_;
+  const bool antialiased_ = job_.splats.compensations != nullptr;
+  const bool rough_ = job_.quality.rough() && !antialiased_;  // rough footprints know of no compensation
   int64_t band_ = 0, row0_ = 0, rows_ = 0;
   LensTile<T> tile_;
   LensLattice lattice_;

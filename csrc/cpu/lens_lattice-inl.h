@@ -110,7 +110,8 @@ class LensLattice {
       if ((id - begin) % kLookOut == kLookOut - 1 && nodes.opaque()) break;
       const Splat<float>& splat = splats.splats[*id];
       const float u = float(double(splat.u0) - x0_), v = float(double(splat.v0) - y0_);
-      nodes.add(splat, u, v, colour_of(splats, *id), splats.orders[*id], quality_, background);
+      const Compensation<float>* compensation = splats.compensations ? splats.compensations + *id : nullptr;
+      nodes.add(splat, compensation, u, v, colour_of(splats, *id), splats.orders[*id], quality_, background);
     }
     nodes.finish(background);
   }

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> None:
         stats: dict = {}
         image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
                        output="uint8" if bits == 8 else "float32", quality=args.quality, threads=args.threads,
-                       stats=stats, **views)
+                       stats=stats, antialiased=args.antialiased, **views)
         image = image.cpu().numpy()
         watch.lap("image", stats["stages_ms"])
         write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig_of_file), args.compression)
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> None:
         if args.preview is not None:
             from lightfield_gs.preview import write_preview
 
-            write_preview(args.preview, image, gaussians, panel, rig, args.background)
+            write_preview(args.preview, image, gaussians, panel, rig, args.background, args.antialiased)
             watch.lap("preview")
             if why := why_no_eye(panel):
                 note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
@@ -182,7 +182,7 @@ def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
     if any(gaussians.origin):
         scene["origin"] = gaussians.origin
     encoding = {"method": args.method, "views": args.views, "background": list(args.background),
-                "quality": args.quality}
+                "quality": args.quality, **({"antialiased": True} if args.antialiased else {})}
     for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth),
                        ("camera", args.camera and args.camera[0])):
         if path is not None:

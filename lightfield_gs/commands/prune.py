@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> None:
     on_device = scene.to(device)
     rig, said = choose_rig(given, args, panel, on_device, file)
     rig_of_file = rig.relative_to([-part for part in scene.origin])
-    kept = prune(on_device, panel, rig, args.contribution_cut)
+    kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased)
     watch.lap("prune")
     if kept.count == 0:
         raise InputError(f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "

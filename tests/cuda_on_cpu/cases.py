@@ -154,18 +154,40 @@ def short_quaternions() -> Gaussians:
 HARD_GRADIENTS = [(scene, sensor) for scene in (blades, short_quaternions) for sensor in ("lens", "dense")]
 
 
-def gradients(scene: Gaussians, sensor: str, dtype: torch.dtype) -> dict[str, Tensor]:
-    """Those of a loss on a light-field image ("lens") or on ordinary images ("dense")."""
+def gradients(scene: Gaussians, sensor: str, dtype: torch.dtype, antialiased: bool = False) -> dict[str, Tensor]:
+    """Those of a loss on a light-field image ("lens") or on ordinary images ("dense"), and the image."""
     panel = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0})
     scene, rig = scene.to(dtype=dtype), rig_of(panel)
     leaves = {name: field.clone().requires_grad_() for name, field in scene.fields().items()}
     given = Gaussians(**leaves)
     if sensor == "lens":
-        image = encode(given, panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."))
+        image = encode(given, panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."),
+                       antialiased=antialiased)
     else:
-        image = render(given, rig.cameras(panel, [23, 11, 0]).to(dtype=dtype), background=BACKGROUND)
+        image = render(given, rig.cameras(panel, [23, 11, 0]).to(dtype=dtype), background=BACKGROUND,
+                       antialiased=antialiased)
     loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
-    return dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values()))))
+    return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}
+
+
+# Of anti-aliased scenes: kernel (None: the frame chooses), panel, SH degree, views and quality
+ANTIALIASED = [("pixel-quadratic", "default", 0, "integer", "exact"), (None, "narrow cone", 1, "integer", "draft"),
+               ("pixel-quadratic-small", "leaning the other way, BGR", 3, "continuous", "exact")]
+
+
+def fine(degree: int) -> Gaussians:
+    """Specks, lines and discs, most of them thinner than a pixel."""
+    scene = scene_of(degree)
+    shapes = torch.tensor([[0.2, 0.2, 0.2], [0.02, 3, 0.02], [1, 1, 1e-4]])
+    scene.scales *= shapes[torch.arange(scene.count) % 3]
+    scene.opacities[::2] = 1
+    return scene
+
+
+def beams() -> Gaussians:
+    """Lines hundreds of pixels long and a twelfth of one wide, at every angle."""
+    scene = blades()
+    return replace(scene, scales=scene.scales.clamp_min(0.01))
 
 
 CROWD = 4900
