@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import torch
 
-from lightfield_gs.checks import is_row, real_number, shown
+from lightfield_gs.checks import expect, is_row, real_number, shown
 from lightfield_gs.errors import InputError
 
 SH_COEFFICIENTS = (1, 4, 9, 16)  # (degree + 1)^2, degree 0..3
@@ -39,6 +39,22 @@ class Gaussians:
     opacities: torch.Tensor
     sh: torch.Tensor
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        self._expect_tensors()
+
+    def __repr__(self) -> str:
+        """One line, of what needs no look at the values: that would wait for a device."""
+        try:
+            self.validate_layout()
+        except InputError as error:
+            return f"Gaussians(not valid: {error})"
+        sets = f"{len(self.means)} sets of " if self.is_batched else ""
+        return f"Gaussians({sets}{self.count}, SH degree {self.sh_degree}, {self.dtype}, {self.device})"
+
+    def _expect_tensors(self) -> None:
+        for name, tensor in self.fields().items():
+            expect(name, tensor, torch.Tensor)
 
     @property
     def count(self) -> int:
@@ -111,10 +127,9 @@ class Gaussians:
 
     def validate_layout(self) -> None:
         """Raises InputError that names the field with a wrong type, shape, dtype or device; reads no values."""
+        self._expect_tensors()  # fields can be set
         means = self.means
         for name, tensor in self.fields().items():
-            if not isinstance(tensor, torch.Tensor):
-                raise InputError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
             if tensor.layout != torch.strided:
                 raise InputError(f"{name}: expected a dense tensor, got {tensor.layout}")
         if means.ndim not in (2, 3):
@@ -122,7 +137,9 @@ class Gaussians:
         if means.device.type not in ("cpu", "cuda"):
             raise InputError(f"means: expected a tensor on the CPU or CUDA, got {means.device}")
         if means.dtype not in (torch.float32, torch.float64):
-            raise InputError(f"means: expected float32 or float64, got {means.dtype}")
+            way_out = "; convert them with gaussians.to(torch.float32), or each field with .float()"
+            raise InputError(f"means: expected float32 or float64, got {means.dtype}"
+                             f"{way_out if means.dtype in (torch.float16, torch.bfloat16) else ''}")
         lead = means.shape[:-1]
         shapes = {"means": (*lead, 3), "quaternions": (*lead, 4), "scales": (*lead, 3), "opacities": lead,
                   "sh": (*lead, self.sh.shape[-2] if self.sh.ndim >= 2 else 0, 3)}

@@ -23,21 +23,21 @@ _FRAMES, _FRAME_MS, _WEBP_QUALITY = 24, 60, 85
 
 
 def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, panel: Panel, rig: Rig,
-                  background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> list[Path]:
+                  background: tuple[float, float, float] = (1.0, 1.0, 1.0), antialiased: bool = False) -> list[Path]:
     """Writes previews of an encoded light field into `folder` (made if absent) and returns their paths.
 
     views.png: views from the left-most to the right-most camera, row by row.
     look-around.webp: a camera that goes from left to right and back.
     left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, the eyes 63 mm apart at the viewing distance;
     only where the panel knows its viewing distance and pixel pitch. Elsewhere those of an earlier preview are removed.
-    Views are rendered at a reduced size. Raises InputError.
+    Views are rendered at a reduced size; antialiased: see `render`. Raises InputError.
     """
     folder = make_folder(folder)
     paths = [folder / name for name in FILES[:2]]
-    frames = _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX)
+    frames = _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX, antialiased)
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
-        write_image(paths[0], contact_sheet(gaussians, panel, rig, background), compression="small")
+        write_image(paths[0], contact_sheet(gaussians, panel, rig, background, antialiased), compression="small")
         paths += _write_eyes(folder, image, panel)
         animation.result()
     return paths
@@ -57,9 +57,9 @@ def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
 
 
 def contact_sheet(gaussians: Gaussians, panel: Panel, rig: Rig,
-                  background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+                  background: tuple[float, float, float] = (1.0, 1.0, 1.0), antialiased: bool = False) -> np.ndarray:
     """Twelve views of the light field, left-most camera first, in rows of four: uint8 [H, W, 3]."""
-    views = _views(gaussians, panel, rig, background, _SHEET_COLUMNS * _SHEET_ROWS, _SHEET_VIEW_WIDTH_PX)
+    views = _views(gaussians, panel, rig, background, _SHEET_COLUMNS * _SHEET_ROWS, _SHEET_VIEW_WIDTH_PX, antialiased)
     rows = [np.concatenate(views[i:i + _SHEET_COLUMNS], 1) for i in range(0, len(views), _SHEET_COLUMNS)]
     return np.concatenate(rows)
 
@@ -75,7 +75,7 @@ def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
 
 
 def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float, float, float], count: int,
-           width_px: int) -> list[np.ndarray]:
+           width_px: int, antialiased: bool) -> list[np.ndarray]:
     """`count` views spread over the fan, left-most camera first, each uint8 [h, w, 3]."""
     from lightfield_gs.rendering import render
 
@@ -86,7 +86,8 @@ def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float
     views = []
     for position in positions:
         cameras = small_rig.cameras_at(small_panel, [position])
-        views.append(to_integers(render(gaussians, cameras, background=background)[0].cpu().numpy(), 8))
+        view = render(gaussians, cameras, background=background, antialiased=antialiased)[0]
+        views.append(to_integers(view.cpu().numpy(), 8))
     return views
 
 

@@ -14,11 +14,12 @@ from lightfield_gs.checks import expect
 from lightfield_gs.depth_edges import continue_behind, slopes, snap_mixed
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
+from lightfield_gs.io.depth import FARTHEST
 from lightfield_gs.quality import OPACITY_CUT
 
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
 MAX_PIXELS = 1 << 24
-_NEAREST, _FARTHEST = 1e-12, 1e12  # scene units
+_NEAREST = 1e-12  # scene units
 _SPREAD = 0.65  # standard deviation in pixels: neighbours one apart close into a surface, 99 % opaque when magnified
 _THICKNESS = 0.1  # across the surface, in pixels
 _OPACITY = 0.99  # the most that the rasterizer makes of any
@@ -57,7 +58,7 @@ def from_depth(image: np.ndarray | Tensor, depth: np.ndarray | Tensor, focal_px:
     check_depth_size("depth", depth, image)
     depth = depth.to(image.device)
     opacity = _OPACITY * image[..., 3] if image.shape[2] == 4 else torch.full_like(depth, _OPACITY)
-    measured = (depth >= _NEAREST) & (depth <= _FARTHEST) & (opacity >= OPACITY_CUT)
+    measured = (depth >= _NEAREST) & (depth <= FARTHEST) & (opacity >= OPACITY_CUT)
     depth = torch.where(measured, depth, torch.nan)
     if not bool(measured.any()):
         raise InputError("depth: expected distances > 0, no opaque pixel of the photo has one")

@@ -95,13 +95,43 @@ def test_the_objects_of_a_limit_are_spread_over_the_folder(tmp_path):
             score_folder(net, tmp_path, limit=limit)
 
 
-def test_an_object_that_cannot_be_scored_is_named(tmp_path):
+def test_objects_that_cannot_be_scored_are_left_out_and_named(tmp_path, capsys):
     net = SplatterNet(ModelConfig.from_dict(TINY)).eval()
-    write_object(tmp_path / "pair", angles=ANGLES[:2])
-    assert score_folder(net, tmp_path)["views"] == 1
-    write_object(tmp_path / "single", angles=ANGLES[:1])
-    with pytest.raises(InputError, match="single: expected at least two views"):
-        score_folder(net, tmp_path)
+    net.save(tmp_path / "net.safetensors")
+    write_object(tmp_path / "set/pair", angles=ANGLES[:2])
+    alone = score_folder(net, tmp_path / "set")
+    write_object(tmp_path / "set/single", angles=ANGLES[:1])
+    write_object(tmp_path / "set/white", angles=ANGLES)
+    Image.new("RGB", (WIDTH, HEIGHT), "white").save(tmp_path / "set/white/rgb/000003.png")
+    Image.new("RGBA", (WIDTH, HEIGHT)).save(tmp_path / "set/white/rgb/000001.png")
+    report = score_folder(net, tmp_path / "set")
+    assert list(report.pop("skipped")) == ["single", "white"] and alone.pop("skipped") == {} and report == alone
+    arguments = ["--data", str(tmp_path / "set"), "--checkpoint", str(tmp_path / "net.safetensors"),
+                 "--json", str(tmp_path / "scores.json")]
+    assert evaluate.main(arguments) == 0
+    printed = capsys.readouterr()
+    notes = [line for line in printed.err.splitlines() if line.startswith("note: skipped ")]
+    assert len(notes) == 2 and "single: expected at least two views" in notes[0] and "000001.png: empty" in notes[1]
+    assert "1 objects scored from view 0, 2 skipped" in printed.out
+    assert list(json.loads((tmp_path / "scores.json").read_text())["skipped"]) == ["single", "white"]
+    with pytest.raises(InputError, match="none of 1 objects can be scored; the first: .*single"):
+        score_folder(net, tmp_path / "set/single")
+
+
+def test_any_view_may_be_the_source(tmp_path):
+    """The middle one is that between the others; an object without that number is left out."""
+    net = SplatterNet(ModelConfig.from_dict(TINY)).eval()
+    write_object(tmp_path / "a", angles=((-20, 0), (20, 0), (2, 1), (10, 0)))
+    write_object(tmp_path / "b", angles=ANGLES[:2])
+    angles = {}
+    for source in (0, 1, "middle"):
+        report = score_folder(net, tmp_path / "a", source=source)
+        angles[source] = [(row["angle_deg"], row["views"]) for row in report["bins"]]
+    assert angles == {0: [(20, 1), (30, 1), (40, 1)], 1: [(10, 1), (20, 1), (40, 1)], "middle": [(10, 1), (20, 2)]}
+    report = score_folder(net, tmp_path, source=3)
+    assert report["objects"] == 1 and "expected a source view of 0..1, got 3" in report["skipped"]["b"]
+    with pytest.raises(SystemExit):
+        evaluate.main(["--data", str(tmp_path), "--json", "s.json", "--source", "-1"])
 
 
 def test_flat_card_is_seen_where_its_points_project():

@@ -162,8 +162,14 @@ FAULTS = {
     "half a pixel": (_set(w=64.5), "whole width"),
     "other size": (_set(w=48), "bad intrinsics.*64 x 48"),
     "sizes differ": (_set_frame(w=48), r"frames\[2\]: bad intrinsics: expected the size"),
-    "distortion": (_set(k1=0.1), "undistort"),
-    "fisheye": (_set(camera_model="OPENCV_FISHEYE"), "undistort"),
+    "impossible distortion": (_set(k1=-30), r"frames\[0\].*k1 -30 folds.*undistort"),
+    "word as distortion": (_set(k1="0.1"), "k1: expected a number"),
+    "distortion of another model": (_set(k1=0.1, k6=0.2), "k6.*undistort"),
+    "fisheye": (_set(camera_model="OPENCV_FISHEYE"), "camera_model.*OPENCV_FISHEYE.*undistort"),
+    "fisheye by its flag": (_set(is_fisheye=True), "is_fisheye.*undistort"),
+    "exchanged size": (_set(w=HEIGHT, h=WIDTH, cx=24, cy=32), "w, h.*48 x 64.*64 x 48.*exchanged"),
+    "mask of one frame": (_set_frame(mask_path="transforms/000000.png"), r"frames\[0\]: missing mask_path"),
+    "missing mask": (lambda d: [f.update(mask_path="m") for f in d["frames"]], r"frames\[0\].mask_path: missing image"),
 }
 
 

@@ -55,13 +55,15 @@ def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, 
     """
     weights = _final_weights(run)
     of = {"weights": hashlib.sha256(weights.read_bytes()).hexdigest(),
-          "data": {name: [str(folder), fingerprint(find_objects(folder, _SPLIT))] for name, folder in scored.items()}}
+          "data": {name: [str(folder), fingerprint(find_objects(folder, _SPLIT), run.background)]
+                   for name, folder in scored.items()}}
     kept = weights.with_name("final_scores.json")
     if kept.exists() and (known := read_object(kept, _LIMIT_BYTES)).get("of") == of:
         return known["scores"]
     device = choose_device(run.device)
     net = SplatterNet.from_pretrained(weights).to(device)
-    scores = {name: score_folder(net, folder, split=_SPLIT, device=device, decoded=decoded)
+    scores = {name: score_folder(net, folder, split=_SPLIT, device=device, decoded=decoded,
+                                 background=run.background)
               for name, folder in scored.items()}
     with atomic_path(kept) as temporary:
         temporary.write_text(json.dumps({"of": of, "scores": scores}, indent=1) + "\n")
@@ -121,6 +123,8 @@ def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
                  *(f"{row[f'{floor}_psnr_db']:.2f} / {row[f'{floor}_ssim']:.3f}" for floor in FLOORS)]
                 for label, row in labelled(report)]
         lines += ["", f"## {folder}", "", _markdown_table(["angle", "views", *scores, *FLOORS.values()], rows)]
+        if skipped := report.get("skipped"):
+            lines += ["", f"{len(skipped)} objects could not be scored: {', '.join(skipped)}"]
         if others:
             rows = [[label, *(_lead_cell(lead[folder][label]) for lead in differences.values())]
                     for label, _ in labelled(report)]

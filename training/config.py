@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from lightfield_gs.errors import InputError
+from training.data.background import Choice
 from training.data.plan import Augmentation
 from training.losses import LossWeights
 from training.ranges import MOST, check_ranges
@@ -68,6 +69,8 @@ class TrainingConfig:
         output_dir: folder for checkpoints, losses.jsonl, scores.jsonl, TensorBoard logs and the final weights.
         data: folders of objects, SRN layout or transforms.json.
         stages: run one after the other under one schedule.
+        background: of objects without masks and alpha: white or black, one colour that is found for each object (auto),
+            or none, the whole pictures being the subject. `python -m training.data.validate` shows what it comes to.
         cache_dir: folder where decoded views are kept.
         model: name in configs/models, or a YAML file.
         initial_weights: checkpoint to start from, "pretrained" for the one in the package; its network takes the place
@@ -103,6 +106,7 @@ class TrainingConfig:
     output_dir: str
     data: list[str]
     stages: list[Stage]
+    background: Choice = "auto"
     cache_dir: str = ".data/cache"
     model: str = "default"
     initial_weights: str = ""

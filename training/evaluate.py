@@ -2,7 +2,7 @@
 
 Writes PSNR and SSIM of the network and of two floors, copying the input and showing it as a flat card, as JSON, and
 prints them as a table: over all novel views, per angle, and of the source view. The protocol is described in
-training/evaluation.py.
+training/evaluation.py. Objects that cannot be scored are left out, each with a note.
 """
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from lightfield_gs.commands.complaint import note
 from training.command import with_line_errors
+from training.data.background import CHOICES
 
 
 def _table(report: dict[str, Any]) -> str:
@@ -24,6 +26,13 @@ def _table(report: dict[str, Any]) -> str:
                          for floor in ("copy", "card"))
         lines.append(f"{label:<7} {row['views']:>5}   {row['psnr_db']:7.2f}   {row['ssim']:.3f}{floors}")
     return "\n".join(lines)
+
+
+def _source(text: str) -> int | str:
+    """The value of --source."""
+    if text != "middle" and not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"expected a number from 0 on, or middle, got {text!r}")
+    return text if text == "middle" else int(text)
 
 
 @with_line_errors("training.evaluate")
@@ -42,6 +51,11 @@ def main(arguments: list[str] | None = None) -> int:
                         help="default: a GPU if there is one")
     parser.add_argument("--supersampling", type=int, choices=range(1, 9), default=1, metavar="1..8",
                         help="samples of a rendered pixel along each axis (default: 1, as in the model card)")
+    parser.add_argument("--source", type=_source, default=0, metavar="INDEX|middle",
+                        help="the view that is the source: its number from 0 on, or the one whose direction is nearest "
+                             "to the mean of all (default: 0)")
+    parser.add_argument("--background", choices=CHOICES, default="auto",
+                        help="of images without alpha and masks (default: auto, found for each object)")
     parser.add_argument("--limit", type=int, help="score only so many objects, spread evenly over the folder")
     options = parser.parse_args(arguments)
     from lightfield_gs.commands.device import choose_device
@@ -52,12 +66,17 @@ def main(arguments: list[str] | None = None) -> int:
     device = choose_device(options.device)
     net = SplatterNet.from_pretrained(options.checkpoint).to(device)
     report = score_folder(net, options.data, limit=options.limit, save_renders=options.save_renders,
-                          split=options.split, device=device, supersampling=options.supersampling)
-    report |= {"data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained"),
+                          split=options.split, device=device, supersampling=options.supersampling,
+                          source=options.source, background=options.background)
+    for reason in report["skipped"].values():
+        note(f"skipped {reason}")
+    report |= {"source_view": options.source, "background": options.background,
+               "data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained"),
                "supersampling": options.supersampling}
     with atomic_path(options.json) as temporary:
         temporary.write_text(json.dumps(report, indent=1) + "\n")
     print(_table(report))
+    print(f"{report['objects']} objects scored from view {options.source}, {len(report['skipped'])} skipped")
     return 0
 
 

@@ -1,10 +1,10 @@
 """Scores of a network on objects it has not seen: from one view of each, how well are the others predicted?
 
-Protocol: the source is view 0, cropped to the object from the stored image; all views are rendered into their full
-frames at size_px on white, clamped to 0..1, and compared with the stored images averaged down to that size. PSNR and
-SSIM are means over images; those of the source view itself stand apart. Beside them stand two floors, what needs no
-network: "copy", the source image itself offered as every other view, and "card", the source image as a flat card at
-OBJECT_DISTANCE, the depth of the object's middle.
+Protocol: the source is view 0 unless said otherwise, cropped to the object from the stored image; all views are
+rendered into their full frames at size_px on white, clamped to 0..1, and compared with the stored images averaged down
+to that size. PSNR and SSIM are means over images; those of the source view itself stand apart. Beside them stand two
+floors, what needs no network: "copy", the source image itself offered as every other view, and "card", the source image
+as a flat card at OBJECT_DISTANCE, the depth of the object's middle.
 
 The rasterizer widens all Gaussians by 0.3 px^2 of variance (Kerbl et al. 2023), which objects of 50 px feel and those
 on a panel do not. Supersampling draws n times as finely and averages, as the stored images are averaged, and so
@@ -16,7 +16,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -29,7 +29,8 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
-from training.data.images import read_view
+from training.data.background import Choice
+from training.data.images import find_cutout, read_view
 from training.data.objects import find_objects, folder_of, read_object
 from training.data.plan import relative_cameras
 from training.data.transforms import OBJECT_DISTANCE
@@ -40,6 +41,7 @@ from training.rendering import render_card, render_views
 
 SIZE_PX = 128
 BIN_DEG = 5
+Source = int | Literal["middle"]
 _METRICS = ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim", "card_psnr_db", "card_ssim")
 
 
@@ -74,9 +76,24 @@ def azimuths_from_source(camera_to_world: np.ndarray, source: int = 0) -> np.nda
     return np.degrees(np.arctan2(level @ np.cross(level[source], up), level @ level[source]))
 
 
-def _frames(views: ObjectViews) -> Tensor:
+def source_view(path: Path, camera_to_world: np.ndarray, source: Source) -> int:
+    """The number of the source view among those of an object [V,4,4]: itself, or, in the "middle", the one whose
+    direction is nearest to the mean of all.
+
+    Raises InputError where there is no such view, beginning with the object's path.
+    """
+    if source == "middle":
+        directions = camera_to_world[:, :3, 2]
+        return int((directions @ directions.mean(0)).round(9).argmax())
+    if not 0 <= source < len(camera_to_world):
+        raise InputError(f"{path}: expected a source view of 0..{len(camera_to_world) - 1}, got {source}")
+    return source
+
+
+def _frames(views: ObjectViews, background: Choice) -> Tensor:
     """All views of an object as premultiplied RGBA, uint8 [V,4,H,W]."""
-    frames = np.stack([read_view(views, index) for index in range(len(views.image_paths))])
+    cutout = find_cutout(views, background)
+    frames = np.stack([read_view(views, index, cutout) for index in range(len(views.image_paths))])
     return torch.from_numpy(frames).permute(0, 3, 1, 2)
 
 
@@ -86,24 +103,25 @@ def _on_white(frames: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source: int = 0,
+def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source: Source = 0,
                    device: torch.device | str = "cpu", decoded: dict[Path, Tensor] | None = None,
-                   supersampling: int = 1) -> Comparison:
+                   supersampling: int = 1, background: Choice = "auto") -> Comparison:
     """Predict an object from one view and render it from all.
 
-    path: as find_objects names it. size_px: length of the longer side of the frames. device: where the network is; the
-    tensors returned are there. decoded, supersampling: see score_folder. Raises InputError for an object that cannot be
-    read, has one view only, or cameras that roll.
+    path: as find_objects names it. size_px: length of the longer side of the frames. source: see source_view. device:
+    where the network is; the tensors returned are there. decoded, supersampling, background: see score_folder. Raises
+    InputError for an object that cannot be read, has one view only, no such source, or cameras that roll.
     """
     views, decoded = read_object(path), {} if decoded is None else decoded
     if len(views.image_paths) < 2:
         raise InputError(f"{path}: expected at least two views, one to predict the others from, got one")
+    source = source_view(path, views.camera_to_world, source)
     try:
         azimuths = azimuths_from_source(views.camera_to_world, source)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if path not in decoded:
-        decoded[path] = _frames(views).to(device)
+        decoded[path] = _frames(views, background).to(device)
     frames = decoded[path] / 255
     scale = size_px / max(views.width_px, views.height_px)
     width, height = round(views.width_px * scale), round(views.height_px * scale)
@@ -142,26 +160,34 @@ def _means(rows: list[dict[str, float]]) -> dict[str, float]:
 
 def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save_renders: Path | None = None,
                  split: str = "val", device: torch.device | str = "cpu",
-                 decoded: dict[Path, Tensor] | None = None, supersampling: int = 1) -> dict[str, Any]:
+                 decoded: dict[Path, Tensor] | None = None, supersampling: int = 1, source: Source = 0,
+                 background: Choice = "auto") -> dict[str, Any]:
     """Score a network on the objects at or below a folder, of this split where they come in splits.
 
     Returns objects, and psnr_db, ssim, copy_psnr_db, copy_ssim, card_psnr_db, card_ssim and views (their number) over
     all novel views; bins: the same for each angle_deg (azimuth to either side, rounded to 5 degrees) of novel views;
-    source: the same for the source views; object_psnr_db: of each object by its path, over its novel views.
+    source: the same for the source views; object_psnr_db: of each object by its path, over its novel views. skipped:
+    why, for the path of each object that could not be scored; these count in nothing else.
     limit: score so many of them only, spread evenly over the folder; None: all.
     save_renders: folder for one picture per object, in folders as the objects are. device: where the network is.
     decoded: keeps the images from call to call, for those who score the same objects again. supersampling: samples of a
-    rendered pixel along each axis.
-    Raises InputError for data that cannot be used and a limit below 1.
+    rendered pixel along each axis. source: see source_view. background: see find_cutout.
+    Raises InputError where no object can be scored, and for a limit below 1.
     """
     bins: dict[int | None, list[dict[str, float]]] = defaultdict(list)
     of_objects: dict[str, float] = {}
+    skipped: dict[str, str] = {}
     objects = find_objects(data, split)
     if limit is not None:
         count = min(whole_number("limit", limit, 1, MOST), len(objects))
         objects = [objects[number * len(objects) // count] for number in range(count)]
     for path in tqdm(objects, desc=f"scoring {data}", unit="object", leave=False):
-        comparison = compare_object(net, path, device=device, decoded=decoded, supersampling=supersampling)
+        try:
+            comparison = compare_object(net, path, source=source, device=device, decoded=decoded,
+                                        supersampling=supersampling, background=background)
+        except InputError as error:
+            skipped[str(path.relative_to(data))] = str(error)
+            continue
         scores = list(_scores(comparison))
         for angle, row in scores:
             bins[angle].append(row)
@@ -170,10 +196,13 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
         if save_renders is not None:
             folder = save_renders / folder_of(path).relative_to(data).parent
             save_comparison(comparison, folder / f"{comparison.name}.png")
-    source = bins.pop(None)
-    return {"objects": len(objects)} | _means([row for rows in bins.values() for row in rows]) | {
-        "source": _means(source), "bins": [{"angle_deg": angle} | _means(bins[angle]) for angle in sorted(bins)],
-        "object_psnr_db": of_objects}
+    if not of_objects:
+        raise InputError(f"{data}: none of {len(objects)} objects can be scored; the first: "
+                         f"{next(iter(skipped.values()))}")
+    of_sources = bins.pop(None)
+    return {"objects": len(of_objects)} | _means([row for rows in bins.values() for row in rows]) | {
+        "source": _means(of_sources), "bins": [{"angle_deg": angle} | _means(bins[angle]) for angle in sorted(bins)],
+        "object_psnr_db": of_objects, "skipped": skipped}
 
 
 def labelled(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:

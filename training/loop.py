@@ -29,11 +29,16 @@ from training.log import RunLog
 from training.trainer import StepValues, Trainer
 
 
-def make_planner(config: TrainingConfig, team: Team) -> BatchPlanner:
-    """The source of a run's batches, its views on the team's device; decodes the data first where that is not done."""
+def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> BatchPlanner:
+    """The source of a run's batches, its views on the team's device; decodes the data first where that is not done.
+
+    tell: print what says, in each set, which pixels are object.
+    """
     with team.leader_first():
-        sets, target_sets = ([load_set(Path(folder), Path(config.cache_dir)) for folder in folders]
-                             for folders in (config.data, config.target_data))
+        sets, target_sets = ([load_set(Path(folder), Path(config.cache_dir), background=config.background)
+                              for folder in folders] for folders in (config.data, config.target_data))
+    if tell and team.leads:
+        print(*sets, *target_sets, sep="\n", flush=True)
     partners = find_partners(sets, target_sets)
     poses = [views.camera_to_world for cached in sets + target_sets for views in cached.objects]
     sampler = ViewSampler(poses[:len(partners)], config.azimuth_deg, config.elevation_deg, config.targets, config.seed,
@@ -90,7 +95,10 @@ def _validate(trainer: Trainer, log: RunLog, decoded: dict[Path, Tensor]) -> Non
     if not (trainer.team.leads and config.scores_due(trainer.step)) or trainer.step <= log.scored:
         return
     report = score_folder(trainer.average.average, Path(config.validation), limit=config.validation_objects,
-                          device=trainer.team.device, decoded=decoded)
+                          device=trainer.team.device, decoded=decoded, background=config.background)
+    if report["skipped"]:
+        first = next(iter(report["skipped"].values()))
+        log.say(f"{len(report['skipped'])} objects could not be scored; the first: {first}")
     log.scores(trainer.step, {name: report[name] for name in ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim")})
 
 
@@ -125,7 +133,7 @@ def _train(config: TrainingConfig, output: Path, team: Team) -> Path | None:
     """What train() does, as one of a team."""
     for stage in config.stages:
         team.share(stage.objects)
-    trainer, planner = Trainer(config, team), make_planner(config, team)
+    trainer, planner = Trainer(config, team), make_planner(config, team, tell=True)
     if (output / "last.pt").exists():
         trainer.restore(load_checkpoint(output / "last.pt", config))
     if team.leads:

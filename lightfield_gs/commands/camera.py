@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lightfield_gs.axes import DEFAULT_UP, Up, stated_up
+from lightfield_gs.commands.rig import load_rig
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
@@ -43,7 +44,7 @@ def read_given(args: argparse.Namespace, panel: Panel) -> Given:
         return Given()
     unused = ["axes: --up is not used: the camera was given, in the file's own axes"] if args.up else []
     if args.rig is not None:
-        return Given(Rig.from_yaml(args.rig), said=unused)
+        return Given(load_rig(args, panel), said=unused)
     path, index = args.camera
     if path.suffix.lower() in (".yaml", ".yml"):
         if index is not None:

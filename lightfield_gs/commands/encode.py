@@ -13,7 +13,8 @@ import numpy as np
 from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.panel import at_distance, why_no_eye
+from lightfield_gs.commands.panel import load_panel, why_no_eye
+from lightfield_gs.commands.rig import load_cameras
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -39,10 +40,12 @@ def run(args: argparse.Namespace) -> None:
     check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
                                    args.view_map, args.checkpoint, args.camera and args.camera[0]))
     _check_options(args)
-    panel = at_distance(Panel.load(args.panel), args.viewing_distance)
+    panel = load_panel(args)
     import torch
 
     from lightfield_gs.io.ply import write_ply
+    from lightfield_gs.lens import slow_way
+    from lightfield_gs.quality import Quality
     from lightfield_gs.rendering import encode
 
     if args.threads is not None:
@@ -50,6 +53,9 @@ def run(args: argparse.Namespace) -> None:
     device = choose_device(args.device)
     given, rig, said = read_given(args, panel), None, []
     views = _views(args, panel)
+    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
+    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+        note(why)
     watch.lap("start")
     with torch.inference_mode():
         gaussians, file = load_scene(args, device, watch)
@@ -62,7 +68,7 @@ def run(args: argparse.Namespace) -> None:
         stats: dict = {}
         image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
                        output="uint8" if bits == 8 else "float32", quality=args.quality, threads=args.threads,
-                       stats=stats, **views)
+                       stats=stats, antialiased=args.antialiased, **views)
         image = image.cpu().numpy()
         watch.lap("image", stats["stages_ms"])
         write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig_of_file), args.compression)
@@ -75,10 +81,13 @@ def run(args: argparse.Namespace) -> None:
         if args.preview is not None:
             from lightfield_gs.preview import write_preview
 
-            write_preview(args.preview, image, gaussians, panel, rig, args.background)
+            write_preview(args.preview, image, gaussians, panel, rig, args.background, args.antialiased)
             watch.lap("preview")
             if why := why_no_eye(panel):
                 note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
+    if stats["pairs"] == 0 and stats["gaussians_culled"] == gaussians.count:
+        note(f"{args.output} is all background: none of {gaussians.count} Gaussians is within what the cameras see, or "
+             "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras")
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians.count} Gaussians")
     print(watch.line())
     if args.stats:
@@ -127,11 +136,11 @@ def _check_options(args: argparse.Namespace) -> None:
 
 def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
     """The arguments of `encode` that only the method sorted has, those that were given."""
-    from lightfield_gs.io.view_files import read_cameras, read_view_map
+    from lightfield_gs.io.view_files import read_view_map
 
     views: dict[str, Any] = {}
     if args.cameras is not None:
-        views["cameras"] = read_cameras(args.cameras, panel)
+        views["cameras"] = load_cameras(args, panel)
     if args.view_map is not None:
         count = views["cameras"].count if "cameras" in views else panel.views
         views["view_map"] = read_view_map(args.view_map, panel, count)
@@ -173,7 +182,7 @@ def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
     if any(gaussians.origin):
         scene["origin"] = gaussians.origin
     encoding = {"method": args.method, "views": args.views, "background": list(args.background),
-                "quality": args.quality}
+                "quality": args.quality, **({"antialiased": True} if args.antialiased else {})}
     for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth),
                        ("camera", args.camera and args.camera[0])):
         if path is not None:

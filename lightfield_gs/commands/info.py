@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
+from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.yaml_file import MOST_BYTES
 from lightfield_gs.panel import Panel
 
 if TYPE_CHECKING:
@@ -20,13 +22,20 @@ _CAMERAS_SHOWN = 20
 
 def run(args: argparse.Namespace) -> None:
     """Prints what args.file holds, a line a fact. Raises InputError."""
-    for key, value in describe(args.file, args.skip_invalid, args.up):
+    for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up):
         print(f"{key}: {value}")
 
 
-def describe(path: Path, skip_invalid: bool = False, up: str | None = None) -> list[tuple[str, object]]:
-    """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file."""
+def describe(path: Path, serial: str | None = None, skip_invalid: bool = False,
+             up: str | None = None) -> list[tuple[str, object]]:
+    """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file.
+
+    serial: of the display, where the file has several. skip_invalid: of a scene, see read_scene. up: which axis of it
+    points up, in place of what its file says.
+    """
     suffix = path.suffix.lower()
+    if serial is not None and suffix != ".json":
+        raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
     if suffix in (".ply", ".spz", ".splat", ".ksplat", ".sog"):
         return _scene(path, skip_invalid, up)
     if suffix == ".safetensors":
@@ -36,7 +45,7 @@ def describe(path: Path, skip_invalid: bool = False, up: str | None = None) -> l
     if suffix == ".json" and _is_camera_file(path):
         return _camera_file(path)
     if suffix in (".yaml", ".yml", ".json") or not suffix and not path.exists():
-        return [("panel", path), *Panel.load(path).to_dict().items()]
+        return [("panel", path), *Panel.load(path, serial=serial).to_dict().items()]
     return _image(path)
 
 
@@ -87,10 +96,7 @@ def _image(path: Path) -> list[tuple[str, object]]:
 
 
 def _is_rig(path: Path) -> bool:
-    try:
-        return "world_to_camera" in path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    return "world_to_camera" in read_text(path, MOST_BYTES, "YAML")
 
 
 def _is_camera_file(path: Path) -> bool:

@@ -6,12 +6,11 @@ import argparse
 
 from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
 from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.panel import at_distance
+from lightfield_gs.commands.panel import load_panel
 from lightfield_gs.commands.scene import check_scene_path, read_noted, say_origin
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path, check_outputs
-from lightfield_gs.panel import Panel
 
 
 def run(args: argparse.Namespace) -> None:
@@ -21,7 +20,7 @@ def run(args: argparse.Namespace) -> None:
     if args.save_rig is not None:
         check_output_path(args.save_rig)
     check_outputs((args.output, args.save_rig), (args.input, args.rig, args.panel, args.camera and args.camera[0]))
-    panel = at_distance(Panel.load(args.panel), args.viewing_distance)
+    panel = load_panel(args)
     device = choose_device(args.device)
 
     from lightfield_gs.io.ply import write_ply
@@ -36,7 +35,7 @@ def run(args: argparse.Namespace) -> None:
     on_device = scene.to(device)
     rig, said = choose_rig(given, args, panel, on_device, file)
     rig_of_file = rig.relative_to([-part for part in scene.origin])
-    kept = prune(on_device, panel, rig, args.contribution_cut)
+    kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased)
     watch.lap("prune")
     if kept.count == 0:
         raise InputError(f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "

@@ -1,4 +1,4 @@
-"""The scene of a command: a file of Gaussians, a photo through the network, or a photo with its depth map."""
+"""The scene of a command: a file of Gaussians, or what is made of a photo."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.commands.complaint import note
+from lightfield_gs.commands.photo import has_depth, photo_object, photo_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     from lightfield_gs.io.scene_file import SceneFile
 
 _SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
-_PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth")
-_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "fov", "intrinsics")
+_PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
+_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
 
 
 def check_scene_options(args: argparse.Namespace) -> None:
@@ -27,10 +28,14 @@ def check_scene_options(args: argparse.Namespace) -> None:
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
     else:
         _refuse(args, ("skip_invalid", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
-    if args.depth is None:
+    if _is_scene_file(args) or not has_depth(args):
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
         _refuse(args, ("checkpoint",), "is for the network, which --depth does without")
+    if args.depth is not None:
+        _refuse(args, ("rgbd",), "takes the place of --depth")
+    if args.mask is None and args.depth is None:
+        _refuse(args, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
     if args.intrinsics is not None and min(args.intrinsics[:2]) <= 0:
         raise InputError(f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and "
                          f"{args.intrinsics[1]:g}")
@@ -71,7 +76,7 @@ def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tupl
         watch.lap("load")
         return gaussians, file
     _note_quilt(args.input)
-    return (_photo_object if args.depth is None else _photo_scene)(args, device, watch), None
+    return (photo_scene if has_depth(args) else photo_object)(args, device, watch), None
 
 
 def _note_quilt(path: Path) -> None:
@@ -79,39 +84,6 @@ def _note_quilt(path: Path) -> None:
     if name := re.search(r"_qs(\d+)x(\d+)a\d", path.stem):
         note(f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
              "photo; its views are interlaced by lightfield_gs.interlace (Python)")
-
-
-def _photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":
-    from lightfield_gs.io.photo import load_photo
-    from lightfield_gs.models import SplatterNet
-
-    photo = load_photo(args.input, args.mask, remove_background=args.remove_background)
-    network = SplatterNet.from_pretrained(args.checkpoint).to(device)
-    watch.lap("load")
-    gaussians = network.predict(photo)
-    watch.lap("network")
-    return gaussians
-
-
-def _photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":
-    import torch
-
-    from lightfield_gs.io.depth import read_depth
-    from lightfield_gs.io.photo import load_photo
-    from lightfield_gs.rgbd import check_depth_size, focal_length_px, from_depth
-
-    photo = load_photo(args.input, args.mask, remove_background=args.remove_background, whole=True)
-    depth = read_depth(args.depth, args.depth_kind or "distance", scale=args.depth_scale, limits=args.depth_range)
-    check_depth_size(str(args.depth), depth, photo)
-    focal, centre = None, None
-    if args.intrinsics is not None:
-        focal, centre = args.intrinsics[:2], args.intrinsics[2:]
-    elif args.fov is not None:
-        focal = (focal_length_px(args.fov, *photo.shape[:2]),) * 2
-    watch.lap("load")
-    gaussians = from_depth(torch.from_numpy(photo).to(device), depth, focal, centre)
-    watch.lap("depth")
-    return gaussians
 
 
 def _is_scene_file(args: argparse.Namespace) -> bool:

@@ -1,4 +1,4 @@
-"""Images in and out, through OpenImageIO: PNG (8 and 16 bit), EXR and TIFF out; whatever it knows in."""
+"""Images in and out, through OpenImageIO: PNG (8 and 16 bit), EXR and TIFF out; whatever it knows, AVIF and HEIC in."""
 
 from __future__ import annotations
 
@@ -8,20 +8,28 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.io.heif import decoded_heif, is_heif, opened_heif
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
+from lightfield_gs.io.png_colour import png_colour
+from lightfield_gs.options import Compression
 from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
 # A file may become so many times as long in memory, or this many bytes: deflate, of a plain picture, reaches 1030.
 _MOST_EXPANSION, _SMALL_BYTES = 2000, 64 << 20
+_COLOUR_ATTRIBUTES = ("ICCProfile", "oiio:ColorSpace", "oiio:Gamma", "CICP", "chromaticities", "Exif:ColorSpace",
+                      "jpeg:ColorSpace", "oiio:UnassociatedAlpha")
+_MAYBE_ASSOCIATED = ("tiff", "openexr")  # of all others alpha is straight
 _METADATA_KEY = "ImageDescription"  # the one text field that PNG, EXR and TIFF all keep
 _DTYPES = {".png": ("uint8", "uint16"), ".exr": ("float32",), ".tif": ("uint8", "uint16", "float32"),
            ".tiff": ("uint8", "uint16", "float32")}
@@ -38,13 +46,29 @@ _SETTINGS = {
 
 @dataclass
 class ImageInfo:
-    """Header of an image file: size in pixels, sample type as OpenImageIO names it, metadata of this package."""
+    """Header of an image file: size in pixels as stored, sample type as OpenImageIO names it, metadata of this package,
+    and the Exif orientation 1..8."""
 
     width_px: int
     height_px: int
     channels: int
     sample_type: str
     metadata: dict[str, str] = field(default_factory=dict)
+    orientation: int = 1
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What an image file holds.
+
+    pixels: [H, W, C] upright if so wanted, alpha straight; uint8, uint16 or float32 as in the file. orientation: the
+    Exif orientation 1..8 of the file. colour: what the file says of its colours, by OpenImageIO's names, such as
+    "ICCProfile" (bytes) and "oiio:ColorSpace"; "format" is the file's.
+    """
+
+    pixels: np.ndarray
+    orientation: int = 1
+    colour: dict[str, Any] = field(default_factory=dict)
 
 
 def check_image_path(path: str | Path) -> Path:
@@ -57,7 +81,7 @@ def check_image_path(path: str | Path) -> Path:
 
 
 def write_image(path: str | Path, array: np.ndarray, metadata: dict[str, str] | None = None,
-                compression: str = "fast") -> None:
+                compression: Compression = "fast") -> None:
     """Writes [H, W, C], C = 1, 3 or 4, complete or not at all.
 
     uint8 or uint16 as PNG or TIFF, float32 as EXR or TIFF; the extension decides. `metadata` is kept as one JSON
@@ -75,6 +99,8 @@ def write_image(path: str | Path, array: np.ndarray, metadata: dict[str, str] | 
     if compression not in _SETTINGS:
         raise InputError(f"compression must be fast or small, got {compression!r}")
     height, width, channels = array.shape
+    if suffix == ".exr" and channels == 4:
+        array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], 2)  # the format knows no other
     spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_oiio_type(array.dtype)))
     for key, value in {**_SETTINGS[compression][suffix], "oiio:UnassociatedAlpha": 1}.items():
         spec[key] = value
@@ -92,18 +118,43 @@ def write_image(path: str | Path, array: np.ndarray, metadata: dict[str, str] | 
 
 def read_info(path: str | Path) -> ImageInfo:
     """Header of an image file. Raises InputError as read_image does."""
+    path = _checked_file(path)
+    if is_heif(path):
+        with opened_heif(path, partial(_check_size, path)) as image:
+            return ImageInfo(*image.size, len(image.getbands()), "uint8")
     with _opened(path) as source:
         spec = source.spec()
         return ImageInfo(spec.width, spec.height, spec.nchannels, str(spec.format),
-                         _metadata(spec.get_string_attribute(_METADATA_KEY)))
+                         _metadata(spec.get_string_attribute(_METADATA_KEY)),
+                         spec.get_int_attribute("Orientation", 1))
 
 
-def read_image(path: str | Path, as_stored: bool = False) -> np.ndarray:
-    """Pixels [H, W, C] of an image file (its first sub-image), upright, alpha straight.
+def read_image(path: str | Path, as_stored: bool = False, turn: bool = True) -> np.ndarray:
+    """Pixels [H, W, C] of an image file (its first sub-image), alpha straight.
 
     float32, integers scaled to 0..1; or with `as_stored` uint8, uint16 or float32 as in the file.
+    turn: upright, as the Exif orientation says; else as the file has them, which the cameras of posed views refer to.
     Raises InputError when it is no image, damaged, cut, empty or absurdly large.
     """
+    pixels = read_picture(path, turn).pixels
+    return pixels if as_stored else as_floats(pixels)
+
+
+def as_floats(pixels: np.ndarray) -> np.ndarray:
+    """uint8 and uint16 as float32 in 0..1; float32 as it is."""
+    if pixels.dtype == np.float32:
+        return pixels
+    return pixels / np.float32(np.iinfo(pixels.dtype).max)  # OpenImageIO's own scaling is not exact
+
+
+def read_picture(path: str | Path, turn: bool = True) -> Picture:
+    """An image file (its first sub-image) with what it says of its orientation and colours. Raises InputError as
+    read_image does. turn: see read_image."""
+    path = _checked_file(path)
+    if is_heif(path):
+        with opened_heif(path, partial(_check_size, path)) as image, _NATIVE_STDERR_SILENCED:
+            pixels, orientation, colour = decoded_heif(path, image)
+        return _picture(pixels, orientation, colour, turn)
     with _opened(path) as source, _NATIVE_STDERR_SILENCED:
         spec = source.spec()
         sample_type = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float")
@@ -111,18 +162,34 @@ def read_image(path: str | Path, as_stored: bool = False) -> np.ndarray:
         if pixels is None or source.has_error:
             raise InputError(f"{path} is damaged or cut: {_first_line(source.geterror)}")
         orientation = spec.get_int_attribute("Orientation", 1)
+        colour = {name: spec.getattribute(name) for name in _COLOUR_ATTRIBUTES}
+        colour = {"format": source.format_name(), **{name: value for name, value in colour.items() if value is not None}}
+        if colour["format"] == "png":
+            colour |= png_colour(path)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
-    pixels = np.ascontiguousarray(_upright(pixels, orientation))
-    if as_stored or pixels.dtype == np.float32:
-        return pixels
-    return pixels / np.float32(np.iinfo(pixels.dtype).max)  # OpenImageIO's own scaling is not exact
+    straight = colour["format"] not in _MAYBE_ASSOCIATED or "oiio:UnassociatedAlpha" in colour
+    if spec.alpha_channel > 0 and not straight:
+        pixels = _straight(pixels, spec.alpha_channel)
+    return _picture(pixels, orientation, colour, turn)
 
 
-@contextlib.contextmanager
-def _opened(path: str | Path) -> Iterator:
-    """An open ImageInput whose size has been checked."""
-    import OpenImageIO as oiio
+def _picture(pixels: np.ndarray, orientation: int, colour: dict[str, Any], turn: bool) -> Picture:
+    return Picture(np.ascontiguousarray(upright(pixels, orientation) if turn else pixels), orientation, colour)
 
+
+def _straight(pixels: np.ndarray, channel: int) -> np.ndarray:
+    """Pixels [H, W, C] whose colours, the channels before that of alpha, are multiplied by it, without that."""
+    most = np.float32(1 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max)
+    share = pixels[..., channel:channel + 1] / most
+    with np.errstate(over="ignore"):
+        colours = pixels[..., :channel] / np.where(share > 0, share, 1)
+    if pixels.dtype != np.float32:
+        colours = np.rint(np.minimum(colours, most))
+    return np.concatenate([colours.astype(pixels.dtype), pixels[..., channel:]], 2)
+
+
+def _checked_file(path: str | Path) -> Path:
+    """The path of a file that is there, can be read and is not empty; raises InputError."""
     path = checked_path(path)
     try:
         if path.stat().st_size == 0 or not path.is_file():
@@ -130,6 +197,14 @@ def _opened(path: str | Path) -> Iterator:
         path.open("rb").close()
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    return path
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator:
+    """An open ImageInput whose size has been checked."""
+    import OpenImageIO as oiio
+
     _check_size(path, *_webp_size(path))  # OpenImageIO decodes a WebP when it opens it
     config = oiio.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1
@@ -175,10 +250,10 @@ def _webp_size(path: Path) -> tuple[int, int]:
     return int.from_bytes(start[26:28], "little") & 0x3FFF or 1, int.from_bytes(start[28:30], "little") & 0x3FFF or 1
 
 
-def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Undoes the rotation and mirroring of the Exif orientation 1..8."""
+def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """Undoes the rotation and mirroring of the Exif orientation 1..8, of pixels [H, W, ...]."""
     if orientation in (5, 6, 7, 8):
-        pixels = pixels.transpose(1, 0, 2)
+        pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):
         pixels = pixels[::-1]
     if orientation in (2, 3, 6, 7):

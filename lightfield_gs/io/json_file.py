@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.errors import InputError
-from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.text_file import read_text
 
 
@@ -25,7 +24,6 @@ def read_json(path: str | Path, limit_bytes: int) -> Any:
     try:
         return parse_json(text)
     except ValueError as error:
-        refuse_stand_in(path)
         raise InputError(f"{path} is not JSON: {' '.join(str(error).split())[:200]}") from error
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,123 +10,187 @@ import numpy as np
 from lightfield_gs.checks import expect
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.background import background_removed
-from lightfield_gs.io.images import read_image
+from lightfield_gs.io.colour import in_srgb
+from lightfield_gs.io.images import Picture, as_floats, read_picture
+from lightfield_gs.io.orientation import turned_with_photo
+from lightfield_gs.io.pieces import object_pieces
+from lightfield_gs.io.plain import PlainCut, cut_from_plain_background, plain_background_mask
+from lightfield_gs.io.strips import strips
 
-_BORDER_SHARE = 0.02  # of the shorter side, at least one pixel: what has to be plain
-_PLAIN_STD = 0.04  # largest spread of the border's colour, but for its outliers
-_PLAIN_SHARE = 0.9  # of the border pixels that must be near the background's colour
-_NEAR, _FAR = 0.06, 0.14  # colour distances between which the mask rises from 0 to 1
-_SAME = 0.02  # colour distance below which an enclosed patch is the background, seen through a hole ...
-_PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits in it: smaller ones are highlights
+__all__ = ["Photo", "load_photo", "photo_of", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
+_OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
+_COVERS_ALL = 0.95  # share of the pixels: alpha that leaves less out has rounded corners or a frame, and no object
+# Shares of what an object encloses: what is more is likely to be the object itself, or may be
+_MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.1, 0.6, 0.3
+_FEW_LEVELS = 16  # of 255: a mask that is never brighter numbers things
+_STRIP_PIXELS = 1 << 19
 _OTHER_CUT_OUTS = ("give RGBA, a cut-out with --mask FILE, or --remove-background (pip install "
                    "'lightfield-gs[rembg]')")
 
 
+@dataclass
+class Photo:
+    """pixels: RGBA [H, W, 4] in sRGB, upright, uint8 or float32 in 0..1, alpha straight. orientation: the Exif
+    orientation that was undone. said: what was decided, in words; notes: what may not be as it was meant."""
+
+    pixels: np.ndarray
+    orientation: int = 1
+    said: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def floats(self) -> np.ndarray:
+        """The pixels as float32 in 0..1."""
+        return as_floats(self.pixels)
+
+
 def load_photo(path: str | Path, mask: str | Path | None = None, *, remove_background: bool = False,
-               whole: bool = False) -> np.ndarray:
-    """The photo as float32 RGBA [H, W, 4] in 0..1, upright, alpha straight: 1 on the object, 0 beside it.
+               whole: bool = False, map_orientation: str | None = None) -> np.ndarray:
+    """The photo as float32 RGBA [H, W, 4] in 0..1, sRGB, upright, alpha straight: 1 on the object, 0 beside it.
 
     The cut-out is `mask` (an image of the photo's size: its alpha, else its brightness), or with `remove_background`
     what the package rembg finds, else the photo's own alpha, else what stands out from a plain background; or
-    everything, with `whole`. Raises InputError when there is none of these, or nothing in it.
+    everything, with `whole`. Specks beside the object are left out. Alpha that covers nearly everything is no cut-out
+    by itself; an object that hardly differs from its plain background is refused. A mask whose size does not tell
+    whether it is turned as the photo is by its Exif orientation takes `map_orientation`, "stored" or "upright".
+    Raises InputError when there is none of these, or nothing in it.
     """
+    photo = photo_of(path, read_picture(path), mask, remove_background=remove_background, whole=whole,
+                     map_orientation=map_orientation)
+    return photo.floats()
+
+
+def photo_of(path: str | Path, picture: Picture, mask: str | Path | None = None, *, remove_background: bool = False,
+             whole: bool = False, map_orientation: str | None = None) -> Photo:
+    """load_photo, of the image that read_picture found at `path`, with what was decided."""
     expect("remove_background", remove_background, bool)
     expect("whole", whole, bool)
     if mask is not None and remove_background:
         raise InputError("--mask and --remove-background are two ways to the same cut-out; leave out one of them")
-    pixels = read_image(path)
-    if not np.isfinite(pixels).all():
+    if picture.pixels.dtype == np.float32 and not np.isfinite(picture.pixels).all():
         raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
-    rgb, alpha = _colour_and_alpha(np.clip(pixels, 0, 1))
+    rgb, alpha = _colour_and_alpha(picture.pixels)
+    colours = in_srgb(rgb, picture)
+    photo = Photo(colours.pixels, picture.orientation, notes=[f"{path} {words}" for words in colours.notes])
     if mask is not None:
-        alpha = _read_mask(mask, rgb.shape[:2])
+        alpha = _read_mask(mask, photo, map_orientation)
         empty = f"{mask}: nothing is cut out, the mask is (nearly) empty; give another"
+        said = f"cut out by {Path(mask).name}"
     elif remove_background:
-        alpha = background_removed(rgb)
+        alpha = background_removed(as_floats(photo.pixels))
         empty = f"{path}: rembg found no object; give a cut-out with --mask FILE"
-    elif alpha is not None and alpha.min() < 1:
+        said = "cut out by rembg"
+    elif alpha is not None and (whole or (alpha > alpha.dtype.type(0.5 * _most(alpha))).mean() < _COVERS_ALL):
+        alpha = _shares(alpha)
         empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or --mask FILE"
+        said = "cut out by its alpha" if alpha.min() < 1 else "whole picture"
+    elif whole:
+        alpha, empty, said = np.ones(rgb.shape[:2], np.float32), "", "whole picture"
     else:
-        alpha = np.ones(rgb.shape[:2], np.float32) if whole else plain_background_mask(rgb)
+        alpha, said = _from_background(path, photo, alpha)
         empty = f"{path}: its background looks plain and nothing stands out from it; {_OTHER_CUT_OUTS}"
-        if alpha is None:
-            raise InputError(f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
-                             "to show the whole scene, give its distances with --depth FILE")
-    if (alpha > 0.5).mean() < _MIN_OBJECT_SHARE:
+    if np.count_nonzero(alpha > 0.5) < _MIN_OBJECT_SHARE * alpha.size:
         raise InputError(empty)
-    return np.concatenate([rgb, alpha[..., None]], 2).astype(np.float32)
+    photo.said.append(said if whole else said + _without_specks(alpha))
+    photo.said += [colours.said] if colours.said else []
+    photo.pixels = _joined(photo.pixels, alpha)
+    return photo
+
+
+def _most(values: np.ndarray) -> float:
+    """What stands for 1 in an array of this type."""
+    return 1.0 if values.dtype == np.float32 else float(np.iinfo(values.dtype).max)
+
+
+def _shares(alpha: np.ndarray) -> np.ndarray:
+    return np.clip(as_floats(alpha), 0, 1)
+
+
+def _joined(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """RGBA of the type of rgb [H, W, 3]; alpha: [H, W] float32."""
+    rgba = np.empty((*alpha.shape, 4), rgb.dtype)
+    for top, bottom in strips(*alpha.shape, _STRIP_PIXELS):
+        rgba[top:bottom, :, :3] = rgb[top:bottom]
+        rgba[top:bottom, :, 3] = alpha[top:bottom] if rgb.dtype == np.float32 else np.rint(255 * alpha[top:bottom])
+    return rgba
+
+
+def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -> tuple[np.ndarray, str]:
+    """Alpha [H, W] of what stands out from a plain background, and words for it; alpha: the photo's own, which leaves
+    out next to nothing."""
+    covered = None if alpha is None or alpha.min() >= _most(alpha) else _shares(alpha)
+    cut = cut_from_plain_background(photo.pixels) if covered is None else _cut_within(photo.pixels, covered)
+    if cut is None and covered is None:
+        raise InputError(f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
+                         "to show the whole scene, give its distances with --depth FILE")
+    if cut is None:
+        photo.notes.append(f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "
+                           f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}")
+        return covered, "cut out by its alpha"
+    if cut.faded > _MOST_FADED or cut.holes > _MOST_HOLES:
+        raise InputError(f"{path}: the object is hardly different from its plain background: "
+                         f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone; {_OTHER_CUT_OUTS}")
+    if cut.holes > _MANY_HOLES:
+        photo.notes.append(f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is taken "
+                           f"for holes; where it is not, {_OTHER_CUT_OUTS}")
+    said = "cut out by its plain background"
+    return cut.alpha, said if covered is None else f"{said} (its alpha covers {covered.mean():.1%})"
+
+
+def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
+    """What stands out from the plain background of the pixels that alpha [H, W] leaves; of all its pixels."""
+    opaque = alpha > 0.5
+    rows, columns = np.flatnonzero(opaque.any(1)), np.flatnonzero(opaque.any(0))
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    inside, seen = rgb[box].copy(), opaque[box]
+    edges = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
+    inside[~seen] = np.median(np.concatenate([inside[edge][seen[edge]] for edge in edges]), 0)
+    cut = cut_from_plain_background(inside)
+    if cut is None:
+        return None
+    whole = np.zeros_like(alpha)
+    whole[box] = np.minimum(cut.alpha, alpha[box])
+    return replace(cut, alpha=whole)
+
+
+def _without_specks(alpha: np.ndarray) -> str:
+    """Clears specks beside the object, in place; words for what is left."""
+    kept, pieces, specks = object_pieces(alpha, _OPAQUE)
+    alpha[(alpha >= _OPAQUE) & ~kept] = 0
+    rows, columns = np.flatnonzero(kept.any(1)), np.flatnonzero(kept.any(0))
+    words = (f", fills {kept.mean():.1%} of the picture, {columns[-1] - columns[0] + 1} x {rows[-1] - rows[0] + 1} "
+             "pixels")
+    if pieces > 1:
+        words += f", in {pieces} pieces"
+    return words + (f" (specks beside it left out: {specks})" if specks else "")
 
 
 def _colour_and_alpha(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """RGB [H, W, 3] and alpha [H, W] or None of 1 (grey), 2 (grey, alpha), 3 or 4 and more channels."""
+    """Colours [H, W, 1 or 3] and alpha [H, W] or None of 1 (grey), 2 (grey, alpha), 3 or 4 and more channels."""
     channels = pixels.shape[2]
-    rgb = np.repeat(pixels[..., :1], 3, 2) if channels < 3 else pixels[..., :3]
-    if channels == 2:
-        return rgb, pixels[..., 1]
-    return rgb, pixels[..., 3] if channels >= 4 else None
+    if channels < 3:
+        return pixels[..., :1], pixels[..., 1] if channels == 2 else None
+    return pixels[..., :3], pixels[..., 3] if channels >= 4 else None
 
 
-def _read_mask(path: str | Path, size: tuple[int, int]) -> np.ndarray:
-    rgb, alpha = _colour_and_alpha(read_image(path))
-    if rgb.shape[:2] != size:
+def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> np.ndarray:
+    """Alpha [H, W] float32 in 0..1 of a mask, upright as the photo is."""
+    picture = read_picture(path)
+    size = photo.pixels.shape[:2]
+    pixels = turned_with_photo(str(path), picture.pixels, picture.orientation, size, photo.orientation, map_orientation)
+    if pixels.shape[:2] != size:
         raise InputError(f"{path}: expected a mask of the photo's size {size[1]} x {size[0]}, "
-                         f"got {rgb.shape[1]} x {rgb.shape[0]}")
-    mask = rgb.mean(2) if alpha is None or alpha.min() >= 1 else alpha
+                         f"got {pixels.shape[1]} x {pixels.shape[0]}")
+    colours, alpha = _colour_and_alpha(pixels)
+    mask = as_floats(colours).mean(2) if alpha is None or alpha.min() >= _most(alpha) else as_floats(alpha)
     if not np.isfinite(mask).all():
         raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
-    return np.clip(mask, 0, 1)
-
-
-def plain_background_mask(rgb: np.ndarray) -> np.ndarray | None:
-    """Alpha [H, W] of what stands out from the plain background of `rgb` [H, W, 3], or None where it is not plain.
-
-    The background is what is near the border's colour and connected to the border, or to a patch of just that colour
-    that is large enough to be a hole of the object (a handle); smaller spots inside the object stay opaque. The edge is
-    soft, rising with the distance in colour.
-    """
-    height, width = rgb.shape[:2]
-    thick = max(1, round(_BORDER_SHARE * min(height, width)))
-    if min(height, width) < 8:
-        return None
-    inner = np.zeros((height, width), bool)
-    inner[thick:-thick, thick:-thick] = True
-    border = rgb[~inner]
-    colour = np.median(border, 0)
-    near = np.linalg.norm(border - colour, axis=1) < _NEAR + _PLAIN_STD
-    if near.mean() < _PLAIN_SHARE or border[near].std(0).max() > _PLAIN_STD:
-        return None
-    distance = np.linalg.norm(rgb - border[near].mean(0), axis=2)
-    seeds = ~inner | _large_patches(distance < _SAME, max(3, round(_PATCH_SHARE * min(height, width))))
-    outside = _connected(seeds, distance < _FAR)
-    return np.where(outside, np.clip((distance - _NEAR) / (_FAR - _NEAR), 0, 1), 1.0)
-
-
-def _large_patches(flags: np.ndarray, side: int) -> np.ndarray:
-    """The pixels [H, W] at whose lower right a square of `side` pixels is all set."""
-    total = np.pad(flags.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-    full = total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side] == side * side
-    return np.pad(full, ((0, side - 1), (0, side - 1)))
-
-
-def _connected(seeds: np.ndarray, passable: np.ndarray) -> np.ndarray:
-    """The pixels [H, W] that a 4-connected path through `passable` joins to a seed.
-
-    Sweeps along rows and columns until nothing changes: each sweep fills whole runs.
-    """
-    reached = seeds & passable
-    runs = [(_run_labels(p), p) for p in (passable, passable.T)]
-    count = -1
-    while count != (count := int(reached.sum())):
-        for (labels, open_), view in zip(runs, (reached, reached.T)):
-            hit = np.zeros(labels.max() + 1, bool)
-            hit[labels[view]] = True
-            view |= hit[labels] & open_
-    return reached
-
-
-def _run_labels(passable: np.ndarray) -> np.ndarray:
-    """A number for every run of passable pixels along the rows; runs of different rows differ."""
-    starts = np.ones(passable.shape, bool)
-    starts[:, 1:] = passable[:, 1:] != passable[:, :-1]
-    return np.cumsum(starts).reshape(passable.shape)
+    if pixels.dtype != np.float32:
+        levels = round(float(mask.max()) * _most(pixels))
+        if 1 < levels < _FEW_LEVELS:
+            raise InputError(f"{path}: expected a mask of 0 and {_most(pixels):g}, or of 0 and 1; its brightest pixel has "
+                             f"{levels}, as where things are numbered; make the object white and the rest black")
+        if levels == 1:
+            mask = mask * np.float32(_most(pixels))
+            photo.said.append("a mask of 0 and 1")
+    return np.array(np.clip(mask, 0, 1))

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.paths import checked_path
 
 
@@ -15,6 +16,7 @@ def read_text(path: str | Path, limit_bytes: int, kind: str) -> str:
     kind: of file, for messages. Raises InputError that names the file.
     """
     path = checked_path(path)
+    refuse_stand_in(path)
     try:
         size = path.stat().st_size
         if size > limit_bytes:

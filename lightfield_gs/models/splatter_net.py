@@ -94,8 +94,7 @@ class SplatterNet(nn.Module):
         """
         photo = photo.to(self.device)
         check_values(in_range(photo))
-        image = premultiplied(photo)
-        return crop.crop_resize(image, crop.object_square(image[3]), self.config.image_size_px)
+        return crop.crop_resize_premultiplied(photo, crop.object_square(photo[..., 3]), self.config.image_size_px)
 
     def seen_gaussians(self, cropped: Tensor) -> Gaussians:
         """Gaussians of a cropped picture, but for those too faint to be drawn. Waits for the device."""
@@ -157,14 +156,6 @@ def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
         raise InputError(f"photo: expected uint8 or floating point values in 0..1, got {photo.dtype}; divide by its "
                          "largest value (65535 of 16 bits)")
     return photo.to(torch.float32)
-
-
-def premultiplied(photo: Tensor) -> Tensor:
-    """float32 [4,H,W], colours times alpha, from what checked_photo returns."""
-    image = photo.permute(2, 0, 1).float()
-    if photo.dtype == torch.uint8:
-        image = image / 255
-    return torch.cat([image[:3] * image[3:], image[3:]])
 
 
 def in_range(photo: Tensor) -> Tensor:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from PIL import features
+
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
 from lightfield_gs.axes import stated_up
 from lightfield_gs.errors import InputError
@@ -59,18 +61,27 @@ def _read_image(path: Path) -> None:
     read_image(path, as_stored=True)
 
 
+def _read_display(path: Path) -> None:
+    """With each of the displays that seeds name, so that one of the ways is taken whatever the file holds."""
+    try:
+        Panel.load(path)
+    except InputError:
+        Panel.load(path, serial="B")
+
+
 READERS = {
     "ply": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply"),
     "ply-valid": Reader(".ply", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "ply"),
     "image": Reader(".png", _read_image, "image"),
     "photo": Reader(".png", lambda path: load_photo(path, whole=True), "image"),
     "depth": Reader(".png", lambda path: read_depth(path, limits=(0.5, 2.0)), "image"),
+    "depth-npz": Reader(".npz", lambda path: read_depth(path, scale=0.001), "depth-npz"),
     "depth-npy": Reader(".npy", lambda path: read_depth(path, scale=0.001), "depth-npy"),
     "view-map": Reader(".npy", lambda path: read_view_map(path, SMALL_PANEL, 3), "view-map"),
     "cameras": Reader(".json", lambda path: read_cameras(path, SMALL_PANEL), "cameras"),
     "camera-file": Reader(".json", read_camera_file, "camera-file"),
     "own-camera": Reader(".ply", _read_own_camera, "own-camera"),
-    "looking-glass": Reader(".json", Panel.load, "looking-glass"),
+    "looking-glass": Reader(".json", _read_display, "looking-glass"),
     "panel": Reader(".yaml", Panel.from_yaml, "panel"),
     "rig": Reader(".yaml", Rig.from_yaml, "rig"),
     "model": Reader(".yaml", ModelConfig.from_yaml, "model"),
@@ -80,6 +91,9 @@ READERS = {
     "object": Reader(".json", lambda path: read_object(path, 1 << 16), "object"),
     "checkpoint": Reader(".safetensors", SplatterNet.from_pretrained, "checkpoint"),
 }
+
+if features.check("avif"):  # of Pillow; HEIC takes pi-heif besides, and is refused without
+    READERS["heif"] = Reader(".avif", _read_image, "heif")
 
 
 def corpus(name: str) -> list[bytes]:

@@ -7,10 +7,13 @@ import math
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from fuzzing.readers import CORPUS, READERS, SMALL_PANEL
+from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
+from PIL import Image
 
 from lightfield_gs import Gaussians, Panel, Rig, SplatterNet
 from lightfield_gs.io.images import write_image
@@ -53,13 +56,11 @@ def _images(folder: Path, metadata: dict[str, str] | None = None) -> None:
     write_image(folder / "float.exr", ramp[..., :3].astype(np.float32), metadata, "small")
     write_image(folder / "float.tif", ramp[..., :1].astype(np.float32), metadata)
     write_image(folder / "bytes.tif", np.round(255 * ramp[..., :3]).astype(np.uint8), metadata, "small")
-    try:
-        from PIL import Image
-
-        Image.fromarray(np.round(255 * ramp[..., :3]).astype(np.uint8)).save(folder / "colour.jpg", quality=60)
-        Image.fromarray(np.round(255 * ramp[..., :3]).astype(np.uint8)).save(folder / "colour.webp", lossless=True)
-    except ImportError:
-        pass
+    in_bytes = np.round(255 * ramp).astype(np.uint8)
+    profile = matrix_profile(SRGB_GREEN, SRGB_RED, SRGB_BLUE)
+    Image.fromarray(in_bytes).save(folder / "profile.tif", icc_profile=profile)
+    Image.fromarray(in_bytes[..., :3]).save(folder / "colour.jpg", quality=60)
+    Image.fromarray(in_bytes[..., :3]).save(folder / "colour.webp", lossless=True)
 
 
 def _looking_at_the_origin(azimuth_rad: float) -> list[list[float]]:
@@ -88,14 +89,29 @@ def _own_cameras(folder: Path) -> None:
     (folder / "photo.ply").write_bytes(data + b"".join(values.astype("<f4").tobytes() for values in elements.values()))
 
 
+def _calibrations(folder: Path, calibration: dict[str, Any]) -> None:
+    """A calibration as it is, in another encoding, and among displays, as a mapping and as JSON in a string."""
+    (folder / "visual.json").write_text(json.dumps(calibration))
+    (folder / "utf16.json").write_bytes(json.dumps({**calibration, "pitch": "42.0"}).encode("utf-16"))
+    cells = {**calibration, "subpixelCells": [{"ROffsetX": -0.3, "ROffsetY": 0.25}], "CellPatternMode": {"value": 2}}
+    displays = {"0": {"hwid": "A", "calibration": cells, "defaultQuilt": {"tileX": 8}},
+                "1": {"hwid": {"value": "B"}, "calibration": {"value": json.dumps(calibration)}}}
+    (folder / "one-display.json").write_text(json.dumps({"devices": {"0": displays["1"]}}))
+    (folder / "displays.json").write_text(json.dumps({"devices": displays}))
+
+
 def main() -> None:
     folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
     for folder in folders.values():
         folder.mkdir(parents=True, exist_ok=True)
+    if "heif" in READERS:  # and a HEIC, which Pillow does not write
+        Image.linear_gradient("L").resize((16, 12)).convert("RGB").save(folders["heif"] / "small.avif", quality=50)
     _scenes(folders["ply"])
     _images(folders["image"], {"panel": "small"})
     np.save(folders["depth-npy"] / "millimetres.npy", np.arange(1, 13, dtype=np.uint16).reshape(3, 4))
     np.save(folders["depth-npy"] / "metres.npy", np.linspace(0.5, 2, 12, dtype=np.float32).reshape(3, 4).T)
+    np.savez_compressed(folders["depth-npz"] / "metres.npz", depth=np.linspace(0.5, 2, 12).reshape(3, 4),
+                        focallength_px=np.float32(9))
     np.save(folders["view-map"] / "map.npy", SMALL_PANEL.view_map())
     cameras = Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0).cameras(SMALL_PANEL)
     fields = ("world_to_camera", "focal_px", "principal_point_px")
@@ -104,7 +120,7 @@ def main() -> None:
     _own_cameras(folders["own-camera"])
     calibration = {"pitch": {"value": 42.0}, "slope": {"value": -6.0}, "center": {"value": 0.3}, "DPI": {"value": 136},
                    "screenW": {"value": 7680}, "screenH": {"value": 4320}, "viewCone": 40, "invView": 1, "flipSubp": 0}
-    (folders["looking-glass"] / "visual.json").write_text(json.dumps(calibration))
+    _calibrations(folders["looking-glass"], calibration)
     Panel(**{**SMALL_PANEL.to_dict(), "pixel_pitch_mm": 0.2}).to_yaml(folders["panel"] / "small.yaml")
     Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0, 30.0).to_yaml(folders["rig"] / "small.yaml")
     unet = UNetConfig(base_channels=4, multipliers=(1,), blocks=1, attention_px=(), heads=1)

@@ -10,8 +10,10 @@ import hashlib
 import json
 import math
 import os
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +23,11 @@ from tqdm import tqdm
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, make_folder
 from lightfield_gs.models.crop import MARGIN, object_square
-from training.data.images import read_view
+from training.data.background import Choice
+from training.data.images import find_cutout, read_view
 from training.data.objects import find_objects, folder_of, read_object
 
-_VERSION = 3
+_VERSION = 4
 _CHUNK = 8  # objects that a process takes at a time
 
 
@@ -34,9 +37,10 @@ class CachedObject:
 
     rectangles: [V,5], (offset, left, top, width, height) of the stored part of each view; the offset counts pixels from
     the start of the set. squares: [V,3], (left, top, side) of object_square. camera_to_world: [V,4,4] float64.
-    intrinsics: [V,4] float64, (fx, fy, cx, cy).
+    intrinsics: [V,4] float64, (fx, fy, cx, cy). cutout: what said which pixels are object, for people.
     """
     name: str
+    cutout: str
     rectangles: np.ndarray
     squares: np.ndarray
     camera_to_world: np.ndarray
@@ -56,6 +60,11 @@ class CachedSet:
     objects: list[CachedObject]
     pixels: np.ndarray
 
+    def __str__(self) -> str:
+        """How many objects there are, and what they were cut out by."""
+        ways = Counter(views.cutout for views in self.objects)
+        return f"{self.root}: " + ", ".join(f"{count} objects {way}" for way, count in ways.most_common())
+
 
 def _files(base: Path) -> tuple[Path, Path]:
     """The pixels and the index of a cached set."""
@@ -63,12 +72,12 @@ def _files(base: Path) -> tuple[Path, Path]:
     return base.with_name(f"{base.name}.bytes"), base.with_name(f"{base.name}.json")
 
 
-def fingerprint(objects: list[Path]) -> str:
+def fingerprint(objects: list[Path], background: Choice = "auto") -> str:
     """16 hexadecimal digits that change when any file of the objects is added, removed, moved, resized or rewritten.
 
-    objects: as find_objects names them.
+    objects: as find_objects names them. background: as find_cutout takes it.
     """
-    digest = hashlib.sha256(f"{_VERSION};{MARGIN}".encode())
+    digest = hashlib.sha256(f"{_VERSION};{MARGIN};{background}".encode())
     for name in objects:
         digest.update(f"{name};".encode())
         for path in sorted(folder_of(name).rglob("*")):
@@ -78,19 +87,20 @@ def fingerprint(objects: list[Path]) -> str:
     return digest.hexdigest()[:16]
 
 
-def _decode_object(name: Path) -> tuple[dict, list[np.ndarray]]:
+def _decode_object(name: Path, background: Choice) -> tuple[dict, list[np.ndarray]]:
     """Decode one object: its entry for the index (offsets from its own start) and the bytes of each view."""
     views = read_object(name)
+    cutout = find_cutout(views, background)
     blocks, rectangles, squares, offset = [], [], [], 0
     for index in range(len(views.image_paths)):
-        frame = read_view(views, index)
+        frame = read_view(views, index, cutout)
         squares.append(square_of_view(views.image_paths[index], frame[..., 3]))
         rows, columns = np.flatnonzero(frame[..., 3].any(1)), np.flatnonzero(frame[..., 3].any(0))
         top, left, height, width = rows[0], columns[0], np.ptp(rows) + 1, np.ptp(columns) + 1
         blocks.append(frame[top:top + height, left:left + width].reshape(-1))
         rectangles.append([offset, int(left), int(top), int(width), int(height)])
         offset += blocks[-1].size // 4
-    return {"name": str(name), "rectangles": rectangles, "squares": squares,
+    return {"name": str(name), "cutout": str(cutout), "rectangles": rectangles, "squares": squares,
             "camera_to_world": views.camera_to_world.tolist(), "intrinsics": views.intrinsics.tolist(),
             "width_px": views.width_px, "height_px": views.height_px}, blocks
 
@@ -107,7 +117,7 @@ def square_of_view(path: Path, alpha: np.ndarray) -> list[int]:
     return [square.left, square.top, square.side]
 
 
-def _build(names: list[Path], base: Path, workers: int | None) -> None:
+def _build(names: list[Path], base: Path, workers: int | None, background: Choice) -> None:
     """Decode all objects into <base>.bytes and <base>.json; each appears complete or not at all."""
     entries, offset = [], 0
     workers = min(workers or os.cpu_count() or 1, math.ceil(len(names) / _CHUNK))
@@ -117,7 +127,7 @@ def _build(names: list[Path], base: Path, workers: int | None) -> None:
           open(pixels, "wb") as file,
           # A forked process may not use the threads that torch has started in this one.
           ProcessPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool):
-        decoded = pool.map(_decode_object, names, chunksize=_CHUNK)
+        decoded = pool.map(partial(_decode_object, background=background), names, chunksize=_CHUNK)
         for entry, blocks in tqdm(decoded, total=len(names), desc=f"decoding {base.name}", unit="object"):
             entry["rectangles"] = [[offset + row[0], *row[1:]] for row in entry["rectangles"]]
             entries.append(entry)
@@ -126,21 +136,22 @@ def _build(names: list[Path], base: Path, workers: int | None) -> None:
         index.write_text(json.dumps(entries))
 
 
-def load_set(root: Path, cache_dir: Path, workers: int | None = None) -> CachedSet:
+def load_set(root: Path, cache_dir: Path, workers: int | None = None, background: Choice = "auto") -> CachedSet:
     """Open a folder of objects (their split "train" where they have any), decoding it into cache_dir when that has not
     been done.
 
-    workers: processes that decode; None: one per core. Raises InputError for the first object that cannot be used
-    (`python -m training.data.validate` lists them all).
+    workers: processes that decode; None: one per core. background: as find_cutout takes it. Raises InputError for the
+    first object that cannot be used (`python -m training.data.validate` lists them all).
     """
     root = Path(root).resolve()
     names = find_objects(root, "train")
-    base = Path(cache_dir) / f"{root.name}-{fingerprint(names)}"
+    base = Path(cache_dir) / f"{root.name}-{fingerprint(names, background)}"
     pixels, index = _files(base)
     if not (pixels.exists() and index.exists()):
-        _build(names, base, workers)
+        _build(names, base, workers, background)
     entries = json.loads(index.read_text())
-    objects = [CachedObject(entry["name"], np.array(entry["rectangles"], np.int64), np.array(entry["squares"]),
-                            np.array(entry["camera_to_world"]), np.array(entry["intrinsics"]), entry["width_px"],
-                            entry["height_px"]) for entry in entries]
+    objects = [CachedObject(entry["name"], entry["cutout"], np.array(entry["rectangles"], np.int64),
+                            np.array(entry["squares"]), np.array(entry["camera_to_world"]),
+                            np.array(entry["intrinsics"]), entry["width_px"], entry["height_px"])
+               for entry in entries]
     return CachedSet(root, objects, np.memmap(pixels, np.int32, "c"))

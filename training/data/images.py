@@ -1,47 +1,124 @@
-"""Training images as premultiplied RGBA of the object."""
+"""Training images as premultiplied RGBA of the object: what is object is decided once for all its views."""
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from lightfield_gs.errors import InputError
-from lightfield_gs.io.images import read_image
-from lightfield_gs.io.photo import plain_background_mask
+from lightfield_gs.io.images import read_image, read_info
+from training.data.background import Background, Choice, border_of, find_background, premultiplied
+from training.data.lens import source_places, undistorted
+from training.data.masks import read_mask
 from training.data.views import ObjectViews
 
 
-def read_premultiplied(path: Path, width_px: int, height_px: int) -> np.ndarray:
-    """Read a view as uint8 [H,W,4], colours multiplied by alpha.
+@dataclass(frozen=True)
+class Cutout:
+    """What says which pixels of an object's views are object. background: where that is what says it."""
+    by: Literal["masks", "alpha", "background", "nothing"]
+    background: Background | None = None
 
-    An image without transparency gets its mask from its background when that has one plain colour; otherwise the whole
-    picture is the subject, as in the rooms of the original renderer. Raises InputError for unreadable images, images
-    whose size is not the intrinsics' width_px x height_px, and images that show no object.
+    def __str__(self) -> str:
+        return {"masks": "cut out by masks", "alpha": "cut out by alpha", "nothing": "whole pictures are the subject",
+                "background": f"cut out by the background, {self.background}"}[self.by]
+
+
+def find_cutout(views: ObjectViews, background: Choice = "auto") -> Cutout:
+    """What cuts an object out of its views: masks, else alpha where a view has any, else its background.
+
+    background: of views that have neither: that of one colour which is found, white, black, or none, the whole picture
+    being the subject as in the rooms of the original renderer. Views that cannot be read do not count. Raises
+    InputError for a background that no view has.
     """
+    if views.mask_paths is not None:
+        return Cutout("masks")
+    borders = []
+    for path in views.image_paths:
+        try:
+            pixels = _stored(views, path)
+        except InputError:
+            continue  # named by whoever reads this view
+        if pixels.shape[2] == 4 and pixels[..., 3].min() < 255:
+            return Cutout("alpha")
+        borders.append(border_of(pixels[..., :3], _is_lossy(path)))
+    found = find_background(borders, background)
+    if found and background != "auto" and not any((view.pixels == found.colour).all(-1).any() for view in borders):
+        raise InputError(f"{views.image_paths[0].parent}: expected a {background} background, but no view has a "
+                         "pixel of it at its border: give another, or auto")
+    return Cutout("background", found) if found else Cutout("nothing")
+
+
+def read_view(views: ObjectViews, index: int, cutout: Cutout | None = None) -> np.ndarray:
+    """One view of an object as premultiplied uint8 [H,W,4], free of lens distortion.
+
+    cutout: as find_cutout finds it; None: finds it. Raises InputError for unreadable images and masks, images whose
+    size is not that of the intrinsics, and images that show no object.
+    """
+    return _straightened(views, index, _cut_out(views, index, cutout or find_cutout(views)))
+
+
+def read_colours(views: ObjectViews, index: int) -> np.ndarray:
+    """The colours of a view, object or not, uint8 [H,W,3], free of lens distortion. Raises InputError as read_view."""
+    return _straightened(views, index, _stored(views, views.image_paths[index])[..., :3])
+
+
+def _straightened(views: ObjectViews, index: int, image: np.ndarray) -> np.ndarray:
+    """A stored picture [H,W,C] without its lens distortion."""
+    if views.distortion is None or not views.distortion[index].any():
+        return image
+    places = source_places(views.intrinsics[index], views.distortion[index], views.width_px, views.height_px)
+    return undistorted(image, places)
+
+
+def _cut_out(views: ObjectViews, index: int, cutout: Cutout) -> np.ndarray:
+    """A view as it is stored, as premultiplied uint8 [H,W,4]."""
+    path = views.image_paths[index]
+    pixels = _stored(views, path)
+    rgb, alpha = pixels[..., :3], np.full(pixels.shape[:2], 255, np.uint8) if pixels.shape[2] == 3 else pixels[..., 3]
+    why = "every pixel is transparent"
+    if cutout.by == "masks":
+        mask = read_mask(views.mask_paths[index], views.width_px, views.height_px)
+        alpha, why = np.minimum(alpha, mask), f"nothing is white in {views.mask_paths[index]}"
+    frame = premultiplied(rgb, alpha)
+    if cutout.background is not None:
+        frame, why = cutout.background.cut(rgb), f"every pixel is of the background, {cutout.background}"
+    if not frame[..., 3].any():
+        raise InputError(f"{path}: empty image: expected an object, {why}")
+    return frame
+
+
+def _stored(views: ObjectViews, path: Path) -> np.ndarray:
+    """The pixels uint8 [H,W,3 or 4] of a view as they are stored: its pose is of these, whatever Exif says."""
     try:
-        pixels = read_image(path, as_stored=True)
+        pixels = read_image(path, as_stored=True, turn=False)
     except InputError as error:
         raise InputError(f"unreadable image: {error}") from None
     if pixels.dtype != np.uint8 or pixels.shape[2] not in (3, 4):
         raise InputError(f"{path}: expected 8-bit RGB or RGBA, got {pixels.shape[2]} channels of {pixels.dtype}")
-    if pixels.shape[:2] != (height_px, width_px):
-        raise InputError(f"{path}: bad intrinsics: they say {width_px} x {height_px} pixels, "
-                         f"the image has {pixels.shape[1]} x {pixels.shape[0]}")
-    alpha = _alpha(pixels)
-    if not alpha.any():
-        raise InputError(f"{path}: empty image: expected an object, every pixel is transparent")
-    colours = (pixels[..., :3].astype(np.uint16) * alpha[..., None] + 127) // 255
-    return np.concatenate([colours.astype(np.uint8), alpha[..., None]], axis=-1)
+    if pixels.shape[:2] != (views.height_px, views.width_px):
+        raise InputError(f"{path}: bad intrinsics: {views.size_field}: they say {views.width_px} x {views.height_px} "
+                         f"pixels, the image has {pixels.shape[1]} x {pixels.shape[0]}{_way_out(views, path, pixels)}")
+    return pixels
 
 
-def _alpha(pixels: np.ndarray) -> np.ndarray:
-    """The object's opacity, uint8 [H,W], of an image [H,W,3 or 4]."""
-    if pixels.shape[2] == 4 and pixels[..., 3].min() < 255:
-        return pixels[..., 3]
-    mask = plain_background_mask(pixels[..., :3].astype(np.float32) / 255)
-    return np.full(pixels.shape[:2], 255, np.uint8) if mask is None else np.rint(255 * mask).astype(np.uint8)
+def _way_out(views: ObjectViews, path: Path, pixels: np.ndarray) -> str:
+    """What to do about an image of another size than its camera."""
+    orientation = read_info(path).orientation
+    if pixels.shape[:2] != (views.width_px, views.height_px):
+        return ": give the camera of the images as they are stored, or resize them"
+    if orientation < 5:
+        return ": width and height are exchanged"
+    return (f" as stored, with Exif orientation {orientation}: the cameras seem to be of the turned images, poses are "
+            "of the stored ones: store the images turned (ImageMagick: mogrify -auto-orient), or find the cameras "
+            "again with the orientation left alone")
 
 
-def read_view(views: ObjectViews, index: int) -> np.ndarray:
-    """One view of an object as premultiplied uint8 [H,W,4]."""
-    return read_premultiplied(views.image_paths[index], views.width_px, views.height_px)
+def _is_lossy(path: Path) -> bool:
+    """Whether the format of an image alters its pixels: JPEG, and WebP but for its lossless kind."""
+    if path.suffix.lower() != ".webp":
+        return path.suffix.lower() in (".jpg", ".jpeg")
+    with path.open("rb") as file:
+        return b"VP8L" not in file.read(1 << 16)  # RFC 9649, section 2.6: after 12 bytes, or chunks of metadata

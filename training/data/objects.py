@@ -15,6 +15,7 @@ from training.data.views import ObjectViews
 
 SPLITS = ("train", "val", "test")
 _WHOLE = "transforms.json"
+MAKE_SMALL = "python -m training.data.make_small --output data/small"
 
 
 def find_objects(root: Path, split: str | None = None) -> list[Path]:
@@ -25,7 +26,8 @@ def find_objects(root: Path, split: str | None = None) -> list[Path]:
     """
     root = Path(root)
     if not root.is_dir():
-        raise InputError(f"{root}: expected a folder of objects (SRN layout or transforms.json), found no such folder")
+        raise InputError(f"{root}: expected a folder of objects (SRN layout or transforms.json), found no such folder. "
+                         f"To try with made-up objects: {MAKE_SMALL}")
     wanted = {f"transforms_{name}.json" for name in (SPLITS if split is None else (split,))}
     # Renderers of SRN sets leave a transforms.json of their own in pose/.
     transforms = {path for path in root.rglob("transforms*.json") if path.parent.name not in PARTS}
@@ -35,7 +37,8 @@ def find_objects(root: Path, split: str | None = None) -> list[Path]:
     found = sorted({path for path in in_splits if path.name in wanted} | whole | srn)
     if not found:
         raise InputError(f"{root}: found no object: expected <object>/rgb, <object>/pose and <object>/intrinsics.txt, "
-                         f"or <object>/{_WHOLE} or {', '.join(sorted(wanted))}")
+                         f"or <object>/{_WHOLE} or {', '.join(sorted(wanted))}. To try with made-up objects: "
+                         f"{MAKE_SMALL}")
     return found
 
 

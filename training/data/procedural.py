@@ -63,7 +63,7 @@ def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor,
     compiled: see make_batch; of what has the same shapes in all blocks.
     """
     surfels = _visible(_surfels(plan), plan, compiled)
-    gaussians = _gaussians(surfels, _lit(*_coloured(surfels, plan), surfels["normal"], plan.light))
+    gaussians = _drawn(surfels, plan)
     focal, centre = _squares(surfels, plan)
     source, targets = slice(0, 1), slice(1, None)
     pictures = []
@@ -72,6 +72,22 @@ def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor,
         intrinsics = size * torch.cat([focal[:, chosen].expand(-1, -1, 2), centre[:, chosen]], -1)
         pictures += [_pictures(gaussians, cameras, intrinsics, size), intrinsics]
     return pictures[0][:, 0], pictures[1][:, 0], pictures[2], pictures[3]
+
+
+@torch.no_grad()
+def draw_frames(plan: ProceduralPlan, intrinsics: Tensor) -> Tensor:
+    """What each camera of a plan's world_to_camera sees in a frame of its own, not cropped to the object: premultiplied
+    RGBA [B,V,4,T,T].
+
+    intrinsics: [4], (fx, fy, cx, cy) in pixels of frames of target_px.
+    """
+    frames = intrinsics.expand(*plan.world_to_camera.shape[:2], 4)
+    return _pictures(_drawn(_visible(_surfels(plan), plan), plan), plan.world_to_camera, frames, plan.target_px)
+
+
+def _drawn(surfels: dict[str, Tensor], plan: ProceduralPlan) -> Gaussians:
+    """Surfels, coloured and lit."""
+    return _gaussians(surfels, _lit(*_coloured(surfels, plan), surfels["normal"], plan.light))
 
 
 def _pictures(gaussians: Gaussians, cameras: Tensor, intrinsics: Tensor, size: int) -> Tensor:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.errors import InputError
+from training.data.masks import masks_beside
 from training.data.views import (IMAGE_SUFFIXES, ObjectViews, check_intrinsics, check_looking_at_object, check_pose)
 
 PARTS = ("rgb", "pose", "intrinsics.txt")
@@ -34,7 +35,8 @@ class Intrinsics:
 def _numbers(path: Path) -> list[list[float]]:
     """All numbers of a text file, line by line, empty lines left out."""
     try:
-        return [[float(word) for word in line.split()] for line in path.read_text().splitlines() if line.strip()]
+        text = path.read_text(encoding="utf-8-sig")
+        return [[float(word) for word in line.split()] for line in text.splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"{path}: expected lines of numbers, but {str(error)[:100]}") from None
 
@@ -67,7 +69,7 @@ def _paired_files(folder: Path) -> list[tuple[Path, Path]]:
         if not (folder / part).exists():
             raise InputError(f"{folder}: missing {part}: expected rgb/, pose/ and intrinsics.txt")
     images = {p.stem: p for p in sorted((folder / "rgb").iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES}
-    poses = {p.stem: p for p in sorted((folder / "pose").glob("*.txt"))}
+    poses = {p.stem: p for p in sorted((folder / "pose").iterdir()) if p.suffix.lower() == ".txt"}
     if not images:
         raise InputError(f"{folder}/rgb: found no image: expected files ending in {', '.join(IMAGE_SUFFIXES)}")
     for kind, have, want in (("poses", poses, images), ("images", images, poses)):
@@ -91,5 +93,6 @@ def read_srn(folder: Path) -> ObjectViews:
         poses = np.linalg.inv(poses)
     check_looking_at_object(f"{folder}/pose", poses, _AXES)
     row = (camera.focal_px, camera.focal_px, camera.centre_x_px, camera.centre_y_px)
-    return ObjectViews(folder.name, tuple(image for image, _ in pairs), poses, np.tile(row, (len(poses), 1)),
-                       camera.width_px, camera.height_px)
+    images = [image for image, _ in pairs]
+    return ObjectViews(folder.name, tuple(images), poses, np.tile(row, (len(poses), 1)), camera.width_px,
+                       camera.height_px, f"{folder / 'intrinsics.txt'}: height width", masks_beside(folder, images))

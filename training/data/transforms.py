@@ -7,7 +7,11 @@ camera-to-world, OpenGL axes: x right, y up, z backward). The camera, at the top
     fl_x, fl_y                          pixels; or camera_angle_x, camera_angle_y, radians: w / 2 / tan(angle / 2);
                                         the one that is missing equals the other (square pixels)
     cx, cy                              pixels from the outer corner of the first pixel; default: the middle
-    k1 k2 k3 k4 p1 p2, camera_model     lens distortion must be none: images are to be undistorted before
+    k1 k2 k3 k4 p1 p2                   lens distortion (lens.py), taken out of the images when they are read; the
+                                        camera stays the same: fl_x ... cy are those of the undistorted image, too
+    camera_model                        one of _MODELS; fisheyes and others are refused
+and mask_path, likewise an image for each frame, white where the object is. Without it, masks are looked for in masks/
+(masks.py). File names may have \\ between folders, and another case than the files.
 Everything else (aabb_scale, scale, offset, ...) is about other programs and is not read.
 
 The unit of length of such files is arbitrary: poses are scaled so that the cameras stand OBJECT_DISTANCE, on average,
@@ -24,14 +28,18 @@ from lightfield_gs.checks import shown
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_object as read_json
-from training.data.views import (IMAGE_SUFFIXES, ObjectViews, check_intrinsics, check_looking_at_object, check_pose,
+from training.data.files import named_image
+from training.data.lens import COEFFICIENTS, check_distortion
+from training.data.masks import masks_beside
+from training.data.views import (ObjectViews, check_intrinsics, check_looking_at_object, check_pose,
                                  depths_of_object)
 
 OBJECT_DISTANCE = 1.3
 _LIMIT_BYTES = 64 << 20
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-_DISTORTIONS = ("k1", "k2", "k3", "k4", "p1", "p2")
-_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPECTIVE")
+_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
+_FISHEYE = ("is_fisheye", "fisheye")
+_OTHER_COEFFICIENTS = ("k5", "k6", "s1", "s2", "s3", "s4", "b1", "b2", "p3", "p4")
 _AXES = "OpenGL axes, x right, y up, z backward: from OpenCV axes, negate the second and third column of each rotation"
 
 
@@ -49,39 +57,31 @@ def read_transforms(path: Path) -> ObjectViews:
     for field, frame in zip(fields, frames):
         if not isinstance(frame, dict):
             raise InputError(f"{field}: expected an object with file_path and transform_matrix, got {shown(frame)}")
-    images = [_image_path(field, path.parent, frame.get("file_path")) for field, frame in zip(fields, frames)]
+    images = [named_image(f"{field}.file_path", path.parent, frame.get("file_path"))
+              for field, frame in zip(fields, frames)]
     poses = np.stack([_pose(f"{field}.transform_matrix", frame) for field, frame in zip(fields, frames)])
     check_looking_at_object(f"{path}: transform_matrix", poses, _AXES)
-    sizes, intrinsics = zip(*(_camera(field, data, frame, images[0]) for field, frame in zip(fields, frames)))
+    sizes, intrinsics, lenses = zip(*(_camera(field, data, frame, images[0]) for field, frame in zip(fields, frames)))
     for field, size in zip(fields, sizes):
         if size != sizes[0]:
             raise InputError(f"{field}: bad intrinsics: expected the size of frames[0], {sizes[0][0]} x {sizes[0][1]}, "
                              f"got w x h of {size[0]} x {size[1]}; resize the images to one size")
     poses = _at_object_distance(path, poses)
-    return ObjectViews(path.parent.name, tuple(images), poses, np.stack(intrinsics), *sizes[0])
+    masks = _masks(fields, frames, path.parent, images)
+    return ObjectViews(path.parent.name, tuple(images), poses, np.stack(intrinsics), *sizes[0], f"{path}: w, h", masks,
+                       np.stack(lenses) if np.any(lenses) else None)
 
 
-def _image_path(field: str, folder: Path, name: Any) -> Path:
-    """The image file of a frame, with or without its extension in the file."""
-    if not isinstance(name, str) or not name.strip() or "\0" in name:
-        raise InputError(f"{field}.file_path: expected the name of an image, got {shown(name)}")
-    try:
-        return _found(field, folder, name)
-    except (OSError, UnicodeEncodeError) as error:
-        raise InputError(f"{field}.file_path: {shown(name)}: {error.args[-1]}") from None
-
-
-def _found(field: str, folder: Path, name: str) -> Path:
-    """What _image_path finds; raises OSError or UnicodeEncodeError for a name that no file can have."""
-    base = (folder / name).resolve()
-    if not base.is_relative_to(folder.resolve()):
-        raise InputError(f"{field}.file_path: {shown(name)} leads out of {folder}; put the images into that folder")
-    candidates = [base, *(base.with_name(base.name + suffix) for suffix in IMAGE_SUFFIXES)]
-    for candidate in candidates:
-        if candidate.suffix.lower() in IMAGE_SUFFIXES and candidate.is_file():
-            return candidate
-    raise InputError(f"{field}.file_path: missing image {base}: expected such a file, or with one of "
-                     f"{', '.join(IMAGE_SUFFIXES)} added")
+def _masks(fields: list[str], frames: list[dict[str, Any]], folder: Path,
+           images: list[Path]) -> tuple[Path, ...] | None:
+    """The mask of each frame: what mask_path names, or else what lies in masks/; None where there is neither."""
+    given = [frame.get("mask_path") is not None for frame in frames]
+    if not any(given):
+        return masks_beside(folder, images)
+    if not all(given):
+        raise InputError(f"{fields[given.index(False)]}: missing mask_path: {sum(given)} of {len(frames)} frames have "
+                         "one; give each frame one, or none")
+    return tuple(named_image(f"{field}.mask_path", folder, frame["mask_path"]) for field, frame in zip(fields, frames))
 
 
 def _pose(field: str, frame: dict[str, Any]) -> np.ndarray:
@@ -97,8 +97,8 @@ def _pose(field: str, frame: dict[str, Any]) -> np.ndarray:
 
 
 def _camera(field: str, shared: dict[str, Any], frame: dict[str, Any],
-            first_image: Path) -> tuple[tuple[int, int], np.ndarray]:
-    """Image size (w, h) and (fx, fy, cx, cy) of a frame; what it does not say itself is shared by all."""
+            first_image: Path) -> tuple[tuple[int, int], np.ndarray, np.ndarray]:
+    """Image size (w, h), (fx, fy, cx, cy) and lens distortion of a frame; what it does not say is shared by all."""
     def number(key: str) -> float | None:
         value = frame.get(key, shared.get(key))
         if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e12):
@@ -113,10 +113,7 @@ def _camera(field: str, shared: dict[str, Any], frame: dict[str, Any],
             raise InputError(f"{field}: bad intrinsics: {angle_key}: expected 0 to pi radians, got {angle:g}")
         return size / 2 / np.tan(angle / 2)
 
-    model = frame.get("camera_model", shared.get("camera_model", "PINHOLE"))
-    if model not in _PINHOLES or shared.get("is_fisheye") is True or any(number(key) for key in _DISTORTIONS):
-        raise InputError(f"{field}: bad intrinsics: expected a pinhole camera (k1 ... p2 zero), got lens distortion "
-                         f"(camera_model {shown(model)}): undistort the images first")
+    _check_model(field, {**shared, **frame})
     width, height = number("w"), number("h")
     if width is None or height is None:
         info = read_info(first_image)
@@ -129,7 +126,22 @@ def _camera(field: str, shared: dict[str, Any], frame: dict[str, Any],
     intrinsics = np.array([fy if fx is None else fx, fx if fy is None else fy,
                            width / 2 if cx is None else cx, height / 2 if cy is None else cy], np.float64)
     check_intrinsics(field, intrinsics, width, height)
-    return (int(width), int(height)), intrinsics
+    lens = np.array([number(key) or 0 for key in COEFFICIENTS], np.float64)
+    if lens.any():
+        check_distortion(field, intrinsics, lens, int(width), int(height))
+    return (int(width), int(height)), intrinsics, lens
+
+
+def _check_model(field: str, camera: dict[str, Any]) -> None:
+    """Raises InputError for a camera that this reader cannot draw, by its model's name or further coefficients."""
+    model = camera.get("camera_model") or "PINHOLE"
+    fisheye = [key for key in _FISHEYE if camera.get(key)]
+    if model not in _MODELS or fisheye:
+        raise InputError(f"{field}: bad intrinsics: camera_model: expected one of {', '.join(_MODELS)}, got "
+                         f"{fisheye[0] if fisheye else shown(model)}: undistort the images first")
+    if unknown := [key for key in _OTHER_COEFFICIENTS if camera.get(key)]:
+        raise InputError(f"{field}: bad intrinsics: {unknown[0]}: expected a lens of {', '.join(COEFFICIENTS)} alone, "
+                         f"got {shown(camera[unknown[0]])}: undistort the images first")
 
 
 def _at_object_distance(path: Path, poses: np.ndarray) -> np.ndarray:

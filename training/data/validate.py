@@ -1,48 +1,204 @@
-"""Check a folder of objects: `python -m training.data.validate DIR` prints every problem; exit code 2 if any."""
+"""Check a folder of objects: `python -m training.data.validate DIR [--sheet FILE.png]`.
+
+Prints what training will see: what says which pixels are object, and what of the files is taken otherwise than a viewer
+would show it. Every problem is a line on stderr, and the exit code 2 if there is any; what may not be meant is a note
+there. --sheet draws the views with what is left out under a tint.
+"""
 from __future__ import annotations
 
 import argparse
 import sys
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
+from lightfield_gs.commands.complaint import note
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.images import read_info
+from lightfield_gs.io.plain import cut_from_plain_background
 from training.command import with_line_errors
+from training.data.background import CHOICES, Choice
 from training.data.cache import square_of_view
-from training.data.images import read_view
+from training.data.images import Cutout, find_cutout, read_colours, read_view
+from training.data.lens import share_beyond, words
 from training.data.objects import find_objects, read_object
+from training.data.sheet import Sheet, check_sheet_path
+from training.data.transforms import OBJECT_DISTANCE
+from training.data.views import ObjectViews, depths_of_object
+
+_FADED = 0.02  # share of an object: more is no noise of its outline
+_NEAREST, _FARTHEST = 0.75, 1.33  # of the distance that the network expects
 
 
-def problems(objects: Iterable[Path]) -> Iterator[str]:
+@dataclass
+class Examined:
+    """An object, as find_objects names it, and what was found of it.
+
+    views, cutout: None where they cannot be had. problems: lines. filled: for each view that can be read the share of
+    the picture that is object. cut: how many of these the picture's border cuts. faded: before a background of about
+    one colour, the share of the object in each view that went with it though its colour is another.
+    """
+    path: Path
+    views: ObjectViews | None = None
+    cutout: Cutout | None = None
+    problems: list[str] = field(default_factory=list)
+    filled: list[float] = field(default_factory=list)
+    cut: int = 0
+    faded: list[float] = field(default_factory=list)
+
+    def _count(self, number: int) -> str:
+        return f"{number} of {len(self.views.image_paths)} views"
+
+    def findings(self) -> Iterator[str]:
+        """What was decided, for people; alike for objects alike."""
+        if self.cutout is None:
+            return
+        yield str(self.cutout)
+        turned = [info for path in self.views.image_paths if (info := _orientation(path)) > 1]
+        if turned:
+            yield (f"Exif orientation {turned[0]} in {self._count(len(turned))} is not applied: poses are of the "
+                   "pixels as stored")
+        if self.views.distortion is not None:
+            yield _lens(self.views)
+
+    def doubts(self) -> Iterator[str]:
+        """What may not be meant."""
+        whole = sum(share == 1 for share in self.filled)
+        if whole:
+            yield f"the whole picture is object in {self._count(whole)}: give alpha, masks or --background if it is not"
+        if self.cut > whole:
+            yield f"the picture's border cuts the object in {self._count(self.cut - whole)}"
+        faded = [share for share in self.faded if share > _FADED]
+        if faded:
+            yield (f"up to {max(faded):.0%} of the object is lost to the background, which is of nearly its colour, in "
+                   f"{self._count(len(faded))}: give alpha or masks, or renders in a lossless format")
+        if self.views is not None and len(self.views.camera_to_world) > 1:
+            distance = depths_of_object(self.views.camera_to_world).mean()
+            if not _NEAREST < distance / OBJECT_DISTANCE < _FARTHEST:
+                yield (f"the cameras stand {distance:.2f} units from what they look at, the network expects it at "
+                       f"{OBJECT_DISTANCE}: multiply the positions in the poses by {OBJECT_DISTANCE / distance:.3g}")
+
+
+def _orientation(path: Path) -> int:
+    try:
+        return read_info(path).orientation
+    except InputError:  # a problem, and named as such
+        return 1
+
+
+def _lens(views: ObjectViews) -> str:
+    """What is done about lens distortion, by the first view."""
+    fx, fy, cx, cy = intrinsics = views.intrinsics[0]
+    lens = views.distortion[0]
+    beyond = share_beyond(intrinsics, lens, views.width_px, views.height_px)
+    return (f"undistorted ({words(lens)}) to a pinhole camera of {views.width_px} x {views.height_px} px, fx {fx:g}, "
+            f"fy {fy:g}, cx {cx:g}, cy {cy:g}; {beyond:.0%} of the stored picture lies beyond it")
+
+
+def examine(path: Path, background: Choice = "auto") -> Examined:
+    """Looks at all files of an object."""
+    found = Examined(path)
+    try:
+        found.views = read_object(path)
+        found.cutout = find_cutout(found.views, background)
+    except InputError as error:
+        found.problems.append(str(error))
+        return found
+    for index, image in enumerate(found.views.image_paths):
+        try:
+            alpha = read_view(found.views, index, found.cutout)[..., 3]
+            square_of_view(image, alpha)
+        except InputError as error:
+            found.problems.append(str(error))
+            continue
+        if found.cutout.background is not None and not found.cutout.background.exact:
+            plain = cut_from_plain_background(read_colours(found.views, index))
+            found.faded += [] if plain is None else [plain.faded]
+        opaque = alpha > 127
+        found.filled.append(float(opaque.mean()))
+        found.cut += bool(np.concatenate([opaque[[0, -1]].ravel(), opaque[:, [0, -1]].ravel()]).any())
+    return found
+
+
+def problems(objects: Iterable[Path], background: Choice = "auto") -> Iterator[str]:
     """Yield a line with the first fault of each object that cannot be read, and of each image of the others.
 
     objects: as find_objects names them.
     """
     for path in objects:
-        try:
-            views = read_object(path)
-        except InputError as error:
-            yield str(error)
-            continue
-        for index, image in enumerate(views.image_paths):
-            try:
-                square_of_view(image, read_view(views, index)[..., 3])
-            except InputError as error:
-                yield str(error)
+        yield from examine(path, background).problems
+
+
+def _name(path: Path, root: Path) -> str:
+    """An object's place below the folder that was asked for."""
+    return path.resolve().name if path == root else str(path.relative_to(root))
+
+
+@dataclass
+class Summary:
+    """What was found of all objects: for each line the names that it is true of; shares filled; how many problems."""
+    findings: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    doubts: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    filled: list[float] = field(default_factory=list)
+    faults: int = 0
+
+    def add(self, found: Examined, name: str) -> None:
+        """An object by its name."""
+        for lines, told in ((self.findings, found.findings()), (self.doubts, found.doubts())):
+            for line in told:
+                lines[line].append(name)
+        self.filled += found.filled
+        self.faults += len(found.problems)
+
+    def tell(self) -> None:
+        """Prints the findings and notes the doubts."""
+        for line in _grouped(self.findings):
+            print(line)
+        if self.filled:
+            print(f"the object fills {min(self.filled):.0%} to {max(self.filled):.0%} of a picture")
+        for line in _grouped(self.doubts):
+            note(line)
+
+
+def _grouped(lines: dict[str, list[str]]) -> Iterator[str]:
+    """Lines that say of which objects each is true."""
+    for line, names in lines.items():
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        yield f"{', '.join(names[:3])}{more}: {line}"
+
+
+def _options(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m training.data.validate", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, help="folder of objects: SRN layout or transforms.json")
+    parser.add_argument("--background", choices=CHOICES, default="auto",
+                        help="of images without alpha and masks (default: auto, found for each object)")
+    parser.add_argument("--sheet", type=Path, help="PNG file for a contact sheet")
+    return parser.parse_args(arguments)
 
 
 @with_line_errors("training.data.validate")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns 0 when all is well, 2 otherwise."""
-    parser = argparse.ArgumentParser(prog="python -m training.data.validate", description=__doc__)
-    parser.add_argument("data", type=Path, help="folder of objects: SRN layout or transforms.json")
-    options = parser.parse_args(arguments)
-    objects, faults = find_objects(options.data), 0
-    for faults, line in enumerate(problems(objects), 1):
-        print(line, file=sys.stderr)
-    if not faults:
+    options = _options(arguments)
+    objects, summary = find_objects(options.data), Summary()
+    sheet = Sheet(len(objects)) if options.sheet and check_sheet_path(options.sheet) else None
+    for path in objects:
+        found, name = examine(path, options.background), _name(path, options.data)
+        for line in found.problems:
+            print(line, file=sys.stderr)
+        summary.add(found, name)
+        if sheet:
+            sheet.add(f"{name}: {found.cutout or found.problems[0]}", found.views, found.cutout)
+    summary.tell()
+    if sheet:
+        print(sheet.write(options.sheet))
+    if not summary.faults:
         print(f"{options.data}: {len(objects)} objects, all well")
-    return 2 if faults else 0
+    return 2 if summary.faults else 0
 
 
 if __name__ == "__main__":

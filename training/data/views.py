@@ -20,7 +20,9 @@ class ObjectViews:
     """V views of one object, all of one size.
 
     image_paths: V files. camera_to_world: [V,4,4] float64. intrinsics: [V,4] float64, (fx, fy, cx, cy) in pixels of a
-    width_px x height_px image.
+    width_px x height_px image, as stored (an Exif orientation is not applied). size_field: where that size is said.
+    mask_paths: V files, where there are masks. distortion: [V,6] float64, as in lens.py, of the stored images; those
+    that are read have none. None: none.
     """
     name: str
     image_paths: tuple[Path, ...]
@@ -28,6 +30,9 @@ class ObjectViews:
     intrinsics: np.ndarray
     width_px: int
     height_px: int
+    size_field: str
+    mask_paths: tuple[Path, ...] | None = None
+    distortion: np.ndarray | None = None
 
 
 def check_pose(where: str, pose: np.ndarray) -> None:

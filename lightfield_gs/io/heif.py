@@ -1,0 +1,94 @@
+"""AVIF and HEIC, which OpenImageIO's packages do not read, through Pillow and the optional package pi-heif."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lightfield_gs.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+_AVIF_BRANDS = (b"avif", b"avis")
+# ISO/IEC 23008-12, annex B, and MIAF; whatever begins with another brand is a film, or something else
+_BRANDS = (*_AVIF_BRANDS, b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2")
+_BRAND_BYTES = 128  # of a file: a dozen of brands and more
+_PACKAGES = ("pi_heif", "pillow_heif")  # the same reader; the former without the encoder, which is under the GPL
+_ORIENTATION_TAG = 0x0112
+
+
+def is_heif(path: Path) -> bool:
+    """Whether a file begins as AVIF or HEIC do."""
+    return _brands(path)[:1] in ([brand] for brand in _BRANDS)
+
+
+def _brands(path: Path) -> list[bytes]:
+    """What the file says that it is, and then what it is compatible with; nothing where it is no such file."""
+    with path.open("rb") as file:
+        start = file.read(_BRAND_BYTES)
+    if start[4:8] != b"ftyp" or len(start) < 12:
+        return []
+    start = start[:int.from_bytes(start[:4], "big")]
+    return [start[8:12], *(start[at:at + 4] for at in range(16, len(start), 4))]
+
+
+@contextlib.contextmanager
+def opened_heif(path: Path, check_size: Callable[[int, int], None]) -> Iterator["Image.Image"]:
+    """The image, not decoded yet, once check_size(width, height) let it pass. Raises InputError."""
+    from PIL import Image
+
+    format_name = _reader(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # check_size knows better
+            image = Image.open(path, formats=[format_name])
+    except (OSError, ValueError, SyntaxError, RuntimeError, EOFError, MemoryError,
+            Image.DecompressionBombError) as error:
+        raise InputError(f"{path} is not an image that can be read: {_one_line(error)}") from error
+    with image:
+        check_size(*image.size)
+        yield image
+
+
+def decoded_heif(path: Path, image: "Image.Image") -> tuple[np.ndarray, int, dict[str, Any]]:
+    """Pixels [H, W, C] uint8 as stored, Exif orientation and colour of an open image, as Picture has them."""
+    try:
+        mode = image.mode if image.mode in ("L", "LA", "RGB", "RGBA") else "RGB"
+        pixels = np.array(image.convert(mode))
+        orientation = image.getexif().get(_ORIENTATION_TAG, 1)
+    except (OSError, ValueError, SyntaxError, RuntimeError, EOFError, MemoryError) as error:
+        raise InputError(f"{path} is damaged or cut: {_one_line(error)}") from error
+    colour: dict[str, Any] = {"format": image.format.lower()}
+    if profile := image.info.get("icc_profile"):
+        colour["ICCProfile"] = profile
+    elif kind := image.info.get("nclx_profile"):
+        colour["CICP"] = kind["color_primaries"], kind["transfer_characteristics"]
+    return pixels.reshape(*pixels.shape[:2], -1), orientation if isinstance(orientation, int) else 1, colour
+
+
+def _reader(path: Path) -> str:
+    """The name of the format for Pillow, whose reader is there from now on. Raises InputError where there is none."""
+    from PIL import features
+
+    if set(_brands(path)) & set(_AVIF_BRANDS):
+        if features.check("avif"):
+            return "AVIF"
+        raise InputError(f"{path} is an AVIF image, which the installed Pillow does not read: pip install -U "
+                         "'pillow>=11.3'; or convert it to PNG or JPEG")
+    for name in _PACKAGES:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name).register_heif_opener()
+            return "HEIF"
+    raise InputError(f"{path} is a HEIC image, which takes a package to read: pip install 'lightfield-gs[heif]'; or "
+                     "convert it to PNG or JPEG")
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,0 +1,141 @@
+"""Connected pieces of a mask, by runs along its rows: quick and small on pictures of 50 megapixels too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_DUST_SHARE = 1e-4  # of the largest piece's mass: smaller ones go, wherever they are
+_BEAD_SHARE, _NEAR_SIZES = 0.001, 2  # from this mass on a piece no farther from the object than twice its length is of it
+_PIECE_SHARE = 0.01  # and from this one wherever it is
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The runs of set pixels of a mask, row by row, and the connected piece that each belongs to.
+
+    rows, starts, ends: [R] int64; a run covers the columns starts .. ends - 1. labels: [R] int64 in 0..count - 1.
+    """
+
+    shape: tuple[int, int]
+    rows: np.ndarray
+    starts: np.ndarray
+    ends: np.ndarray
+    labels: np.ndarray
+    count: int
+
+    @classmethod
+    def of(cls, flags: np.ndarray, diagonal: bool) -> "Pieces":
+        """The pieces of flags [H, W]; diagonal: whether pixels that share but a corner are neighbours."""
+        rows, starts, ends = _runs(flags)
+        one, other = _touching(rows, starts, ends, int(diagonal))
+        labels = _joined(len(rows), one, other)
+        names, labels = np.unique(labels, return_inverse=True)
+        return cls(flags.shape, rows, starts, ends, labels, len(names))
+
+    def hit(self, flags: np.ndarray) -> np.ndarray:
+        """Which pieces [count] have a pixel that is set in flags [H, W]."""
+        found = np.zeros(self.count, bool)
+        found[self.labels[self._reduced(np.maximum, flags.view(np.uint8)) > 0]] = True
+        return found
+
+    def masses(self, values: np.ndarray) -> np.ndarray:
+        """The sums [count] of values [H, W] over each piece."""
+        return np.bincount(self.labels, self._reduced(np.add, values), self.count)
+
+    def boxes(self) -> np.ndarray:
+        """Top, left, bottom and right of each piece, [count, 4]; the last two are exclusive."""
+        boxes = np.tile([self.shape[0], self.shape[1], 0, 0], (self.count, 1))
+        for column, least in enumerate((self.rows, self.starts)):
+            np.minimum.at(boxes[:, column], self.labels, least)
+        for column, most in enumerate((self.rows + 1, self.ends)):
+            np.maximum.at(boxes[:, 2 + column], self.labels, most)
+        return boxes
+
+    def mask(self, chosen: np.ndarray) -> np.ndarray:
+        """The pixels [H, W] of the pieces that are set in chosen [count]."""
+        width = self.shape[1]
+        runs = chosen[self.labels]
+        steps = np.zeros(self.shape[0] * width + 1, np.int8)
+        np.add.at(steps, self.rows[runs] * width + self.starts[runs], 1)  # a run may begin where another ends
+        np.add.at(steps, self.rows[runs] * width + self.ends[runs], -1)
+        return np.cumsum(steps[:-1], dtype=np.int8).view(bool).reshape(self.shape)
+
+    def _reduced(self, operation: np.ufunc, values: np.ndarray) -> np.ndarray:
+        """Sums, or whatever the operation gives, of values [H, W] over each run."""
+        if not len(self.rows):
+            return np.zeros(0, values.dtype)
+        edges = np.stack([self.rows * self.shape[1] + self.starts, self.rows * self.shape[1] + self.ends], 1).ravel()
+        if edges[-1] == values.size:  # of the last run, where reduceat goes on to the end by itself
+            edges = edges[:-1]
+        return operation.reduceat(values.ravel(), edges)[::2]
+
+
+def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, int]:
+    """The mask [H, W] of what belongs to the object of alpha [H, W], bool, and not to specks beside it; how many pieces
+    it has, and how many specks there are.
+
+    Pieces are of pixels of at least `opaque`; the mass of one is the sum of its alpha. Those of 1 % of the largest stay
+    wherever they are, those of 0.1 % where they lie near to the box of the rest for their length, as beads do and dust
+    does not, smaller ones within it. Those below 0.01 % go in any case.
+    """
+    pieces = Pieces.of(alpha >= opaque, diagonal=True)
+    masses = pieces.masses(alpha)
+    share = masses / masses.max(initial=1e-300)
+    kept = share >= _PIECE_SHARE
+    boxes = pieces.boxes()
+    reaches = np.where(share >= _BEAD_SHARE, _NEAR_SIZES * (boxes[:, 2:] - boxes[:, :2]).max(1), 0)
+    maybe = np.flatnonzero(~kept & (share >= _DUST_SHARE))
+    near = np.ones(0, bool)
+    while len(maybe):
+        top, left = boxes[kept, :2].min(0)
+        bottom, right = boxes[kept, 2:].max(0)
+        outside = np.stack([top - boxes[maybe, 2], left - boxes[maybe, 3], boxes[maybe, 0] - bottom,
+                            boxes[maybe, 1] - right], 1).max(1)
+        near = outside <= reaches[maybe]
+        if not near.any():
+            break
+        kept[maybe[near]] = True
+        maybe = maybe[~near]
+    return pieces.mask(kept), int(kept.sum()), int((~kept).sum())
+
+
+def _runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row, first column and one more than the last column of every run of set pixels."""
+    height, width = flags.shape
+    padded = np.zeros((height, width + 1), bool)  # a column that is not set parts the rows
+    padded[:, :width] = flags
+    flat = padded.ravel()
+    changes = np.flatnonzero(flat[1:] != flat[:-1]) + 1
+    if flat.size and flat[0]:
+        changes = np.concatenate([[0], changes])
+    starts, ends = changes[::2], changes[1::2]
+    rows = starts // (width + 1)
+    return rows, starts - rows * (width + 1), ends - rows * (width + 1)
+
+
+def _touching(rows: np.ndarray, starts: np.ndarray, ends: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of runs that touch, one in the row below the other's; reach: 1 where corners touch, else 0."""
+    stride = 2 * (int(ends.max(initial=0)) + 2)
+    # The runs of the next row are in order of both their starts and ends, so those that touch follow each other
+    below = (rows + 1) * stride
+    first = np.searchsorted(rows * stride + ends, below + starts - reach, side="right")
+    last = np.searchsorted(rows * stride + starts, below + ends + reach, side="left")
+    counts = np.maximum(last - first, 0)
+    upper = np.repeat(np.arange(len(rows)), counts)
+    offsets = np.arange(len(upper)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return upper, first[upper] + offsets
+
+
+def _joined(count: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """A number for each of `count` things, the same for those that pairs join: the least index among them."""
+    roots = np.arange(count)
+    while len(one):
+        low, high = np.minimum(roots[one], roots[other]), np.maximum(roots[one], roots[other])
+        apart = low != high
+        one, other, low, high = one[apart], other[apart], low[apart], high[apart]
+        np.minimum.at(roots, high, low)
+        while not np.array_equal(roots, shorter := roots[roots]):
+            roots = shorter
+    return roots

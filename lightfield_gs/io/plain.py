@@ -1,0 +1,187 @@
+"""What stands out from a plain background, by colour and connection; and whether that can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lightfield_gs.io.pieces import Pieces
+from lightfield_gs.io.strips import strips
+
+_BORDER_SHARE = 0.02  # of the shorter side, at least one pixel: what has to be plain
+_PLAIN_STD = 0.04  # largest spread of the border's colour, but for its outliers
+_PLAIN_SHARE = 0.9  # of the border pixels that must be near the background's colour
+_NEAR, _FAR = 0.06, 0.14  # colour distances between which the mask rises from 0 to 1
+_SAME = 0.02  # colour distance below which an enclosed patch is the background, seen through a hole ...
+_PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits in it: smaller ones are highlights
+_WINDOWS_PX = (1, 3, 5, 7, 9)  # means over such squares make noise smaller, where it is too strong
+_NOISE_REACH = 3.4  # deviations of noise in a channel: a colour is farther off by chance once in a hundred times
+_LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from the background, where it has no noise, is part of it
+_BAND_LINES = 16
+_SHARE_SAMPLES = 1500  # of the longer side
+_STRIP_PIXELS = 1 << 19  # at a time in floating point: eight bytes times all pixels would be more than a photo itself
+
+
+@dataclass(frozen=True)
+class PlainCut:
+    """alpha: float32 [H, W] in 0..1, 1 on the object. Shares 0..1 of what lies between its pixels along rows or columns:
+    faded, what went with the background though its colour is another; holes, where that shows through."""
+
+    alpha: np.ndarray
+    faded: float
+    holes: float
+
+
+def plain_background_mask(rgb: np.ndarray) -> np.ndarray | None:
+    """Alpha [H, W] of what stands out from the plain background of `rgb` [H, W, 3], or None where it is not plain."""
+    cut = cut_from_plain_background(rgb)
+    return None if cut is None else cut.alpha
+
+
+def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
+    """What stands out from the plain background of rgb [H, W, 3], uint8 or floats in 0..1; None where it is not plain.
+
+    The background is what is near the border's colour and connected to the border, or to a patch of just that colour
+    that is large enough to be a hole of the object (a handle); smaller spots inside the object stay opaque. The edge is
+    soft, rising with the distance in colour. Where the border is noisy, colours are means over a few pixels.
+    """
+    height, width = rgb.shape[:2]
+    if min(height, width) < 8:
+        return None
+    bands = _border(rgb, max(1, round(_BORDER_SHARE * min(height, width))))
+    noise = _noise(bands)
+    window = _window_px(noise)
+    border = np.concatenate([_means(band, window).reshape(-1, 3) for band in bands])
+    near = np.linalg.norm(border - np.median(border, 0), axis=1) < _NEAR + _PLAIN_STD
+    if near.mean() < _PLAIN_SHARE or border[near].std(0).max() > _PLAIN_STD:
+        return None
+    colour = border[near].mean(0)
+    distance = _distances(rgb, colour, window)
+    outside, holes = _background(distance)
+    if window > 1:
+        raw = _distances(rgb, colour, 1)
+        raw -= max(0.0, _NOISE_REACH * noise - _NEAR)
+        outside, distance = _sharpened(outside, distance, raw, window // 2)
+    plain = np.quantile(np.linalg.norm(border[near] - colour, axis=1), 0.995)
+    shares = _shares_lost(outside, holes, distance, max(_LEAST_DIFFERENCE, 1.2 * float(plain)))
+    distance -= _NEAR
+    distance /= _FAR - _NEAR
+    alpha = np.clip(distance, 0, 1, out=distance)
+    alpha[~outside] = 1
+    return PlainCut(alpha, *shares)
+
+
+def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
+    """The four bands [., ., 3] along the edges, float32 in 0..1; of thick ones some of the lines."""
+    each = max(1, thick // _BAND_LINES)
+    middle = rgb[thick:-thick]
+    bands = (rgb[:thick], rgb[-thick:], middle[:, :thick].swapaxes(0, 1), middle[:, -thick:].swapaxes(0, 1))
+    return [_floats(band[::each]) for band in bands]
+
+
+def _floats(rgb: np.ndarray) -> np.ndarray:
+    return rgb.astype(np.float32) * np.float32(1 / 255) if rgb.dtype == np.uint8 else rgb.astype(np.float32)
+
+
+def _noise(bands: list[np.ndarray]) -> float:
+    """The standard deviation of noise, per channel, from pixels two apart (JPEG shares colours among neighbours): that
+    of a slow gradient is not in it."""
+    differences = np.concatenate([(band[:, 2:] - band[:, :-2]).reshape(-1, 3) for band in bands])
+    return float(np.sqrt(np.mean((np.median(np.abs(differences), 0) / (0.6745 * np.sqrt(2))) ** 2)))
+
+
+def _window_px(noise: float) -> int:
+    """Over how many pixels a side to take means, so that noise stays well below the colour distances that count."""
+    enough = [window for window in _WINDOWS_PX if 5 * noise / max(1, window - 1) <= _NEAR]
+    return enough[0] if enough else _WINDOWS_PX[-1]
+
+
+def _means(values: np.ndarray, window: int) -> np.ndarray:
+    """Means of values [H, W, C] over window x window pixels, which end at the edges."""
+    reach = window // 2
+    for axis in (0, 1):
+        if reach:
+            size = values.shape[axis]
+            padded = np.pad(values, [(reach, reach) if a == axis else (0, 0) for a in range(3)], mode="edge")
+            parts = (padded[(slice(None),) * axis + (slice(at, at + size),)] for at in range(window))
+            values = sum(parts) / np.float32(window)
+    return values
+
+
+def _distances(rgb: np.ndarray, colour: np.ndarray, window: int) -> np.ndarray:
+    """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from `colour`."""
+    (height, width), reach = rgb.shape[:2], window // 2
+    distances = np.empty((height, width), np.float32)
+    tables = (_floats(np.arange(256, dtype=np.uint8))[:, None] - colour).T ** 2
+    for top, bottom in strips(height, width, _STRIP_PIXELS):
+        if window == 1 and rgb.dtype == np.uint8:
+            squares = (tables[channel][rgb[top:bottom, :, channel]] for channel in range(3))
+        else:
+            first = max(0, top - reach)
+            block = _means(_floats(rgb[first:bottom + reach]) - colour, window)[top - first:][:bottom - top]
+            squares = (block[..., channel] ** 2 for channel in range(3))
+        np.sqrt(sum(squares), out=distances[top:bottom])
+    return distances
+
+
+def _background(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What belongs to the background [H, W], and those of its pieces that the border does not reach."""
+    height, width = distance.shape
+    thick = max(1, round(_BORDER_SHARE * min(height, width)))
+    ring = np.ones((height, width), bool)
+    ring[thick:-thick, thick:-thick] = False
+    side = max(3, round(_PATCH_SHARE * min(height, width)))
+    pieces = Pieces.of(distance < _FAR, diagonal=False)
+    from_border, from_patch = pieces.hit(ring), pieces.hit(full_squares(distance < _SAME, side))
+    return pieces.mask(from_border | from_patch), pieces.mask(from_patch & ~from_border)
+
+
+def full_squares(flags: np.ndarray, side: int) -> np.ndarray:
+    """The pixels [H, W] at whose lower right a square of `side` pixels is all set."""
+    full = flags
+    for axis in (0, 1):
+        full, covered = full.swapaxes(0, axis), 1
+        while covered < side:  # each step joins two stretches of what is covered so far
+            step = min(covered, side - covered)
+            full, covered = full[:-step] & full[step:], covered + step
+        full = full.swapaxes(0, axis)
+    return np.pad(full, [(0, before - after) for before, after in zip(flags.shape, full.shape)])
+
+
+def _sharpened(outside: np.ndarray, distance: np.ndarray, raw: np.ndarray,
+               reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """outside and distance without the fringe round the object, where means took in some of its colour."""
+    grown = outside
+    for axis in (0, 1):
+        before, grown = grown, grown.copy()
+        for step in range(1, reach + 1):
+            for one, other in ((np.s_[step:], np.s_[:-step]), (np.s_[:-step], np.s_[step:])):
+                target, source = (one, other) if axis == 0 else ((slice(None), one), (slice(None), other))
+                grown[target] |= before[source]
+    grown &= raw < _FAR
+    grown |= outside
+    return grown, np.minimum(distance, raw, out=distance)
+
+
+def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
+    """PlainCut's faded and holes; differs: the colour distance from which on a pixel is not of the background's colour.
+
+    Of a white body before white all but its outline goes: its shades as faded, the rest through holes.
+    """
+    step = max(1, round(max(distance.shape) / _SHARE_SAMPLES))  # of a large picture a part will do
+    outside, holes, distance = (values[::step, ::step] for values in (outside, holes, distance))
+    opaque = distance > (_NEAR + _FAR) / 2
+    opaque |= ~outside
+    lost = _between(opaque, 0) | _between(opaque, 1)
+    lost &= ~opaque
+    kept = max(1, np.count_nonzero(opaque))
+    faded = np.count_nonzero(lost & (distance > differs))
+    seen_through = np.count_nonzero(lost & holes & (distance <= differs))
+    return tuple(count / (kept + faded + seen_through) for count in (faded, seen_through))
+
+
+def _between(flags: np.ndarray, axis: int) -> np.ndarray:
+    """Whether there is a flag on both sides of each pixel along the axis, or on it."""
+    forwards = np.maximum.accumulate(flags, axis)
+    return forwards & np.flip(np.maximum.accumulate(np.flip(flags, axis), axis), axis)
