@@ -79,15 +79,16 @@ def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
 
 def look_from(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray, focal_px: tuple[float, float],
               principal_point_px: tuple[float, float]) -> Rig:
-    """A rig of this centre camera, at the panel's resolution; its zero plane is in the subject: the nearest of what is
-    seen in the middle of the picture. Raises InputError, also where no Gaussian lies in front of the camera."""
+    """A rig of this centre camera, at the panel's resolution; its zero plane is in the subject: what is nearest of what
+    is seen in the middle of the picture. Raises InputError, also where no Gaussian lies in front of the camera."""
     gaussians = _checked(gaussians, panel)
     rig = Rig(world_to_camera, focal_px, principal_point_px, 1.0)
+    if (found := visible.subject_depth(gaussians, panel, rig)) is not None:
+        return replace(rig, zero_depth=found)
     near, far, weight = extent(gaussians, _tensor(rig.world_to_camera, gaussians)).tolist()[4:]
     if not weight > 0:
         raise InputError(_NOTHING_IN_FRONT)
-    found = visible.subject_depth(gaussians, panel, rig)
-    return replace(rig, zero_depth=2 / (1 / near + 1 / far) if found is None else found)
+    return replace(rig, zero_depth=2 / (1 / near + 1 / far))
 
 
 def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:

@@ -82,6 +82,7 @@ def test_the_axis_is_said(folder, capsys):
     assert out[-1] == "axes: z is up (the file says so)"
     assert "axes: -z is up (--up)" in run(capsys, "encode f.ply -o o.png --panel p.yaml --up -z")
     assert "invalid choice" in complaint(capsys, "encode f.ply -o o.png --up w")
+    assert "for files of Gaussians" in complaint(capsys, "info p.yaml --up z")
 
 
 def test_a_rig_is_in_the_axes_of_the_file(folder, capsys):
@@ -146,7 +147,7 @@ def test_transforms_and_rigs_are_centre_cameras_too(folder, capsys):
 @pytest.mark.parametrize("options, words", [
     ("--camera no.json", "no.json"), ("--camera c.json:2", "c.json:2: expected an index of 0..1"),
     ("--camera c.json --rig r.yaml", "takes the place of --rig"), ("--camera r.yaml:0", "leave out the index"),
-    ("--camera p.yaml", "p.yaml"), ("--camera bad.json", r"bad.json: \[0\].fx"),
+    ("--camera p.yaml", "p.yaml"), ("--rig c.json", "no rig; give it as --camera"), ("--camera bad.json", r"bad.json: \[0\].fx"),
     ("--camera views.json", "give it as --cameras"), ("--method sorted --cameras c.json", "give it as --camera FILE"),
     ("--method sorted --cameras views.json --camera c.json", "--camera is about a rig"),
     ("--method sorted --cameras views.json --up z", "--up is about a rig")])

@@ -38,6 +38,8 @@ def describe(path: Path, serial: str | None = None, skip_invalid: bool = False,
         raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
     if suffix in (".ply", ".spz", ".splat", ".ksplat", ".sog"):
         return _scene(path, skip_invalid, up)
+    if up is not None:
+        raise InputError(f"--up is for files of Gaussians, and {path} is none; leave it out")
     if suffix == ".safetensors":
         return _checkpoint(path)
     if suffix in (".yaml", ".yml") and _is_rig(path):
