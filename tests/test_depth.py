@@ -1,18 +1,19 @@
-"""Depth maps from files, and the command line that shows a photo with one; backgrounds removed by rembg."""
+"""Depth maps from files, and the command line that shows a photo with one."""
 
 import json
 import re
-import sys
-import types
+import zipfile
 
 import numpy as np
 import pytest
 import torch
 from command_line import PANEL, complaint, run
+from PIL import Image
 from rgbd_scene import view
 
 import lightfield_gs as lf
-from lightfield_gs.io.depth import read_depth
+from lightfield_gs import cli
+from lightfield_gs.io.depth import depth_map, read_depth, read_numbers
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.preview import to_integers
 
@@ -81,6 +82,48 @@ def test_numbers_that_make_no_depth(tmp_path, array, options, words):
     with pytest.raises(lf.InputError, match=words) as caught:
         read_depth(tmp_path / "a.npy", **options)
     assert "\n" not in str(caught.value)
+
+
+def test_maps_that_are_almost_grey(tmp_path):
+    """Saved in colour, as by a JPEG; or in two channels alone."""
+    grey = np.repeat(np.arange(0, 240, 20, dtype=np.uint8).reshape(3, 4, 1), 3, 2)
+    for change, expected in (((0, 0, 1), grey[..., 0]), ((-3, 3, 0), grey[..., 0])):
+        write_image(tmp_path / "a.png", (grey.astype(int) + np.array(change)).clip(0, 255).astype(np.uint8))
+        numbers = read_numbers(tmp_path / "a.png")
+        assert np.abs(numbers.values.astype(int) - expected).max() <= 1 and "almost grey" in numbers.notes[0]
+    grey[..., 2] = 255
+    write_image(tmp_path / "a.png", grey)
+    assert np.array_equal(read_numbers(tmp_path / "a.png").values, grey[..., 0])
+    Image.fromarray(grey[..., :2], "LA").save(tmp_path / "a.png")
+    assert np.array_equal(read_numbers(tmp_path / "a.png").values, grey[..., 0])
+
+
+def test_an_archive_of_arrays(tmp_path):
+    path = tmp_path / "a.npz"
+    for names, kind in (({"depth": Z, "focallength_px": np.array(50.0), "canonical": np.ones((2, 3))}, None),
+                        ({"x": Z.T.copy().T}, None), ({"disparity": 1 / Z, "other": Z}, "disparity")):
+        np.savez_compressed(path, **names)
+        numbers = read_numbers(path)
+        assert numbers.kind == kind and numbers.focal_px == (50 if "depth" in names else None)
+        assert np.allclose(depth_map(path, numbers).z, Z)
+    np.savez(path, first=Z, second=Z)
+    with pytest.raises(lf.InputError, match="a.npz: expected a depth map .* named depth, .* holds first, second"):
+        read_numbers(path)
+    stored = path.read_bytes()
+    for damaged in (b"", b"hello", stored[:-30], stored[:200], stored.replace(b"(2, 3)", b"(9**9)")):
+        path.write_bytes(damaged)
+        with pytest.raises(lf.InputError, match="a.npz"):
+            read_numbers(path)
+
+
+def test_an_archive_that_would_fill_the_memory(tmp_path):
+    """A few kilobytes that say they are 16 GB."""
+    header = np.lib.format.header_data_from_array_1_0(np.ones((1, 1)))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("depth.npy", "w") as file:
+        np.lib.format.write_array_header_1_0(file, {**header, "shape": (1 << 14, 1 << 17)})
+        file.write(bytes(1 << 20))
+    with pytest.raises(lf.InputError, match="'depth.npy' is damaged, too large"):
+        read_numbers(tmp_path / "a.npz")
 
 
 def test_files_that_are_no_depth_map(tmp_path):
@@ -157,52 +200,78 @@ def test_a_mask_cuts_the_scene(folder, capsys):
     ("encode photo.png --depth mm.png --depth-range 2,1", "near < far"),
     ("encode photo.png --depth mm.png --depth-range 2", "2 numbers"),
     ("encode photo.png --depth photo.png", "in colour"),
+    ("encode photo.png --depth depth.exr --intrinsics 50,50,100,20", "principal point 100,20 is outside"),
+    ("encode photo.png --depth depth.exr --intrinsics 0.8,0.8,0.5,0.5", "--intrinsics: .* 176.9 degrees .* --fov"),
+    ("encode photo.png --depth depth.exr --rgbd left", "--rgbd takes the place of --depth"),
+    ("encode photo.png --map-orientation stored", "file of its own, and there is none"), ("encode photo.png --depth-invalid far", "no --depth"),
+    ("encode photo.png --rgbd right", "photo.png: its right half is in colour"),
+    ("encode odd.png --rgbd top", "odd.png: expected two halves of one size, its height is 5"),
     ("encode photo.png --depth depth.exr --depth-kind height", "invalid choice"),
     ("encode photo.png --mask mm.png --remove-background", "leave out one")])
 def test_complaints(folder, capsys, line, words):
     write_scene()
     write_image("mm.png", np.full((40, 60, 1), 1000, np.uint16))
     np.save("small.npy", np.ones((5, 7)))
+    write_image("odd.png", np.zeros((5, 7, 3), np.uint8))
     assert re.search(words, complaint(capsys, f"{line} -o o.png --panel p.yaml"))
     assert not (folder / "o.png").exists()
 
 
-# Backgrounds
-
-def busy_photo() -> np.ndarray:
-    """A bright square before noise; alpha of the square."""
-    photo = np.random.default_rng(0).integers(0, 120, (60, 80, 3), np.uint8)
-    photo[20:40, 30:50] = 250
-    write_image("busy.png", photo)
-    return (photo.min(2) == 250).astype(np.float32)
-
-
-def stand_in(remove) -> types.ModuleType:
-    """A module like rembg, as far as it is used here."""
-    module = types.ModuleType("rembg")
-    module.new_session = lambda name: {"model": name}
-    module.remove = remove
-    return module
+def test_a_command_says_what_it_took_the_photo_for(folder, capsys):
+    write_scene()
+    depth = read_image("depth.exr")[..., 0].copy()
+    depth[0, :30], depth[1, :12] = np.inf, np.nan
+    np.savez("d.npz", depth=depth, focallength_px=np.float32(50))
+    out = run(capsys, "encode photo.png --depth d.npz -o o.png --panel p.yaml --save-gaussians g.ply").splitlines()[0]
+    near, far = np.nanmin(depth), depth[np.isfinite(depth)].max()
+    assert out == (f"photo.png: 60 x 40, whole picture, depth by d.npz: distance as z {near:.4g}..{far:.4g}, 1.2% infinitely "
+                   f"far (put at {2 * far:.4g}), 0.5% not measured, focal length 50 px, of d.npz")
+    means = lf.Gaussians.load("g.ply").means
+    assert float(means[0, 2]) == pytest.approx(2 * far, rel=1e-5)
+    assert float(means[0, 0] / means[0, 2]) == pytest.approx(-29.5 / 50, rel=1e-5)
 
 
-def test_background_is_removed_when_asked_for(folder, capsys, monkeypatch):
-    alpha = busy_photo()
-
-    def remove(data, session, only_mask):
-        assert data.dtype == np.uint8 and data.shape == (60, 80, 3) and session == {"model": "u2net"} and only_mask
-        return np.where(data.min(2) == 250, 255, 0).astype(np.uint8)
-
-    monkeypatch.setitem(sys.modules, "rembg", stand_in(remove))
-    assert np.array_equal(lf.load_photo("busy.png", remove_background=True)[..., 3], alpha)
-    assert "--remove-background" in complaint(capsys, "encode busy.png -o o.png --panel p.yaml")
+def test_intrinsics_of_another_photo_are_noted(folder, capsys):
+    write_scene()
+    for intrinsics, words in (("50,50,20,20", "far off its middle"), ("400,400,30,20", "8.578 degrees")):
+        assert cli.main(f"encode photo.png --depth depth.exr --intrinsics {intrinsics} -o o.png --panel p.yaml".split()) == 0
+        assert words in capsys.readouterr().err
 
 
-def test_rembg_that_is_missing_or_fails(folder, capsys, monkeypatch):
-    busy_photo()
-    line = "encode busy.png --remove-background -o o.png --panel p.yaml"
-    monkeypatch.setitem(sys.modules, "rembg", None)
-    assert "pip install 'lightfield-gs[rembg]'" in complaint(capsys, line)
-    monkeypatch.setitem(sys.modules, "rembg", stand_in(lambda *_, **__: 1 / 0))
-    assert "division by zero" in complaint(capsys, line)
-    monkeypatch.setitem(sys.modules, "rembg", stand_in(lambda data, **_: np.zeros(data.shape[:2], np.uint8)))
-    assert "rembg found no object" in complaint(capsys, line)
+@pytest.mark.parametrize("side", ["right", "left", "top", "bottom"])
+def test_a_photo_with_its_depth_map_beside_it(folder, capsys, side):
+    """By option, by its name, and hinted at where neither says it."""
+    colours, depth, _ = view(60, 40, 50.0)
+    near = (1 / depth - 1 / 6) / (1 - 1 / 6)
+    parts = [to_integers(colours, 8), to_integers(near[..., None].repeat(3, 2).clip(0, 1), 8)]
+    write_image("photo.png", parts[0])
+    write_image("near.png", parts[1])
+    both = np.concatenate(parts if side in ("right", "bottom") else parts[::-1], 1 if side in ("right", "left") else 0)
+    write_image("both.png", both)
+    write_image("both_rgbd.png", both)
+    rest = "-o o.png --panel p.yaml --save-gaussians"
+    run(capsys, f"encode photo.png --depth near.png --depth-kind disparity --depth-range 1,1.6 {rest} a.ply")
+    out = run(capsys, f"encode both.png --rgbd {side} {rest} b.ply")
+    assert f"depth by its {side} half: disparity" in out and "assumed; --depth-kind, --depth-range)" in out
+    run(capsys, f"encode both_rgbd.png {rest} c.ply")
+    scenes = [lf.Gaussians.load(f"{name}.ply") for name in "abc"]
+    assert torch.equal(scenes[0].means, scenes[1].means) and torch.equal(scenes[0].means, scenes[2].means)
+    assert f"--rgbd {side}" in complaint(capsys, "encode both.png -o no.png --panel p.yaml")
+
+
+def test_a_depth_map_is_turned_with_the_photo(folder, capsys):
+    write_scene()
+    exif = Image.Exif()
+    exif[0x0112] = 8
+    Image.open("photo.png").save("turned.png", exif=exif)
+    depth = read_image("depth.exr")[..., 0]
+    np.save("stored.npy", depth)
+    np.save("upright.npy", np.rot90(depth))
+    for name in ("stored", "upright"):
+        run(capsys, f"encode turned.png --depth {name}.npy -o o.png --panel p.yaml --save-gaussians {name}.ply")
+    assert torch.equal(*(lf.Gaussians.load(f"{name}.ply").means for name in ("stored", "upright")))
+    np.save("square.npy", depth[:, :40])
+    Image.open("photo.png").crop((0, 0, 40, 40)).save("square.png", exif=exif)
+    line = "encode square.png --depth square.npy -o o.png --panel p.yaml"
+    assert "--map-orientation" in complaint(capsys, line)
+    run(capsys, f"{line} --map-orientation stored")

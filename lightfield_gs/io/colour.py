@@ -13,7 +13,8 @@ from lightfield_gs.io.strips import strips
 _LINEAR_FORMATS = ("openexr", "hdr")
 _SRGB_GAMMA, _SAME_GAMMA = 2.2, 0.1
 _SAME_LEVELS = 2  # of 255: profiles that differ less from sRGB, over all colours, are sRGB
-_SRGB_CICP = (1, 13)  # ITU-T H.273: primaries of BT.709, transfer function of sRGB
+_SRGB_CICP = (1, 2), (1, 2, 6, 13)  # ITU-T H.273: primaries of BT.709; transfer functions of it and sRGB; 2: unsaid
+_SRGB_PRIMARIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06)  # x and y of red, green and blue
 _UNCALIBRATED = 65535  # Exif's ColorSpace of what is not sRGB, in cameras' files Adobe RGB
 _STRIP_PIXELS = 1 << 20  # at a time: Pillow keeps four bytes a pixel, beside what comes in and goes out
 _CLIPPED_SHARE = 0.001  # of the pixels, above 1: from here on it is said
@@ -42,7 +43,11 @@ def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
     elif linear or abs(gamma - _SRGB_GAMMA) > _SAME_GAMMA:
         colours = _by_gamma(rgb, 1.0 if linear else gamma)
     else:
-        colours = Colours(rgb, notes=_doubts(picture))
+        colours = Colours(rgb, notes=_doubts(rgb, picture))
+    if "ICCProfile" not in picture.colour:
+        primaries = picture.colour.get("chromaticities", _SRGB_PRIMARIES)
+        if not np.allclose(primaries[:6], _SRGB_PRIMARIES, atol=0.005):
+            colours.notes.append("has other primary colours than sRGB, which are taken for those; export it as sRGB")
     if colours.pixels.dtype != np.uint8:
         colours.pixels = np.clip(as_floats(colours.pixels), 0, 1)
     if colours.pixels.shape[2] == 1:
@@ -50,15 +55,18 @@ def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
     return colours
 
 
-def _doubts(picture: Picture) -> list[str]:
+def _doubts(rgb: np.ndarray, picture: Picture) -> list[str]:
     """Notes on a picture without a profile."""
-    cicp = picture.colour.get("CICP")
-    if cicp is not None and tuple(cicp)[:2] != _SRGB_CICP:
-        return [f"says that its colours are of another kind (CICP {'/'.join(map(str, cicp))}, of wide gamut or HDR), "
-                "and they are taken as sRGB; export it as sRGB"]
+    cicp = tuple(picture.colour.get("CICP", ()))[:2]
+    if any(value not in usual for value, usual in zip(cicp, _SRGB_CICP)):
+        return [f"says that its colours are of another kind (CICP {cicp[0]}/{cicp[1]}, of wide gamut or HDR), and they are "
+                "taken as sRGB; export it as sRGB"]
     if picture.colour.get("Exif:ColorSpace") == _UNCALIBRATED:
         return ["says that its colours are not sRGB, perhaps Adobe RGB, and holds no profile; they are taken as sRGB; "
                 "export it with its profile, or as sRGB"]
+    if rgb.dtype == np.float32:
+        return ["holds floating point without a profile, which is taken as sRGB is encoded; save it as .exr if it is "
+                "linear"]
     return []
 
 
@@ -68,8 +76,8 @@ def _by_gamma(rgb: np.ndarray, gamma: float) -> Colours:
     linear = np.clip(values, 0, 1) ** np.float32(gamma)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** np.float32(1 / 2.4) - np.float32(0.055))
     notes = [f"is brighter than white on {bright:.1%} of its pixels, which are clipped; expose it less"]
-    return Colours(encoded.astype(np.float32), "linear, encoded as sRGB" if gamma == 1 else f"gamma {gamma:.3g}, "
-                   "converted to sRGB", notes if bright > _CLIPPED_SHARE else [])
+    said = "linear, encoded as sRGB" if gamma == 1 else f"gamma {gamma:.3g}, converted to sRGB"
+    return Colours(encoded.astype(np.float32), said, notes if bright > _CLIPPED_SHARE else [])
 
 
 def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:

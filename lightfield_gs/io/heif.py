@@ -19,19 +19,24 @@ if TYPE_CHECKING:
 _AVIF_BRANDS = (b"avif", b"avis")
 # ISO/IEC 23008-12, annex B, and MIAF; whatever begins with another brand is a film, or something else
 _BRANDS = (*_AVIF_BRANDS, b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2")
+_BRAND_BYTES = 128  # of a file: a dozen of brands and more
 _PACKAGES = ("pi_heif", "pillow_heif")  # the same reader; the former without the encoder, which is under the GPL
 _ORIENTATION_TAG = 0x0112
 
 
 def is_heif(path: Path) -> bool:
     """Whether a file begins as AVIF or HEIC do."""
-    return _brand(path) in _BRANDS
+    return _brands(path)[:1] in ([brand] for brand in _BRANDS)
 
 
-def _brand(path: Path) -> bytes:
+def _brands(path: Path) -> list[bytes]:
+    """What the file says that it is, and then what it is compatible with; nothing where it is no such file."""
     with path.open("rb") as file:
-        start = file.read(12)
-    return start[8:] if start[4:8] == b"ftyp" else b""
+        start = file.read(_BRAND_BYTES)
+    if start[4:8] != b"ftyp" or len(start) < 12:
+        return []
+    start = start[:int.from_bytes(start[:4], "big")]
+    return [start[8:12], *(start[at:at + 4] for at in range(16, len(start), 4))]
 
 
 @contextlib.contextmanager
@@ -63,6 +68,8 @@ def decoded_heif(path: Path, image: "Image.Image") -> tuple[np.ndarray, int, dic
     colour: dict[str, Any] = {"format": image.format.lower()}
     if profile := image.info.get("icc_profile"):
         colour["ICCProfile"] = profile
+    elif kind := image.info.get("nclx_profile"):
+        colour["CICP"] = kind["color_primaries"], kind["transfer_characteristics"]
     return pixels.reshape(*pixels.shape[:2], -1), orientation if isinstance(orientation, int) else 1, colour
 
 
@@ -70,7 +77,7 @@ def _reader(path: Path) -> str:
     """The name of the format for Pillow, whose reader is there from now on. Raises InputError where there is none."""
     from PIL import features
 
-    if _brand(path) in _AVIF_BRANDS:
+    if set(_brands(path)) & set(_AVIF_BRANDS):
         if features.check("avif"):
             return "AVIF"
         raise InputError(f"{path} is an AVIF image, which the installed Pillow does not read: pip install -U "

@@ -18,14 +18,15 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.heif import decoded_heif, is_heif, opened_heif
 from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.png_colour import png_colour
 from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
 # A file may become so many times as long in memory, or this many bytes: deflate, of a plain picture, reaches 1030.
 _MOST_EXPANSION, _SMALL_BYTES = 2000, 64 << 20
-_COLOUR_ATTRIBUTES = ("ICCProfile", "oiio:ColorSpace", "oiio:Gamma", "CICP", "Exif:ColorSpace", "jpeg:ColorSpace",
-                      "oiio:UnassociatedAlpha")
+_COLOUR_ATTRIBUTES = ("ICCProfile", "oiio:ColorSpace", "oiio:Gamma", "CICP", "chromaticities", "Exif:ColorSpace",
+                      "jpeg:ColorSpace", "oiio:UnassociatedAlpha")
 _MAYBE_ASSOCIATED = ("tiff", "openexr")  # of all others alpha is straight
 _METADATA_KEY = "ImageDescription"  # the one text field that PNG, EXR and TIFF all keep
 _DTYPES = {".png": ("uint8", "uint16"), ".exr": ("float32",), ".tif": ("uint8", "uint16", "float32"),
@@ -161,6 +162,8 @@ def read_picture(path: str | Path, turn: bool = True) -> Picture:
         orientation = spec.get_int_attribute("Orientation", 1)
         colour = {name: spec.getattribute(name) for name in _COLOUR_ATTRIBUTES}
         colour = {"format": source.format_name(), **{name: value for name, value in colour.items() if value is not None}}
+        if colour["format"] == "png":
+            colour |= png_colour(path)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     straight = colour["format"] not in _MAYBE_ASSOCIATED or "oiio:UnassociatedAlpha" in colour
     if spec.alpha_channel > 0 and not straight:

@@ -21,7 +21,8 @@ __all__ = ["Photo", "load_photo", "photo_of", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
 _OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
 _COVERS_ALL = 0.95  # share of the pixels: alpha that leaves less out has rounded corners or a frame, and no object
-_MOST_FADED, _MOST_LOST = 0.1, 1 / 3  # shares of what an object encloses: more is likely to be the object itself
+# Shares of what an object encloses: what is more is likely to be the object itself, or may be
+_MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.1, 0.6, 0.3
 _FEW_LEVELS = 16  # of 255: a mask that is never brighter numbers things
 _STRIP_PIXELS = 1 << 19
 _OTHER_CUT_OUTS = ("give RGBA, a cut-out with --mask FILE, or --remove-background (pip install "
@@ -126,9 +127,12 @@ def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -
         photo.notes.append(f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "
                            f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}")
         return covered, "cut out by its alpha"
-    if cut.faded > _MOST_FADED or cut.faded + cut.holes > _MOST_LOST:
+    if cut.faded > _MOST_FADED or cut.holes > _MOST_HOLES:
         raise InputError(f"{path}: the object is hardly different from its plain background: "
                          f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone; {_OTHER_CUT_OUTS}")
+    if cut.holes > _MANY_HOLES:
+        photo.notes.append(f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is taken "
+                           f"for holes; where it is not, {_OTHER_CUT_OUTS}")
     said = "cut out by its plain background"
     return cut.alpha, said if covered is None else f"{said} (its alpha covers {covered.mean():.1%})"
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 _DUST_SHARE = 1e-4  # of the largest piece's mass: smaller ones go, wherever they are
-_PIECE_SHARE = 0.01  # of the largest piece's mass: from here on a piece belongs to the object, wherever it is
+_BEAD_SHARE, _NEAR_SIZES = 0.001, 2  # from this mass on a piece no farther from the object than twice its length is of it
+_PIECE_SHARE = 0.01  # and from this one wherever it is
 
 
 @dataclass(frozen=True)
@@ -76,15 +77,15 @@ def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, in
     it has, and how many specks there are.
 
     Pieces are of pixels of at least `opaque`; the mass of one is the sum of its alpha. Those of 1 % of the largest stay
-    wherever they are, smaller ones where they lie within the box of the rest or nearer to it than they are long: beads,
-    not dust. Those below 0.01 % go in any case.
+    wherever they are, those of 0.1 % where they lie near to the box of the rest for their length, as beads do and dust
+    does not, smaller ones within it. Those below 0.01 % go in any case.
     """
     pieces = Pieces.of(alpha >= opaque, diagonal=True)
     masses = pieces.masses(alpha)
     share = masses / masses.max(initial=1e-300)
     kept = share >= _PIECE_SHARE
     boxes = pieces.boxes()
-    sizes = (boxes[:, 2:] - boxes[:, :2]).max(1)
+    reaches = np.where(share >= _BEAD_SHARE, _NEAR_SIZES * (boxes[:, 2:] - boxes[:, :2]).max(1), 0)
     maybe = np.flatnonzero(~kept & (share >= _DUST_SHARE))
     near = np.ones(0, bool)
     while len(maybe):
@@ -92,7 +93,7 @@ def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, in
         bottom, right = boxes[kept, 2:].max(0)
         outside = np.stack([top - boxes[maybe, 2], left - boxes[maybe, 3], boxes[maybe, 0] - bottom,
                             boxes[maybe, 1] - right], 1).max(1)
-        near = outside <= sizes[maybe]
+        near = outside <= reaches[maybe]
         if not near.any():
             break
         kept[maybe[near]] = True

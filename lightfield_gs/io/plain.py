@@ -16,6 +16,7 @@ _NEAR, _FAR = 0.06, 0.14  # colour distances between which the mask rises from 0
 _SAME = 0.02  # colour distance below which an enclosed patch is the background, seen through a hole ...
 _PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits in it: smaller ones are highlights
 _WINDOWS_PX = (1, 3, 5, 7, 9)  # means over such squares make noise smaller, where it is too strong
+_NOISE_REACH = 3.4  # deviations of noise in a channel: a colour is farther off by chance once in a hundred times
 _LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from the background, where it has no noise, is part of it
 _BAND_LINES = 16
 _SHARE_SAMPLES = 1500  # of the longer side
@@ -24,8 +25,8 @@ _STRIP_PIXELS = 1 << 19  # at a time in floating point: eight bytes times all pi
 
 @dataclass(frozen=True)
 class PlainCut:
-    """alpha: float32 [H, W] in 0..1, 1 on the object. Shares 0..1 of what the object encloses, in its rows and its
-    columns: faded, what went with the background though its colour is another; holes, where it shows through."""
+    """alpha: float32 [H, W] in 0..1, 1 on the object. Shares 0..1 of what lies between its pixels along rows or columns:
+    faded, what went with the background though its colour is another; holes, where that shows through."""
 
     alpha: np.ndarray
     faded: float
@@ -49,7 +50,8 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
     if min(height, width) < 8:
         return None
     bands = _border(rgb, max(1, round(_BORDER_SHARE * min(height, width))))
-    window = _window_px(bands)
+    noise = _noise(bands)
+    window = _window_px(noise)
     border = np.concatenate([_means(band, window).reshape(-1, 3) for band in bands])
     near = np.linalg.norm(border - np.median(border, 0), axis=1) < _NEAR + _PLAIN_STD
     if near.mean() < _PLAIN_SHARE or border[near].std(0).max() > _PLAIN_STD:
@@ -58,7 +60,9 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
     distance = _distances(rgb, colour, window)
     outside, holes = _background(distance)
     if window > 1:
-        outside, distance = _sharpened(outside, distance, _distances(rgb, colour, 1), window // 2)
+        raw = _distances(rgb, colour, 1)
+        raw -= max(0.0, _NOISE_REACH * noise - _NEAR)
+        outside, distance = _sharpened(outside, distance, raw, window // 2)
     plain = np.quantile(np.linalg.norm(border[near] - colour, axis=1), 0.995)
     shares = _shares_lost(outside, holes, distance, max(_LEAST_DIFFERENCE, 1.2 * float(plain)))
     distance -= _NEAR
@@ -80,14 +84,16 @@ def _floats(rgb: np.ndarray) -> np.ndarray:
     return rgb.astype(np.float32) * np.float32(1 / 255) if rgb.dtype == np.uint8 else rgb.astype(np.float32)
 
 
-def _window_px(bands: list[np.ndarray]) -> int:
-    """Over how many pixels a side to take means, so that noise stays well below the colour distances that count.
-
-    The noise is that of pixels two apart (JPEG shares colours among neighbours), and so not that of a slow gradient.
-    """
+def _noise(bands: list[np.ndarray]) -> float:
+    """The standard deviation of noise, per channel, from pixels two apart (JPEG shares colours among neighbours): that
+    of a slow gradient is not in it."""
     differences = np.concatenate([(band[:, 2:] - band[:, :-2]).reshape(-1, 3) for band in bands])
-    deviation = np.sqrt(np.mean((np.median(np.abs(differences), 0) / (0.6745 * np.sqrt(2))) ** 2))
-    enough = [window for window in _WINDOWS_PX if 5 * deviation / max(1, window - 1) <= _NEAR]
+    return float(np.sqrt(np.mean((np.median(np.abs(differences), 0) / (0.6745 * np.sqrt(2))) ** 2)))
+
+
+def _window_px(noise: float) -> int:
+    """Over how many pixels a side to take means, so that noise stays well below the colour distances that count."""
+    enough = [window for window in _WINDOWS_PX if 5 * noise / max(1, window - 1) <= _NEAR]
     return enough[0] if enough else _WINDOWS_PX[-1]
 
 
@@ -167,7 +173,7 @@ def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, d
     outside, holes, distance = (values[::step, ::step] for values in (outside, holes, distance))
     opaque = distance > (_NEAR + _FAR) / 2
     opaque |= ~outside
-    lost = _between(opaque, 1) & _between(opaque, 0)
+    lost = _between(opaque, 0) | _between(opaque, 1)
     lost &= ~opaque
     kept = max(1, np.count_nonzero(opaque))
     faded = np.count_nonzero(lost & (distance > differs))

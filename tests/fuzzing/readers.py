@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from PIL import features
+
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.depth import read_depth
@@ -55,6 +57,7 @@ READERS = {
     "image": Reader(".png", _read_image, "image"),
     "photo": Reader(".png", lambda path: load_photo(path, whole=True), "image"),
     "depth": Reader(".png", lambda path: read_depth(path, limits=(0.5, 2.0)), "image"),
+    "depth-npz": Reader(".npz", lambda path: read_depth(path, scale=0.001), "depth-npz"),
     "depth-npy": Reader(".npy", lambda path: read_depth(path, scale=0.001), "depth-npy"),
     "view-map": Reader(".npy", lambda path: read_view_map(path, SMALL_PANEL, 3), "view-map"),
     "cameras": Reader(".json", lambda path: read_cameras(path, SMALL_PANEL), "cameras"),
@@ -68,6 +71,9 @@ READERS = {
     "object": Reader(".json", lambda path: read_object(path, 1 << 16), "object"),
     "checkpoint": Reader(".safetensors", SplatterNet.from_pretrained, "checkpoint"),
 }
+
+if features.check("avif"):  # of Pillow; HEIC takes pi-heif besides, and is refused without
+    READERS["heif"] = Reader(".avif", _read_image, "heif")
 
 
 def corpus(name: str) -> list[bytes]:

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import torch
 from fuzzing.readers import CORPUS, READERS, SMALL_PANEL
+from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
+from PIL import Image
 
 from lightfield_gs import Gaussians, Panel, Rig, SplatterNet
 from lightfield_gs.io.images import write_image
@@ -29,13 +31,11 @@ def _images(folder: Path, metadata: dict[str, str] | None = None) -> None:
     write_image(folder / "float.exr", ramp[..., :3].astype(np.float32), metadata, "small")
     write_image(folder / "float.tif", ramp[..., :1].astype(np.float32), metadata)
     write_image(folder / "bytes.tif", np.round(255 * ramp[..., :3]).astype(np.uint8), metadata, "small")
-    try:
-        from PIL import Image
-
-        Image.fromarray(np.round(255 * ramp[..., :3]).astype(np.uint8)).save(folder / "colour.jpg", quality=60)
-        Image.fromarray(np.round(255 * ramp[..., :3]).astype(np.uint8)).save(folder / "colour.webp", lossless=True)
-    except ImportError:
-        pass
+    in_bytes = np.round(255 * ramp).astype(np.uint8)
+    profile = matrix_profile(SRGB_GREEN, SRGB_RED, SRGB_BLUE)
+    Image.fromarray(in_bytes).save(folder / "profile.tif", icc_profile=profile)
+    Image.fromarray(in_bytes[..., :3]).save(folder / "colour.jpg", quality=60)
+    Image.fromarray(in_bytes[..., :3]).save(folder / "colour.webp", lossless=True)
 
 
 def _looking_at_the_origin(azimuth_rad: float) -> list[list[float]]:
@@ -48,11 +48,15 @@ def main() -> None:
     folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
     for folder in folders.values():
         folder.mkdir(parents=True, exist_ok=True)
+    if "heif" in READERS:  # and a HEIC, which Pillow does not write
+        Image.linear_gradient("L").resize((16, 12)).convert("RGB").save(folders["heif"] / "small.avif", quality=50)
     for degree in (0, 3):
         _gaussians(degree).save(folders["ply"] / f"degree{degree}.ply")
     _images(folders["image"], {"panel": "small"})
     np.save(folders["depth-npy"] / "millimetres.npy", np.arange(1, 13, dtype=np.uint16).reshape(3, 4))
     np.save(folders["depth-npy"] / "metres.npy", np.linspace(0.5, 2, 12, dtype=np.float32).reshape(3, 4).T)
+    np.savez_compressed(folders["depth-npz"] / "metres.npz", depth=np.linspace(0.5, 2, 12).reshape(3, 4),
+                        focallength_px=np.float32(9))
     np.save(folders["view-map"] / "map.npy", SMALL_PANEL.view_map())
     cameras = Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0).cameras(SMALL_PANEL)
     fields = ("world_to_camera", "focal_px", "principal_point_px")
