@@ -26,19 +26,22 @@ _HOMES = {"Cameras": "cameras", "Encoder": "encoder", "Gaussians": "gaussians", 
           "Panel": "panel", "PhotoEncoder": "photo_encoder", "Quality": "quality", "Rig": "rig",
           "SortedPlan": "sorted_plan", "SplatterNet": "models", "encode": "rendering", "from_depth": "rgbd",
           "interlace": "rendering", "load_photo": "io.photo", "prune": "pruning", "render": "rendering"}
-__all__ = [*_HOMES, "build_info"]
+# Spelled out for type checkers, which take no other name as public, and do not run what would make this list of that
+__all__ = ["Cameras", "Encoder", "Gaussians", "InputError", "Panel", "PhotoEncoder", "Quality", "Rig", "SortedPlan",
+           "SplatterNet", "build_info", "encode", "from_depth", "interlace", "load_photo", "prune", "render"]
 __version__ = "0.1.0"
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'lightfield_gs' has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"lightfield_gs.{_HOMES[name]}"), name)
-    return value
+if not TYPE_CHECKING:  # to a checker, every name would be there
+    def __getattr__(name: str) -> Any:
+        if name not in _HOMES:
+            raise AttributeError(f"module 'lightfield_gs' has no attribute {name!r}")
+        value = globals()[name] = getattr(import_module(f"lightfield_gs.{_HOMES[name]}"), name)
+        return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+    return list(__all__)  # sorted() is here what the package has in sorted.py
 
 
 def build_info() -> dict[str, object]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from lightfield_gs.checks import expect
 from lightfield_gs.errors import InputError
+
+Colour = Sequence[float] | np.ndarray | Tensor  # red, green and blue, or anything that broadcasts so
 
 
 def dense_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 
 from lightfield_gs.checks import expect, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import check_finite
+
+if TYPE_CHECKING:
+    from lightfield_gs.io.camera_files import FileCamera
 
 
 @dataclass
@@ -18,6 +25,8 @@ class Cameras:
     world_to_camera:    [..., C, 4, 4], [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
     focal_px:           [..., C, 2] (fx, fy), pixels, > 0.
     principal_point_px: [..., C, 2] (cx, cy), pixels from the outer corner of the first pixel (centres at i + 0.5).
+                        In place of both, K as other rasterizers take it: Cameras(world_to_camera, K, width_px=...,
+                        height_px=...), [..., C, 3, 3], fx 0 cx over 0 fy cy over 0 0 1, without skew.
     width_px, height_px: image size, 1..65536 pixels.
     jacobian_limits:    optional [..., C, 5] (low_x, high_x, low_y, high_y, offset): the limits of X/Z and Y/Z in the
                         projection's Jacobian, taken at the centre of a rig that this camera stands `offset` to the
@@ -28,12 +37,14 @@ class Cameras:
 
     world_to_camera: torch.Tensor
     focal_px: torch.Tensor
-    principal_point_px: torch.Tensor
-    width_px: int
-    height_px: int
+    principal_point_px: torch.Tensor | None = None
+    width_px: int | None = None
+    height_px: int | None = None
     jacobian_limits: torch.Tensor | None = None
 
     def __post_init__(self) -> None:
+        if self.principal_point_px is None:
+            self.focal_px, self.principal_point_px = _of_matrices(self.focal_px)
         for name in ("world_to_camera", "focal_px", "principal_point_px", "jacobian_limits"):
             value = getattr(self, name)
             if name != "jacobian_limits" or value is not None:
@@ -55,6 +66,27 @@ class Cameras:
             raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
             setattr(self, name, whole_number(f"cameras: {name}", getattr(self, name), 1, 65536))
+
+    @classmethod
+    def from_inria(cls, path: str | Path, index: int | None = None) -> "Cameras":
+        """The cameras [C] of a cameras.json as 3D Gaussian splatting writes it, or only that of this index, float64.
+
+        Raises InputError that names file and key, also where images are of several sizes and no index is given.
+        """
+        from lightfield_gs.io.camera_files import read_inria
+
+        return _of_file(cls, path, read_inria(path), index)
+
+    @classmethod
+    def from_transforms(cls, path: str | Path, index: int | None = None) -> "Cameras":
+        """The cameras [C] of a transforms.json (NeRF; OpenGL axes in the file), or only that of this index, float64.
+
+        Raises InputError that names file and key, also where images are of several sizes and no index is given, where
+        their size is not known, and on lens distortion.
+        """
+        from lightfield_gs.io.camera_files import read_transforms
+
+        return _of_file(cls, path, read_transforms(path), index)
 
     @property
     def count(self) -> int:
@@ -81,8 +113,47 @@ class Cameras:
         return Cameras(self.world_to_camera[..., views, :, :], self.focal_px[..., views, :],
                        self.principal_point_px[..., views, :], self.width_px, self.height_px, limits)
 
+    def relative_to(self, origin: Sequence[float]) -> "Cameras":
+        """The same cameras for coordinates that are given from `origin`; see Rig.relative_to."""
+        poses = self.world_to_camera.clone()
+        poses[..., :3, 3] += poses[..., :3, :3] @ poses.new_tensor(origin)
+        return replace(self, world_to_camera=poses)
+
     def to(self, *args, **kwargs) -> "Cameras":
         """Every tensor through torch.Tensor.to."""
         limits = None if self.jacobian_limits is None else self.jacobian_limits.to(*args, **kwargs)
         return Cameras(self.world_to_camera.to(*args, **kwargs), self.focal_px.to(*args, **kwargs),
                        self.principal_point_px.to(*args, **kwargs), self.width_px, self.height_px, limits)
+
+
+def _of_matrices(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """focal_px and principal_point_px of intrinsics K [..., C, 3, 3]; values on a device are not looked at."""
+    expect("cameras: K", matrices, torch.Tensor)
+    if matrices.shape[-2:] != (3, 3):
+        raise InputError("cameras: expected focal_px [..., C, 2] and principal_point_px [..., C, 2], or K [..., C, 3, 3] "
+                         f"in place of both, got {list(matrices.shape)} alone")
+    if matrices.device.type == "cpu":
+        for row, column, value in ((0, 1, 0), (1, 0, 0), (2, 0, 0), (2, 1, 0), (2, 2, 1)):
+            if not bool((matrices[..., row, column] == value).all()):
+                raise InputError(f"cameras: expected K of fx 0 cx, 0 fy cy, 0 0 1 (no skew), got other than {value} in "
+                                 f"row {row}, column {column}")
+    return matrices[..., (0, 1), (0, 1)], matrices[..., :2, 2]
+
+
+def _of_file(cls: type[Cameras], path: str | Path, cameras: "list[FileCamera]", index: int | None) -> Cameras:
+    """The cameras of a file; they all need one size."""
+    if index is not None:
+        cameras = [cameras[whole_number(f"{path}: index", index, 0, len(cameras) - 1)]]
+    sizes = {(camera.width_px, camera.height_px) for camera in cameras}
+    if len(sizes) > 1:
+        raise InputError(f"{path}: expected images of one size, got {len(sizes)} sizes; choose a camera by its index")
+    for camera in cameras:
+        if camera.assumed:
+            raise InputError(f"{path}: expected w and h, the size of the images: {camera.assumed}")
+        if camera.distorted:
+            raise InputError(f"{path}: expected cameras without lens distortion (k1 ... p2 zero); undistort the images "
+                             "first, or set these to zero for their flat perspective")
+    arrays = (np.array([getattr(camera, name) for camera in cameras], np.float64)
+              for name in ("world_to_camera", "focal_px", "principal_point_px"))
+    (width, height), = sizes
+    return cls(*(torch.from_numpy(array) for array in arrays), width, height)

@@ -10,6 +10,9 @@ import numpy as np
 from lightfield_gs.errors import InputError
 
 
+_KIND_NAMES = {"NoneType": "none", "Tensor": "torch.Tensor"}
+
+
 def shown(value: object) -> str:
     """A value of any kind in a message: on one line, cut."""
     return "none" if value is None else " ".join(repr(value).split())[:80]
@@ -18,8 +21,9 @@ def shown(value: object) -> str:
 def expect(what: str, value: object, *kinds: type) -> None:
     """Raises InputError unless the value is of one of these types; True and False are no numbers."""
     if not isinstance(value, kinds) or isinstance(value, bool) and bool not in kinds:
-        wanted = " or ".join("none" if kind is type(None) else kind.__name__ for kind in kinds)
-        raise InputError(f"{what}: expected {wanted}, got {type(value).__name__}")
+        wanted = [_KIND_NAMES.get(kind.__name__, kind.__name__) for kind in kinds]
+        hint = "; use torch.from_numpy" if isinstance(value, np.ndarray) and "torch.Tensor" in wanted else ""
+        raise InputError(f"{what}: expected {' or '.join(wanted)}, got {type(value).__name__}{hint}")
 
 
 def _is_number(value: object) -> bool:

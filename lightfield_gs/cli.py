@@ -15,12 +15,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from lightfield_gs.commands.complaint import complain
-from lightfield_gs.commands.values import background, byte_size, numbers, threads, within
+from lightfield_gs.axes import UP_AXES
+from lightfield_gs.commands.complaint import assumptions_said, complain
+from lightfield_gs.commands.values import background, byte_size, camera_choice, numbers, threads, within
 from lightfield_gs.errors import InputError
+from lightfield_gs.options import (COMPRESSIONS, DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, DEVICES, MAP_ORIENTATIONS,
+                                   METHODS, QUALITY_NAMES, VIEWS)
 from lightfield_gs.panel import DEFAULT_PANEL
 
-_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics")  # their values may begin with a minus sign
+_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up")  # may begin with a minus sign
 
 
 class _Parser(argparse.ArgumentParser):
@@ -40,7 +43,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")  # what files are called, or hold, may be no text
     try:
         args = build_parser(arguments[:1]).parse_args(_joined(arguments), argparse.Namespace(began=began))
-        code = importlib.import_module(args.module).run(args) or 0
+        with assumptions_said():
+            code = importlib.import_module(args.module).run(args) or 0
         sys.stdout.flush()
         return code
     except BrokenPipeError:  # of stdout: nobody reads on
@@ -62,6 +66,9 @@ def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
     info = commands.add_parser("info", help="say what a file holds", allow_abbrev=False)
     info.add_argument("file", type=Path, metavar="FILE",
                       help="a .ply, an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file")
+    _add_device_serial(info.add_argument)
+    _add_skip_invalid(info.add_argument)
+    _add_up(info.add_argument)
     info.set_defaults(module="lightfield_gs.commands.info")
     bench = commands.add_parser("bench", help="measure speed and accuracy", allow_abbrev=False)
     bench.set_defaults(module="lightfield_gs.bench.command")
@@ -74,11 +81,37 @@ def _add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
     """The panel that is drawn for, and what it is seen from."""
     add("--panel", default=DEFAULT_PANEL, metavar="PANEL",
         help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})")
+    _add_device_serial(add)
     _add_viewing_distance(add, f"distance of the viewer from the panel, in place of the panel's own: {purpose}")
+
+
+def _add_device_serial(add: Callable[..., argparse.Action]) -> None:
+    add("--device-serial", metavar="SERIAL",
+        help="which display, where a Looking Glass .json has calibrations of several")
 
 
 def _add_viewing_distance(add: Callable[..., argparse.Action], help: str) -> None:
     add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM", help=help)
+
+
+def _add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
+    add("--skip-invalid", action="store_true", help="leave out Gaussians whose values have no meaning (not finite, a "
+        "rotation of zeros), and say how many")
+
+
+def _add_camera(add: Callable[..., argparse.Action]) -> None:
+    """The cameras of the views, of a scene that has a file; without any, framed automatically."""
+    add("--rig", type=Path, metavar="YAML", help="cameras of the views, in the file's own axes (default: those that the "
+        "file brings along, else framed automatically)")
+    add("--camera", type=camera_choice, metavar="FILE[:INDEX]", help="centre camera of the views, in the file's own "
+        "axes: one of a cameras.json (3D Gaussian splatting), of a transforms.json (NeRF), or a rig; its picture is "
+        "fitted to the panel (default index 0)")
+    _add_up(add)
+
+
+def _add_up(add: Callable[..., argparse.Action]) -> None:
+    add("--up", choices=UP_AXES, metavar="AXIS", help="axis that points up in the file, x, y, z, -x, -y or -z, for "
+        "automatic framing; the Gaussians stay as they are (default: what the file says, else -y)")
 
 
 def _add_encode(commands: argparse._SubParsersAction) -> None:
@@ -91,10 +124,11 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         "or --remove-background), a photo of a scene with --depth, or a standard 3DGS .ply")
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     _add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
-    add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
+    _add_camera(add)
     add("--cameras", type=Path, metavar="JSON",
-        help="one camera for each view, for --method sorted, in place of a rig: world_to_camera [N,4,4] (OpenCV axes, "
-        "scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of the panel)")
+        help="one camera for each view, the right-most eye's first, for --method sorted, in place of a rig: "
+        "world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of "
+        "the panel)")
     add("--view-map", type=Path, metavar="NPY",
         help="the view of each sub-pixel, for --method sorted, in place of the panel's lens: int32 [H,W,3], 0..N-1, or "
         "-1 for the background")
@@ -104,44 +138,52 @@ def _add_encode(commands: argparse._SubParsersAction) -> None:
         help="cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)")
     _add_depth(encode)
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
-    add("--save-gaussians", type=Path, metavar="PLY", help="write the scene as a 3DGS .ply")
-    add("--method", choices=("direct", "sorted", "classic"), default="direct",
+    add("--save-gaussians", type=Path, metavar="PLY", help="write the scene as a 3DGS .ply, in its own "
+        "axes, with the framing: encoding it gives the same picture")
+    _add_skip_invalid(add)
+    add("--method", choices=METHODS, default="direct",
         help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
         "picture a view, then interlaced (slow; for comparison)")
     add("--memory-budget", type=byte_size, metavar="SIZE",
         help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
         "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)")
-    add("--device", choices=("auto", "cpu", "cuda"), default="auto",
+    add("--device", choices=DEVICES, default="auto",
         help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)")
-    add("--views", choices=("integer", "continuous"), default="integer",
+    add("--views", choices=VIEWS, default="integer",
         help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)")
-    add("--quality", choices=("exact", "high", "fast", "draft"), default="exact",
+    add("--quality", choices=QUALITY_NAMES, default="exact",
         help="less time for more error, of --method direct (default exact)")
+    _add_antialiased(add)
     add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
     add("--preview", type=Path, metavar="DIR", help="write views.png, look-around.webp and, where the "
         "panel has a pixel pitch and a viewing distance (see there), left-eye.png and right-eye.png")
     add("--bit-depth", type=int, choices=(8, 16, 32), metavar="BITS",
         help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32")
-    add("--compression", choices=("fast", "small"), default="fast", help="of the file: quick to write, or small")
+    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
     add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
     add("--stats", action="store_true", help="print what was drawn and what was skipped")
+
+
+def _add_antialiased(add: Callable[..., argparse.Action]) -> None:
+    add("--antialiased", action="store_true", help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's "
+        "antialiased mode), which look too bright and too thick without: what a pixel blurs becomes fainter by as much")
 
 
 def _add_depth(encode: argparse.ArgumentParser) -> None:
     add = encode.add_argument
     add("--depth", type=Path, metavar="FILE", help="depth map of the photo, of its size: the whole scene is shown, "
         "without the network; a grey .png (8 or 16 bits), .exr or .tif, or a .npy of numbers [H,W]")
-    add("--depth-kind", choices=("distance", "disparity"), help="what its numbers are: distance, along the camera's "
+    add("--depth-kind", choices=DEPTH_KINDS, help="what its numbers are: distance, along the camera's "
         "axis (default), or disparity, 1 / distance, as most networks give it (bright is near)")
     add("--depth-range", type=numbers(2), metavar="NEAR,FAR", help="distances, in any unit, at the ends of the file's "
         "full scale (0..255, 0..65535, floats 0..1); their ratio sets how deep the scene looks")
     add("--depth-scale", type=float, metavar="S", help="in place of a range: distance = S * number, or S / number of a "
         "disparity; 0.001 for millimetres to metres (default for floats: 1); 0 is no measurement")
-    add("--depth-invalid", choices=("far", "hole"), help="what infinite distances and the disparity 0 are: far away "
+    add("--depth-invalid", choices=DEPTH_INVALID, help="what infinite distances and the disparity 0 are: far away "
         "(default), or holes, as NaN and the distance 0 always are")
-    add("--rgbd", choices=("right", "left", "top", "bottom"), help="in place of --depth: which half of the photo is its "
+    add("--rgbd", choices=DEPTH_PARTS, help="in place of --depth: which half of the photo is its "
         "depth map (default for names like photo_rgbd.png); without --depth-kind and --depth-range bright is near, 1,1.6")
-    add("--map-orientation", choices=("stored", "upright"), help="of --mask and --depth for a photo that its Exif "
+    add("--map-orientation", choices=MAP_ORIENTATIONS, help="of --mask and --depth for a photo that its Exif "
         "orientation turns: as the photo's file has its pixels, or as it is seen (default: by their size)")
     add("--fov", type=float, metavar="DEG", help="angle that the photo's longer side takes, degrees (default 60)")
     add("--intrinsics", type=numbers(4), metavar="FX,FY,CX,CY", help="in place of --fov: focal lengths and principal "
@@ -157,13 +199,15 @@ def _add_prune(commands: argparse._SubParsersAction) -> None:
     add = prune.add_argument
     add("input", type=Path, metavar="INPUT", help="a standard 3DGS .ply")
     add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene without them")
+    _add_skip_invalid(add)
     add("--contribution-cut", type=within(0, 1), default=3e-4, metavar="SHARE",
         help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)")
+    _add_antialiased(add)
     _add_panel(add, "for framing, as `encode` takes it")
-    add("--rig", type=Path, metavar="YAML", help="cameras of the views (default: framed automatically)")
+    _add_camera(add)
     add("--save-rig", type=Path, metavar="YAML",
         help="write the rig that was used: automatic framing may see a pruned scene otherwise")
-    add("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where the scene is drawn (default auto)")
+    add("--device", choices=DEVICES, default="auto", help="where the scene is drawn (default auto)")
 
 
 def _add_simulate(commands: argparse._SubParsersAction) -> None:
@@ -174,6 +218,7 @@ def _add_simulate(commands: argparse._SubParsersAction) -> None:
     add = simulate.add_argument
     add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
     add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
+    _add_device_serial(add)
     _add_viewing_distance(add, "distance from which the panel shows one view all over, in place of the panel's own")
     add("--eye", type=numbers(3), required=True, metavar="X,Y,Z",
         help="place of the eye in mm from the panel's centre: right, up, towards the viewer")

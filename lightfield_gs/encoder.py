@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import rendering
+from lightfield_gs.arrays import Colour
 from lightfield_gs.checks import expect
 from lightfield_gs.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoder_cuda import CudaFrames
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.options import Output, QualityName, Views
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
@@ -22,9 +23,9 @@ from lightfield_gs.rig import Rig
 class Encoder:
     """Draws the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
 
-    panel, rig, views, background, output and quality are those of `encode`. `rig` and `background` may be set between
-    frames, and the rig altered: a moving zero plane, another cone, another pose. The others are what kept stages and
-    graphs were made for: they can be read only. No gradients. Raises InputError.
+    panel, rig, views, background, output, quality and antialiased are those of `encode`. `rig` and `background` may be
+    set between frames, and the rig altered: a moving zero plane, another cone, another pose. The others are what kept
+    stages and graphs were made for: they can be read only. No gradients. Raises InputError.
 
     Stages whose input is what it was in the frame before are not repeated, and the image is the same to the bit:
     nothing changed: the image is there already; other colours: no order, no bins; another rig with the same pose: no
@@ -45,16 +46,17 @@ class Encoder:
     and kernels of one's own: call `forget` after those. Inference tensors count nothing and are always drawn.
     """
 
-    def __init__(self, panel: Panel, rig: Rig, *, views: str = "integer",
-                 background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8",
-                 quality: str | Quality = "exact", versioned: bool = False):
+    def __init__(self, panel: Panel, rig: Rig, *, views: Views = "integer",
+                 background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
+                 quality: QualityName | Quality = "exact", versioned: bool = False, antialiased: bool = False):
         rendering.check_options("direct", views, output)
         expect("panel", panel, Panel)
         expect("rig", rig, Rig)
         expect("versioned", versioned, bool)
+        expect("antialiased", antialiased, bool)
         rendering.background_tensor(background, torch.empty(0))
         self._panel, self._views, self._output = panel, views, output
-        self._quality, self._versioned = Quality.of(quality), versioned
+        self._quality, self._versioned, self._antialiased = Quality.of(quality), versioned, antialiased
         if output == "float64" and not self.quality.is_exact:
             raise InputError("quality is for output 'uint8' or 'float32': 'float64' is exact only")
         self.rig, self.background = rig, background
@@ -67,12 +69,12 @@ class Encoder:
         return self._panel
 
     @property
-    def views(self) -> str:
+    def views(self) -> Views:
         """"integer" or "continuous"."""
         return self._views
 
     @property
-    def output(self) -> str:
+    def output(self) -> Output:
         """"uint8", "float32" or "float64"."""
         return self._output
 
@@ -85,6 +87,11 @@ class Encoder:
     def versioned(self) -> bool:
         """Whether values were promised to change by torch's own in-place operations alone."""
         return self._versioned
+
+    @property
+    def antialiased(self) -> bool:
+        """Whether the scenes were trained with anti-aliasing."""
+        return self._antialiased
 
     def forget(self) -> None:
         """Has the next frame drawn in full, and gives back the memory that was kept for it."""
@@ -103,11 +110,11 @@ class Encoder:
                                                              for t in gaussians.fields().values())):
             self.stats["frames"] += 1
             return rendering.encode(gaussians, self.panel, self.rig, views=self.views, background=self.background,
-                                    output=self.output, quality=self.quality)
+                                    output=self.output, quality=self.quality, antialiased=self.antialiased)
         if not isinstance(self._frames, CudaFrames if on_cuda else CpuFrames):
             precision = torch.float64 if self.output == "float64" else torch.float32
-            self._frames = (CudaFrames(as_bytes, self.quality, self.versioned) if on_cuda
-                            else CpuFrames(precision, as_bytes, self.quality))
+            self._frames = (CudaFrames(as_bytes, self.quality, self.versioned, self.antialiased) if on_cuda
+                            else CpuFrames(precision, as_bytes, self.quality, self.antialiased))
         arguments = rendering.lens_arguments(self.panel, self.rig, self.views == "continuous")
         image, kept = self._frames.draw(gaussians, self.background, arguments)
         self.stats["frames"] += 1

@@ -6,13 +6,13 @@ time of a frame, and no change is missed, whatever made it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core, ops, rendering
+from lightfield_gs.arrays import Colour
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.quality import Quality
 from lightfield_gs.workspace import Stats, Workspace
@@ -34,13 +34,14 @@ class _Frame:
 
 
 class CpuFrames:
-    """Frames of one lens and quality. precision: of the arithmetic; as_bytes: images are uint8."""
+    """Frames of one lens and quality. precision: of the arithmetic; as_bytes: images are uint8; antialiased: see
+    rendering.encode."""
 
-    def __init__(self, precision: torch.dtype, as_bytes: bool, quality: Quality):
-        self.precision, self.as_bytes, self.quality = precision, as_bytes, quality
+    def __init__(self, precision: torch.dtype, as_bytes: bool, quality: Quality, antialiased: bool):
+        self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
         self.last: _Frame | None = None
 
-    def draw(self, gaussians: Gaussians, background: Sequence[float] | Tensor,
+    def draw(self, gaussians: Gaussians, background: Colour,
              arguments: tuple[list[float], list[int], list[float]]) -> tuple[Tensor, set[str]]:
         """The image, which belongs to the caller, and the stages that were not repeated.
 
@@ -61,7 +62,8 @@ class CpuFrames:
             return last.image.clone(), set(STAGES)
 
         self.last = None  # what fails below leaves nothing half done
-        job = ops.LensArguments(*gaussians.to(dtype=self.precision).fields().values(), background, *arguments)
+        job = ops.LensArguments(*gaussians.to(dtype=self.precision).fields().values(), background, *arguments,
+                                self.antialiased)
         work, order, kept = self._prepared(job, last, changed)
         image = job.image(self.as_bytes)
         work.composite_lens(job.lens, self.quality, job.background, image)

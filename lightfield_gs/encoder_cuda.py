@@ -3,13 +3,13 @@ that their input is what it was."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import ops, rendering
+from lightfield_gs.arrays import Colour
 from lightfield_gs.encoder_cpu import STAGES
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.quality import Quality
@@ -49,10 +49,10 @@ def _version(tensor: Tensor) -> int | None:
 
 
 class CudaFrames:
-    """Frames of one lens and quality. as_bytes: images are uint8; versioned: see Encoder."""
+    """Frames of one lens and quality. as_bytes: images are uint8; versioned, antialiased: see Encoder."""
 
-    def __init__(self, as_bytes: bool, quality: Quality, versioned: bool):
-        self.as_bytes, self.quality, self.versioned = as_bytes, quality, versioned
+    def __init__(self, as_bytes: bool, quality: Quality, versioned: bool, antialiased: bool):
+        self.as_bytes, self.quality, self.versioned, self.antialiased = as_bytes, quality, versioned, antialiased
         self.background: tuple[Tensor, Tensor] | None = None  # on the host, a copy, and on the device
         self.captured: _Capture | None = None
         self.moving: FrameKind | None = None  # of frames whose rig is new
@@ -61,7 +61,7 @@ class CudaFrames:
         self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
         self.last_arguments: Arguments | None = None
 
-    def draw(self, gaussians: Gaussians, background: Sequence[float] | Tensor,
+    def draw(self, gaussians: Gaussians, background: Colour,
              arguments: Arguments) -> tuple[Tensor, set[str]]:
         """The image, drawn over by the next call, and the stages that were not repeated.
 
@@ -100,7 +100,7 @@ class CudaFrames:
     def _draw(self, given: _Input, moved: bool) -> set[str]:
         if self.captured is None or not self.captured.draws(given):
             *fields, background = given.tensors
-            job = ops.LensArguments(*fields, background.reshape(-1), *given.arguments)
+            job = ops.LensArguments(*fields, background.reshape(-1), *given.arguments, self.antialiased)
             with job.scene.guard:
                 if self.image is None or self.image.device != background.device:
                     self.image = job.image(self.as_bytes)

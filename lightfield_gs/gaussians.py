@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import torch
 
+from lightfield_gs.checks import expect, is_row, real_number, shown
 from lightfield_gs.errors import InputError
 
 SH_COEFFICIENTS = (1, 4, 9, 16)  # (degree + 1)^2, degree 0..3
@@ -27,6 +29,8 @@ class Gaussians:
     opacities:   [..., N] in (0, 1].
     sh:          [..., N, K, 3] spherical harmonics of red, green and blue; K = (degree + 1)^2, degree 0..3;
                  colour = max(0, 0.5 + sum), in the (sRGB-coded) colour space of the training images.
+    origin:      where the zero of `means` lies in the coordinates of the file they are from, scene units, double
+                 precision. Cameras for these Gaussians are given from there too: Rig.relative_to(origin).
     """
 
     means: torch.Tensor
@@ -34,6 +38,23 @@ class Gaussians:
     scales: torch.Tensor
     opacities: torch.Tensor
     sh: torch.Tensor
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        self._expect_tensors()
+
+    def __repr__(self) -> str:
+        """One line, of what needs no look at the values: that would wait for a device."""
+        try:
+            self.validate_layout()
+        except InputError as error:
+            return f"Gaussians(not valid: {error})"
+        sets = f"{len(self.means)} sets of " if self.is_batched else ""
+        return f"Gaussians({sets}{self.count}, SH degree {self.sh_degree}, {self.dtype}, {self.device})"
+
+    def _expect_tensors(self) -> None:
+        for name, tensor in self.fields().items():
+            expect(name, tensor, torch.Tensor)
 
     @property
     def count(self) -> int:
@@ -65,11 +86,23 @@ class Gaussians:
 
     def to(self, *args, **kwargs) -> "Gaussians":
         """As torch.Tensor.to, on every field."""
-        return Gaussians(**{name: tensor.to(*args, **kwargs) for name, tensor in self.fields().items()})
+        return replace(self, **{name: tensor.to(*args, **kwargs) for name, tensor in self.fields().items()})
 
     def detach(self) -> "Gaussians":
         """The same data outside the autograd graph."""
-        return Gaussians(**{name: tensor.detach() for name, tensor in self.fields().items()})
+        return replace(self, **{name: tensor.detach() for name, tensor in self.fields().items()})
+
+    def rotated(self, rotation: Any) -> "Gaussians":
+        """The same Gaussians turned about the zero of their file: places, quaternions, spherical harmonics of degree 0..3.
+
+        rotation: [3, 3], applied to column vectors, or a quaternion [4] (wxyz, any length but zero): tensor, array or
+        numbers. What a camera `world_to_camera` sees of them, one with the rotation world_to_camera[:3, :3] @
+        rotation^T and the same translation sees of what is returned, exactly. Keeps batch, dtype, device and gradients.
+        Raises InputError for what is no proper rotation.
+        """
+        from lightfield_gs.turning import rotated
+
+        return rotated(self, rotation)
 
     def validate(self) -> "Gaussians":
         """Returns self.
@@ -94,10 +127,9 @@ class Gaussians:
 
     def validate_layout(self) -> None:
         """Raises InputError that names the field with a wrong type, shape, dtype or device; reads no values."""
+        self._expect_tensors()  # fields can be set
         means = self.means
         for name, tensor in self.fields().items():
-            if not isinstance(tensor, torch.Tensor):
-                raise InputError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
             if tensor.layout != torch.strided:
                 raise InputError(f"{name}: expected a dense tensor, got {tensor.layout}")
         if means.ndim not in (2, 3):
@@ -105,7 +137,9 @@ class Gaussians:
         if means.device.type not in ("cpu", "cuda"):
             raise InputError(f"means: expected a tensor on the CPU or CUDA, got {means.device}")
         if means.dtype not in (torch.float32, torch.float64):
-            raise InputError(f"means: expected float32 or float64, got {means.dtype}")
+            way_out = "; convert them with gaussians.to(torch.float32), or each field with .float()"
+            raise InputError(f"means: expected float32 or float64, got {means.dtype}"
+                             f"{way_out if means.dtype in (torch.float16, torch.bfloat16) else ''}")
         lead = means.shape[:-1]
         shapes = {"means": (*lead, 3), "quaternions": (*lead, 4), "scales": (*lead, 3), "opacities": lead,
                   "sh": (*lead, self.sh.shape[-2] if self.sh.ndim >= 2 else 0, 3)}
@@ -118,13 +152,27 @@ class Gaussians:
                                  f"got {tensor.dtype} on {tensor.device}")
         if self.sh.shape[-2] not in SH_COEFFICIENTS:
             raise InputError(f"sh: expected 1, 4, 9 or 16 coefficients (degree 0..3), got {self.sh.shape[-2]}")
+        if not is_row(self.origin, 3):
+            raise InputError(f"origin: expected three numbers, got {shown(self.origin)}")
+        for value in self.origin:
+            real_number("origin", value, -1e300, 1e300)
 
     @staticmethod
-    def load(path: str | Path) -> "Gaussians":
-        """Reads a standard 3DGS .ply: float32, CPU. See lightfield_gs.io.ply.read_ply."""
-        from lightfield_gs.io.ply import read_ply
+    def load(path: str | Path, *, skip_invalid: bool = False) -> "Gaussians":
+        """Reads a standard 3DGS .ply: float32, CPU. What looks wrong is a warning, and so is an origin.
 
-        return read_ply(path)
+        skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.io.scene_file.read_scene,
+        which tells more of the file.
+        """
+        from lightfield_gs.io.scene_file import read_scene
+
+        scene = read_scene(path, skip_invalid=skip_invalid)
+        for words in scene.notes:
+            warnings.warn(f"{path}: {words}", stacklevel=2)
+        if any(scene.gaussians.origin):
+            warnings.warn(f"{path}: the means are given from the origin {scene.gaussians.origin}; cameras in the "
+                          "file's coordinates fit after relative_to(gaussians.origin)", stacklevel=2)
+        return scene.gaussians
 
     def save(self, path: str | Path) -> None:
         """Writes a standard 3DGS .ply. See lightfield_gs.io.ply.write_ply."""

@@ -7,6 +7,7 @@ threads. Every argument is checked here, every buffer is a torch tensor.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.errors import InputError
+from lightfield_gs.lens import native_lens
 from lightfield_gs.quality import EXACT, Quality
 from lightfield_gs.workspace import Scene, State, Stats, Workspace, check
 
@@ -23,13 +25,13 @@ FRAME_COLOUR_ORDERS = (2, 4, 8, 12, 16)
 
 
 def _workspace(scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, threads: int,
-               lens: bool, state: State | None = None) -> Any:
+               lens: bool, state: State | None = None, compensated: bool = False) -> Any:
     """The workspace of the scene's device."""
     if scene.tensors[0].is_cuda:
         from lightfield_gs.workspace_cuda import CudaWorkspace
 
-        return CudaWorkspace(scene, images, width, height, colour_order, stats, lens, state)
-    return Workspace(scene, images, width, height, colour_order, stats, threads, state)
+        return CudaWorkspace(scene, images, width, height, colour_order, stats, lens, state, compensated=compensated)
+    return Workspace(scene, images, width, height, colour_order, stats, threads, state, compensated)
 
 
 # Dense: ordinary images
@@ -39,7 +41,7 @@ class _DenseJob:
     """Arguments of render_dense, checked, and the stages up to the composite, or what a render left of them."""
 
     def __init__(self, means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits,
-                 width: int, height: int, stats: Stats, threads: int, state: State | None = None):
+                 width: int, height: int, antialiased: bool, stats: Stats, threads: int, state: State | None = None):
         self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
         if world_to_camera.dim() != 4:
             raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
@@ -51,7 +53,8 @@ class _DenseJob:
         self.cameras_tensors = [check("world_to_camera", world_to_camera, (*lead, 4, 4), means),
                                 check("intrinsics", intrinsics, (*lead, 4), means),
                                 check("limits", limits, (*lead, 5), means)]
-        self.cameras = scene.core.Cameras(*lead, width, height, *(t.data_ptr() for t in self.cameras_tensors))
+        self.cameras = scene.core.Cameras(*lead, width, height, *(t.data_ptr() for t in self.cameras_tensors),
+                                          antialiased)
         with scene.guard:
             self.work = _workspace(scene, self.images, width, height, 0, stats, threads, lens=False, state=state)
             if state is None:
@@ -80,18 +83,18 @@ def _dense_forward(arguments: tuple[Any, ...], stats: Stats, threads: int) -> tu
 
 def render_dense(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
                  background: Tensor, world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
-                 height: int) -> tuple[Tensor, Tensor, Tensor]:
+                 height: int, antialiased: bool = False) -> tuple[Tensor, Tensor, Tensor]:
     """B scenes of N Gaussians, each seen by V cameras.
 
     means [B,N,3], quaternions [B,N,4] wxyz, scales [B,N,3] > 0, opacities [B,N] in (0,1], sh [B,N,K,3],
     background [B,V,3], world_to_camera [B,V,4,4], intrinsics [B,V,4] (fx, fy, cx, cy in pixels), limits [B,V,5] (see
-    Cameras.limits); all float32 or all float64 (CUDA: float32). Returns image [B,V,H,W,3] over the background, alpha
-    [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized). Differentiable in all but intrinsics and limits.
-    Source: Kerbl et al. 2023. Raises InputError.
+    Cameras.limits); all float32 or all float64 (CUDA: float32). antialiased: see rendering.render. Returns image
+    [B,V,H,W,3] over the background, alpha [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized).
+    Differentiable in all but intrinsics and limits. Source: Kerbl et al. 2023. Raises InputError.
     """
     tensors = (means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits)
     # Views are copied here, once: the reverse would copy them again, while the device waits for it
-    return _RenderDense.apply(*(t.contiguous() for t in tensors), width, height)[:3]
+    return _RenderDense.apply(*(t.contiguous() for t in tensors), width, height, antialiased)[:3]
 
 
 _library = torch.library.Library("lightfield_gs", "FRAGMENT")
@@ -102,16 +105,17 @@ _library.impl("render_dense", render_dense, "CompositeImplicitAutograd")
 @torch.library.custom_op("lightfield_gs::render_dense_with_state", mutates_args=(), device_types=("cpu", "cuda"))
 def render_dense_with_state(
         means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-        world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
-        height: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+        world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int, height: int,
+        antialiased: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """render_dense, and the State that spares the reverse to project, order and bin once more."""
     out, state = _dense_forward((means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics,
-                                 limits, width, height), Stats(), torch.get_num_threads())
+                                 limits, width, height, antialiased), Stats(), torch.get_num_threads())
     return (*out, *state)
 
 
 @render_dense_with_state.register_fake
-def _(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits, width, height):
+def _(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits, width, height,
+      antialiased=False):
     lead, count = world_to_camera.shape[:2], means.shape[1]
     size = (*lead, height, width)
     state = [means.new_empty(shape) for shape in State.shapes(lead[0] * lead[1], count, 0)]
@@ -123,13 +127,13 @@ def _(means, quaternions, scales, opacities, sh, background, world_to_camera, in
 def render_dense_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
                           background: Tensor, world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
                           height: int, image: Tensor, alpha: Tensor, depth: Tensor, splats: Tensor, colours: Tensor,
-                          lists: Tensor, g_image: Tensor, g_alpha: Tensor, g_depth: Tensor
+                          lists: Tensor, g_image: Tensor, g_alpha: Tensor, g_depth: Tensor, antialiased: bool = False
                           ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Gradients of render_dense's first seven arguments from what render_dense_with_state returned and the gradients of
     its images."""
     threads = torch.get_num_threads()
     job = _DenseJob(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits, width,
-                    height, Stats(), threads, State(splats, colours, lists))
+                    height, antialiased, Stats(), threads, State(splats, colours, lists))
     core, work = job.scene.core, job.work
     images = [check(n, t, s, means) for n, t, s in zip(("image", "alpha", "depth"), (image, alpha, depth),
                                                        job.image_shapes())]
@@ -148,7 +152,7 @@ def _(means, quaternions, scales, opacities, sh, background, world_to_camera, *r
 
 
 def _dense_setup(ctx, inputs, output):
-    *tensors, ctx.width, ctx.height = inputs
+    *tensors, ctx.width, ctx.height, ctx.antialiased = inputs
     ctx.save_for_backward(*tensors, *output)
     ctx.mark_non_differentiable(*output[3:])
     ctx.set_materialize_grads(False)  # no zeros for the state
@@ -157,8 +161,9 @@ def _dense_setup(ctx, inputs, output):
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
     grads = [torch.zeros_like(out) if g is None else g for g, out in zip(grads[:3], saved[9:])]
-    out = torch.ops.lightfield_gs.render_dense_backward(*saved[:9], ctx.width, ctx.height, *saved[9:], *grads)
-    return (*out, None, None, None, None)
+    out = torch.ops.lightfield_gs.render_dense_backward(*saved[:9], ctx.width, ctx.height, *saved[9:], *grads,
+                                                        ctx.antialiased)
+    return (*out, None, None, None, None, None)
 
 
 render_dense_with_state.register_autograd(_dense_backward, setup_context=_dense_setup)
@@ -184,7 +189,7 @@ class LensArguments:
     """Arguments of render_lens, checked."""
 
     def __init__(self, means, quaternions, scales, opacities, sh, background, rig: list[float], lens: list[int],
-                 lens_shape: list[float]):
+                 lens_shape: list[float], antialiased: bool = False):
         self.scene = scene = Scene(*(t.unsqueeze(0) for t in (means, quaternions, scales, opacities, sh)))
         self.background = check("background", background, (3,), means)
         self.lens = native_lens(lens, lens_shape)
@@ -192,8 +197,9 @@ class LensArguments:
         if len(rig) != 26:
             raise InputError(f"rig must be 26 numbers (see render_lens), got {len(rig)}")
         self.rig = _core.Rig(world_to_camera=rig[:16], intrinsics=rig[16:20], limits=rig[20:25], zero_depth=rig[25],
-                             lens=self.lens)
-        self.numbers = (*rig, *lens, *lens_shape)
+                             lens=self.lens, antialiased=antialiased)
+        self.antialiased = antialiased
+        self.numbers = (*rig, *lens, *lens_shape, antialiased)
         # Colours: raise the order until the polynomials are good enough. float64 is the exact twin: highest order.
         exact = means.dtype == torch.float64
         self.colour_orders = (0,) if scene.degree == 0 else COLOUR_ORDERS[-1:] if exact else COLOUR_ORDERS
@@ -206,7 +212,8 @@ def projected_lens(job: LensArguments, stats: Stats, threads: int, quality: Qual
     """The workspace of a light field after its projection."""
     with job.scene.guard, stats.stage("project"):
         for order in job.colour_orders:
-            work = _workspace(job.scene, 1, job.width, job.height, order, stats, threads, lens=True)
+            work = _workspace(job.scene, 1, job.width, job.height, order, stats, threads, lens=True,
+                              compensated=job.antialiased)
             stats.colour_error = work.project_lens(job.rig, job.lens, quality)
             if stats.colour_error <= quality.colour_error:
                 break
@@ -219,21 +226,6 @@ def _lens_workspace(job: LensArguments, stats: Stats, threads: int, quality: Qua
         work = projected_lens(job, stats, threads, quality)
         work.order_and_bin()
     return work
-
-
-def native_lens(lens: list[int], lens_shape: list[float]) -> Any:
-    """The core's Lens from the two lists of render_lens."""
-    if len(lens) != 8 or len(lens_shape) != 5:
-        raise InputError(f"lens must be 8 integers and lens_shape 5 numbers, got {len(lens)} and {len(lens_shape)}")
-    width, height, views, *phases, bgr, continuous = lens
-    line_number, slant_tan, phase, offset_start, offset_step = lens_shape
-    if not (1 <= width <= 65536 and 1 <= height <= 65536 and 1 <= views <= 65536 and line_number > 0):
-        raise InputError(f"a lens needs sizes and views of 1..65536 and a line number > 0, got {lens[:3]} and "
-                         f"{line_number}")
-    phase0, phase_x, phase_y = (p % 2**64 for p in phases)
-    return _core.Lens(width_px=width, height_px=height, views=views, phase0=phase0, phase_x=phase_x, phase_y=phase_y,
-                      line_number=line_number, slant_tan=slant_tan, phase=phase, bgr=bool(bgr),
-                      continuous=bool(continuous), offset_start=offset_start, offset_step=offset_step)
 
 
 def lens_forward(*arguments: Any, as_bytes: bool = False, quality: Quality = EXACT, stats: Stats | None = None,
@@ -262,9 +254,13 @@ def draw_lens(job: LensArguments, as_bytes: bool, quality: Quality, stats: Stats
 
 
 def frame_kind(job: LensArguments, quality: Quality, moving: bool = False) -> Any:
-    """What frames of such arguments are known to need, on CUDA. moving: of one's own, for frames of changing rigs."""
+    """What frames of such arguments are known to need, on CUDA. moving: of one's own, for frames of changing rigs.
+
+    Anti-aliased ones are evaluated as they are written, whatever the quality."""
     from lightfield_gs.frame_cuda import kind_of, moving_kind
 
+    if job.antialiased:
+        quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)
     orders = (0,) if job.scene.degree == 0 else FRAME_COLOUR_ORDERS
     find = moving_kind if moving else kind_of
     return find(job.scene, job.numbers, job.rig, job.lens, orders, quality)
@@ -285,7 +281,7 @@ def draw_frame(job: LensArguments, kind: Any, as_bytes: bool, stats: Stats, out:
 
 @torch.library.custom_op("lightfield_gs::render_lens", mutates_args=(), device_types=("cpu", "cuda"))
 def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-                rig: list[float], lens: list[int], lens_shape: list[float]) -> Tensor:
+                rig: list[float], lens: list[int], lens_shape: list[float], antialiased: bool = False) -> Tensor:
     """The image [H, W, 3] that a slanted-lenticular panel shows of N Gaussians.
 
     means [N,3], quaternions [N,4] wxyz, scales [N,3] > 0, opacities [N] in (0,1], sh [N,K,3], background [3]; all
@@ -294,10 +290,12 @@ def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     rig: 26 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits),
     zero_depth.
     lens: width, height, views, phase0, phase_x, phase_y (64-bit patterns as signed integers, 2^64 = one lens),
-    bgr, continuous. lens_shape: line_number, slant_tan, phase (sub-pixels), offset_start, offset_step (scene units).
+    bgr, continuous; of a panel with sub-pixel cells then 48 phases that its sub-pixels have beyond those of stripes, by
+    row mod 4, column mod 4 and place, and 48 image channels, likewise. lens_shape: line_number, slant_tan, phase
+    (sub-pixels), offset_start, offset_step (scene units). antialiased: see rendering.encode.
     lightfield_gs.encode builds them from a Panel and a Rig. Raises InputError.
     """
-    job = LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
+    job = LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased)
     work, out = _lens_workspace(job, Stats(), torch.get_num_threads()), job.image()
     with job.scene.guard:
         work.composite_lens(job.lens, EXACT, job.background, out)
@@ -305,16 +303,17 @@ def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
 
 
 @render_lens.register_fake
-def _(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape):
+def _(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased=False):
     return means.new_empty((lens[1], lens[0], 3))
 
 
 @torch.library.custom_op("lightfield_gs::render_lens_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def render_lens_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
                          background: Tensor, rig: list[float], lens: list[int], lens_shape: list[float],
-                         image: Tensor, g_image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+                         image: Tensor, g_image: Tensor, antialiased: bool = False
+                         ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Gradients of render_lens's first six arguments from its output and the gradient of that."""
-    job = LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape)
+    job = LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased)
     image, g_image = (check(n, t, (job.height, job.width, 3), means) for n, t in (("image", image),
                                                                                  ("g_image", g_image)))
     work = _lens_workspace(job, Stats(), torch.get_num_threads())
@@ -330,14 +329,15 @@ def _(means, quaternions, scales, opacities, sh, background, *rest):
 
 
 def _lens_setup(ctx, inputs, output):
-    *tensors, ctx.rig, ctx.lens, ctx.lens_shape = inputs
+    *tensors, ctx.rig, ctx.lens, ctx.lens_shape, ctx.antialiased = inputs
     ctx.save_for_backward(*tensors, output)
 
 
 def _lens_backward(ctx, grad):
     *tensors, image = ctx.saved_tensors
-    out = torch.ops.lightfield_gs.render_lens_backward(*tensors, ctx.rig, ctx.lens, ctx.lens_shape, image, grad)
-    return (*out, None, None, None)
+    out = torch.ops.lightfield_gs.render_lens_backward(*tensors, ctx.rig, ctx.lens, ctx.lens_shape, image, grad,
+                                                       ctx.antialiased)
+    return (*out, None, None, None, None)
 
 
 render_lens.register_autograd(_lens_backward, setup_context=_lens_setup)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,11 +11,13 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import framing, ops, rendering
+from lightfield_gs.arrays import Colour
 from lightfield_gs.checks import expect
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
+from lightfield_gs.options import Output, QualityName, Views
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
@@ -36,9 +38,9 @@ class PhotoEncoder:
     to learn where the object is. Raises InputError.
     """
 
-    def __init__(self, net: SplatterNet, panel: Panel, *, views: str = "integer",
-                 background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8",
-                 quality: str | Quality = "exact"):
+    def __init__(self, net: SplatterNet, panel: Panel, *, views: Views = "integer",
+                 background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
+                 quality: QualityName | Quality = "exact"):
         self.quality = Quality.of(quality)
         rendering.check_options("direct", views, output)
         expect("net", net, SplatterNet)
@@ -78,7 +80,7 @@ class PhotoEncoder:
         with stats.stage("network"):
             self.gaussians = self.net.seen_gaussians(cropped)
         with stats.stage("framing"):
-            self.rig = Rig.frame(self.gaussians, self.panel, np.eye(4))
+            self.rig = framing.frame_photo(self.gaussians, self.panel)
         with stats.stage("encode"):
             return rendering.encode(self.gaussians, self.panel, self.rig, views=self.views, background=self.background,
                                     output=self.output, quality=self.quality)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path, make_folder, remove_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.rig import Rig, reduced
 from lightfield_gs.simulate import simulate, unknown_of
 
 EYE_SEPARATION_MM = 63.0
@@ -24,21 +23,21 @@ _FRAMES, _FRAME_MS, _WEBP_QUALITY = 24, 60, 85
 
 
 def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, panel: Panel, rig: Rig,
-                  background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> list[Path]:
+                  background: tuple[float, float, float] = (1.0, 1.0, 1.0), antialiased: bool = False) -> list[Path]:
     """Writes previews of an encoded light field into `folder` (made if absent) and returns their paths.
 
     views.png: views from the left-most to the right-most camera, row by row.
     look-around.webp: a camera that goes from left to right and back.
     left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, the eyes 63 mm apart at the viewing distance;
     only where the panel knows its viewing distance and pixel pitch. Elsewhere those of an earlier preview are removed.
-    Views are rendered at a reduced size. Raises InputError.
+    Views are rendered at a reduced size; antialiased: see `render`. Raises InputError.
     """
     folder = make_folder(folder)
     paths = [folder / name for name in FILES[:2]]
-    frames = _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX)
+    frames = _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX, antialiased)
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
-        write_image(paths[0], contact_sheet(gaussians, panel, rig, background), compression="small")
+        write_image(paths[0], contact_sheet(gaussians, panel, rig, background, antialiased), compression="small")
         paths += _write_eyes(folder, image, panel)
         animation.result()
     return paths
@@ -58,9 +57,9 @@ def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
 
 
 def contact_sheet(gaussians: Gaussians, panel: Panel, rig: Rig,
-                  background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+                  background: tuple[float, float, float] = (1.0, 1.0, 1.0), antialiased: bool = False) -> np.ndarray:
     """Twelve views of the light field, left-most camera first, in rows of four: uint8 [H, W, 3]."""
-    views = _views(gaussians, panel, rig, background, _SHEET_COLUMNS * _SHEET_ROWS, _SHEET_VIEW_WIDTH_PX)
+    views = _views(gaussians, panel, rig, background, _SHEET_COLUMNS * _SHEET_ROWS, _SHEET_VIEW_WIDTH_PX, antialiased)
     rows = [np.concatenate(views[i:i + _SHEET_COLUMNS], 1) for i in range(0, len(views), _SHEET_COLUMNS)]
     return np.concatenate(rows)
 
@@ -75,18 +74,8 @@ def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
     return out
 
 
-def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
-    """The same view of the scene on a panel of another width; a panel is never enlarged."""
-    scale = min(1.0, width_px / panel.width_px)
-    width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
-    scales = width / panel.width_px, height / panel.height_px
-    focal, centre = (tuple(value * s for value, s in zip(pair, scales))
-                     for pair in (rig.focal_px, rig.principal_point_px))
-    return replace(panel, width_px=width, height_px=height), replace(rig, focal_px=focal, principal_point_px=centre)
-
-
 def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float, float, float], count: int,
-           width_px: int) -> list[np.ndarray]:
+           width_px: int, antialiased: bool) -> list[np.ndarray]:
     """`count` views spread over the fan, left-most camera first, each uint8 [h, w, 3]."""
     from lightfield_gs.rendering import render
 
@@ -97,7 +86,8 @@ def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float
     views = []
     for position in positions:
         cameras = small_rig.cameras_at(small_panel, [position])
-        views.append(to_integers(render(gaussians, cameras, background=background)[0].cpu().numpy(), 8))
+        view = render(gaussians, cameras, background=background, antialiased=antialiased)[0]
+        views.append(to_integers(view.cpu().numpy(), 8))
     return views
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -13,7 +15,8 @@ from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
 
 
-def prune(gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float) -> Gaussians:
+def prune(gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float,
+          antialiased: bool = False) -> Gaussians:
     """The scene without the Gaussians that contribute least to the image that the panel shows of it by this rig.
 
     A Gaussian contributes its weights, alpha times the transmittance of what stands before it, in all sub-pixels. Those
@@ -24,22 +27,24 @@ def prune(gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float)
     shows in its stead: the sample changes by w (behind - own colour).
 
     Takes time and memory like a training step on one image of the panel, once for a scene. Other viewpoints than the
-    rig's may show what was left out. gaussians: [N, ...], float32, or float64 on the CPU. Raises InputError.
+    rig's may show what was left out. gaussians: [N, ...], float32, or float64 on the CPU. antialiased: they are of a
+    scene that was trained so, see `render`. Raises InputError.
     """
     contribution_cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
-    weights = contributions(gaussians, panel, rig)
+    weights = contributions(gaussians, panel, rig, antialiased)
     ascending = weights.sort()
     left_out = ascending.values.cumsum(0) <= contribution_cut * 3 * panel.width_px * panel.height_px
     kept = ascending.indices[~left_out].sort().values
-    return Gaussians(*(field[kept] for field in gaussians.fields().values()))
+    return replace(gaussians, **{name: field[kept] for name, field in gaussians.fields().items()})
 
 
-def contributions(gaussians: Gaussians, panel: Panel, rig: Rig) -> Tensor:
+def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: bool = False) -> Tensor:
     """[N] float64: what each Gaussian contributes to the image of a panel, its weights summed over all sub-pixels.
 
     That is the derivative of the sum of the image by its colour. Raises InputError.
     """
-    for name, value, kind in (("gaussians", gaussians, Gaussians), ("panel", panel, Panel), ("rig", rig, Rig)):
+    for name, value, kind in (("gaussians", gaussians, Gaussians), ("panel", panel, Panel), ("rig", rig, Rig),
+                              ("antialiased", antialiased, bool)):
         expect(name, value, kind)
     gaussians.validate_layout()
     if gaussians.is_batched:
@@ -50,6 +55,6 @@ def contributions(gaussians: Gaussians, panel: Panel, rig: Rig) -> Tensor:
         means, *shape, grey = (t.clone() if t.is_inference() else t for t in (means, *shape, grey))
         scene = Gaussians(means, *shape, grey.requires_grad_())
         output = str(means.dtype).removeprefix("torch.")
-        image = rendering.encode(scene, panel, rig, output=output)
+        image = rendering.encode(scene, panel, rig, output=output, antialiased=antialiased)
         gradient, = torch.autograd.grad(image, grey, torch.ones_like(image))
     return gradient.double().sum((1, 2)) / SH_CONSTANT

@@ -9,6 +9,7 @@ from typing import Any
 from lightfield_gs import _core
 from lightfield_gs.checks import real_number, shown
 from lightfield_gs.errors import InputError
+from lightfield_gs.options import QualityName
 
 OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
 
@@ -56,7 +57,7 @@ class Quality:
             real_number(f"quality: {name}", getattr(self, name), low, high)
 
     @staticmethod
-    def of(quality: str | Quality) -> Quality:
+    def of(quality: QualityName | Quality) -> Quality:
         """The setting of that name, or the object itself. Raises InputError."""
         if isinstance(quality, Quality):
             return quality
@@ -79,7 +80,7 @@ class Quality:
 EXACT = Quality()
 # PSNR on 8K frames of scenes and photos as `bench pareto` has them: high at least 50 dB, fast 40 dB, draft 33 dB. Cuts
 # are for photos, in which many faint Gaussians overlap; scenes that are less deep bear four times as much
-QUALITIES = {
+QUALITIES: dict[str, Quality] = {
     "exact": EXACT,
     "high": Quality(opacity_cut=1 / 128, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.02),
     "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.08, evaluation_error=0.02),

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -63,14 +63,30 @@ def lens_views(panel: Panel, rows: Sequence[int], columns: Sequence[int], channe
     pitch, slant, phase = (Fraction(float(value)) for value in (panel.line_number, panel.slant_tan, panel.phase))
     # Lens coordinate (D_0 + 3 j + k + 3 i tan) / P_e over one denominator, then whole numbers of any length.
     steps = (phase / pitch, 1 / pitch, 3 * slant / pitch)
-    unit = math.lcm(*(step.denominator for step in steps))
+    places = [_places(panel, cell, slant) for cell in panel.subpixel_cells or (None,)]
+    unit = math.lcm(*(step.denominator for step in (*steps, *(at / pitch for cell in places for at in cell))))
     start, across, down = (int(step * unit) for step in steps)
+    beyond = [[int(at / pitch * unit) for at in cell] for cell in places]
     found = np.empty(len(rows))
     for index, (row, column, channel) in enumerate(zip(rows, columns, channels)):
-        place = int(channel) if panel.subpixel_order == "RGB" else 2 - int(channel)
-        x = (start + across * (3 * int(column) + place) + down * int(row)) % unit * panel.views
+        within = beyond[_cell(panel, int(row), int(column))][int(channel)]
+        x = (start + across * 3 * int(column) + within + down * int(row)) % unit * panel.views
         found[index] = x / unit if continuous else x // unit + 0.5
     return found
+
+
+def _places(panel: Panel, cell: Any, slant: Fraction) -> list[Fraction]:
+    """Sub-pixels from a pixel's reference to its red, green and blue: along the row, and up along the slant."""
+    if cell is None:
+        return [Fraction(k) for k in ((0, 1, 2) if panel.subpixel_order == "RGB" else (2, 1, 0))]
+    return [3 * (Fraction(float(x)) - slant * Fraction(float(y))) for x, y in cell]
+
+
+def _cell(panel: Panel, row: int, column: int) -> int:
+    """Which of the panel's cells a pixel is (Looking Glass: CellPatternMode)."""
+    y = row if panel.cell_rows == "top" else panel.height_px - 1 - row
+    by_rule = {"unity": (column % 2, y % 2), "webxr": (y % 4, column % 2)}[panel.cell_rule]
+    return (0, (column + y) % 2, by_rule[0], (y + column % 2 * 2) % 4, by_rule[1])[panel.cell_pattern]
 
 
 def _rig_cone_rad(panel: Panel, rig: Rig) -> float:
@@ -102,36 +118,38 @@ def frustum_limits(fx: float, fy: float, cx: float, cy: float, width: int, heigh
 
 def subpixel_colours(gaussians: Gaussians, panel: Panel, rig: Rig, rows: np.ndarray, columns: np.ndarray,
                      channels: np.ndarray, *, continuous: bool = False, background: Sequence[float] = (1, 1, 1),
-                     return_margin: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+                     antialiased: bool = False, return_margin: bool = False
+                     ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Colours that chosen sub-pixels of a light-field image must have, float64 [M].
 
     rows, columns: 0-based pixels [M]; channels: image channels [M], 0 red to 2 blue. continuous: fractional views.
+    antialiased: see rendering.encode.
     With return_margin also [M]: how near, relatively, a decision about the sample came to its threshold (alpha = 1/255
     or transmittance = 1e-4), at most 0.1; below some 1e-4 a float32 program may rightly decide otherwise.
     """
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
-    projection = Projection(Scene.of(gaussians), rig_eye(panel, rig))
+    projection = Projection(Scene.of(gaussians), rig_eye(panel, rig), antialiased)
     colours, margins = _colours(projection, _centres(columns), _centres(rows), torch.from_numpy(offsets),
                                 torch.as_tensor(channels, dtype=torch.int64), _float64(background))
     return (colours.cpu().numpy(), margins.cpu().numpy()) if return_margin else colours.cpu().numpy()
 
 
 def lens_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-               panel: Panel, rig: Rig, *, continuous: bool = False) -> Tensor:
+               panel: Panel, rig: Rig, *, continuous: bool = False, antialiased: bool = False) -> Tensor:
     """The whole light-field image [H,W,3] of one small scene, differentiable in every tensor (float64, no batch)."""
     rows, columns, channels = (index.ravel() for index in np.indices((panel.height_px, panel.width_px, 3)))
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
-    projection = Projection(Scene(means, quaternions, scales, opacities, sh), rig_eye(panel, rig))
+    projection = Projection(Scene(means, quaternions, scales, opacities, sh), rig_eye(panel, rig), antialiased)
     colours, _ = _colours(projection, _centres(columns), _centres(rows), torch.from_numpy(offsets),
                           torch.from_numpy(channels), background)
     return colours.reshape(panel.height_px, panel.width_px, 3)
 
 
 def pixel_colours(gaussians: Gaussians, cameras: Cameras, camera: int, rows: np.ndarray, columns: np.ndarray,
-                  channels: np.ndarray, *, background: Sequence[float] = (1, 1, 1),
+                  channels: np.ndarray, *, background: Sequence[float] = (1, 1, 1), antialiased: bool = False,
                   return_margin: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Colours of chosen pixels and channels of one ordinary camera, float64 [M]; the rest as `subpixel_colours`."""
-    projection = Projection(Scene.of(gaussians), _camera_eye(cameras, camera))
+    projection = Projection(Scene.of(gaussians), _camera_eye(cameras, camera), antialiased)
     offsets = torch.zeros(len(rows), dtype=torch.float64)
     colours, margins = _colours(projection, _centres(columns), _centres(rows), offsets,
                                 torch.as_tensor(channels, dtype=torch.int64), _float64(background))
@@ -139,8 +157,8 @@ def pixel_colours(gaussians: Gaussians, cameras: Cameras, camera: int, rows: np.
 
 
 def dense_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-                world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
-                height: int) -> tuple[Tensor, Tensor, Tensor]:
+                world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int, height: int,
+                antialiased: bool = False) -> tuple[Tensor, Tensor, Tensor]:
     """Images [B,V,H,W,3], alpha and depth [B,V,H,W] of B small scenes before V cameras each, differentiable, float64.
 
     means [B,N,3], quaternions [B,N,4], scales [B,N,3], opacities [B,N], sh [B,N,K,3], background [B,V,3],
@@ -148,7 +166,8 @@ def dense_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     the centre of a rig).
     """
     scenes = [Scene(*fields) for fields in zip(means, quaternions, scales, opacities, sh)]
-    images = [_dense_image(Projection(scene, Eye(pose, camera, limit[:4], limit[4])), colour, width, height)
+    images = [_dense_image(Projection(scene, Eye(pose, camera, limit[:4], limit[4]), antialiased), colour, width,
+                           height)
               for scene, *views in zip(scenes, world_to_camera, intrinsics, limits, background)
               for pose, camera, limit, colour in zip(*views)]
     batch = world_to_camera.shape[:2]

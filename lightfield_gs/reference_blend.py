@@ -1,7 +1,8 @@
 """The float64 oracle's arithmetic: one Gaussian, one sample, one formula at a time, as published equations print them.
 
 Sources: Kerbl et al., "3D Gaussian Splatting", 2023 (blending and its thresholds); Zwicker et al., "EWA Splatting",
-2002 (projected covariance). Nothing here is shared with the native rasterizer.
+2002 (projected covariance); Yu et al., "Mip-Splatting", 2024 (opacities of anti-aliased scenes). Nothing here is shared
+with the native rasterizer.
 """
 
 from __future__ import annotations
@@ -124,10 +125,12 @@ def square(vectors: Tensor) -> Tensor:
 
 
 class Projection:
-    """One scene before one eye: view-space means and spreads of the Gaussians it may draw, near ones first."""
+    """One scene before one eye: view-space means and spreads of the Gaussians it may draw, near ones first.
 
-    def __init__(self, scene: Scene, eye: Eye):
-        self.scene, self.eye = scene, eye.to(scene.means.device)
+    antialiased: opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its light."""
+
+    def __init__(self, scene: Scene, eye: Eye, antialiased: bool = False):
+        self.scene, self.eye, self.antialiased = scene, eye.to(scene.means.device), antialiased
         self.axes, self.translation = self.eye.world_to_camera[:3, :3], self.eye.world_to_camera[:3, 3]
         self.position = scene.means @ self.axes.T + self.translation
         self.spread = (self.axes @ rotations(scene.quaternions) * scene.scales[:, None, :]).permute(1, 2, 0)
@@ -168,10 +171,12 @@ class Projection:
         dx, dy = samples.columns - u, samples.rows - v
         # Sums of squares, no differences of products: these keep their digits where a needle is 10^9 pixels long.
         along = square(down * dx - across * dy) + LOW_PASS_PX2 * (dx * dx + dy * dy)
-        determinant = (square(torch.linalg.cross(across, down, dim=0))
-                       + LOW_PASS_PX2 * (square(across) + square(down) + LOW_PASS_PX2))
-        q = along / determinant
-        return (self.scene.opacities[gaussian] * torch.exp(-q / 2)).clamp(max=ALPHA_MAX)
+        sharp = square(torch.linalg.cross(across, down, dim=0))  # determinant before the low pass
+        determinant = sharp + LOW_PASS_PX2 * (square(across) + square(down) + LOW_PASS_PX2)
+        q, opacity = along / determinant, self.scene.opacities[gaussian]
+        if self.antialiased:
+            opacity = opacity * (sharp / determinant).sqrt()
+        return (opacity * torch.exp(-q / 2)).clamp(max=ALPHA_MAX)
 
     def colour(self, gaussian: Tensor, offset: Tensor, channel: Tensor | None = None) -> Tensor:
         """Colour [P,3] of Gaussians seen from offsets, or [P] of one channel each."""

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from lightfield_gs import ops, skips
-from lightfield_gs.arrays import bytes_of, dense_tensor
+from lightfield_gs.arrays import Colour, bytes_of, dense_tensor
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.checks import expect, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.lens import lens_lists
+from lightfield_gs.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
@@ -23,28 +24,44 @@ from lightfield_gs.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.sorted_plan import SortedPlan, views_shown
 from lightfield_gs.workspace import Stats
 
-METHODS = ("direct", "sorted", "classic")
-VIEWS = ("integer", "continuous")
-OUTPUTS = {"uint8": torch.uint8, "float32": torch.float32, "float64": torch.float64}
+_DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
 MOST_THREADS = 1024
 _MOST_BYTES = 1 << 62
 _CLASSIC_PIXELS = 4_000_000  # rendered at a time: small images go in batches
 
 
-def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float] | Tensor = (1.0, 1.0, 1.0),
-           alpha: bool = False, depth: bool = False) -> Tensor | tuple[Tensor, ...]:
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[False] = ..., depth: Literal[False] = ..., antialiased: bool = ...) -> Tensor: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[True], depth: Literal[False] = ..., antialiased: bool = ...) -> tuple[Tensor, Tensor]: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[False] = ..., depth: Literal[True], antialiased: bool = ...) -> tuple[Tensor, Tensor]: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: Literal[True], depth: Literal[True], antialiased: bool = ...) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
+           alpha: bool = ..., depth: bool = ..., antialiased: bool = ...) -> Tensor | tuple[Tensor, ...]: ...
+def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = (1.0, 1.0, 1.0),
+           alpha: bool = False, depth: bool = False, antialiased: bool = False) -> Tensor | tuple[Tensor, ...]:
     """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
 
     gaussians [N, ...] with cameras [C, ...]; or gaussians [B, N, ...] with cameras [B, C, ...], or with the same
     cameras [C, ...] for every set. float32 or float64.
     background: three numbers in 0..1, or a tensor that broadcasts to [..., C, 3], whose values need only be finite.
     Returns the image [..., C, H, W, 3]; with alpha and/or depth a tuple (image, alpha [..., C, H, W], depth
-    [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is. Raises InputError.
+    [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is.
+    antialiased: for scenes that were trained so (Yu et al., Mip-Splatting, 2024; gsplat's rasterize_mode of that name):
+    a Gaussian that 0.3 px^2 of blur spread out becomes fainter by as much, by the root of the ratio of the determinants
+    of its projected covariance. Raises InputError.
     """
     expect("gaussians", gaussians, Gaussians)
     expect("cameras", cameras, Cameras)
-    expect("alpha", alpha, bool)
-    expect("depth", depth, bool)
+    for name, value in (("alpha", alpha), ("depth", depth), ("antialiased", antialiased)):
+        expect(name, value, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         gaussians.validate()  # there, looking at values would wait for the device
@@ -60,7 +77,7 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
     draw = torch.ops.lightfield_gs.render_dense
     if not (torch.is_grad_enabled() and any(t.requires_grad for t in (*tensors, colour, *views))):
         draw = ops.dense_forward  # the first call of an operator with a reverse has torch import for a second
-    image, coverage, weighted_depth = draw(*tensors, colour, *views, cameras.width_px, cameras.height_px)
+    image, coverage, weighted_depth = draw(*tensors, colour, *views, cameras.width_px, cameras.height_px, antialiased)
     out = [image]
     if alpha:
         out.append(coverage)
@@ -70,23 +87,23 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Sequence[float
     return tuple(out) if len(out) > 1 else out[0]
 
 
-def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: str = "direct", *,
-           views: str = "integer", cameras: Cameras | None = None,
+def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: Method = "direct", *,
+           views: Views = "integer", cameras: Cameras | None = None,
            view_map: np.ndarray | Tensor | SortedPlan | None = None, memory_budget: int | None = None,
-           background: Sequence[float] | Tensor = (1.0, 1.0, 1.0), output: str = "uint8",
-           quality: str | Quality = "exact", threads: int | None = None, stats: dict[str, Any] | None = None,
-           out: Tensor | None = None) -> Tensor:
+           background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
+           quality: QualityName | Quality = "exact", threads: int | None = None, stats: dict[str, Any] | None = None,
+           out: Tensor | None = None, antialiased: bool = False) -> Tensor:
     """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
 
     method: "direct" renders only the sub-pixels (all cameras of the rig share one projection and one sort); "sorted"
     renders only the sub-pixels too, but view by view, with any cameras and any view map (Shi et al. 2025); "classic"
     renders one dense image per view and interlaces them, the usual way and the cross-check of the others.
     views: "integer": camera at floor(x) + 1/2; "continuous": at the exact x of the sub-pixel.
-    Only for "sorted": cameras [N] at the panel's resolution, in place of the rig's; view_map int32 [H, W, 3] by image
-    channel, which of the N cameras each sub-pixel shows, or -1 for the background (or a SortedPlan made of such a map,
-    to sort only once), in place of the panel's; memory_budget: bytes that the work memory may take on the device of
-    the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or 1 GiB on CUDA); on CUDA those
-    asked of torch's allocator, which may round each buffer up.
+    Only for "sorted": cameras [N] at the panel's resolution, the right-most eye's first, in place of the rig's;
+    view_map int32 [H, W, 3] by image channel, which of the N cameras each sub-pixel shows, or -1 for the background
+    (or a SortedPlan made of such a map, to sort only once), in place of the panel's; memory_budget: bytes that the work
+    memory may take on the device of the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or
+    1 GiB on CUDA); on CUDA those asked of torch's allocator, which may round each buffer up.
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
     "direct" are differentiable; where gradients are wanted, quality, threads, stats and out are refused.
     quality: "exact", "high", "fast", "draft" or a Quality, of "direct": how much error is allowed for less time.
@@ -98,12 +115,14 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     by stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
     out: of "direct", an image of the same size, type and device, e.g. of the frame before, that is drawn over and
     returned: on a CPU a new one of 88 MB costs 10 to 25 ms, for the system to find its memory.
+    antialiased: for scenes that were trained so, see `render`; of any method. "direct" evaluates those as they are
+    written, which takes longer, and on CUDA neither by lattices nor by lenses, whatever the quality.
     Raises InputError.
     """
     check_options(method, views, output)
     for name, value, kinds in (("gaussians", gaussians, (Gaussians,)), ("panel", panel, (Panel,)),
                                ("rig", rig, (Rig, type(None))), ("cameras", cameras, (Cameras, type(None))),
-                               ("stats", stats, (dict, type(None)))):
+                               ("stats", stats, (dict, type(None))), ("antialiased", antialiased, (bool,))):
         expect(name, value, *kinds)
     gaussians.validate_layout()
     quality = Quality.of(quality)
@@ -126,19 +145,19 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     colour = background_tensor(background, gaussians.means).reshape(-1)
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "classic":
-        image = _classic(gaussians, panel, rig, views, colour, output, threads, counters)
+        image = _classic(gaussians, panel, rig, views, colour, output, threads, counters, antialiased)
     elif method == "sorted":
         with counters.stage("plan"):
             chosen = cameras_and_plan(panel, rig, cameras, view_map, views == "continuous", gaussians.device)
         image = encode_sorted(_tensors(gaussians), *chosen, memory_budget, colour, output == "uint8",
-                              threads or torch.get_num_threads(), counters)
+                              threads or torch.get_num_threads(), counters, antialiased)
     elif _wants_gradients(output, gaussians, colour):
         _refuse_with_gradients(quality=not quality.is_exact, threads=threads is not None, stats=stats is not None,
                                out=out is not None)
         image = torch.ops.lightfield_gs.render_lens(*_tensors(gaussians), colour,
-                                                    *lens_arguments(panel, rig, views == "continuous"))
+                                                    *lens_arguments(panel, rig, views == "continuous"), antialiased)
     else:
-        image = _direct(gaussians, panel, rig, views, colour, output, quality, threads, counters, out)
+        image = _direct(gaussians, panel, rig, views, colour, output, quality, threads, counters, out, antialiased)
     if stats is not None:
         _report(counters, gaussians, panel, stats)
         if method == "direct":
@@ -147,12 +166,12 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: s
     return image
 
 
-def _check_out(out: Tensor, method: str, output: str, panel: Panel, device: torch.device) -> None:
+def _check_out(out: Tensor, method: Method, output: Output, panel: Panel, device: torch.device) -> None:
     """Raises InputError for what an image cannot be drawn over."""
     expect("out", out, Tensor)
     if method != "direct":
         raise InputError(f"out is for method 'direct', not {method!r}")
-    expected = (panel.height_px, panel.width_px, 3), OUTPUTS[output], device
+    expected = (panel.height_px, panel.width_px, 3), _DTYPES[output], device
     if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:
         raise InputError(f"out must be a contiguous {expected[1]} tensor {list(expected[0])} on {device} without "
                          f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
@@ -167,14 +186,15 @@ def check_options(method: str, views: str, output: str) -> None:
     for name, value in (("method", method), ("views", views), ("output", output)):
         expect(name, value, str)
     if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
-        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {tuple(OUTPUTS)}, got {method!r}, "
+        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {OUTPUTS}, got {method!r}, "
                          f"{views!r} and {output!r}")
 
 
 def interlace(views: Tensor, panel: Panel) -> Tensor:
     """Takes every sub-pixel of a panel from the view that it belongs to: views [N, H, W, 3] -> [H, W, 3], same dtype.
 
-    N = panel.views, H and W the panel's size. Raises InputError.
+    N = panel.views, H and W the panel's size. View 0 is the right-most eye's (with invert_views the left-most one's):
+    tiles of a quilt, whose first is the left-most, are in the other order. Raises InputError.
     """
     views = dense_tensor("views", views)
     expect("panel", panel, Panel)
@@ -190,21 +210,19 @@ def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float
     start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
     numbers = [*np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist(), *rig.focal_px,
                *rig.principal_point_px, *rig.jacobian_limits(panel), 0.0, rig.zero_depth]
-    signed = [p - 2**64 if p >= 2**63 else p for p in panel.phase_steps()]
-    lens = [panel.width_px, panel.height_px, panel.views, *signed, int(panel.subpixel_order == "BGR"), int(continuous)]
-    shape = [panel.line_number, panel.slant_tan, panel.phase, start, (end - start) / panel.views]
-    return [float(v) for v in numbers], lens, [float(v) for v in shape]
+    return [float(v) for v in numbers], *lens_lists(panel, continuous, start, (end - start) / panel.views)
 
 
-def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
-            quality: Quality, threads: int | None, stats: Stats, out: Tensor | None) -> Tensor:
+def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
+            quality: Quality, threads: int | None, stats: Stats, out: Tensor | None, antialiased: bool) -> Tensor:
     """The image without gradients."""
     with torch.no_grad():
         return ops.lens_forward(*_tensors(gaussians), background, *lens_arguments(panel, rig, views == "continuous"),
-                                as_bytes=output == "uint8", quality=quality, stats=stats, threads=threads, out=out)
+                                antialiased, as_bytes=output == "uint8", quality=quality, stats=stats,
+                                threads=threads, out=out)
 
 
-def _wants_gradients(output: str, gaussians: Gaussians, background: Tensor) -> bool:
+def _wants_gradients(output: Output, gaussians: Gaussians, background: Tensor) -> bool:
     """Whether torch is to follow how an image came about; bytes have no gradients."""
     return output != "uint8" and torch.is_grad_enabled() and any(
         t.requires_grad for t in (*_tensors(gaussians), background))
@@ -217,21 +235,21 @@ def _refuse_with_gradients(**given: bool) -> None:
 
 
 @torch.no_grad()
-def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: str, background: Tensor, output: str,
-             threads: int | None, stats: Stats) -> Tensor:
+def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
+             threads: int | None, stats: Stats, antialiased: bool) -> Tensor:
     """One dense image per view that the panel shows; with continuous views, one per distinct x."""
     with stats.stage("plan"):
         places, x = _classic_plan(panel, views == "continuous", gaussians.device)
     tensors = [t.unsqueeze(0) for t in _tensors(gaussians)]
     pixels = panel.width_px * panel.height_px
-    out = torch.empty(3 * pixels, dtype=OUTPUTS[output], device=gaussians.device)
+    out = torch.empty(3 * pixels, dtype=_DTYPES[output], device=gaussians.device)
     chunk = max(1, _CLASSIC_PIXELS // pixels)
     for first in range(0, len(x), chunk):
         cameras = rig.cameras_at(panel, x[first:first + chunk]).to(gaussians.means)
         one = Stats(device=stats.device)
         images, alpha, depth = ops.dense_forward(
             *tensors, background.expand(1, cameras.count, 3), cameras.world_to_camera[None], cameras.intrinsics()[None],
-            cameras.limits()[None], panel.width_px, panel.height_px, stats=one, threads=threads)
+            cameras.limits()[None], panel.width_px, panel.height_px, antialiased, stats=one, threads=threads)
         one.add_buffers(images, alpha, depth)
         stats.add_render(one)
         with stats.stage("interlace"):
@@ -257,7 +275,7 @@ def _classic_plan(panel: Panel, continuous: bool, device: torch.device) -> tuple
     return torch.from_numpy(places).to(device), x
 
 
-def _check_sorted_only(method: str, views: str, rig: Rig | None, cameras: Cameras | None, view_map: Any,
+def _check_sorted_only(method: Method, views: Views, rig: Rig | None, cameras: Cameras | None, view_map: Any,
                        memory_budget: int | None) -> None:
     """Raises InputError where arguments of one method meet another."""
     if method != "sorted":
@@ -276,7 +294,7 @@ def _tensors(gaussians: Gaussians) -> list[Tensor]:
     return [gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh]
 
 
-def background_tensor(background: Sequence[float] | Tensor, like: Tensor) -> Tensor:
+def background_tensor(background: Colour, like: Tensor) -> Tensor:
     """A background as a tensor [..., 3] of the dtype and on the device of `like`. Raises InputError."""
     if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
         colour = _constant_background(tuple(background), like.dtype, like.device)
@@ -296,7 +314,7 @@ def _constant_background(background: tuple[float, ...], dtype: torch.dtype, devi
         return _checked_background(background, dtype, device)
 
 
-def _checked_background(background: Sequence[float] | Tensor, dtype: torch.dtype, device: torch.device) -> Tensor:
+def _checked_background(background: Colour, dtype: torch.dtype, device: torch.device) -> Tensor:
     """A tensor on a GPU is taken as it is: looking for NaN there would wait for it.
 
     Tensors and arrays may leave 0..1, for optimizers do; plain numbers that do are mistakes.

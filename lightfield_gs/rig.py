@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lightfield_gs.axes import DEFAULT_UP
 from lightfield_gs.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
@@ -71,15 +72,30 @@ class Rig:
         write_mapping(path, self.to_dict())
 
     @staticmethod
-    def frame(gaussians: "Gaussians", panel: Panel, world_to_camera: np.ndarray | None = None) -> "Rig":
-        """A rig that fits the scene to the panel's height (or width, where that is met first).
+    def frame(gaussians: "Gaussians", panel: Panel, world_to_camera: np.ndarray | None = None, *, up: str = DEFAULT_UP,
+              notes: list[str] | None = None) -> "Rig":
+        """A rig that fits the scene to the panel's height (or width, where that is met first), in 90 degrees at most.
 
         The zero plane is at the harmonic mean of robust near and far depths. With `world_to_camera` the camera stays
-        where it is, otherwise it looks along +z at the scene from in front. See lightfield_gs.framing.frame.
+        where it is, otherwise it looks at the scene from in front, upright by `up`, the axis that points up: "x", "y",
+        "z", "-x", "-y" or "-z". With -y, as in OpenCV axes, it looks along +z. What was left out of a scene that
+        surrounds what it is about is said in `notes`, a list to append to. See lightfield_gs.framing.frame.
         """
         from lightfield_gs.framing import frame
 
-        return frame(gaussians, panel, world_to_camera)
+        return frame(gaussians, panel, world_to_camera, up=up, notes=notes)
+
+    def relative_to(self, origin: Sequence[float]) -> "Rig":
+        """The same cameras for coordinates that are given from `origin`, three numbers in scene units.
+
+        rig.relative_to(gaussians.origin) is the rig for Gaussians with an origin of one in their file's coordinates;
+        with the origin negated it goes back. Double precision.
+        """
+        if not any(origin):
+            return self
+        matrix = self.world_to_camera.copy()
+        matrix[:3, 3] += matrix[:3, :3] @ np.asarray(origin, np.float64)
+        return replace(self, world_to_camera=matrix)
 
     # The fan
 
@@ -151,6 +167,16 @@ class Rig:
         return Cameras(torch.from_numpy(matrices), torch.tensor([self.focal_px] * len(offsets), dtype=torch.float64),
                        torch.from_numpy(centres), panel.width_px, panel.height_px,
                        jacobian_limits=torch.from_numpy(limits))
+
+
+def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
+    """The same view of the scene on a panel of another width; a panel is never enlarged."""
+    scale = min(1.0, width_px / panel.width_px)
+    width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
+    scales = width / panel.width_px, height / panel.height_px
+    focal, centre = (tuple(value * s for value, s in zip(pair, scales))
+                     for pair in (rig.focal_px, rig.principal_point_px))
+    return replace(panel, width_px=width, height_px=height), replace(rig, focal_px=focal, principal_point_px=centre)
 
 
 def _float64(values: Any) -> np.ndarray | None:

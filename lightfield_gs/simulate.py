@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from lightfield_gs.cells import PERIOD, subpixel_offsets
 from lightfield_gs.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
@@ -42,7 +43,8 @@ def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_su
         raise InputError(f"eye: z must be larger than the lens gap of {abs(gap):.4g} mm, got {z}")
     lens_mm = lens * sub_mm * distance / (distance + gap)
     # a is linear in D, with xi = (D - D_mid) p_sub; D_mid is what D would be of a sub-pixel centred on the panel.
-    middle = 1.5 * panel.width_px - 0.5 + 1.5 * (panel.height_px - 1) * panel.slant_tan + panel.phase
+    pixel = 0 if panel.subpixel_cells else 1  # D of a pixel's centre, from its reference
+    middle = 1.5 * (panel.width_px - 1) + pixel + 1.5 * (panel.height_px - 1) * panel.slant_tan + panel.phase
     slope = sub_mm * z / ((z + gap) * lens_mm)
     shift = middle / lens + (x - y * panel.slant_tan) * gap / ((z + gap) * lens_mm)
     columns, rows = _cells(panel.width_px, lens), _cells(panel.height_px, lens)
@@ -69,10 +71,12 @@ def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_su
 def _light(panel: Panel, channel: int, rows: slice, shift: float, slope: float, middle: float,
            sigma: float) -> np.ndarray:
     """How much each sub-pixel of a channel is lit, float32 [rows, W]."""
-    along = slope * (3 * np.arange(panel.width_px) + panel.place(channel) + panel.phase - middle) + shift
-    down = slope * 3 * panel.slant_tan * np.arange(rows.start, rows.stop)
+    columns, numbers = np.arange(panel.width_px), np.arange(rows.start, rows.stop)
+    within = subpixel_offsets(panel)[..., channel].astype(np.float64)[:, columns % PERIOD]  # [PERIOD, W]
+    along = slope * (3 * columns + within + panel.phase - middle) + shift
+    down = slope * 3 * panel.slant_tan * numbers
     along, down = along - np.floor(along), down - np.floor(down)  # small numbers keep float32 exact enough
-    turns = along.astype(np.float32) + down.astype(np.float32)[:, None]
+    turns = along.astype(np.float32)[numbers % PERIOD] + down.astype(np.float32)[:, None]
     turns -= np.floor(turns)
     turns -= np.float32(0.5)
     turns *= np.float32(1 / (sigma * math.sqrt(2)))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def culled(gaussians: Gaussians, rig: Rig, drawn: int, pruned: int) -> dict[str, int]:
     """Gaussians that are not drawn, by the first reason that holds: behind (or nearer than the near plane), faint
     (opacity below 1/255), outside the panel from every camera of the rig (or of no shape: a quaternion of zeros; or
-    nowhere above a raised opacity cut), pruned (Quality.contribution_cut)."""
+    nowhere above a raised opacity cut, or for anti-aliasing above 1/255), pruned (Quality.contribution_cut)."""
     pose = torch.as_tensor(rig.world_to_camera, dtype=torch.float64, device=gaussians.means.device)
     behind = gaussians.means.double() @ pose[2, :3] + pose[2, 3] < _core.NEAR_DEPTH
     faint = ~behind & (gaussians.opacities.double() * 255 < 1)

@@ -149,7 +149,7 @@ def _floats_or_bytes(out: Tensor) -> tuple[int, int]:
 
 @torch.no_grad()
 def encode_sorted(fields: list[Tensor], cameras: Cameras, plan: SortedPlan, budget: int | None, background: Tensor,
-                  as_bytes: bool, threads: int, stats: Stats) -> Tensor:
+                  as_bytes: bool, threads: int, stats: Stats, antialiased: bool = False) -> Tensor:
     """The image [H, W, 3] of N Gaussians (five fields, float32 or float64), view n of the plan seen by camera n.
 
     budget: bytes that the work memory beside image, Gaussians and view map may take, on their device; None: the plan
@@ -168,7 +168,7 @@ def encode_sorted(fields: list[Tensor], cameras: Cameras, plan: SortedPlan, budg
     if plan.hidden:
         out[:] = bytes_of(background.clone()) if as_bytes else background
     with scene.guard:
-        _Encoding(scene, cameras, plan, budget, background, threads, stats).run(out)
+        _Encoding(scene, cameras, plan, budget, background, threads, stats, antialiased).run(out)
     return out
 
 
@@ -176,9 +176,9 @@ class _Encoding:
     """One image: the chunks of views, and the memory that they take."""
 
     def __init__(self, scene: Scene, cameras: Cameras, plan: SortedPlan, budget: int | None, background: Tensor,
-                 threads: int, stats: Stats):
+                 threads: int, stats: Stats, antialiased: bool):
         self.scene, self.cameras, self.plan, self.budget = scene, cameras, plan, budget
-        self.background, self.threads, self.stats = background, threads, stats
+        self.background, self.threads, self.stats, self.antialiased = background, threads, stats, antialiased
         self.device = scene.tensors[0].device
         self.stages = _CudaStages(scene, plan) if self.device.type == "cuda" else _CpuStages(scene, plan, threads)
         total = budget or self.stages.default_work + plan.table_bytes() + plan.bytes()
@@ -264,7 +264,7 @@ class _Encoding:
         cameras = self.cameras.select(chosen).to(self.scene.tensors[0])
         tensors = [t.contiguous() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
         native = self.scene.core.Cameras(1, views, self.plan.width_px, self.plan.height_px,
-                                         *(t.data_ptr() for t in tensors))
+                                         *(t.data_ptr() for t in tensors), self.antialiased)
         return native, tensors
 
     # The least budget

@@ -14,6 +14,7 @@ from lightfield_gs import _core
 from lightfield_gs.arrays import dense_tensor
 from lightfield_gs.checks import expect, shown, whole_number
 from lightfield_gs.errors import InputError
+from lightfield_gs.lens import lens_lists, native_lens
 from lightfield_gs.panel import MAX_VIEWS, Panel
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels; every list is filled up to whole blocks
@@ -157,11 +158,7 @@ def views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]
 
 
 def _core_map(panel: Panel) -> Any:
-    phase0, phase_x, phase_y = panel.phase_steps()
-    return _core.ViewMap(_core.Lens(
-        width_px=panel.width_px, height_px=panel.height_px, views=panel.views, phase0=phase0, phase_x=phase_x,
-        phase_y=phase_y, line_number=panel.line_number, slant_tan=panel.slant_tan, phase=panel.phase,
-        bgr=panel.subpixel_order == "BGR", continuous=False, offset_start=0.0, offset_step=0.0))
+    return _core.ViewMap(native_lens(*lens_lists(panel)))
 
 
 def _tile(views: int, width_px: int, device_type: str) -> Any:

@@ -169,7 +169,8 @@ class Workspace:
     """Splats and bins of one render on the CPU, and the stages over them."""
 
     def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats,
-                 threads: int, state: State | None = None):
+                 threads: int, state: State | None = None, compensated: bool = False):
+        """compensated: of an anti-aliased light field, whose opacities change over the rig."""
         n, self.scene, self.images, self.stats, self.threads = scene.count, scene, images, stats, threads
         self.width, self.height, self.colour_order = width, height, colour_order
         self.offsets = images * _core.band_count(height) + 1  # of bands into their lists
@@ -179,8 +180,9 @@ class Workspace:
             self.splats, self.colours, lists = state.check(images, scene, colour_order, 8 * self.offsets)
             self._use_lists(lists)
         self.orders = scene.new(images, n, dtype=torch.int32)
+        self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if compensated else None
         self.native = scene.core.Splats(images, n, colour_order, self.splats.data_ptr(), self.colours.data_ptr(),
-                                        self.orders.data_ptr())
+                                        self.orders.data_ptr(), self.compensations.data_ptr() if compensated else 0)
 
     def _use_lists(self, lists: Tensor) -> None:
         """Bytes: band offsets [I * bands + 1] int64, then the splats of the pairs, int32."""
@@ -225,6 +227,8 @@ class Workspace:
         self.stats.images += self.images
         self.stats.gaussians_drawn += int(drawn.sum())
         self.stats.add_buffers(self.splats, self.colours, self.orders, order, drawn, self.lists)
+        if self.compensations is not None:
+            self.stats.add_buffers(self.compensations)
         return True
 
     def bin_as(self, other: Workspace) -> None:
@@ -273,5 +277,6 @@ class Workspace:
         """first_pair [I, N], pair gradients [pairs, size], background gradient per band [bands, 3]."""
         first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
         self.scene.core.first_pairs(self.native, self.height, self.bins, first.data_ptr(), self.threads)
-        pairs = self.scene.new(self.pairs, _core.pair_gradient_size(self.colour_order), zero=True)
+        size = _core.pair_gradient_size(self.colour_order, self.compensations is not None)
+        pairs = self.scene.new(self.pairs, size, zero=True)
         return first, pairs, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)

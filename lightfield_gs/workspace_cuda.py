@@ -18,7 +18,8 @@ class CudaWorkspace:
     """Splats, keys and tile lists of one render; every buffer from torch's allocator, all work on its stream."""
 
     def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, lens: bool,
-                 state: State | None = None, tile: Any = None):
+                 state: State | None = None, tile: Any = None, compensated: bool = False):
+        """compensated: of an anti-aliased light field, whose opacities change over the rig."""
         n, self.scene, self.images, self.stats, self.items = scene.count, scene, images, stats, images * scene.count
         self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
         self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
@@ -31,8 +32,9 @@ class CudaWorkspace:
             self.splats, self.colours, lists = state.check(images, scene, colour_order, self.lists_bytes)
             self._use_lists(lists)
         self.orders = scene.new(images, n if lens else 0, dtype=torch.int32)
+        self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if compensated else None
         self.native = scene.core.Splats(images, n, colour_order, self.splats.data_ptr(), self.colours.data_ptr(),
-                                        self.orders.data_ptr())
+                                        self.orders.data_ptr(), self.compensations.data_ptr() if compensated else 0)
 
     def _use_lists(self, lists: Tensor, unsorted: Tensor | None = None) -> None:
         """Bytes: range of each tile [tiles, 2] int64, of slots of each splat [I, N, 2] int32, then slots and splats of
@@ -130,7 +132,8 @@ class CudaWorkspace:
                       g_image: Tensor) -> tuple[list[Tensor], Tensor]:
         """Gradients of the five fields, and of the background in parts [parts, 3]."""
         scene, cuda = self.scene, _core.cuda
-        slots = scene.new(self.count, cuda.LENS_SUMS + 3 * self.colours.shape[2])
+        sharp = 0 if self.compensations is None else _core.COMPENSATION_FIELDS
+        slots = scene.new(self.count, cuda.LENS_SUMS + 3 * self.colours.shape[2] + sharp)
         g_background = scene.new(self.image.tiles(), 3)
         cuda.composite_lens_backward(self.native, self.image, self.ranges, self.pairs, lens, image.data_ptr(),
                                      g_image.data_ptr(), slots.data_ptr(), g_background.data_ptr(), self.stream)

@@ -46,10 +46,11 @@ def main() -> None:
     parser.add_argument("photos", nargs="+", help="pictures of objects: RGBA, or on a plain background")
     parser.add_argument("-o", "--output", required=True, help="the sheet, in any format that Pillow writes")
     parser.add_argument("--panel", default="65in-8k-96v", help="name or file (default: %(default)s)")
+    parser.add_argument("--device-serial", help="which display, where a Looking Glass .json has several")
     parser.add_argument("--angles", type=float, nargs="+", default=[-15.0, 0.0, 15.0],
                         help="of the eyes, degrees from the panel's axis, right positive (default: -15 0 15)")
     options = parser.parse_args()
-    panel = Panel.load(options.panel)
+    panel = Panel.load(options.panel, serial=options.device_serial)
     encoder = PhotoEncoder(SplatterNet.from_pretrained(), panel)
     shape = panel.width_px / panel.height_px
     sheet = Image.new("RGB", ((1 + len(options.angles)) * TILE_PX, len(options.photos) * TILE_PX), "white")

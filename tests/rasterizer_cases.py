@@ -57,6 +57,9 @@ def dense_views(batch: int, views: int, width: int, height: int) -> tuple[torch.
 
 BASE_PANEL = dict(width_px=110, height_px=46, views=96, line_number=9.848282191911, slant_tan=1 / 6,
                   phase=-2161.204484657574, cone_deg=40.0)
+# As a 16-inch Looking Glass of the third generation has them
+CELLS = (((-0.31, 0.25), (0.28, 0.25), (0.0, -0.25)), ((-0.31, -0.25), (0.28, -0.25), (0.0, 0.25)))
+MIRRORED = (((-1 / 3, 0.0), (0.0, 0.0), (1 / 3, 0.0)), ((1 / 3, 0.1), (0.0, 0.0), (-1 / 3, 0.0)))
 PANELS = {
     "default lens": {},
     "narrow cone": dict(cone_deg=5.0),
@@ -78,6 +81,11 @@ PANELS = {
     "one pixel": dict(width_px=1, height_px=1),
     "one row": dict(height_px=1, width_px=311),
     "one column": dict(height_px=129, width_px=1),
+    "cells": dict(line_number=19.17, slant_tan=0.1455, subpixel_cells=CELLS, cell_pattern=2),
+    "cells of four rows": dict(subpixel_cells=CELLS + MIRRORED, cell_pattern=3, cell_rows="top", height_px=43),
+    "cells that exchange colours": dict(subpixel_cells=MIRRORED, cell_pattern=1, slant_tan=-0.18),
+    "cells far aside": dict(subpixel_cells=(((-2.0, 0.3), (1.2, 0.25), (0.0, -3.0)), *CELLS), cell_pattern=4),
+    "cells of narrow lenses": dict(subpixel_cells=CELLS, cell_pattern=4, cell_rule="webxr", line_number=4.6),
 }
 
 

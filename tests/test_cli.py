@@ -32,13 +32,14 @@ def test_encode_writes_the_image_and_says_what_it_took(folder, capsys):
 def test_encode_prints_what_was_skipped(folder, capsys):
     plain = run(capsys, "encode s.ply -o o.png --panel p.yaml")
     shown = run(capsys, "encode s.ply -o o.png --panel p.yaml --stats").splitlines()
-    assert len(plain.splitlines()) == 2 and shown[2].startswith("pairs of tile and Gaussian: ")
+    assert plain.splitlines()[2:] == shown[-1:] and shown[-1].startswith("axes: -y is up (assumed, ")
+    assert shown[2].startswith("pairs of tile and Gaussian: ")
     assert re.fullmatch(r"of 60 Gaussians not drawn: \d+ behind, \d+ faint, \d+ pruned, \d+ outside", shown[3])
     for start in ("colours by polynomial order", "tiles: ", "lattices: 0 good enough", "sub-pixels that ended early: ",
                   "evaluations per sub-pixel: "):
         assert any(line.startswith(start) for line in shown)
     sorted_lines = run(capsys, "encode s.ply -o o.png --panel p.yaml --method sorted --stats").splitlines()
-    assert [line.split(":")[0] for line in sorted_lines[2:]] == [shown[2].split(":")[0], "evaluations per sub-pixel"]
+    assert [line.split(":")[0] for line in sorted_lines[2:-1]] == [shown[2].split(":")[0], "evaluations per sub-pixel"]
 
 
 def test_encode_is_the_library_call(folder, capsys):

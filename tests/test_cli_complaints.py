@@ -8,7 +8,7 @@ import torch
 from command_line import complaint
 
 from lightfield_gs import cli
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.io import scene_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panel import Panel
 
@@ -127,7 +127,7 @@ def test_cuda_is_asked_for_in_vain(folder, capsys, monkeypatch, devices, version
 
 
 def test_interrupt(folder, capsys, monkeypatch):
-    monkeypatch.setattr(Panel, "load", lambda source: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(Panel, "load", lambda source, serial: (_ for _ in ()).throw(KeyboardInterrupt))
     assert cli.main("encode s.ply -o o.png".split()) == 130
     assert capsys.readouterr().err == "lightfield-gs: error: interrupted\n"
 
@@ -135,11 +135,11 @@ def test_interrupt(folder, capsys, monkeypatch):
 def test_out_of_memory(folder, capsys, monkeypatch):
     for error in (MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"),
                   torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB.")):
-        monkeypatch.setattr(Gaussians, "load", lambda path, error=error: (_ for _ in ()).throw(error))
+        monkeypatch.setattr(scene_file, "read_scene", lambda *_, error=error, **__: (_ for _ in ()).throw(error))
         assert "out of memory" in complaint(capsys, "encode s.ply -o o.png --panel p.yaml")
 
 
 def test_faults_of_our_own_are_not_hidden(folder, monkeypatch):
-    monkeypatch.setattr(Gaussians, "load", lambda path: (_ for _ in ()).throw(RuntimeError("a bug")))
+    monkeypatch.setattr(scene_file, "read_scene", lambda *_, **__: (_ for _ in ()).throw(RuntimeError("a bug")))
     with pytest.raises(RuntimeError, match="a bug"):
         cli.main("encode s.ply -o o.png".split())

@@ -32,7 +32,7 @@ pytestmark = pytest.mark.slow
 
 DRAWN = ("pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal", "shapes", "chosen", "widest",
          "half", "settings", "parabolas", "lattice", "words", "half empty", "harmonics", "opaque", "crowd", "pruned",
-         "recoloured", "dense", "sorted", "gradients", "norms")
+         "recoloured", "dense", "sorted", "gradients", "norms", "antialiased", "antialiased gradients")
 
 
 class Drawings:
@@ -272,6 +272,29 @@ def test_gradients_of_long_needles_and_short_quaternions_are_those_of_float64(dr
         for name, expected in cases.gradients(scene(), sensor, torch.float64).items():
             held = expected.clamp(-largest, largest)
             assert (found[name].double() - held).norm() < 5e-3 * held.norm(), (scene.__name__, sensor, name)
+
+
+def test_antialiased_frames_are_those_of_the_oracle(drawn):
+    for (kernel, name, degree, views, quality), found in zip(cases.ANTIALIASED, drawn("antialiased"), strict=True):
+        panel, scene = cases.panel_of(name), cases.fine(degree)
+        rig, where = cases.rig_of(panel), [axis.ravel() for axis in np.indices(found["image"].shape)]
+        expected = reference.subpixel_colours(scene, panel, rig, *where, continuous=views == "continuous",
+                                              background=cases.BACKGROUND, antialiased=True)
+        error = np.abs(found["image"].numpy().ravel() - expected)
+        assert found["kernel"] == kernel or kernel is None and found["kernel"].startswith("pixel-quadratic")
+        assert found["exact"] and (error**2).mean() < (1e-8 if quality == "exact" else 5e-4), name
+        plain = encode(scene, panel, rig, views=views, background=cases.BACKGROUND, output="float32")
+        assert ((plain.numpy().ravel() - expected)**2).mean() > 1e-3
+
+
+def test_antialiased_images_and_gradients_are_those_of_float64(drawn):
+    found = iter(drawn("antialiased gradients"))
+    for scene in (cases.fine(1), cases.beams()):
+        for sensor in ("lens", "dense"):
+            have = next(found)
+            for name, expected in cases.gradients(scene, sensor, torch.float64, antialiased=True).items():
+                error = (have[name].double() - expected).norm() / expected.norm()
+                assert error < (1e-5 if name == "image" else 5e-3), (sensor, name)
 
 
 def test_group_norm_and_silu(drawn):

@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import rasterizer_cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -57,13 +58,80 @@ def test_looking_glass_template(tmp_path):
         assert " ".join(f"{96 - value:.5f}" for value in x[row, col]) == printed
 
 
+CELLS = [{f"{colour}Offset{axis}": value for colour, place in zip("RGB", cell) for axis, value in zip("XY", place)}
+         for cell in rasterizer_cases.CELLS]
+THIRD = {"pitch": 44.750583, "slope": -6.874566, "center": 0.169358, "DPI": 283, "screenW": 3840, "screenH": 2160,
+         "CellPatternMode": 2, "subpixelCells": CELLS}
+
+
+def test_looking_glass_of_the_third_generation():
+    lkg = 47 - Panel.from_looking_glass(THIRD, views=48).view_map()
+    for (col, row), printed in {(0, 0): [14, 10, 11], (1, 0): [6, 1, 4], (0, 1): [13, 8, 10], (1, 1): [5, 0, 3],
+                                (100, 50): [24, 20, 21]}.items():
+        assert lkg[row, col].tolist() == printed
+
+
+def looking_glass_views(calibration, cell, views, col, row, channel):
+    """N (1 - frac(a)) by the formula of Looking Glass' shaders; cell: which one a pixel is."""
+    c = {key: float(value) for key, value in calibration.items() if key != "subpixelCells"}
+    w, h, sign = c["screenW"], c["screenH"], -1 if c.get("flipImageX") else 1
+    u, v, tilt = (col + 0.5) / w, (h - row - 0.5) / h, sign * h / (w * c["slope"])
+    if calibration.get("subpixelCells"):
+        cells = np.array([[[one[f"{colour}Offset{axis}"] for axis in "XY"] for colour in "RGB"]
+                          for one in calibration["subpixelCells"]])
+        x, y = cells[cell, channel].T
+        u, v = u + x / w, v + y / h
+    else:
+        u = u + (2 - channel if c.get("flipSubp") else channel) * sign / (3 * w)
+    a = (u + v * tilt) * c["pitch"] * w / c["DPI"] * math.cos(math.atan(1 / c["slope"])) - c["center"]
+    return views * (1 - (a - np.floor(a)))
+
+
+@pytest.mark.parametrize("change, cell", [
+    ({}, lambda x, y: x % 2), ({"CellPatternMode": 0}, lambda x, y: 0 * x),
+    ({"CellPatternMode": 1}, lambda x, y: (x + y) % 2), ({"CellPatternMode": 4}, lambda x, y: y % 2),
+    ({"CellPatternMode": 3, "subpixelCells": CELLS + CELLS[::-1]}, lambda x, y: (y + 2 * (x % 2)) % 4),
+    ({"flipImageX": 1}, lambda x, y: x % 2), ({"subpixelCells": [], "CellPatternMode": 0}, None),
+    ({"subpixelCells": [], "CellPatternMode": 0, "flipImageX": 1}, None),
+    ({"subpixelCells": [], "CellPatternMode": 0, "flipImageX": 1, "flipSubp": 1}, None)])
+def test_looking_glass_formula(change, cell):
+    calibration = {**THIRD, **change}
+    panel = Panel.from_looking_glass(calibration, views=48)
+    random = np.random.default_rng(0)
+    col, row, channel = (random.integers(0, size, 200_000) for size in (3840, 2160, 3))
+    number = None if cell is None else cell(col, 2159 - row)
+    want = looking_glass_views(calibration, number, 48, col, row, channel)
+    away = (48 - panel.view_map(continuous=True)[row, col, channel] - want + 24) % 48 - 24
+    assert np.abs(away).max() < 1e-9
+
+
+def test_a_mirrored_looking_glass_may_gain_half_a_lens():
+    mirrored = {**TEMPLATE, "flipImageX": 1}
+    plain, moved = (Panel.from_looking_glass(mirrored, flip_center=by).view_map(continuous=True)[0, 0, 0] for by in (0, 0.5))
+    assert (moved - plain) % 96 == pytest.approx(48)
+
+
+def test_cells_come_back_from_their_file(tmp_path):
+    panel = Panel.from_looking_glass(THIRD)
+    panel.to_yaml(tmp_path / "cells.yaml")
+    assert Panel.load(tmp_path / "cells.yaml") == panel
+    stripes = Panel.load("toy-8v")
+    assert "subpixel_cells" not in stripes.to_dict()
+
+
 def test_looking_glass_options_and_errors():
     options = {**TEMPLATE, "viewCone": 54, "flipSubp": 1, "invView": 1}
     panel = Panel.from_looking_glass(options, views=48)
     assert (panel.views, panel.cone_deg, panel.subpixel_order, panel.invert_views) == (48, 54, "BGR", False)
     assert Panel.from_looking_glass({**TEMPLATE, "invView": 0}).invert_views
     for change, word in (({"pitch": "x"}, "pitch"), ({"DPI": 0}, "DPI"), ({"slope": 0}, "slope"),
-                         ({"flipImageX": 1}, "flipImageX"), ({"center": math.nan}, "center"),
+                         ({"flipImageY": 1}, "flipImageY"), ({"fringe": 0.5}, "fringe"),
+                         ({"verticalAngle": 1.57}, "verticalAngle"), ({"center": math.nan}, "center"),
+                         ({"CellPatternMode": 7}, "CellPatternMode 7 is not known"),
+                         ({"CellPatternMode": 2}, "no subpixelCells"), ({"subpixelCells": [{}]}, "missing ROffsetX"),
+                         ({"subpixelCells": "none"}, "must be a list"), ({"subpixelCells": [3]}, "must be an object"),
+                         ({"subpixelCells": CELLS, "CellPatternMode": 3}, "needs 4"),
+                         ({"subpixelCells": CELLS, "flipSubp": 1}, "flipSubp"),
                          ({"screenW": 0}, "width_px")):
         with pytest.raises(InputError, match=word):
             Panel.from_looking_glass({**TEMPLATE, **change})
@@ -170,7 +238,12 @@ def test_yaml_without_the_optional_fields(tmp_path):
     (dict(slant_tan=99), "slant_tan"), (dict(phase=math.nan), "phase"), (dict(cone_deg=0), "cone_deg"),
     (dict(cone_deg=180), "cone_deg"), (dict(subpixel_order="GRB"), "subpixel_order"),
     (dict(invert_views="no"), "invert_views"), (dict(viewing_distance_mm=0), "viewing_distance_mm"),
-    (dict(pixel_pitch_mm=-1), "pixel_pitch_mm")])
+    (dict(pixel_pitch_mm=-1), "pixel_pitch_mm"), (dict(cell_pattern=1), "without subpixel_cells"),
+    (dict(subpixel_cells=[[0, 1, 2]]), "subpixel_cells"), (dict(subpixel_cells="RGB"), "subpixel_cells"),
+    (dict(subpixel_cells=rasterizer_cases.CELLS, cell_pattern=5), "cell_pattern"),
+    (dict(subpixel_cells=rasterizer_cases.CELLS, cell_rule="apple"), "cell_rule"),
+    (dict(subpixel_cells=rasterizer_cases.CELLS, cell_rows=0), "cell_rows"),
+    (dict(subpixel_cells=rasterizer_cases.CELLS, subpixel_order="BGR"), "subpixel_order")])
 def test_nonsense_is_refused(change, words):
     good = dict(width_px=8, height_px=7, views=8, line_number=10.0, slant_tan=0.1)
     with pytest.raises(InputError, match=words) as caught:
@@ -181,7 +254,9 @@ def test_nonsense_is_refused(change, words):
 @pytest.mark.parametrize("text, words", [
     ("width: 3\n", "did you mean 'width_px'"), ("[1, 2]\n", "mapping"), ("a: [", "not YAML"), ("", "mapping"),
     ("width_px: 3\nheight_px: 2\nviews: 4\nslant_tan: 0\n", "missing line_number"),
-    ("width_px: &a [1]\nheight_px: *a\n", "aliases")])
+    ("width_px: 3\nheight_px: 2\nviews: 4\nviews: 5\nline_number: 5\nslant_tan: 0\n", "'views' twice"),
+    ("width_px: 010\n", "'010' is a different number"), ("width_px: 1:30\n", "'1:30' is a"),
+    ("line_number: 1_0.5\n", "'1_0.5' is a"), ("width_px: &a [1]\nheight_px: *a\n", "aliases")])
 def test_bad_yaml(tmp_path, text, words):
     path = tmp_path / "p.yaml"
     path.write_text(text)

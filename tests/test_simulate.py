@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from rasterizer_cases import CELLS
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
@@ -12,7 +13,8 @@ from lightfield_gs.simulate import simulate
 BASE = dict(width_px=600, height_px=300, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2,
             cone_deg=40, viewing_distance_mm=2000, pixel_pitch_mm=0.19)
 KINDS = [{}, dict(slant_tan=-0.18, subpixel_order="BGR", phase=7.3), dict(slant_tan=0.0, line_number=16.01),
-         dict(cone_deg=15, line_number=4.2), dict(width_px=397, height_px=131)]
+         dict(cone_deg=15, line_number=4.2), dict(width_px=397, height_px=131),
+         dict(subpixel_cells=CELLS, cell_pattern=2, line_number=19.17), dict(subpixel_cells=CELLS, cell_pattern=1)]
 
 
 def views_seen(panel: Panel, eye, **options) -> np.ndarray:

@@ -9,6 +9,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rasterizer_cases import CELLS
 from stress_cases import CASES
 
 import lightfield_gs as lf
@@ -34,7 +35,9 @@ CALLS = {
     "Gaussians": (lambda **fields: Gaussians(**fields).validate(), SCENE.fields()),
     "Gaussians.load": (Gaussians.load, dict(path="nowhere.ply")),
     "Gaussians.save": (SCENE.save, dict(path="/nowhere/a.ply")),
-    "Panel": (Panel, {**PANEL.to_dict(), "viewing_distance_mm": 2000.0, "pixel_pitch_mm": 0.2}),
+    "Panel": (Panel, {**PANEL.to_dict(), "viewing_distance_mm": 2000.0, "pixel_pitch_mm": 0.2,
+                      "subpixel_cells": CELLS, "cell_pattern": 2, "cell_rule": "unity",
+                      "cell_rows": "bottom"}),
     "Panel.from_physical": (Panel.from_physical, dict(
         width_px=2, height_px=1, views=8, lens_pitch_mm=0.6, slant_tan=1 / 6, viewing_distance_mm=1000, lens_gap_mm=2,
         pixel_pitch_mm=0.18, phase=0.0, subpixel_order="RGB", invert_views=False, cone_deg=40, name="a")),

@@ -21,11 +21,12 @@ namespace lfgs {
 namespace {
 
 View<double> view_of(const std::vector<double>& world_to_camera, const std::vector<double>& intrinsics,
-                     const std::vector<double>& limits, double zero_depth, const Lens& lens) {
+                     const std::vector<double>& limits, double zero_depth, const Lens& lens, bool antialiased) {
   require(world_to_camera.size() == 16 && intrinsics.size() == 4 && limits.size() == 5, "a rig is 16 + 4 + 5 numbers");
   View<double> rig = make_view<double>(world_to_camera.data(), intrinsics.data(), limits.data());
   rig.sweep = lens.reach();
   rig.inverse_zero_depth = 1 / zero_depth;
+  rig.antialiased = antialiased;
   return rig;
 }
 
@@ -45,19 +46,20 @@ void bind_stages(py::module_ m) {
            py::arg("opacities"), py::arg("sh"));
   py::class_<Cameras<T>>(m, "Cameras")
       .def(py::init([](int64_t scenes, int64_t per_scene, int64_t width_px, int64_t height_px, Address world_to_camera,
-                       Address intrinsics, Address limits) {
+                       Address intrinsics, Address limits, bool antialiased) {
              return Cameras<T>{scenes, per_scene, width_px, height_px, at<T>(world_to_camera), at<T>(intrinsics),
-                               at<T>(limits)};
+                               at<T>(limits), antialiased};
            }),
            py::arg("scenes"), py::arg("per_scene"), py::arg("width_px"), py::arg("height_px"),
-           py::arg("world_to_camera"), py::arg("intrinsics"), py::arg("limits"));
+           py::arg("world_to_camera"), py::arg("intrinsics"), py::arg("limits"), py::arg("antialiased") = false);
   py::class_<Splats<T>>(m, "Splats")
       .def(py::init([](int64_t images, int64_t count, int colour_order, Address splats, Address colours,
-                       Address orders) {
-             return Splats<T>{images, count, colour_order, at<Splat<T>>(splats), at<T>(colours), at<int32_t>(orders)};
+                       Address orders, Address compensations) {
+             return Splats<T>{images, count, colour_order, at<Splat<T>>(splats), at<T>(colours), at<int32_t>(orders),
+                              at<Compensation<T>>(compensations)};
            }),
            py::arg("images"), py::arg("count"), py::arg("colour_order"), py::arg("splats"), py::arg("colours"),
-           py::arg("orders"));
+           py::arg("orders"), py::arg("compensations") = 0);
   py::class_<DenseImages<T>>(m, "DenseImages")
       .def(py::init([](Address image, Address alpha, Address depth) {
              return DenseImages<T>{at<T>(image), at<T>(alpha), at<T>(depth)};
@@ -270,28 +272,36 @@ PYBIND11_MODULE(_core, m) {
   m.attr("PRUNED") = kPruned;
   m.attr("NEAR_DEPTH") = kNearDepth;
   m.attr("COLOUR_STRIDE") = kColourStride;
+  m.attr("CELL_SUBPIXELS") = kCellPeriod * kRowPeriod;
   m.def("band_count", &band_count);
-  m.def("pair_gradient_size", &pair_gradient_size);
+  m.attr("COMPENSATION_FIELDS") = kCompensationFields;
+  m.def("pair_gradient_size", &pair_gradient_size, py::arg("colour_order"), py::arg("compensated") = false);
   m.def("simd_targets", &simd_targets);
   m.def("set_simd_target", &set_simd_target);
 
   py::class_<Lens>(m, "Lens")
       .def(py::init([](int64_t width_px, int64_t height_px, int64_t views, uint64_t phase0, uint64_t phase_x,
                        uint64_t phase_y, double line_number, double slant_tan, double phase, bool bgr, bool continuous,
-                       double offset_start, double offset_step) {
-             return Lens{width_px, height_px, views, phase0, phase_x, phase_y, line_number, slant_tan, phase, bgr,
-                         continuous, offset_start, offset_step};
+                       double offset_start, double offset_step, const std::vector<uint64_t>& cell_phases,
+                       const std::vector<int>& cell_channels) {
+             Lens lens{width_px, height_px, views, phase0, phase_x, phase_y, line_number, slant_tan, phase, bgr,
+                       continuous, offset_start, offset_step, false, {}};
+             lens.set_cells(cell_phases, cell_channels);
+             return lens;
            }),
            py::kw_only(), py::arg("width_px"), py::arg("height_px"), py::arg("views"), py::arg("phase0"),
            py::arg("phase_x"), py::arg("phase_y"), py::arg("line_number"), py::arg("slant_tan"), py::arg("phase"),
-           py::arg("bgr"), py::arg("continuous"), py::arg("offset_start"), py::arg("offset_step"))
+           py::arg("bgr"), py::arg("continuous"), py::arg("offset_start"), py::arg("offset_step"),
+           py::arg("cell_phases") = std::vector<uint64_t>(), py::arg("cell_channels") = std::vector<int>())
       .def("reach", &Lens::reach)
+      .def("stands_in_order", &Lens::stands_in_order)
+      .def("has_one_order", &Lens::has_one_order)
       .def("view_at", [](const Lens& lens, int64_t row, int64_t subpixel) {
-        return integer_view(lens.phase_at(row, subpixel), uint64_t(lens.views));
+        return integer_view(lens.true_phase(row, subpixel), uint64_t(lens.views));
       });
   py::class_<View<double>>(m, "Rig").def(py::init(&view_of), py::kw_only(), py::arg("world_to_camera"),
                                          py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),
-                                         py::arg("lens"));
+                                         py::arg("lens"), py::arg("antialiased") = false);
   py::class_<Quality>(m, "Quality")
       .def(py::init([](double opacity_cut, double transmittance_stop, double lattice, double contribution,
                        double evaluation) {

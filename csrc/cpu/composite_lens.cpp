@@ -29,10 +29,20 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// From the places of a panel that has the blue left-most to the channels of an image.
+// From the places of a panel to the channels of an image, rows from `row0` on.
 template <class U>
-void SwapRedBlue(U* rows, int64_t pixels) {
-  for (int64_t j = 0; j < pixels; ++j) std::swap(rows[3 * j], rows[3 * j + 2]);
+void PlacesToChannels(const Lens& lens, int64_t row0, int64_t rows, U* image) {
+  if (!lens.has_cells) {
+    if (lens.bgr)
+      for (int64_t j = 0; j < rows * lens.width_px; ++j) std::swap(image[3 * j], image[3 * j + 2]);
+    return;
+  }
+  for (int64_t row = row0; row < row0 + rows; ++row)
+    for (int64_t j = 0; j < lens.width_px; ++j, image += 3) {
+      const uint8_t* channels = &lens.cells.channels[row % kCellPeriod][3 * (j % kCellPeriod)];
+      const U a = image[0], b = image[1], c = image[2];
+      image[channels[0]] = a, image[channels[1]] = b, image[channels[2]] = c;
+    }
 }
 
 constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lattice; levels: the same, halves, quarters
@@ -90,9 +100,10 @@ class LensBands {
     } else {
       draw_tiles(splats, cells);
     }
-    if (!job_.backward && lens_.bgr) {
-      const int64_t first = row0_ * 3 * lens_.width_px, pixels = rows_ * lens_.width_px;
-      job_.out8 ? SwapRedBlue(job_.out8 + first, pixels) : SwapRedBlue(job_.out + first, pixels);
+    if (!job_.backward) {
+      const int64_t first = row0_ * 3 * lens_.width_px;
+      job_.out8 ? PlacesToChannels(lens_, row0_, rows_, job_.out8 + first)
+                : PlacesToChannels(lens_, row0_, rows_, job_.out + first);
     }
     return kLeastFitting * (counters_.lattice_tiles - before.lattice_tiles) > counters_.tiles - before.tiles;
   }
@@ -194,7 +205,7 @@ class LensBands {
       }
       const TileSplat<T>& splat = scene_.splats[*id];
       if constexpr (sizeof(T) == 4) {
-        if (job_.quality.rough() && draw_roughly(*id, splat)) continue;
+        if (rough_ && draw_roughly(*id, splat)) continue;
       }
       const int64_t count = tile_.find(splat.splat);
       counters_.evaluations += count * LensTile<T>::kLanes;
@@ -204,7 +215,8 @@ class LensBands {
       }
       const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
       const int64_t pair = job_.first_pair[*id] + own_band;
-      BackwardSplat(job_, tile_, *id, job_.pair_gradients + pair * pair_gradient_size(job_.splats.colour_order));
+      T* out = job_.pair_gradients + pair * pair_gradient_size(job_.splats.colour_order, antialiased_);
+      antialiased_ ? BackwardSplat<true>(job_, tile_, *id, out) : BackwardSplat<false>(job_, tile_, *id, out);
     }
     if (job_.backward)
       BackgroundGradient(tile_, layout_.samples(), job_.band_background + 3 * band_);
@@ -234,6 +246,8 @@ class LensBands {
   const LensJob<T>& job_;
   const Lens& lens_;
   const LensLayout& layout_;
+  const bool antialiased_ = job_.splats.compensations != nullptr;
+  const bool rough_ = job_.quality.rough() && !antialiased_;  // rough footprints know of no compensation
   int64_t band_ = 0, row0_ = 0, rows_ = 0;
   LensTile<T> tile_;
   LensLattice lattice_;
@@ -244,7 +258,8 @@ class LensBands {
 };
 
 template <class T>
-Counters CompositeLensImpl(const LensJob<T>& job) {
+Counters CompositeLensImpl(LensJob<T> job) {
+  if (!LensLattice::knows(*job.lens)) job.quality.lattice = 0;
   const LensScene<T> scene(job);
   std::vector<std::unique_ptr<LensBands<T>>> workers(size_t(std::max(job.threads, 1)));
   auto draw = [&](int64_t band, int worker, bool try_lattices) {

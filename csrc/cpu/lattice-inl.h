@@ -67,13 +67,15 @@ class LatticeNodes {
     return hn::AllTrue(d, hn::Eq(most, hn::Zero(d)));
   }
 
-  // Blends a splat, (u, v) being its centre about (x0, y0); colours: [order + 1, kColourStride].
-  HWY_NOINLINE void add(const Splat<float>& splat, float u, float v, const float* colours, int order,
-                        const Quality& quality, const float* background) {
+  // Blends a splat, (u, v) being its centre about (x0, y0); colours: [order + 1, kColourStride]; compensation: null, or
+  // that of an anti-aliased splat.
+  HWY_NOINLINE void add(const Splat<float>& splat, const Compensation<float>* compensation, float u, float v,
+                        const float* colours, int order, const Quality& quality, const float* background) {
     int first, last;
     if (!planes_touched(splat, u, v, first, last)) return;
     colours_on_planes(colours, order, first, last);
     reach_on_lines(splat, u, v, first * plan_.down, (last + 1) * plan_.down);
+    if (HWY_UNLIKELY(compensation != nullptr)) compensate(splat, *compensation, first, last);
     const Block* end = list_blocks(first, last);
     for (const Block* block = list_.data.get(); block < end; ++block) blend(*block, quality, background);
   }
@@ -134,6 +136,15 @@ class LatticeNodes {
       auto value = hn::LoadU(d4, colours + order * kColourStride);
       for (int p = order - 1; p >= 0; --p) value = hn::MulAdd(value, s, hn::LoadU(d4, colours + p * kColourStride));
       hn::StoreU(hn::Max(value, hn::Zero(d4)), d4, &splat_colours_.data[kColourStride * k]);
+    }
+  }
+
+  // Lowers A on the lines of some planes to what an anti-aliased splat has there.
+  HWY_NOINLINE void compensate(const Splat<float>& splat, const Compensation<float>& c, int first, int last) {
+    for (int k = first, l = first * plan_.down; k <= last; ++k) {
+      const float s = s_.data[l], sharp = c.D0 + s * (c.D1 + s * c.D2), S = splat.S0 + s * (splat.S1 + s * splat.S2);
+      const float log2_share = sharp > 0 ? 0.5f * std::log2(sharp / S) : -1e3f;
+      for (int j = 0; j < plan_.down; ++j, ++l) A_.data[l] += log2_share;
     }
   }
 

@@ -87,7 +87,8 @@ void with_order(int order, const Visit& visit) {
 template <class T>
 void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, const TileSplat<T>& splat,
              int64_t count) {
-  with_footprint(splat, job.quality, [&](const auto& footprint) {
+  const Compensation<T>* compensation = job.splats.compensations ? job.splats.compensations + id : nullptr;
+  with_footprint(splat, compensation, job.quality, [&](const auto& footprint) {
     with_order(job.splats.orders[id], [&](auto order) {
       ForwardSplat<std::decay_t<decltype(footprint)>, order>(job, tile, background, id, footprint, count);
     });
@@ -156,8 +157,31 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
   return stopped;
 }
 
+// Gradient sums of an anti-aliased splat for its share, a vector each: log2 of it is (log2 D(s) - log2 S(s)) / 2.
+template <class D>
+struct ShareSums {
+  using V = hn::Vec<D>;
+  V D0, D1, D2, S0, S1, S2;
+
+  explicit HWY_INLINE ShareSums(D d) { D0 = D1 = D2 = S0 = S1 = S2 = hn::Zero(d); }
+  // g: the gradient of log2 alpha.
+  HWY_INLINE void Add(D d, V g, V sharp, V inverse_S, V s) {
+    const V half = hn::Mul(g, hn::Set(d, hn::TFromD<D>(0.5 / kLn2))), gD = hn::Div(half, sharp);
+    const V of_D = hn::IfThenElseZero(hn::Gt(sharp, hn::Zero(d)), gD), of_S = hn::Neg(hn::Mul(half, inverse_S));
+    const V D_s = hn::Mul(of_D, s), S_s = hn::Mul(of_S, s);
+    D0 = hn::Add(D0, of_D), D1 = hn::Add(D1, D_s), D2 = hn::MulAdd(D_s, s, D2);
+    S0 = hn::Add(S0, of_S), S1 = hn::Add(S1, S_s), S2 = hn::MulAdd(S_s, s, S2);
+  }
+  // To the splat's gradient and that of its compensation.
+  HWY_INLINE void Reduce(D d, hn::TFromD<D>* HWY_RESTRICT splat, hn::TFromD<D>* HWY_RESTRICT compensation) const {
+    auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
+    splat[4] += sum(S0), splat[5] += sum(S1), splat[6] += sum(S2);
+    compensation[0] += sum(D0), compensation[1] += sum(D1), compensation[2] += sum(D2);
+  }
+};
+
 // See BackwardSplat of the dense sensor for the formula; here a sample has one channel.
-template <class T>
+template <bool kAntialiased, class T>
 void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out) {
   using V = typename LensTile<T>::V;
   const Tag<T> d;
@@ -167,6 +191,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out)
   const T* colour = colour_of(job.splats, id);
   const int order = job.splats.orders[id];
   SplatSums<Tag<T>> sums(d);
+  [[maybe_unused]] ShareSums<Tag<T>> share_sums(d);
+  [[maybe_unused]] const Share<T> share(kAntialiased ? job.splats.compensations[id] : Compensation<T>{});
   V g_colour[3 * (kMaxColourOrder + 1)];
   for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
@@ -175,7 +201,11 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out)
     const V s = hn::Load(d, &tile.s[i]);
     V dx, inverse_S;
     const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
-    V alpha = Alpha(d, power);
+    V alpha;
+    if constexpr (kAntialiased)
+      alpha = SharedAlpha(d, power, share.at(s, inverse_S), footprint.cut, hn::Set(d, T(kMinAlpha)));
+    else
+      alpha = Alpha(d, power);
     const V before = hn::Load(d, &tile.transmittance[i]);
     const V after = hn::NegMulAdd(alpha, before, before);
     const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
@@ -199,9 +229,11 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out)
     hn::Store(prefix, d, &tile.prefix[i]);
     const V later = hn::Div(hn::Sub(hn::Load(d, &tile.total[i]), prefix), hn::Sub(hn::Set(d, T(1)), alpha));
     const V g_alpha = hn::MulSub(before, v, later);
-    const auto free = hn::And(lit, hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
-    const V g_power = hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
+    auto free = hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha)));
+    if constexpr (kAntialiased) free = hn::Lt(alpha, hn::Set(d, T(kMaxAlpha)));
+    const V g_power = hn::IfThenElseZero(hn::And(lit, free), hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
     sums.Add(g_power, dy, hn::Mul(dx, inverse_S), s);
+    if constexpr (kAntialiased) share_sums.Add(d, g_power, share.sharp(s), inverse_S, s);
 
     // Colour coefficients, unless the clamp at zero holds (order 0 was clamped, and is masked, at projection)
     V g_c = hn::Mul(g, weight);
@@ -218,6 +250,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out)
   });
   if (!touched) return;
   sums.Reduce(d, splat, out);
+  if constexpr (kAntialiased) share_sums.Reduce(d, out, out + kSplatFields + 3 * (job.splats.colour_order + 1));
   for (int k = 0; k < 3 * (order + 1); ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
 }
 

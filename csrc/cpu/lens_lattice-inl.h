@@ -43,6 +43,8 @@ class LensLattice {
     quality.stop = std::min(quality.stop, std::max(0.1 * quality.lattice, kMinTransmittance));
     return quality;
   }
+  // A vector of pixels has as many of every kind of cell as the next, and each place one colour.
+  static bool knows(const Lens& lens) { return !lens.has_cells || (kLanes % kCellPeriod == 0 && lens.has_one_order()); }
   void start_band() { fineness = first_fineness(float(quality_.lattice)), refused_ = 0; }
 
   // Evaluates the lattice for a run with samples, and its middles. Refuses where one as good as asked for has too many
@@ -86,7 +88,9 @@ class LensLattice {
       const int64_t first = run.first[r], end = run.end[r], pixel0 = first / 3, row = run.row0 + r;
       if (first >= end) continue;
       row_.move_to(nodes_, float(double(row) + 0.5 - y0_));
-      interpolate(row, pixel0, (end + 2) / 3 - pixel0, reinterpret_cast<Out*>(pixels_.data()));
+      auto* pixels = reinterpret_cast<Out*>(pixels_.data());
+      lens_.has_cells ? interpolate<true>(row, pixel0, (end + 2) / 3 - pixel0, pixels)
+                      : interpolate<false>(row, pixel0, (end + 2) / 3 - pixel0, pixels);
       std::memcpy(image + row * 3 * lens_.width_px + first,
                   reinterpret_cast<Out*>(pixels_.data()) + first - 3 * pixel0, size_t(end - first) * sizeof(Out));
     }
@@ -106,7 +110,8 @@ class LensLattice {
       if ((id - begin) % kLookOut == kLookOut - 1 && nodes.opaque()) break;
       const Splat<float>& splat = splats.splats[*id];
       const float u = float(double(splat.u0) - x0_), v = float(double(splat.v0) - y0_);
-      nodes.add(splat, u, v, colour_of(splats, *id), splats.orders[*id], quality_, background);
+      const Compensation<float>* compensation = splats.compensations ? splats.compensations + *id : nullptr;
+      nodes.add(splat, compensation, u, v, colour_of(splats, *id), splats.orders[*id], quality_, background);
     }
     nodes.finish(background);
   }
@@ -170,18 +175,20 @@ class LensLattice {
   }
 
   // The pixels [pixel0, pixel0 + count) of a row, and some that are not asked for.
-  template <class Out>
+  template <bool kCells, class Out>
   HWY_NOINLINE void interpolate(int64_t row, int64_t pixel0, int64_t count, Out* to) {
     const Tag<float> d;
     const LatticePlan& plan = row_.plan();
     const float per_x = 1 / plan.step_x, last = float(plan.across - 1 - plan.margin) - 1e-3f;
     Phases phases(lens_, row, pixel0, plan);
+    const int channels[3] = {lens_.channel_at(0, 0), lens_.channel_at(0, 1), lens_.channel_at(0, 2)};
     for (int64_t j = 0; j < count; j += kLanes) {
       const float x = float(double(pixel0 + j) + 0.5 - x0_) - plan.x0;
       const auto along = hn::Min(hn::MulAdd(hn::Iota(d, 0.f), hn::Set(d, per_x), hn::Set(d, x * per_x)),
                                  hn::Set(d, last));
-      const auto a = row_.at(lens_.bgr ? 2 : 0, along, phases.next()), b = row_.at(1, along, phases.next());
-      const auto c = row_.at(lens_.bgr ? 0 : 2, along, phases.next());
+      const auto a = row_.at(channels[0], along, phases.template next<kCells>(0));
+      const auto b = row_.at(channels[1], along, phases.template next<kCells>(1));
+      const auto c = row_.at(channels[2], along, phases.template next<kCells>(2));
       phases.skip();
       store(a, b, c, to + 3 * j);
     }
@@ -190,6 +197,7 @@ class LensLattice {
   // Phases of every third sub-pixel, a lens being 2^32: enough here but for a view now and then at its border.
   struct Phases {
     hn::Vec<Words> phase;
+    HWY_ALIGN uint32_t beyond[3][kLanes];  // what cells add at each place
     uint32_t step, pixels;
     float per_phase, to_plane, plane0;
     bool continuous;
@@ -202,12 +210,17 @@ class LensLattice {
       for (int lane = 0; lane < kLanes; ++lane)
         phases[lane] = uint32_t(lens.phase_at(row, 3 * (pixel0 + lane)) >> 32);
       phase = hn::Load(Words(), phases);
+      if (lens.has_cells)
+        for (int m = 0; m < 3 * kLanes; ++m)
+          beyond[m % 3][m / 3] = uint32_t(lens.cells.phases[row % kCellPeriod][(3 * pixel0 + m) % kRowPeriod] >> 32);
       if (!continuous) plane0 += 0.5f * to_plane;
     }
-    // In planes of the lattice; goes on to the next sub-pixel.
-    HWY_INLINE hn::Vec<Tag<float>> next() {
+    // Of place k, in planes of the lattice; goes on to the next sub-pixel.
+    template <bool kCells>
+    HWY_INLINE hn::Vec<Tag<float>> next(int k) {
       const Tag<float> d;
-      const auto half = hn::BitCast(hn::RebindToSigned<Tag<float>>(), hn::ShiftRight<1>(phase));
+      const auto own = kCells ? hn::Add(phase, hn::Load(Words(), beyond[k])) : phase;
+      const auto half = hn::BitCast(hn::RebindToSigned<Tag<float>>(), hn::ShiftRight<1>(own));
       phase = hn::Add(phase, hn::Set(Words(), step));
       auto view = hn::Mul(hn::ConvertTo(d, half), hn::Set(d, per_phase));
       if (!continuous) view = hn::Floor(view);

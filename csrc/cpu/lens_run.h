@@ -43,18 +43,23 @@ class Backdrop {
  public:
   // value(channel) of the image.
   template <class Value>
-  Backdrop(const Lens& lens, const Value& value) : places_(size_t(3 * lens.width_px + 3)) {
-    for (int m = 0; m < int(places_.size()); ++m) places_[size_t(m)] = value(lens.bgr ? 2 - m % 3 : m % 3);
+  Backdrop(const Lens& lens, const Value& value)
+      : period_(lens.has_cells ? kRowPeriod : 3), rows_(lens.has_cells ? kCellPeriod : 1),
+        length_(3 * lens.width_px + period_), places_(size_t(rows_ * length_)) {
+    for (int64_t row = 0; row < rows_; ++row)
+      for (int64_t m = 0; m < length_; ++m) places_[size_t(row * length_ + m)] = value(lens.channel_at(row, m));
   }
   void draw(const LensRun& run, int64_t width_px, U* image) const {
     for (int64_t r = 0; r < run.rows; ++r)
       if (run.first[r] < run.end[r])
-        std::memcpy(image + (run.row0 + r) * 3 * width_px + run.first[r], places_.data() + run.first[r] % 3,
+        std::memcpy(image + (run.row0 + r) * 3 * width_px + run.first[r],
+                    places_.data() + (run.row0 + r) % rows_ * length_ + run.first[r] % period_,
                     size_t(run.end[r] - run.first[r]) * sizeof(U));
   }
 
  private:
-  std::vector<U> places_;
+  int64_t period_, rows_, length_;
+  std::vector<U> places_;  // [rows, length]
 };
 
 }  // namespace lfgs

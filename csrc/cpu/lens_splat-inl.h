@@ -72,6 +72,50 @@ struct ExactFootprint {
   }
 };
 
+// The share sqrt(D(s) / S(s)) of its opacity that an anti-aliased splat has at its samples.
+template <class T>
+struct Share {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  V D0, D1, D2;
+
+  HWY_INLINE explicit Share(const Compensation<T>& c) {
+    const D d;
+    D0 = hn::Set(d, c.D0), D1 = hn::Set(d, c.D1), D2 = hn::Set(d, c.D2);
+  }
+  HWY_INLINE V sharp(V s) const { return hn::MulAdd(hn::MulAdd(s, D2, D1), s, D0); }
+  HWY_INLINE V at(V s, V inverse_S) const {
+    const D d;
+    return hn::Sqrt(hn::Max(hn::Mul(sharp(s), inverse_S), hn::Zero(d)));  // rounding may take it below zero
+  }
+};
+
+// alpha = min(0.99, share 2^power), zero where it is below 2^cut.
+template <class D>
+HWY_INLINE hn::Vec<D> SharedAlpha(D d, hn::Vec<D> power, hn::Vec<D> share, hn::Vec<D> cut, hn::Vec<D> least) {
+  const auto alpha = hn::Mul(hn::IfThenElseZero(hn::Ge(power, cut), Exp2(d, power)), share);
+  return hn::IfThenElseZero(hn::Ge(alpha, least), hn::Min(alpha, hn::Set(d, hn::TFromD<D>(kMaxAlpha))));
+}
+
+// The footprint as it is written, of an anti-aliased splat.
+template <class T>
+struct CompensatedFootprint {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  ExactFootprint<T> exact;
+  Share<T> share;
+  V least;
+
+  HWY_INLINE CompensatedFootprint(const Splat<T>& s, const Compensation<T>& c, T log2_cut)
+      : exact(s, log2_cut), share(c), least(hn::Set(D(), std::exp2(log2_cut))) {}
+  template <class Rows>
+  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
+    V dx, inverse_S;
+    const V power = exact.power(x, s, rows, dx, inverse_S);
+    return hn::Mul(SharedAlpha(D(), power, share.at(s, inverse_S), exact.cut, least), transmittance);
+  }
+};
+
 // The footprint of a splat whose S^(-1/2) is near enough to a parabola over the rig, and whose alpha needs no limit.
 template <class T>
 struct PlainFootprint {
@@ -134,11 +178,13 @@ class RoughFootprint {
   T root_, lean_, cut_;
 };
 
-// Calls visit with the cheapest footprint that is right for a splat.
+// Calls visit with the cheapest footprint that is right for a splat; compensation: null, or that of the splat.
 template <class T, class Visit>
-void with_footprint(const TileSplat<T>& tile_splat, const Quality& quality, const Visit& visit) {
+void with_footprint(const TileSplat<T>& tile_splat, const Compensation<T>* compensation, const Quality& quality,
+                    const Visit& visit) {
   const Splat<T>& splat = tile_splat.splat;
   const T cut = T(quality.hit_cut());
+  if (HWY_UNLIKELY(compensation != nullptr)) return visit(CompensatedFootprint<T>(splat, *compensation, cut));
   if constexpr (sizeof(T) == 4) {
     const InverseRoot<T>& root = tile_splat.root;
     if (PlainFootprint<T>::fits(splat, root)) return visit(PlainFootprint<T>(root, cut));

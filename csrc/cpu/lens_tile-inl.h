@@ -87,7 +87,9 @@ class LensTile {
     for (auto* a : {&low_, &count_}) *a = hwy::AllocateAligned<TI>(size_t(padded_));
     list_ = hwy::AllocateAligned<uint16_t>(vectors + 64);
     alive_.resize(vectors), row_of_vector_.resize(vectors);
-    starts_.resize(size_t(kBandRows * (layout.cells_per_tile + 1)));
+    starts_.resize(size_t(place(kBandRows, 0)));
+    if (layout.lead) anchors_.resize(starts_.size());
+    if (lens.has_cells) fill_cells();
     for (size_t v = 0; v < vectors; ++v) row_of_vector_[v] = uint8_t(v / size_t(layout.ordinals * across_));
     for (int64_t p = 0; p < padded_; ++p) {
       const bool real = p < patches_;
@@ -110,8 +112,10 @@ class LensTile {
     std::fill(alive_.begin(), alive_.end(), uint8_t(1));
     open = int(alive_.size());
     for (int64_t r = 0; r < kBandRows; ++r)
-      for (int64_t c = 0; c <= layout_.cells_per_tile; ++c)
+      for (int64_t c = 0; c <= layout_.cells_per_tile; ++c) {
         start(r, c) = layout_.cell_start(lens_, row0 + r, cell0 + c);
+        if (layout_.lead) anchors_[size_t(place(r, c))] = layout_.first_stripe(lens_, row0 + r, cell0 + c) - layout_.lead;
+      }
     for (int64_t patch = 0; patch < patches_; ++patch) place_patch(patch);
   }
 
@@ -198,7 +202,7 @@ class LensTile {
       for (int64_t c = 0; c < cells; ++c) {
         const int64_t begin = std::max<int64_t>(starts[c], 0), end = std::min(starts[c + 1], width);
         if (begin < end)
-          visit(Run{row0 + r, begin, end - begin, tile_end, patch + c / kCellsPerPatch, begin - starts[c],
+          visit(Run{row0 + r, begin, end - begin, tile_end, patch + c / kCellsPerPatch, begin - anchor(r, c),
                     lane + c % kCellsPerPatch});
       }
     }
@@ -210,8 +214,11 @@ class LensTile {
 
  private:
   // First sub-pixel of cell c of the tile in its row r.
-  int64_t& start(int64_t r, int64_t c) { return starts_[size_t(r * (layout_.cells_per_tile + 1) + c)]; }
-  int64_t start(int64_t r, int64_t c) const { return starts_[size_t(r * (layout_.cells_per_tile + 1) + c)]; }
+  int64_t& start(int64_t r, int64_t c) { return starts_[size_t(place(r, c))]; }
+  int64_t start(int64_t r, int64_t c) const { return starts_[size_t(place(r, c))]; }
+  // That at its ordinal 0, which may be of the cell before.
+  int64_t anchor(int64_t r, int64_t c) const { return layout_.lead ? anchors_[size_t(place(r, c))] : start(r, c); }
+  int64_t place(int64_t r, int64_t c) const { return r * (layout_.cells_per_tile + 1) + c; }
 
   HWY_INLINE void fill_rows(const Splat<T>& splat, T u, T v, const RowUnits<T>& units) {
     const D d;
@@ -269,15 +276,22 @@ class LensTile {
     alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
     alignas(64) T columns[kLanes];
     alignas(64) uint64_t phases[kLanes];
+    const CellRow* cells[kLanes] = {};
     constexpr uint64_t kAbove = uint64_t(3) << 32;  // no cell begins so far left of the panel: divided without a sign
     const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
     for (int lane = 0; lane < kLanes; ++lane) {
       const int64_t r = down * kRows + lane / kCellsPerPatch, c = across * kCellsPerPatch + lane % kCellsPerPatch;
-      const int64_t row = row0_ + r, first = start(r, c), all = row < lens_.height_px ? width : 0;
+      const int64_t row = row0_ + r, first = anchor(r, c), all = row < lens_.height_px ? width : 0;
       const uint64_t above = uint64_t(first) + kAbove, pixel = above / 3;
-      outside[lane] = TI(-first - 1), ends[lane] = TI(std::min(start(r, c + 1), all) - first);
+      outside[lane] = TI(std::max<int64_t>(start(r, c), 0) - first - 1);
+      ends[lane] = TI(std::min(start(r, c + 1), all) - first);
       places[lane] = TI(above - 3 * pixel), columns[lane] = T(int32_t(int64_t(pixel) - left)) + T(0.5);
       phases[lane] = lens_.phase_at(row, first);
+      if (lens_.has_cells) {
+        const int64_t within = int64_t(above % kRowPeriod);
+        cells[lane] = &cells_[size_t(row % kCellPeriod * (kRowPeriod + layout_.ordinals) + within)];
+        phases[lane] -= lens_.phase_x * uint64_t(within);
+      }
     }
 
     V column = hn::Load(d, columns), s_low = hn::Set(d, T(2)), s_high = hn::Set(d, T(-2));
@@ -287,14 +301,19 @@ class LensTile {
       const int64_t i = (patch * layout_.ordinals + t) * kLanes;
       const auto ordinal = hn::Set(di, TI(t));
       const auto shown = hn::RebindMask(d, hn::And(hn::Gt(ordinal, before), hn::Lt(ordinal, end)));
-      const V offset = next_offsets(phases);
+      alignas(64) uint64_t in_cells[kLanes];
+      alignas(64) TI channels[kLanes];
+      if (lens_.has_cells)
+        for (int lane = 0; lane < kLanes; ++lane)
+          in_cells[lane] = phases[lane] + cells[lane][t].phase, channels[lane] = TI(cells[lane][t].channel);
+      const V offset = next_offsets(lens_.has_cells ? in_cells : phases);
       s_low = hn::Min(s_low, hn::IfThenElse(shown, offset, s_low));
       s_high = hn::Max(s_high, hn::IfThenElse(shown, offset, s_high));
 
       // Lanes without a sub-pixel of the panel stand where no splat reaches
       hn::Store(hn::IfThenElse(shown, column, hn::Set(d, T(1e9))), d, &x[i]);
       hn::Store(offset, d, &s[i]);
-      hn::Store(lens_.bgr ? hn::Sub(two, place) : place, di, &channel[i]);
+      hn::Store(lens_.has_cells ? hn::Load(di, channels) : lens_.bgr ? hn::Sub(two, place) : place, di, &channel[i]);
       const auto last = hn::Eq(place, two);
       place = hn::IfThenZeroElse(last, hn::Add(place, hn::Set(di, TI(1))));
       column = hn::Add(column, hn::IfThenElseZero(hn::RebindMask(d, last), hn::Set(d, T(1))));
@@ -304,6 +323,18 @@ class LensTile {
     const T low = hn::GetLane(hn::MinOfLanes(d, s_low)), high = hn::GetLane(hn::MaxOfLanes(d, s_high));
     patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (low + high);
     patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
+  }
+
+  // Sub-pixels of a row, from the first of a period on, by their number: what their phase has beyond that of number 0.
+  struct CellRow {
+    uint64_t phase;
+    int64_t channel;
+  };
+  void fill_cells() {
+    for (int row = 0; row < kCellPeriod; ++row)
+      for (int m = 0; m < kRowPeriod + layout_.ordinals; ++m)
+        cells_.push_back({lens_.phase_x * uint64_t(m) + lens_.cells.phases[row][m % kRowPeriod],
+                          lens_.cells.channels[row][m % kRowPeriod]});
   }
 
   // Offsets of the samples at these phases, which go on to the next sub-pixel. Exact but for the last rounding.
@@ -346,7 +377,8 @@ class LensTile {
   hwy::AlignedFreeUniquePtr<uint16_t[]> list_;   // of vectors
   int64_t ends_[kDown] = {};                     // in the list, of the groups of rows
   std::vector<uint8_t> alive_, row_of_vector_;
-  std::vector<int64_t> starts_;
+  std::vector<int64_t> starts_, anchors_;
+  std::vector<CellRow> cells_;  // [kCellPeriod][kRowPeriod + ordinals]
 };
 
 }  // namespace HWY_NAMESPACE

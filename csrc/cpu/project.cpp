@@ -23,12 +23,6 @@ Shape<double> shape_of(const Gaussians<const T>& g, int64_t i) {
   return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, double(g.opacities[i])};
 }
 
-template <class T>
-Splat<T> rounded(const Splat<double>& s) {
-  return {T(s.u0), T(s.du), T(s.v0), T(s.log2_opacity), T(s.S0),      T(s.S1),
-          T(s.S2), T(s.tau), T(s.c0), T(s.c1),          T(s.reach_y), T(s.depth)};
-}
-
 // Gradient of one pair summed over the bands of a splat, in band order.
 template <class T>
 void sum_pairs(const Splat<T>& splat, int64_t height_px, int64_t first, int size, const T* pairs, double* sum) {
@@ -38,6 +32,14 @@ void sum_pairs(const Splat<T>& splat, int64_t height_px, int64_t first, int size
   int64_t bands = rows.last / kBandRows - rows.first / kBandRows + 1;
   for (int64_t k = 0; k < bands; ++k)
     for (int f = 0; f < size; ++f) sum[f] += double(pairs[(first + k) * size + f]);
+}
+
+// A splat and, of an anti-aliased scene, its compensation.
+Splat<double> projected(const View<double>& view, const Shape<double>& shape, Compensation<double>& compensation) {
+  const Projection<double> projection(view, shape);
+  Splat<double> splat = projection.splat(view, shape.opacity);
+  if (view.antialiased && splat.reach_y >= 0) projection.compensate(splat, compensation);
+  return splat;
 }
 
 Splat<double> splat_gradient(const double* g) {
@@ -70,9 +72,10 @@ void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& camera
     const dvec3 eye = view.centre();
     for (int64_t i = begin; i < end; ++i) {
       const Shape<double> shape = shape_of(scene, i);
-      Splat<double> splat = Projection<double>(view, shape).splat(view, shape.opacity);
+      Compensation<double> unused;
+      Splat<double> splat = projected(view, shape, unused);
       cull_outside(splat, cameras.width_px, cameras.height_px);
-      out.splats[image * n + i] = rounded<T>(splat);
+      out.splats[image * n + i] = splat_cast<T>(splat);
       T* stored = out.colours + (image * n + i) * kColourStride;
       std::fill_n(stored, kColourStride, T(0));
       if (splat.reach_y < 0) continue;
@@ -109,7 +112,14 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
         sum_pairs(splat, cameras.height_px, first_pair[image * n + i], size, pair_gradients, sum.data());
         const Shape<double> shape = shape_of(scene, i);
         Shape<double>& g = over_views[i - begin];
-        Projection<double>(view, shape).adjoint(view, shape, splat_gradient(sum.data()), g, g_view);
+        const Projection<double> projection(view, shape);
+        Splat<double> g_splat = splat_gradient(sum.data());
+        if (view.antialiased) {
+          const Compensation<double> g_sharp = projection.compensate_adjoint(g_splat);
+          projection.adjoint<true>(view, shape, g_splat, g, g_view, g_sharp);
+        } else {
+          projection.adjoint(view, shape, g_splat, g, g_view);
+        }
 
         // Colours, through their clamp at zero
         const T* colour = splats.colours + (image * n + i) * kColourStride;
@@ -154,14 +164,17 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
     std::vector<dvec3> value(nodes), chebyshev(nodes);
     for (int64_t i = begin; i < end; ++i) {
       const Shape<double> shape = shape_of(gaussians, i);
-      Splat<double> splat = Projection<double>(rig, shape).splat(rig, shape.opacity);
+      Compensation<double> compensation{};
+      Splat<double> splat = projected(rig, shape, compensation);
       const bool pruned = least_light > 0 && light_of(splat) < least_light;
       if (quality.log2_cut > kLog2MinAlpha && !(quality.lattice > 0))
         raise_cut(splat, quality.log2_cut, quality.rough());
       cull_outside(splat, lens.width_px, lens.height_px);
       if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
-      out.splats[i] = rounded<T>(splat);
+      out.splats[i] = splat_cast<T>(splat);
       out.orders[i] = 0;
+      if (out.compensations)
+        out.compensations[i] = {T(compensation.D0), T(compensation.D1), T(compensation.D2)};
       if (splat.reach_y < 0) continue;
 
       // Values at the nodes -> Chebyshev coefficients
@@ -197,7 +210,7 @@ template <class T>
 void project_lens_backward(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                            const Splats<T>& splats, const int64_t* first_pair, const T* pair_gradients,
                            const Gaussians<T>& out, int threads) {
-  const int order = splats.colour_order, nodes = order + 1, size = pair_gradient_size(order);
+  const int order = splats.colour_order, nodes = order + 1, size = pair_gradient_size(order, rig.antialiased);
   const ColourBasis basis(order);
   parallel_for_chunks(gaussians.count, kGrain, threads, [&](int64_t begin, int64_t end, int) {
     std::vector<double> sum(size);
@@ -209,7 +222,17 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
       sum_pairs(splat, lens.height_px, first_pair[i], size, pair_gradients, sum.data());
       const Shape<double> shape = shape_of(gaussians, i);
       Shape<double> g{dvec3(0), glm::dvec4(0), dvec3(0), 0};
-      Projection<double>(rig, shape).adjoint(rig, shape, splat_gradient(sum.data()), g, unused);
+      const Projection<double> projection(rig, shape);
+      const Splat<double> g_splat = splat_gradient(sum.data());
+      if (rig.antialiased) {
+        Splat<double> again = projection.splat(rig, shape.opacity);
+        Compensation<double> sharp;
+        const double most = projection.compensate(again, sharp), *g_sharp = &sum[size_t(size - kCompensationFields)];
+        projection.adjoint<true>(rig, shape, g_splat, g, unused,
+                                 {g_sharp[0] / most, g_sharp[1] / most, g_sharp[2] / most});
+      } else {
+        projection.adjoint(rig, shape, g_splat, g, unused);
+      }
 
       // Powers of s -> Chebyshev -> node values -> harmonics
       const int kept = splats.orders[i];

@@ -2,6 +2,7 @@
 // pixels, a warp 16 x 4 of them, a lane two pixels one below the other: six sub-pixels, each at its own offset.
 #include "cuda/blend.cuh"
 #include "cuda/check.h"
+#include "cuda/compensated.cuh"
 #include "cuda/stages.h"
 #include "math/colour_polynomial.h"
 #include "math/footprint.h"
@@ -14,7 +15,9 @@ constexpr int kWarpWidth = 16, kWarpHeight = 4, kWarpsAcross = 2, kRows = 2;  //
 static_assert(kLensTile.width_px == kWarpWidth * kWarpsAcross);
 static_assert(kLensTile.height_px == kWarpHeight * (kThreads / 32 / kWarpsAcross));
 
-constexpr int kBackwardBatch = 16, kMostSums = kLensSums + 3 * (kMaxColourOrder + 1);
+constexpr int kBackwardBatch = 16;
+template <bool kAntialiased>
+constexpr int kMostSums = kLensSums + 3 * (kMaxColourOrder + 1) + (kAntialiased ? kCompensationFields : 0);
 
 struct Sample {
   float s;                      // normalized offset of its camera
@@ -44,10 +47,10 @@ struct Place {
 
   __device__ Sample sample(const Image& image, const Lens& lens, float s_start, float s_step, int r, int k) const {
     Sample sample;
-    sample.channel = lens.bgr ? 2 - k : k;
     sample.transmittance = inside(image, r) ? 1.f : 0.f;
-    const uint64_t phase = lens.phase_at(image_row(r), 3 * (x0 + column) + k);
-    sample.s = fmaf(s_step, float(camera_coordinate(lens, phase)), s_start);
+    const int64_t row = image_row(r), subpixel = 3 * (x0 + column) + k;
+    sample.channel = lens.channel_at(row, subpixel);
+    sample.s = fmaf(s_step, float(camera_coordinate(lens, lens.true_phase(row, subpixel))), s_start);
     return sample;
   }
   // Whether a splat, its centre from the tile's corner, may touch the warp's pixels from some camera.
@@ -69,6 +72,7 @@ __device__ inline float colour_at(const float* colour, int order, const Sample& 
   return fmaxf(c, 0.f);
 }
 
+template <bool kAntialiased>
 __global__ void __launch_bounds__(kThreads)
     composite_lens_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
                           float s_start, float s_step, const float* background, float* out) {
@@ -103,6 +107,8 @@ __global__ void __launch_bounds__(kThreads)
         const uint32_t id = ids[k];
         const int order = splats.orders[id];
         const float* colour = splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
+        Compensation<float> compensation;
+        if constexpr (kAntialiased) compensation = splats.compensations[id];
 #pragma unroll
         for (int r = 0; r < kRows; ++r) {
           const float dy = place.row + 2 * r + 0.5f - s.v0, A = s.log2_opacity - s.tau * dy * dy;
@@ -111,7 +117,9 @@ __global__ void __launch_bounds__(kThreads)
           for (int c = 0; c < 3; ++c) {
             Sample& sample = samples[r][c];
             const float dx = fmaf(-sample.s, M1, M0), S = fmaf(fmaf(sample.s, s.S2, s.S1), sample.s, s.S0);
-            const float alpha = alpha_of(A - __fdividef(dx * dx, S));
+            float power = A - __fdividef(dx * dx, S);
+            if constexpr (kAntialiased) power += log2_share(compensation, sample.s, S);
+            const float alpha = alpha_of(power);
             if (alpha == 0) continue;
             float weight;
             over(alpha, sample.transmittance, sample.rest, weight);
@@ -132,15 +140,18 @@ __global__ void __launch_bounds__(kThreads)
 
 // The reverse; see the CPU's BackwardSplat for the formula. A sample's `colour` holds the prefix. Sums over a tile:
 // first within each warp, then over the warps, always in the same order. Numbers of a slot: exponent * (1, dy, dy^2),
-// dx * (1, s, dy, s dy), S * (1, s, s^2), then r, g, b times each power of s.
+// dx * (1, s, dy, s dy), S * (1, s, s^2), then r, g, b times each power of s, then D * (1, s, s^2).
+template <bool kAntialiased>
 __global__ void __launch_bounds__(kThreads)
     composite_lens_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
                                    float s_start, float s_step, const float* pixels, const float* gradient,
                                    float* slot_gradients, float* tile_background) {
   __shared__ Splat<float> staged[kBackwardBatch];
   __shared__ uint32_t slots[kBackwardBatch], ids[kBackwardBatch];
-  __shared__ float partial[kThreads / 32][kBackwardBatch][kMostSums];
-  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, all_sums = kLensSums + 3 * (splats.colour_order + 1);
+  __shared__ float partial[kThreads / 32][kBackwardBatch][kMostSums<kAntialiased>];
+  constexpr int kSharp = kAntialiased ? kCompensationFields : 0;
+  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, sharp = kLensSums + 3 * (splats.colour_order + 1);
+  const int all_sums = sharp + kSharp;
   const Place place(image);
   Sample samples[kRows][3];
   float g[kRows][3], total[kRows][3];
@@ -170,6 +181,8 @@ __global__ void __launch_bounds__(kThreads)
       if (!place.touches(s)) continue;
       const int order = splats.orders[ids[k]];
       const float* colour = splats.colours + int64_t(ids[k]) * (splats.colour_order + 1) * kColourStride;
+      [[maybe_unused]] Compensation<float> compensation, of_D{};
+      if constexpr (kAntialiased) compensation = splats.compensations[ids[k]];
       float sums[kLensSums] = {}, term[kRows][3];  // term: gradient of the sample's colour, times a power of s
       bool lit = false;
       for (int r = 0; r < kRows; ++r) {
@@ -179,8 +192,9 @@ __global__ void __launch_bounds__(kThreads)
           Sample& sample = samples[r][c];
           term[r][c] = 0;
           const float dx = fmaf(-sample.s, M1, M0);
-          const float inverse_S = 1 / fmaf(fmaf(sample.s, s.S2, s.S1), sample.s, s.S0);
-          const float power = A - dx * dx * inverse_S;
+          const float S = fmaf(fmaf(sample.s, s.S2, s.S1), sample.s, s.S0), inverse_S = 1 / S;
+          float power = A - dx * dx * inverse_S;
+          if constexpr (kAntialiased) power += log2_share(compensation, sample.s, S);
           const float alpha = sample.transmittance > 0 ? alpha_of(power) : 0.f;
           if (alpha == 0) continue;
           const float before = sample.transmittance;
@@ -196,6 +210,13 @@ __global__ void __launch_bounds__(kThreads)
           sums[0] += gp, sums[1] += gp * dy, sums[2] += gp * dy * dy;
           sums[3] += gx, sums[4] += gx * sample.s, sums[5] += gx * dy, sums[6] += gx * sample.s * dy;
           sums[7] += gS, sums[8] += gS * sample.s, sums[9] += gS * sample.s * sample.s;
+          if constexpr (kAntialiased) {
+            // log2 of the share is (log2 D - log2 S) / 2
+            const float half = gp * float(0.5 / kLn2), gD = half / sharpness(compensation, sample.s);
+            const float of_S = -half * inverse_S;
+            sums[7] += of_S, sums[8] += of_S * sample.s, sums[9] += of_S * sample.s * sample.s;
+            of_D.D0 += gD, of_D.D1 += gD * sample.s, of_D.D2 += gD * sample.s * sample.s;
+          }
           // Order 0 was clamped, and is masked, at projection
           term[r][c] = order == 0 || value > 0 ? g[r][c] * weight : 0.f;
         }
@@ -205,6 +226,10 @@ __global__ void __launch_bounds__(kThreads)
       for (int f = 0; f < kLensSums; ++f) {
         const float sum = warp_sum(sums[f]);
         if (lane == 0) out[f] = sum;
+      }
+      if constexpr (kAntialiased) {
+        const float D0 = warp_sum(of_D.D0), D1 = warp_sum(of_D.D1), D2 = warp_sum(of_D.D2);
+        if (lane == 0) out[sharp] = D0, out[sharp + 1] = D1, out[sharp + 2] = D2;
       }
       for (int p = 0; p <= order; ++p)
         for (int c = 0; c < 3; ++c) {
@@ -243,8 +268,9 @@ void composite_lens(const Splats<float>& splats, const Image& image, const int64
                     const Lens& lens, const float* background, float* out, Stream stream) {
   const int64_t tiles = tile_count(image.tile, image.width_px, image.height_px);
   const float start = float(lens.s_start()), step = float(lens.s_step());
-  composite_lens_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, lens,
-                                                                                start, step, background, out);
+  const auto kernel = splats.compensations ? composite_lens_kernel<true> : composite_lens_kernel<false>;
+  kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, lens, start, step,
+                                                                 background, out);
   check_launch("composite_lens");
 }
 
@@ -252,9 +278,11 @@ void composite_lens_backward(const Splats<float>& splats, const Image& image, co
                              const Pairs& pairs, const Lens& lens, const float* pixels, const float* gradient,
                              float* slot_gradients, float* tile_background, Stream stream) {
   const float start = float(lens.s_start()), step = float(lens.s_step());
-  composite_lens_backward_kernel<<<unsigned(tile_count(image.tile, image.width_px, image.height_px)), kThreads, 0,
-                                   cudaStream_t(stream)>>>(splats, image, ranges, pairs, lens, start, step, pixels,
-                                                           gradient, slot_gradients, tile_background);
+  const unsigned tiles = unsigned(tile_count(image.tile, image.width_px, image.height_px));
+  const auto kernel =
+      splats.compensations ? composite_lens_backward_kernel<true> : composite_lens_backward_kernel<false>;
+  kernel<<<tiles, kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, lens, start, step, pixels,
+                                                       gradient, slot_gradients, tile_background);
   check_launch("composite_lens_backward");
 }
 

@@ -67,7 +67,11 @@ __device__ void store_pixels(const LensOptics& lens, int column, int row, const 
   if (row >= lens.height_px || column >= lens.width_px) return;
   Out bytes[6];
 #pragma unroll
-  for (int i = 0; i < 6; ++i) bytes[i] = stored(lens.bgr ? values[i / 3 * 3 + 2 - i % 3] : values[i], out);
+  for (int i = 0; i < 6; ++i) {
+    const int first = i / 3 * 3, place = lens.places[i % 3];
+    const float moved = place == 0 ? values[first] : place == 1 ? values[first + 1] : values[first + 2];
+    bytes[i] = stored(lens.permuted ? moved : values[i], out);
+  }
   Out* to = out + 3 * (int64_t(row) * lens.width_px + column);
   if (sizeof(Out) == 1 && lens.width_px % 2 == 0) {
 #pragma unroll

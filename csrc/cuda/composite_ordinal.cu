@@ -208,8 +208,12 @@ bool can_composite_ordinal(const Lens& lens) {
         "composite_ordinal: shared memory");
   const double number = lens.line_number, views_each = double(lens.views) / number;
   const size_t bytes = sizeof(Memory<true>) + kTileRows * lens_row_bytes(float(number));
-  return built.ptxVersion >= 80 && bytes <= size_t(shared) && number >= kMinLineNumber && number <= kMaxLineNumber &&
-         views_each <= kMostViewsEach;
+  const bool fits = built.ptxVersion >= 80 && bytes <= size_t(shared);
+  if (!lens.has_cells)
+    return fits && number >= kMinLineNumber && number <= kMaxLineNumber && views_each <= kMostViewsEach;
+  // Two more ordinals, which see more views; and what lies at a place must be of one channel
+  return fits && number >= kMinCellLineNumber && number <= kMaxLineNumber - 2 && lens.stands_in_order() &&
+         lens.has_one_order() && (1 + 2 * lens.most_beyond()) * views_each <= kMostViewsEach;
 }
 
 void composite_ordinal(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {

@@ -50,6 +50,11 @@ __device__ void add_run(const Staged<C::Harmonics>& staged, int h, int end, unsi
 template <class C>
 __device__ void add_hits(const LensFrame& frame, int count, float2 centre, float4 background, Samples<C>& samples,
                          Staged<C::Harmonics>& staged) {
+  using Hit = CarefulHit<C::Harmonics, C::Antialiased>;
+  if constexpr (C::Antialiased) {
+    for (int h = 0; h < count; ++h) samples.add_carefully(Hit(frame, staged.ids[h], centre, background));
+    return;
+  }
   const Marks marks = specialise<C>(frame, count, centre, staged);
   __syncwarp();
   unsigned careful = marks.careful;
@@ -59,7 +64,7 @@ __device__ void add_hits(const LensFrame& frame, int count, float2 centre, float
     if (next == count) break;
     h = next, careful &= careful - 1;
     samples.close(staged, h);
-    samples.add_carefully(CarefulHit<C::Harmonics>(frame, staged.ids[h], centre, background));
+    samples.add_carefully(Hit(frame, staged.ids[h], centre, background));
   }
   samples.flush();
 }
@@ -142,9 +147,18 @@ __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     draw_patches<Quadratic>(frame, background, out, staged);
 }
 
+template <int lane_rows, bool Harmonics, class Out>
+__global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
+    composite_antialiased_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
+  using Antialiased = Config<Evaluation::kQuadratic, Harmonics, lane_rows, true>;
+  __shared__ Staged<Harmonics> staged[kWarps];
+  if (frame.state->kernel == int(Antialiased::kernel)) draw_patches<Antialiased>(frame, background, out, staged);
+}
+
 template <Evaluation straight, int lane_rows, bool Harmonics, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  const auto kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, Out>;
+  auto kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, Out>;
+  if (frame.rig.antialiased) kernel = composite_antialiased_kernel<lane_rows, Harmonics, Out>;
   kernel<<<resident_blocks(kernel, kThreads, 0), kThreads, 0, stream>>>(frame, background, out);
   check_launch("composite_pixel");
 }

@@ -23,7 +23,7 @@ __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const View
   for (int i = 0; i < 3; ++i) {  // in the order in which the sub-pixels follow
     const bool next = place + i >= 3;
     const int at = place + i - 3 * next;
-    channels[i] = nodes.row_of(tile.lens.bgr ? 2 - at : at, row), x[i] = next ? x_first + nodes.per_x : x_first;
+    channels[i] = nodes.row_of(tile.lens.channels[at], row), x[i] = next ? x_first + nodes.per_x : x_first;
   }
 #pragma unroll 1
   for (int m = ends.x; m < ends.y; m += 3) {
@@ -62,7 +62,7 @@ __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int 
   const int width = 3 * tile.lens.width_px;
   constexpr int kWord = sizeof(uint4), kWords = 3 * kPixelTileWidth / kWord;
   const bool words = width % kWord == 0 && reinterpret_cast<uintptr_t>(out) % kWord == 0;
-  if (words && !tile.by_lens && !tile.lens.bgr) {
+  if (words && !tile.by_lens && !tile.lens.permuted) {
     const int first = memory.rows[0].x;
     for (int n = threadIdx.x; n < (end - top) * kWords; n += kThreads) {
       const int m = first + n % kWords * kWord;

@@ -95,7 +95,7 @@ __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const V
       const bool inside = channel + i < 3;
       const int c = inside ? channel + i : channel + i - 3;
       along[i] = (inside ? here : next) + (unsigned(c * rows.of_channel) << 16);
-      phase_on[i] = views.step * unsigned(3 * (inside ? pixel : pixel + 1) + (lens.bgr ? 2 - c : c));
+      phase_on[i] = views.step * unsigned(3 * (inside ? pixel : pixel + 1) + lens.places[c]);
     }
     int r = rows.top + n / kWords;
     unsigned base = rows.first_of(r);

@@ -18,15 +18,20 @@ constexpr int64_t kMostTiles = int64_t(1) << 31;
 double tilt(const Lens& lens) { return 3 * lens.slant_tan * double(lens.height_px - 1); }
 double lowest_phase(const Lens& lens) { return std::min(0.0, tilt(lens)); }
 
+int lead_of(const Lens& lens) { return lens.has_cells ? 1 : 0; }
+
 Ordinals ordinals_of(const Lens& lens) {
   Ordinals out{};
-  out.count = int(std::ceil(lens.line_number)), out.per_group = kGroupOrdinals;
+  const int lead = lead_of(lens);
+  const double beyond = lens.most_beyond();
+  out.count = int(std::ceil(lens.line_number)) + 2 * lead, out.per_group = kGroupOrdinals;
   out.groups = (out.count + kGroupOrdinals - 1) / kGroupOrdinals;
-  out.first_lens = int(std::floor(lowest_phase(lens) / lens.line_number));
+  out.first_lens = int(std::floor((lowest_phase(lens) - beyond) / lens.line_number));
   const double views_each = double(lens.views) / lens.line_number, last = double(lens.views) - 1;
-  out.view_unit = float(std::exp2(-std::ceil(std::log2((views_each + (lens.continuous ? 0 : 1)) / 2))));
+  const double seen = (1 + 2 * beyond) * views_each + (lens.continuous ? 0 : 1);
+  out.view_unit = float(std::exp2(-std::ceil(std::log2(seen / 2))));
   for (int t = 0; t < std::min(out.count, kMostOrdinals); ++t) {
-    double low = t * views_each, high = (t + 1) * views_each;
+    double low = (t - lead - beyond) * views_each, high = (t - lead + 1 + beyond) * views_each;
     if (!lens.continuous) low = std::floor(low - 1e-6) + 0.5, high = std::floor(high + 1e-6) + 0.5;
     const double least = lens.continuous ? 0 : 0.5, most = lens.continuous ? last + 1 : last + 0.5;
     low = std::clamp(low, least, most), high = std::clamp(high, low, most);
@@ -42,6 +47,22 @@ Ordinals ordinals_of(const Lens& lens) {
   return out;
 }
 
+// Which channel lies at which place, and where sub-pixels are that do not stand in stripes.
+void set_places(const Lens& lens, LensOptics& out) {
+  const bool by_place = !lens.has_cells || lens.has_one_order();
+  for (int k = 0; k < 3; ++k) {
+    out.channels[k] = by_place ? lens.channel_at(0, k) : k;
+    out.places[out.channels[k]] = k;
+  }
+  out.permuted = out.channels[0] != 0 || out.channels[1] != 1;
+  out.has_cells = lens.has_cells, out.lead = lead_of(lens), out.beyond = float(lens.most_beyond());
+  for (int row = 0; row < kCellPeriod; ++row)
+    for (int m = 0; m < kRowPeriod; ++m) {
+      const int k = m % 3, at = by_place ? k : lens.cells.channels[row][m];
+      out.cells.phases[row][m - k + at] = lens.cells.phases[row][m] + lens.phase_x * uint64_t(int64_t(k - at));
+    }
+}
+
 LensOptics optics_of(const Lens& lens) {
   LensOptics out{};
   out.width_px = int(lens.width_px), out.height_px = int(lens.height_px), out.views = int(lens.views);
@@ -49,7 +70,8 @@ LensOptics optics_of(const Lens& lens) {
   out.line_number = float(lens.line_number), out.slant_tan = float(lens.slant_tan);
   out.origin = float(lens.phase - std::floor(lens.phase / lens.line_number) * lens.line_number);
   out.s_start = float(lens.s_start()), out.s_step = float(lens.s_step());
-  out.bgr = lens.bgr, out.continuous = lens.continuous;
+  out.continuous = lens.continuous;
+  set_places(lens, out);
   out.ordinals = ordinals_of(lens);
   return out;
 }
@@ -69,8 +91,8 @@ Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
   const double width = kTileLenses * lens.line_number, zero = optics.origin - first - 1.5 * lens.slant_tan;
   const int across = int((most - first) / width) + 1;
   const int down = int((lens.height_px + kTileRows - 1) / kTileRows);
-  return {across,       down, optics.ordinals.groups,     kTileRows, float(width), 3, float(zero - 1.5),
-          float(zero + 0.5), float(lens.slant_tan)};
+  return {across, down, optics.ordinals.groups, kTileRows, float(width), 3, float(zero - 1.5 - optics.beyond),
+          float(zero + 0.5 + optics.beyond), float(lens.slant_tan)};
 }
 
 // Hands out aligned parts of one buffer; counts when the buffer is null.
@@ -94,12 +116,15 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
       sh_degree(sh_degree_), capacity(capacity_), tolerance(float(tolerance_)), cut(float(quality.log2_cut)),
       stop(float(quality.stop)), hit_cut(float(quality.hit_cut())),
       least_light(float(quality.least_light(lens.width_px, lens.height_px, gaussians))),
-      lattice(float(quality.lattice)), in_half(quality.rough()) {
+      lattice(lens.has_cells ? 0.f : float(quality.lattice)), in_half(quality.rough()) {
   require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),
           "a frame takes fewer than 2^31 Gaussians and 2^32 pairs, got " + std::to_string(gaussians) + " and " +
               std::to_string(capacity));
+  require(!rig.antialiased || !(lattice > 0 || in_half),
+          "an anti-aliased frame is drawn neither from lattices nor in half precision");
   // Colours at ordinals are numbered with 32 bits
-  has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
+  has_ordinal = !rig.antialiased && can_composite_ordinal(lens) &&
+                gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
   require(std::max(pixel.down, ordinal.down) <= kProbeRows * kMostProbeRows,
           "the panel has too many rows: " + std::to_string(lens.height_px));
   require(most_lists() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_lists()));
@@ -119,6 +144,7 @@ size_t LensFrame::place(void* work) {
     const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
     parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
   }
+  if (rig.antialiased) parts.take(splats.compensations, n);
   parts.take(depths, n), parts.take(ids, std::max(capacity, n)), parts.take(long_lists, most_lists());
   if (lattice > 0) parts.take(lattices, most_lists()), parts.take(refused, most_lists());
   return parts.used;

@@ -44,7 +44,8 @@ struct FrameState {
 constexpr int kMostOrdinals = 32;
 constexpr int kPixelTileWidth = 64, kPixelTileHeight = 32;
 
-// Sub-pixels t of all lenses, t = 0, 1, ...: the part of the rig that they see.
+// Sub-pixels t of all lenses, t = 0, 1, ...: the part of the rig that they see. With cells, t counts from one before the
+// first stripe of a lens to one behind the last: those are of this lens or of the next.
 struct Ordinals {
   int count, per_group, groups;
   int first_lens;                                    // left-most lens of the panel
@@ -63,7 +64,12 @@ struct LensOptics {
   uint64_t phase0, phase_x, phase_y;
   float line_number, origin, slant_tan;  // origin: phase of the first sub-pixel in [0, line_number)
   float s_start, s_step;
-  int bgr, continuous;
+  int permuted, continuous;
+  int channels[3], places[3];  // image channel at each place, place of each channel; permuted: not 0, 1, 2
+  // Sub-pixels that do not stand in stripes: by place where all pixels have one order, else by channel
+  int has_cells, lead;         // lead: ordinals before the first stripe of a lens
+  float beyond;                // how far aside, at most, in sub-pixels
+  SubpixelCells cells;
   Ordinals ordinals;
 };
 

@@ -21,11 +21,26 @@ __device__ inline float camera_of(const LensOptics& lens, uint64_t phase) {
   return fmaf(float(part), 1.f / 4294967296.f, float(unsigned(product >> 32)));
 }
 
-// First sub-pixel of a lens in a row: an estimate in float, made exact with the phase. Lenses of 4 sub-pixels or more.
-__device__ inline int lens_start(const LensOptics& lens, int row, int number) {
+// What a sub-pixel of a cell has beyond the phase of its stripe.
+__device__ inline uint64_t cell_phase(const LensOptics& lens, int row, int subpixel) {
+  return lens.cells.phases[row % kCellPeriod][(subpixel % kRowPeriod + kRowPeriod) % kRowPeriod];
+}
+
+// First stripe of a lens in a row: an estimate in float, made exact with the phase. Lenses of 4 sub-pixels or more.
+__device__ inline int first_stripe(const LensOptics& lens, int row, int number) {
   const int m = int(ceilf(fmaf(float(number), lens.line_number, -lens.origin) - 3 * lens.slant_tan * float(row)));
   const uint64_t phase = phase_at(lens, row, m);
   return phase < lens.phase_x ? m : phase >> 63 ? m + 1 : m - 1;
+}
+
+// First sub-pixel of a lens in a row.
+__device__ inline int lens_start(const LensOptics& lens, int row, int number) {
+  int m = first_stripe(lens, row, number);
+  if (!lens.has_cells) return m;
+  auto inside = [&](int at) { return int64_t(phase_at(lens, row, at) + cell_phase(lens, row, at)) >= 0; };
+  while (inside(m - 1)) --m;
+  while (!inside(m)) ++m;
+  return m;
 }
 
 // Offsets that a group of ordinals sees.
@@ -40,7 +55,9 @@ __device__ inline void group_offsets(const Ordinals& ordinals, int group, float&
 __device__ inline int place_of(int subpixel) { return (subpixel % 3 + 3) % 3; }
 
 // Where a sub-pixel m >= 0 of a row stands in the image: pixels are stored as red, green, blue.
-__device__ inline int in_image(const LensOptics& lens, int m) { return lens.bgr ? m + 2 - 2 * (m % 3) : m; }
+__device__ inline int in_image(const LensOptics& lens, int m) {
+  return lens.permuted ? m - m % 3 + lens.channels[m % 3] : m;
+}
 
 // Bytes that the sub-pixels of a row of a tile of lenses take, at most.
 LFGS_HD int lens_row_bytes(float line_number) { return (int(kTileLenses * line_number) + 5) & ~3; }
@@ -55,7 +72,9 @@ __device__ inline void store_row(const LensOptics& lens, int row, int2 ends, con
 
 // Colours in the order of the sub-pixels of a pixel, left to right.
 __device__ inline float4 by_place(const LensOptics& lens, float4 c) {
-  return lens.bgr ? make_float4(c.z, c.y, c.x, c.w) : c;
+  if (!lens.permuted) return c;
+  auto at = [&](int place) { return lens.channels[place] == 0 ? c.x : lens.channels[place] == 1 ? c.y : c.z; };
+  return make_float4(at(0), at(1), at(2), c.w);
 }
 
 // Offset that v = 1 of an ordinal stands for.

@@ -159,6 +159,8 @@ __device__ inline bool lattices_may_pay(const LensFrame& frame, float half_width
 // Times in ms on an H200, fitted to frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp instructions
 // of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
 // area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density. By the thread that ends the sums.
+// An anti-aliased frame is drawn by patches of pixels, every splat carefully: nothing else knows of shares of opacity.
+template <bool kAntialiased>
 __device__ inline void choose_kernel(const LensFrame& frame) {
   FrameState& state = *frame.state;
   float sums[kSums];  // that other blocks have just added to
@@ -173,10 +175,10 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
             f * h * sum(kDisparity) + w * h * share * sampled) / pixels;
   };
   auto mean = [&](int k) { return sampled > 0 ? sums[k] / kErrorUnit / sampled : 0.f; };
-  const bool linear = mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
+  const bool linear = !kAntialiased && mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
   int level = 0;
   while (level < kLevels && mean(kMixedError + level) > kMeanShapeError) ++level;
-  const bool exact = level == kLevels;
+  const bool exact = kAntialiased || level == kLevels;
   const float curved = exact ? 1 : mean(kCurved + level), careful = exact ? 1 : mean(kMixedCareful + level);
 
   const float large = hits(15, 7, 1), small = hits(15, 3, 1);

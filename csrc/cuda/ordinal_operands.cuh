@@ -12,6 +12,7 @@ constexpr int kWarpLenses = 4, kWarpRows = 16, kWarpsAcross = kTileLenses / kWar
 constexpr int kWarpsDown = kTileRows / kWarpRows, kWarps = kWarpsAcross * kWarpsDown, kThreads = 32 * kWarps;
 constexpr int kFragments = 4, kHalves = 2;  // of 16 samples; of 32 samples, 8 rows each
 constexpr float kMaxLineNumber = kMostOrdinals - 1, kMinLineNumber = 4, kMostViewsEach = 16;
+constexpr float kMinCellLineNumber = 6;     // half a lens is more than sub-pixels stand aside
 constexpr unsigned kOnes = 0x3c003c00u;     // two halves
 constexpr unsigned kNothing = 0xe3d0;       // -1000 and 0: an exponent that draws nothing
 constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
@@ -35,9 +36,11 @@ struct WarpMemory {
   uint8_t queue[kGroupOrdinals][kBatch<Harmonics>];
   int first_page[kGroupOrdinals];              // how many of a queue lie in the first page, the others in the second
   float2 state[kGroupOrdinals * kHalves][32];  // colour and transmittance of each sample of the group
-  // Of the lens of each sample, in its row: the first sub-pixel and its phase, the number of sub-pixels. In memory: the
-  // compiler would rather compute them again for every ordinal than keep so many registers.
-  int start[kHalves][32], length[kHalves][32];
+  // Of the lens of each sample, in its row: the sub-pixel at ordinal 0 and its phase; the first ordinal that is the
+  // lens's own, and the first that is no more. In memory: the compiler would rather compute them again for every ordinal
+  // than keep so many registers.
+  int start[kHalves][32];
+  ushort2 ordinals[kHalves][32];
   uint64_t phase[kHalves][32];
   float x_first;  // x of ordinal -1/2 in the middle row
 };

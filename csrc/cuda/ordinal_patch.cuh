@@ -26,13 +26,15 @@ struct Patch {
     lens0 = lens.ordinals.first_lens + (tile_x * kWarpsAcross + across) * kWarpLenses;
     middle_y = row0 + 0.5f * kWarpRows;
     const float phase0 = fmaf(lens0 + 0.5f * (kWarpLenses - 1), lens.line_number, -lens.origin);
-    x_sheared = phase0 / 3 + 0.5f * lens.slant_tan + 1.f / 6;
+    x_sheared = (phase0 - float(lens.lead)) / 3 + 0.5f * lens.slant_tan + 1.f / 6;
     if (lane == 0) own.x_first = x_sheared - lens.slant_tan * middle_y;
     half_x = (0.5f * (kWarpLenses - 1) * lens.line_number + 0.5f) / 3 + 1.f / 3 + 0.01f;
     for (int h = 0; h < kHalves; ++h) {
       const int row = row0 + lane / kWarpLenses + 8 * h, number = lens0 + lane % kWarpLenses;
-      const int start = lens_start(lens, row, number);
-      own.start[h][lane] = start, own.length[h][lane] = lens_start(lens, row, number + 1) - start;
+      const int begin = lens_start(lens, row, number);
+      const int start = lens.has_cells ? first_stripe(lens, row, number) - lens.lead : begin;
+      own.start[h][lane] = start;
+      own.ordinals[h][lane] = make_ushort2(begin - start, lens_start(lens, row, number + 1) - start);
       own.phase[h][lane] = phase_at(lens, row, start);
     }
     __syncwarp();
@@ -121,11 +123,13 @@ struct Patch {
     for (int i = 0; i < kHalves; ++i) {
       const int2 place = place_of_kept(i);
       const int row = row0 + place.y / kWarpLenses + 8 * place.x, start = own.start[place.x][place.y];
-      const int end = row < lens.height_px ? min(start + own.length[place.x][place.y], 3 * lens.width_px) : 0;
+      const ushort2 ordinals = own.ordinals[place.x][place.y];
+      const int begin = max(start + ordinals.x, 0);
+      const int end = row < lens.height_px ? min(start + ordinals.y, 3 * lens.width_px) : 0;
 #pragma unroll
       for (int t = 0; t < kGroupOrdinals; ++t) {
         const int m = start + first + t;
-        own.state[t * kHalves + i][lane] = make_float2(0, m >= 0 && m < end ? 1.f : 0.f);
+        own.state[t * kHalves + i][lane] = make_float2(0, m >= begin && m < end ? 1.f : 0.f);
       }
     }
     __syncwarp();
@@ -151,9 +155,10 @@ struct Patch {
     for (int i = 0; i < kHalves; ++i) {
       const int2 kept = place_of_kept(i);
       const int row = down * kWarpRows + kept.y / kWarpLenses + 8 * kept.x;
-      const int start = own.start[kept.x][kept.y], end = min(own.length[kept.x][kept.y] - 1, last);
-      int place = place_of(start + first), at = start - memory.rows[row].x + first;
-      for (int ordinal = first; ordinal <= end; ++ordinal, ++at) {
+      const ushort2 ordinals = own.ordinals[kept.x][kept.y];
+      const int start = own.start[kept.x][kept.y], begin = max(int(ordinals.x), first), end = min(ordinals.y - 1, last);
+      int place = place_of(start + begin), at = start - memory.rows[row].x + begin;
+      for (int ordinal = begin; ordinal <= end; ++ordinal, ++at) {
         const float2 state = own.state[(ordinal - first) * kHalves + i][lane];
         const float behind = place == 0 ? background.x : place == 1 ? background.y : background.z;
         put(row, at, ended(fmaf(state.y, behind, state.x), state.y, behind));

@@ -11,7 +11,7 @@ template <bool Harmonics>
 struct Task : Patch<Harmonics> {
   using Base = Patch<Harmonics>;
   using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::middle_y, Base::places;
-  using Base::staged, Base::queued;
+  using Base::row0, Base::staged, Base::queued;
 
   // Features of the samples at an ordinal as operands of the tensor cores.
   __device__ void features(int ordinal, float x_centre, unsigned (&d)[kFragments][4], unsigned (&A)[kFragments][2]) {
@@ -22,9 +22,12 @@ struct Task : Patch<Harmonics> {
     for (int h = 0; h < kHalves; ++h) {
       const int pixel = int(floorf((own.start[h][lane] + ordinal + 0.5f) * (1.f / 3)));
       const float x = pixel + 0.5f - x_centre, y = lane / kWarpLenses + 8 * h + 0.5f - 0.5f * kWarpRows;
-      // From its start no sub-pixel of a lens wraps
-      const float camera = camera_of(lens, own.phase[h][lane] + lens.phase_x * uint64_t(ordinal));
-      const float v = (camera - lens.ordinals.view[ordinal]) * lens.ordinals.view_unit;
+      // From its start no sub-pixel of a lens wraps. Before it and behind its end, where cells may have one, v could be
+      // too large for a half
+      uint64_t phase = own.phase[h][lane] + lens.phase_x * uint64_t(ordinal);
+      if (lens.has_cells) phase += cell_phase(lens, row0 + lane / kWarpLenses, own.start[h][lane] + ordinal);
+      float v = (camera_of(lens, phase) - lens.ordinals.view[ordinal]) * lens.ordinals.view_unit;
+      if (lens.has_cells) v = fminf(fmaxf(v, -2.f), 2.f);
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
       low[h] = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
       high[h] = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));

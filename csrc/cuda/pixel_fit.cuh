@@ -19,9 +19,11 @@ constexpr float kSmallEdge = 3e-3f;            // slope of a colour at zero: at 
 // rough; with a straight line in half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
 
-template <Evaluation evaluation, bool Harmonics_, int lane_rows_>
+// Antialiased: no splat has a fit, all are evaluated carefully.
+template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Antialiased_ = false>
 struct Config {
   static constexpr bool Quadratic = evaluation == Evaluation::kQuadratic, Half = evaluation == Evaluation::kHalf;
+  static constexpr bool Antialiased = Antialiased_;
   static constexpr bool Harmonics = Harmonics_, Bends = Harmonics && Quadratic;  // colours may be parabolas
   static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
   // Slopes of colours with the rest of a hit's fit, read at once: quicker in small patches, slower in large ones.

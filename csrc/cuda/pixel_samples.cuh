@@ -1,6 +1,7 @@
 // Samples of a warp's patch in composite_pixel.cu: where a lane's stand, what they hold, and how a Gaussian is added.
 #pragma once
 
+#include "cuda/compensated.cuh"
 #include "cuda/composite_lens.cuh"
 #include "cuda/lens_optics.cuh"
 #include "cuda/pixel_fit.cuh"
@@ -41,9 +42,12 @@ struct LanePixels {
 #pragma unroll
       for (int p = 0; p < 2; ++p) {
         uint64_t phase = phase_at(lens, row + 4 * r, 3 * (column + p));
+        const uint64_t* beyond = lens.cells.phases[row % kCellPeriod] + 3 * ((column + p) % kCellPeriod);
 #pragma unroll
-        for (int k = 0; k < 3; ++k, phase += lens.phase_x)
-          visit(r, p, k, fmaf(lens.s_step, camera_of(lens, phase), lens.s_start));
+        for (int k = 0; k < 3; ++k, phase += lens.phase_x) {
+          const uint64_t own = lens.has_cells ? phase + beyond[k] : phase;
+          visit(r, p, k, fmaf(lens.s_step, camera_of(lens, own), lens.s_start));
+        }
       }
   }
   // Puts the sub-pixels value(r, p, k) into the image.
@@ -71,24 +75,28 @@ __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background
 }
 
 // Adds a Gaussian to one sample as it is written: a division, the limit of alpha, the whole colour polynomial, the stop
-// of what is opaque.
-template <bool Harmonics>
+// of what is opaque; of anti-aliased ones the share of opacity.
+template <bool Harmonics, bool Antialiased = false>
 struct CarefulHit {
   const LensFrame& frame;
   Splat<float> splat;
+  Compensation<float> compensation;
   int order;
   const float4* powers;
   float4 highest, background;
 
   __device__ CarefulHit(const LensFrame& frame, uint32_t id, float2 centre, float4 background)
-      : frame(frame), splat(whole_splat_about(frame.splats, id, centre)), order(Harmonics ? frame.splats.orders[id] : 0),
+      : frame(frame), splat(whole_splat_about(frame.splats, id, centre)),
+        compensation(Antialiased ? frame.splats.compensations[id] : Compensation<float>{}),
+        order(Harmonics ? frame.splats.orders[id] : 0),
         powers(reinterpret_cast<const float4*>(frame.splats.colours) + int64_t(id) * (frame.splats.colour_order + 1)),
         highest(by_place(frame.optics, powers[order])), background(background) {}
 
   __device__ void add(float x, float y, float s, int k, float& T, float& colour) const {
     const float dy = y - splat.v0, dx = x - splat.u0 - splat.c0 * dy - s * fmaf(splat.c1, dy, splat.du);
     const float S = fmaf(s, fmaf(s, splat.S2, splat.S1), splat.S0);
-    const float power = splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S);
+    float power = splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S);
+    if constexpr (Antialiased) power += log2_share(compensation, s, S);
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
     for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place(frame.optics, powers[q]), k));
@@ -175,7 +183,7 @@ struct FloatSamples {
     });
   }
 
-  __device__ void add_carefully(const CarefulHit<C::Harmonics>& hit) {
+  __device__ void add_carefully(const CarefulHit<C::Harmonics, C::Antialiased>& hit) {
     pixels.for_each([&](int r, int p, int k) {
       hit.add(pixels.x + p, pixels.y + 4 * r, s[r][p][k], k, transmittance[r][p][k], colour[r][p][k]);
     });

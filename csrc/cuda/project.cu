@@ -1,5 +1,7 @@
-// Stage project for ordinary images on the device: a thread per (image, Gaussian). Arithmetic is float.
+// Stage project for ordinary images on the device: a thread per (image, Gaussian). Arithmetic is float; double, of
+// anti-aliased scenes.
 #include "cuda/check.h"
+#include "cuda/compensated.cuh"
 #include "cuda/gaussian_io.cuh"
 #include "cuda/stages.h"
 #include "math/footprint.h"
@@ -11,17 +13,28 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128;
 
-// Projects, culls and stores one splat and its sort key; returns whether it is drawn.
-__device__ bool project_splat(const View<float>& view, const Shape<float>& shape, int64_t width_px, int64_t height_px,
-                              int64_t image, int64_t index, const Splats<float>& out, uint64_t* keys) {
-  Splat<float> splat = Projection<float>(view, shape).splat(view, shape.opacity);
-  cull_outside(splat, width_px, height_px);
+template <bool kAntialiased>
+__device__ Splat<float> splat_of(const Cameras<float>& cameras, int64_t image, const View<float>& view,
+                                 const Shape<float>& shape) {
+  if constexpr (kAntialiased) {
+    Compensation<float> of_one_camera;  // is in the opacity
+    return compensated_splat(cameras.view<double>(image), shape, of_one_camera);
+  } else {
+    return Projection<float>(view, shape).splat(view, shape.opacity);
+  }
+}
+
+// Culls and stores one splat and its sort key; returns whether it is drawn.
+__device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, int64_t image, int64_t index,
+                            const Splats<float>& out, uint64_t* keys) {
+  cull_outside(splat, cameras.width_px, cameras.height_px);
   write_splat(splat, out.splats + index);
   const bool drawn = splat.reach_y >= 0;
   keys[index] = drawn ? uint64_t(image) << kDepthBits | __float_as_uint(splat.depth) : ~uint64_t(0);
   return drawn;
 }
 
+template <bool kAntialiased>
 __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> out,
                                      uint64_t* keys) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, image = blockIdx.y, n = gaussians.count;
@@ -31,7 +44,7 @@ __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<f
   const Shape<float> shape = shape_of(scene, i);
   const int64_t index = image * n + i;
   vec3 colour(0);
-  if (project_splat(view, shape, cameras.width_px, cameras.height_px, image, index, out, keys))
+  if (store_splat(splat_of<kAntialiased>(cameras, image, view, shape), cameras, image, index, out, keys))
     colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
   reinterpret_cast<float4*>(out.colours)[index] =
       make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
@@ -45,7 +58,8 @@ void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>
   require(cameras.images() <= kMostImages, std::to_string(cameras.images()) + " images, and at most 65,535 are drawn "
                                            "at a time on CUDA: render fewer scenes or cameras in a call");
   const dim3 blocks(unsigned(blocks_for(gaussians.count, kThreads)), unsigned(cameras.images()));
-  project_dense_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, out, keys);
+  const auto kernel = cameras.antialiased ? project_dense_kernel<true> : project_dense_kernel<false>;
+  kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, out, keys);
   check_launch("project_dense");
 }
 

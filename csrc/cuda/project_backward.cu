@@ -5,6 +5,7 @@
 #include "cuda/gaussian_io.cuh"
 #include "cuda/lens_rig.cuh"
 #include "cuda/stages.h"
+#include "cuda/widened.cuh"
 #include "math/harmonics.h"
 #include "math/saturate.h"
 
@@ -50,27 +51,21 @@ __device__ bool is_needle(const Splat<float>& s) {
   return !(s.c0 * s.c0 <= kLong * s.tau * s.S0);
 }
 
-__device__ View<double> widened(const View<float>& v) {
-  View<double> view;
-  view.rotation = glm::dmat3(v.rotation), view.translation = glm::dvec3(v.translation);
-  view.fx = v.fx, view.fy = v.fy, view.cx = v.cx, view.cy = v.cy, view.offset = v.offset;
-  view.x_low = v.x_low, view.x_high = v.x_high, view.y_low = v.y_low, view.y_high = v.y_high;
-  view.sweep = v.sweep, view.inverse_zero_depth = v.inverse_zero_depth;
-  return view;
-}
-__device__ Shape<double> widened(const Shape<float>& s) { return {s.mean, s.quaternion, s.scale, s.opacity}; }
-
 // The adjoint of projection from sums over slots on, in double and rounded; not inlined, for it is rarely called and
 // takes many registers.
+template <bool kAntialiased>
 __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Shape<float>& shape,
                                                const Splat<float>& splat, const float* slot_gradients, SlotRange slots,
                                                Shape<float>& g, ViewAdjoint<float>& g_view, vec3& g_colour) {
   const View<double> exact = widened(view);
   const Shape<double> wide = widened(shape);
-  const Splat<double> gradient = splat_gradient<double>(splat, slot_gradients, slots, g_colour);
+  Splat<double> gradient = splat_gradient<double>(splat, slot_gradients, slots, g_colour);
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> of_view;
-  Projection<double>(exact, wide).adjoint(exact, wide, gradient, sum, of_view);
+  const Projection<double> projection(exact, wide);
+  Compensation<double> sharp{};
+  if (kAntialiased) sharp = projection.compensate_adjoint(gradient);
+  projection.adjoint<kAntialiased>(exact, wide, gradient, sum, of_view, sharp);
   auto add = [](float& to, double what) { to = saturated<float>(to + what); };
   for (int c = 0; c < 3; ++c) add(g.mean[c], sum.mean[c]), add(g.scale[c], sum.scale[c]);
   for (int c = 0; c < 4; ++c) add(g.quaternion[c], sum.quaternion[c]);
@@ -81,7 +76,9 @@ __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Sh
   }
 }
 
-// Three blocks on a multiprocessor: the registers that it takes without needles.
+// Three blocks on a multiprocessor: the registers that it takes without needles. All of an anti-aliased scene is as
+// hard as they are: see compensated_splat().
+template <bool kAntialiased>
 __global__ void __launch_bounds__(kThreads, 3)
     project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
                                   const SlotRange* slot_ranges, const float* slot_gradients, Gaussians<float> out,
@@ -104,8 +101,8 @@ __global__ void __launch_bounds__(kThreads, 3)
     if (slots.first < slots.last) {
       vec3 g_colour;
       const Splat<float> splat = read_splat(splats.splats + index);
-      if (is_needle(splat)) {
-        add_exact_adjoint(view, shape, splat, slot_gradients, slots, g, g_view, g_colour);
+      if (kAntialiased || is_needle(splat)) {
+        add_exact_adjoint<kAntialiased>(view, shape, splat, slot_gradients, slots, g, g_view, g_colour);
       } else {
         const Splat<float> g_splat = splat_gradient<float>(splat, slot_gradients, slots, g_colour);
         Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
@@ -137,6 +134,7 @@ __global__ void __launch_bounds__(kThreads, 3)
   if (real) store(shape, g, g_own, i);
 }
 
+template <bool kAntialiased>
 __global__ void __launch_bounds__(kThreads)
     project_lens_backward_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig,
                                  const __grid_constant__ BasisTable basis, Splats<float> splats,
@@ -146,8 +144,10 @@ __global__ void __launch_bounds__(kThreads)
   const SlotRange slots = slot_ranges[i];
   if (slots.first == slots.last) return;
   const Splat<float> s = splats.splats[i];
-  const int order = basis.order, nodes = order + 1, all_sums = kLensSums + 3 * nodes, kept = splats.orders[i];
-  double sum[kLensSums + 3 * (kMaxColourOrder + 1)];
+  const int order = basis.order, nodes = order + 1, sharp = kLensSums + 3 * nodes, kept = splats.orders[i];
+  constexpr int kSharp = kAntialiased ? kCompensationFields : 0;
+  const int all_sums = sharp + kSharp;
+  double sum[kLensSums + 3 * (kMaxColourOrder + 1) + kSharp];
   for (int f = 0; f < all_sums; ++f) sum[f] = 0;
   for (int64_t slot = slots.first; slot < slots.last; ++slot)
     for (int f = 0; f < all_sums; ++f) sum[f] += slot_gradients[slot * all_sums + f];
@@ -162,7 +162,14 @@ __global__ void __launch_bounds__(kThreads)
   const Shape<double> exact = widened(shape);
   Shape<double> g{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> unused;
-  Projection<double>(rig.exact, exact).adjoint(rig.exact, exact, g_splat, g, unused);
+  const Projection<double> projection(rig.exact, exact);
+  Compensation<double> g_sharp{};
+  if constexpr (kAntialiased) {
+    Splat<double> again = projection.splat(rig.exact, exact.opacity);
+    const double most = projection.compensate(again, g_sharp);
+    g_sharp = {sum[sharp] / most, sum[sharp + 1] / most, sum[sharp + 2] / most};
+  }
+  projection.adjoint<kAntialiased>(rig.exact, exact, g_splat, g, unused, g_sharp);
 
   // Powers of s -> Chebyshev -> node values -> harmonics
   const float* colours = splats.colours + i * nodes * kColourStride;
@@ -193,8 +200,9 @@ void project_dense_backward(const Gaussians<const float>& gaussians, const Camer
                             const Gaussians<float>& out, float* view_partials, Stream stream) {
   if (gaussians.count == 0 || cameras.scenes == 0) return;
   const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
-  project_dense_backward_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
-      gaussians, cameras, splats, slot_ranges, slot_gradients, out, view_partials);
+  const auto kernel = cameras.antialiased ? project_dense_backward_kernel<true> : project_dense_backward_kernel<false>;
+  kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, splats, slot_ranges, slot_gradients, out,
+                                                        view_partials);
   check_launch("project_dense_backward");
 }
 
@@ -202,7 +210,8 @@ void project_lens_backward(const Gaussians<const float>& gaussians, const View<d
                            const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
                            const Gaussians<float>& out, Stream stream) {
   if (gaussians.count == 0) return;
-  project_lens_backward_kernel<<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
+  const auto kernel = splats.compensations ? project_lens_backward_kernel<true> : project_lens_backward_kernel<false>;
+  kernel<<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
       gaussians, Rig(rig), BasisTable{ColourBasis(splats.colour_order)}, splats, slot_ranges, slot_gradients, out);
   check_launch("project_lens_backward");
 }

@@ -1,6 +1,7 @@
 // Stage project for the lens sensor on the device: a thread per Gaussian. Arithmetic is float, but
 // for where the mean is seen.
 #include "cuda/check.h"
+#include "cuda/compensated.cuh"
 #include "cuda/gaussian_io.cuh"
 #include "cuda/halves.cuh"
 #include "cuda/lens_frame.h"
@@ -101,14 +102,18 @@ __device__ float2 place(const View<double>& rig, const vec3& mean, Splat<float>&
 
 // Projects, culls and stores splat i; returns it (reach_y < 0: not drawn). depths: where its depth goes instead, see
 // whole_splat_about(), or null.
-template <int Order>
+template <int Order, bool kAntialiased>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, float tolerance, float cut,
                                     bool by_patches, float least_light, int64_t i, const Splats<float>& out,
                                     uint32_t* depths, unsigned* error) {
   const View<float>& rig = rigs.rounded;
   const Shape<float> shape = shape_of(gaussians, i);
-  Splat<float> splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
+  Splat<float> splat;
+  if constexpr (kAntialiased)
+    splat = compensated_splat(rigs.exact, shape, out.compensations[i]);
+  else
+    splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
   const float2 rest = splat.reach_y >= 0 ? place(rigs.exact, shape.mean, splat) : make_float2(0, 0);
   const bool pruned = least_light > 0 && light_of(splat) < least_light;
   if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut, by_patches);
@@ -126,27 +131,27 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   return splat;
 }
 
-template <int Order>
+template <int Order, bool kAntialiased>
 __global__ void project_lens_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig,
                                     int64_t width_px, int64_t height_px, const __grid_constant__ BasisTable basis,
                                     float tolerance, Splats<float> out, uint64_t* keys, unsigned* error) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
-  const Splat<float> splat = store_splat<Order>(gaussians, rig, width_px, height_px, basis, tolerance,
-                                                float(kLog2MinAlpha), false, 0, i, out, nullptr, error);
+  const Splat<float> splat = store_splat<Order, kAntialiased>(gaussians, rig, width_px, height_px, basis, tolerance,
+                                                              float(kLog2MinAlpha), false, 0, i, out, nullptr, error);
   keys[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : ~uint64_t(0);
 }
 
-template <int Order>
+template <int Order, bool kAntialiased>
 __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __grid_constant__ LensFrame frame,
                                      const __grid_constant__ Rig rig, const __grid_constant__ BasisTable basis) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   Splat<float> splat;
   splat.reach_y = -1;
   if (i < gaussians.count) {
-    splat = store_splat<Order>(gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis,
-                               frame.tolerance, frame.cut, frame.in_half, frame.least_light, i, frame.splats,
-                               frame.depths, &frame.state->colour_error);
+    splat = store_splat<Order, kAntialiased>(gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis,
+                                             frame.tolerance, frame.cut, frame.in_half, frame.least_light, i,
+                                             frame.splats, frame.depths, &frame.state->colour_error);
     if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
   }
   const unsigned stride = sample_stride(gaussians.count);
@@ -156,20 +161,23 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   __syncthreads();
   if (threadIdx.x == 0 && atomicAdd(&frame.state->blocks_summed, 1u) == (gridDim.x - 1) / stride) {
     __threadfence();
-    choose_kernel(frame);
+    choose_kernel<kAntialiased>(frame);
   }
 }
 
-// Calls run with the order of the colours as a compile-time number.
+// Calls run with the order of the colours, and whether opacities are compensated, as compile-time constants.
 template <class Run>
-void with_order(int order, const Run& run) {
+void with_order(int order, bool antialiased, const Run& run) {
+  auto with = [&](auto fixed) {
+    antialiased ? run(fixed, std::bool_constant<true>()) : run(fixed, std::bool_constant<false>());
+  };
   switch (order) {
-    case 0: return run(std::integral_constant<int, 0>());
-    case 2: return run(std::integral_constant<int, 2>());
-    case 4: return run(std::integral_constant<int, 4>());
-    case 8: return run(std::integral_constant<int, 8>());
-    case 12: return run(std::integral_constant<int, 12>());
-    case 16: return run(std::integral_constant<int, 16>());
+    case 0: return with(std::integral_constant<int, 0>());
+    case 2: return with(std::integral_constant<int, 2>());
+    case 4: return with(std::integral_constant<int, 4>());
+    case 8: return with(std::integral_constant<int, 8>());
+    case 12: return with(std::integral_constant<int, 12>());
+    case 16: return with(std::integral_constant<int, 16>());
   }
   throw Error("colour order on CUDA must be 0, 2, 4, 8, 12 or 16, not " + std::to_string(order));
 }
@@ -180,8 +188,9 @@ void project_lens(const Gaussians<const float>& gaussians, const View<double>& r
                   const Splats<float>& out, uint64_t* keys, float* error, Stream stream) {
   if (gaussians.count == 0) return;
   const BasisTable basis{ColourBasis(out.colour_order)};
-  with_order(out.colour_order, [&](auto order) {
-    project_lens_kernel<order><<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
+  const unsigned blocks = unsigned(blocks_for(gaussians.count, kThreads));
+  with_order(out.colour_order, rig.antialiased, [&](auto order, auto antialiased) {
+    project_lens_kernel<order, antialiased><<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
         gaussians, Rig(rig), lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
         reinterpret_cast<unsigned*>(error));
   });
@@ -199,8 +208,8 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
         "project: clear the state");
   const BasisTable basis{ColourBasis(frame.splats.colour_order)};
   const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // of none too, one chooses
-  with_order(frame.splats.colour_order, [&](auto order) {
-    frame_project_kernel<order><<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(
+  with_order(frame.splats.colour_order, frame.rig.antialiased, [&](auto order, auto antialiased) {
+    frame_project_kernel<order, antialiased><<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(
         gaussians, frame, Rig(frame.rig), basis);
   });
   check_launch("frame_project");

@@ -11,6 +11,7 @@
 
 #include <cmath>
 
+#include "math/compensation.h"
 #include "math/constants.h"
 #include "math/covariance.h"
 #include "scene/view.h"
@@ -26,6 +27,12 @@ struct Splat {
   T depth;    // view-space z
 };
 constexpr int kSplatFields = 12;
+
+template <class T, class R>
+LFGS_HD Splat<T> splat_cast(const Splat<R>& s) {
+  return {T(s.u0), T(s.du), T(s.v0), T(s.log2_opacity), T(s.S0),      T(s.S1),
+          T(s.S2), T(s.tau), T(s.c0), T(s.c1),          T(s.reach_y), T(s.depth)};
+}
 
 // One Gaussian as projection reads it.
 template <class R>
@@ -119,31 +126,75 @@ struct Projection {
     return s;
   }
 
+  // Minors of the rows of the projected factor, which are `across` + s g `deep` and `down` / iy^(1/2).
+  struct Minors {
+    glm::vec<3, R> across, deep, m0, m1;
+
+    LFGS_HD explicit Minors(const Projection& p) {
+      const glm::mat<3, 3, R> rows = glm::transpose(p.factor);
+      const glm::vec<3, R> down = std::sqrt(p.iy) * (p.c * rows[1] + p.e * rows[2]);
+      across = p.a * rows[0] + p.b * rows[2], deep = rows[2];
+      m0 = glm::cross(across, down), m1 = p.g * glm::cross(deep, down);
+    }
+  };
+
   // S(s) = xx(s) - xy(s)^2 / yy as sums of squares (Cauchy and Binet: a determinant by its minors), for the difference
   // has no digits left where a needle is some thousand pixels long. So S(s) never falls below the blur's variance.
   LFGS_HD void conditional_variance(Splat<R>& s) const {
     const R blur(kBlurVariancePx);
-    const glm::mat<3, 3, R> rows = glm::transpose(factor);
-    const glm::vec<3, R> across = a * rows[0] + b * rows[2], down = std::sqrt(iy) * (c * rows[1] + e * rows[2]);
-    const glm::vec<3, R> m0 = glm::cross(across, down), m1 = g * glm::cross(rows[2], down);
-    s.S0 = (glm::dot(m0, m0) + blur * (1 + glm::dot(across, across) * iy)) / R(kHalfLog2e);
-    s.S1 = 2 * (glm::dot(m0, m1) + blur * g * glm::dot(across, rows[2]) * iy) / R(kHalfLog2e);
-    s.S2 = (glm::dot(m1, m1) + blur * g * g * V.zz * iy) / R(kHalfLog2e);
+    const Minors m(*this);
+    s.S0 = (glm::dot(m.m0, m.m0) + blur * (1 + glm::dot(m.across, m.across) * iy)) / R(kHalfLog2e);
+    s.S1 = 2 * (glm::dot(m.m0, m.m1) + blur * g * glm::dot(m.across, m.deep) * iy) / R(kHalfLog2e);
+    s.S2 = (glm::dot(m.m1, m.m1) + blur * g * g * V.zz * iy) / R(kHalfLog2e);
   }
 
-  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat; to out.quaternion that
-  // of the unit quaternion, for sums over views may cancel where quaternion_gradient is infinite.
+  // Lowers the opacity of a splat of an anti-aliased scene to the highest that it has over the rig, which bounds it
+  // everywhere, and returns the square of the share that is left. D(s) / S(s) is then at most 1.
+  LFGS_HD R compensate(Splat<R>& s, Compensation<R>& out) const {
+    const Minors m(*this);
+    out = {glm::dot(m.m0, m.m0) / R(kHalfLog2e), 2 * glm::dot(m.m0, m.m1) / R(kHalfLog2e),
+           glm::dot(m.m1, m.m1) / R(kHalfLog2e)};
+    const R most = largest_share(s.S0, s.S1, s.S2, out);
+    if (most > 0) out = {out.D0 / most, out.D1 / most, out.D2 / most};
+    s.log2_opacity += std::log2(most) / 2;
+    const R left = s.log2_opacity - R(kLog2MinAlpha);
+    s.reach_y = left >= 0 ? std::sqrt(left / s.tau) : R(-1);  // of an edge, which has no light, too
+    return most;
+  }
+
+  // For one camera: what follows for D from the gradient of the opacity that compensate() has lowered; adds to g.S0.
+  LFGS_HD Compensation<R> compensate_adjoint(Splat<R>& g) const {
+    const Minors m(*this);
+    Splat<R> s;
+    conditional_variance(s);
+    const R half = g.log2_opacity / R(2 * kLn2);
+    g.S0 -= half / s.S0;
+    return {half * R(kHalfLog2e) / glm::dot(m.m0, m.m0), 0, 0};
+  }
+
+  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat, and of an anti-aliased
+  // one from that of D before compensate() divides it; to out.quaternion that of the unit quaternion, for sums over
+  // views may cancel where quaternion_gradient is infinite.
+  template <bool kAntialiased = false>
   LFGS_HD void adjoint(const View<R>& view, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
-                       ViewAdjoint<R>& view_out) const {
+                       ViewAdjoint<R>& view_out, const Compensation<R>& sharp = {}) const {
     if (!drawn) return;
     out.opacity += s.log2_opacity / (shape.opacity * R(kLn2));
 
     // Conditional form -> xx, xy, yy
     R gS0 = s.S0 / R(kHalfLog2e), gS1 = s.S1 / R(kHalfLog2e), gS2 = s.S2 / R(kHalfLog2e);
-    R g_iy = -gS0 * xy0 * xy0 - 2 * gS1 * xy0 * xy1 - gS2 * xy1 * xy1 + s.tau * R(kHalfLog2e) + s.c0 * xy0 +
-             s.c1 * xy1;
-    R g_xy0 = iy * (s.c0 - 2 * gS0 * xy0 - 2 * gS1 * xy1);
-    R g_xy1 = iy * (s.c1 - 2 * gS1 * xy0 - 2 * gS2 * xy1);
+    R gQ0 = gS0, gQ1 = gS1, gQ2 = gS2, g_iy = 0;  // of -xy(s)^2 / yy; below, gS is that of xx(s)
+    if constexpr (kAntialiased) {
+      // D(s) = (xx(s) - blur) (1 - blur / yy) - xy(s)^2 / yy
+      const R gD0 = sharp.D0 / R(kHalfLog2e), gD1 = sharp.D1 / R(kHalfLog2e), gD2 = sharp.D2 / R(kHalfLog2e);
+      const R blur(kBlurVariancePx), keep = 1 - blur * iy, xx = a * (a * V.xx + b * V.xz) + b * qz;
+      gQ0 += gD0, gQ1 += gD1, gQ2 += gD2;
+      gS0 += keep * gD0, gS1 += keep * gD1, gS2 += keep * gD2;
+      g_iy = -blur * (gD0 * xx + gD1 * 2 * g * qz + gD2 * g * g * V.zz);
+    }
+    g_iy += -gQ0 * xy0 * xy0 - 2 * gQ1 * xy0 * xy1 - gQ2 * xy1 * xy1 + s.tau * R(kHalfLog2e) + s.c0 * xy0 + s.c1 * xy1;
+    R g_xy0 = iy * (s.c0 - 2 * gQ0 * xy0 - 2 * gQ1 * xy1);
+    R g_xy1 = iy * (s.c1 - 2 * gQ1 * xy0 - 2 * gQ2 * xy1);
     R g_yy = -g_iy * iy * iy;
     R g_qz = 2 * g * gS1;
     R g_yz = b * g_xy0 + g * g_xy1;

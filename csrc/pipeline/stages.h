@@ -8,6 +8,7 @@
 
 #include <cstdint>
 
+#include "math/compensation.h"
 #include "math/projection.h"
 #include "math/quality.h"
 #include "scene/gaussians.h"
@@ -22,8 +23,11 @@ constexpr int kColourStride = 4;  // r, g, b and padding: what a vector look-up 
 
 inline int64_t band_count(int64_t height_px) { return (height_px + kBandRows - 1) / kBandRows; }
 
-// Numbers of a pair's gradient: the fields of Splat, then (order + 1) colours of 3.
-inline int pair_gradient_size(int colour_order) { return kSplatFields + 3 * (colour_order + 1); }
+// Numbers of a pair's gradient: the fields of Splat, then (order + 1) colours of 3, then for a lens those of
+// Compensation, if it has one.
+inline int pair_gradient_size(int colour_order, bool compensated = false) {
+  return kSplatFields + 3 * (colour_order + 1) + (compensated ? kCompensationFields : 0);
+}
 
 struct Counters {
   int64_t pairs = 0;        // (tile, splat)
@@ -50,10 +54,13 @@ struct Cameras {
   const T* world_to_camera = nullptr;  // [I, 4, 4]
   const T* intrinsics = nullptr;       // [I, 4]: fx, fy, cx, cy
   const T* limits = nullptr;           // [I, 5]: Jacobian clamp, offset in the rig
+  bool antialiased = false;            // see View
   int64_t images() const { return scenes * per_scene; }
   template <class R = double>
   LFGS_HD View<R> view(int64_t image) const {
-    return make_view<R>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image);
+    View<R> view = make_view<R>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image);
+    view.antialiased = antialiased;
+    return view;
   }
 };
 
@@ -65,6 +72,7 @@ struct Splats {
   Splat<T>* splats = nullptr;  // [I, N]
   T* colours = nullptr;        // [I, N, order + 1, kColourStride]
   int32_t* orders = nullptr;   // [I, N] order that a splat needs, <= colour_order; null for Dense
+  Compensation<T>* compensations = nullptr;  // [N] of an anti-aliased scene; null for others and for Dense
 };
 
 // Which splats touch which band, nearest first.

@@ -1,11 +1,24 @@
 // The panel: which view, hence which camera offset, every sub-pixel shows.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
+#include <string>
+#include <vector>
 
 #include "base/config.h"
+#include "base/error.h"
 
 namespace lfgs {
+
+// Sub-pixels that do not stand in stripes: what a place k of a pixel has beyond the stripe k, and whose it is; by row and
+// column modulo kCellPeriod. Places are in the order in which the lens meets them.
+constexpr int kCellPeriod = 4, kRowPeriod = 3 * kCellPeriod;  // in sub-pixels
+struct SubpixelCells {
+  uint64_t phases[kCellPeriod][kRowPeriod] = {};  // 2^64 = one lens, signed: about 0
+  uint8_t channels[kCellPeriod][kRowPeriod] = {};
+};
 
 struct Lens {
   int64_t width_px = 0, height_px = 0;
@@ -17,10 +30,38 @@ struct Lens {
   bool bgr = false;                               // blue is the left-most sub-pixel
   bool continuous = false;                        // cameras at x itself instead of floor(x) + 1/2
   double offset_start = 0, offset_step = 0;       // s = offset_start + offset_step * x, scene units
+  bool has_cells = false;
+  SubpixelCells cells;
 
+  // Of a stripe.
   LFGS_HD uint64_t phase_at(int64_t row, int64_t subpixel) const {
     return phase0 + phase_x * uint64_t(subpixel) + phase_y * uint64_t(row);
   }
+  // Of place k of a pixel, whatever its cell, subpixel = 3 column + k >= 0; the image channel that lies there.
+  LFGS_HD uint64_t true_phase(int64_t row, int64_t subpixel) const {
+    const uint64_t stripe = phase_at(row, subpixel);
+    return has_cells ? stripe + cells.phases[row % kCellPeriod][subpixel % kRowPeriod] : stripe;
+  }
+  LFGS_HD int channel_at(int64_t row, int64_t subpixel) const {
+    if (has_cells) return cells.channels[row % kCellPeriod][subpixel % kRowPeriod];
+    return int(bgr ? 2 - subpixel % 3 : subpixel % 3);
+  }
+  // The sub-pixel of a channel.
+  LFGS_HD int64_t subpixel_of(int64_t row, int64_t column, int channel) const {
+    int64_t m = 3 * column;
+    while (channel_at(row, m) != channel) ++m;
+    return m;
+  }
+  // Largest distance of a sub-pixel from its stripe, in sub-pixels.
+  double most_beyond() const;
+  // What there is for every sub-pixel, [kCellPeriod][kRowPeriod]; nothing: stripes.
+  void set_cells(const std::vector<uint64_t>& phases, const std::vector<int>& channels);
+  // Whether sub-pixels of a row follow each other as their stripes do, less than one aside: those of a lens then lie
+  // side by side.
+  bool stands_in_order() const;
+  // Whether the places of all pixels have the same channels.
+  bool has_one_order() const;
+
   // Largest |s| over x in [0, views].
   LFGS_HD double reach() const {
     double a = offset_start, b = offset_start + offset_step * double(views);
@@ -43,6 +84,41 @@ LFGS_HD int64_t integer_view(uint64_t phase, uint64_t views) {
 LFGS_HD double camera_coordinate(const Lens& lens, uint64_t phase) {
   if (!lens.continuous) return double(integer_view(phase, uint64_t(lens.views))) + 0.5;
   return double(phase) * (1.0 / 18446744073709551616.0) * double(lens.views);
+}
+
+inline void Lens::set_cells(const std::vector<uint64_t>& phases, const std::vector<int>& channels) {
+  constexpr size_t kCount = size_t(kCellPeriod) * kRowPeriod;
+  require(phases.size() == channels.size() && (phases.empty() || phases.size() == kCount),
+          "a lens takes no cells or " + std::to_string(kCount) + " sub-pixels of them");
+  has_cells = !phases.empty();
+  for (size_t m = 0; m < phases.size(); ++m) {
+    require(channels[m] >= 0 && channels[m] < 3, "channels of cells must be 0..2, got " + std::to_string(channels[m]));
+    cells.phases[m / kRowPeriod][m % kRowPeriod] = phases[m];
+    cells.channels[m / kRowPeriod][m % kRowPeriod] = uint8_t(channels[m]);
+  }
+}
+
+inline double Lens::most_beyond() const {
+  double most = 0;
+  for (const auto& row : cells.phases)
+    for (uint64_t phase : row) most = std::max(most, std::fabs(double(int64_t(phase))));
+  return has_cells ? most * (1.0 / 18446744073709551616.0) * line_number : 0;
+}
+
+inline bool Lens::stands_in_order() const {
+  if (!has_cells) return true;
+  bool in_order = most_beyond() < 1;
+  for (const auto& row : cells.phases)
+    for (int m = 0; m < kRowPeriod; ++m)
+      in_order = in_order && int64_t(row[(m + 1) % kRowPeriod] - row[m] + phase_x) > 0;
+  return in_order;
+}
+
+inline bool Lens::has_one_order() const {
+  bool one = true;
+  for (const auto& row : cells.channels)
+    for (int m = 0; m < kRowPeriod; ++m) one = one && row[m] == cells.channels[0][m % 3];
+  return one;
 }
 
 }  // namespace lfgs

@@ -19,6 +19,7 @@ struct View {
   R offset = 0;                       // where this camera stands in its rig; only the clamp needs it
   R sweep = 0;                        // 1: the projection is a polynomial in s; 0: one camera
   R inverse_zero_depth = 0;           // rig only
+  bool antialiased = false;           // opacities compensated for the blur, see math/compensation.h
 
   LFGS_HD glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }
 };

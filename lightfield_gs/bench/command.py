@@ -29,8 +29,8 @@ from lightfield_gs.commands.values import byte_size
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
 from lightfield_gs.io.photo import load_photo
+from lightfield_gs.options import METHODS
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.rendering import METHODS
 
 BENCH_METHODS = (*METHODS, *peers.PEERS)
 COUNTERS = ("stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes", "memory_bytes",
@@ -127,6 +127,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--panel", default=DEFAULT_PANEL,
                         help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of "
                              "published figures")
+    parser.add_argument("--device-serial", metavar="SERIAL",
+                        help="which display, where a Looking Glass .json has calibrations of several")
     parser.add_argument("--cone", help="viewing cone in degrees, or narrow (40 px of disparity over all views) or wide "
                                        "(53 degrees); several with commas (default: the panel's; of pareto: 5,40)")
     parser.add_argument("--sh-degree", help="0..3 of synthetic scenes, several with commas (default: 0)")
@@ -193,11 +195,15 @@ def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple
     return {"rows": rows}, training.table(rows)
 
 
+def _panel(args: argparse.Namespace) -> Panel:
+    return Panel.load(args.panel, serial=args.device_serial)
+
+
 def _photo(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every photo, and their text."""
     photos = [str(photo.EXAMPLE)] if args.photo is None else args.photo.split(",")
     _check_photos(photos)
-    rows = photo.rows(photos, args.model, Panel.load(args.panel), args.device, args.repeats, threads)
+    rows = photo.rows(photos, args.model, _panel(args), args.device, args.repeats, threads)
     return {"rows": rows}, photo.table(rows)
 
 
@@ -210,7 +216,7 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
     scenes = pareto.SCENES if not args.scene and not args.photo else args.scene.split(",") if args.scene else ()
     _check_scenes(scenes)
     rows, count = [], _one_thread_count(args, threads)
-    for subject in pareto.subjects(scenes, photos, Panel.load(args.panel),
+    for subject in pareto.subjects(scenes, photos, _panel(args),
                                    pareto.CONES if args.cone is None else _cones(args.cone), args.device):
         made = subject()
         _progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then all settings by turns")
@@ -222,7 +228,7 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
 
 def _skips(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
     """Rows of every skip, for every scene and cone, and their text."""
-    scenes, panel = skips.SCENES if args.scene is None else args.scene.split(","), Panel.load(args.panel)
+    scenes, panel = skips.SCENES if args.scene is None else args.scene.split(","), _panel(args)
     cones, count, rows = _cones(args.cone), _one_thread_count(args, threads), []
     degrees = _sh_degrees(args.sh_degree)
     _check_scenes(scenes, degrees)
@@ -269,7 +275,7 @@ def _light_field(args: argparse.Namespace, threads: list[int | None], published:
         raise InputError(f"--memory-budget is for the method sorted, not {', '.join(methods)}; add it to --methods")
     if args.oracle_samples is not None and args.oracle_samples < 1:
         raise InputError(f"--oracle-samples: expected 1 or more, got {args.oracle_samples}")
-    panel = Panel.load(args.panel)
+    panel = _panel(args)
     degrees = _sh_degrees(args.sh_degree)
     _check_scenes(scenes, degrees)
     cases = [Case(scene, panel, cone, degree) for scene in scenes for cone in _cones(args.cone) for degree in degrees]

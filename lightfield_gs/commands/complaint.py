@@ -1,9 +1,15 @@
-"""What a command says on stderr: how it ends that could not do its work, and notes on work that may disappoint."""
+"""What a command says on stderr: how it ends that could not do its work, and notes on work that may disappoint; and on
+stdout what it assumed."""
 
 from __future__ import annotations
 
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
+from lightfield_gs.assumptions import Assumption
 from lightfield_gs.errors import InputError
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -37,3 +43,23 @@ def complain(program: str, error: BaseException, remedy: str) -> int:
 def note(words: str) -> None:
     """Says in one line on stderr what may not be as it was meant."""
     print(f"note: {words}", file=sys.stderr)
+
+
+@contextmanager
+def assumptions_said() -> Iterator[None]:
+    """Says on stdout, once the work is done, what the library assumed for it; other warnings go their usual way."""
+    lines: dict[str, None] = {}  # each once, in order
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *rest: Any, **options: Any) -> None:
+            if issubclass(category, Assumption):
+                lines[f"assumed: {message}"] = None
+            else:
+                usual(message, category, *rest, **options)
+
+        warnings.simplefilter("always", Assumption)
+        warnings.showwarning = show
+        yield
+    for line in lines:
+        print(line)

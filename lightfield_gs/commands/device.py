@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from lightfield_gs.errors import InputError
+from lightfield_gs.options import Device
 
 
-def choose_device(name: str) -> str:
+def choose_device(name: Device) -> Literal["cpu", "cuda"]:
     """cpu or cuda, for cpu, cuda or auto. Raises InputError where cuda is asked for and cannot be had."""
     if name == "cpu":
         return "cpu"

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
 from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.panel import at_distance, why_no_eye
+from lightfield_gs.commands.panel import load_panel, why_no_eye
+from lightfield_gs.commands.rig import load_cameras
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -36,47 +38,61 @@ def run(args: argparse.Namespace) -> None:
     if args.preview is not None:
         check_folder(args.preview)
     check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
-                                   args.view_map, args.checkpoint))
+                                   args.view_map, args.checkpoint, args.camera and args.camera[0]))
     _check_options(args)
-    panel = at_distance(Panel.load(args.panel), args.viewing_distance)
+    panel = load_panel(args)
     import torch
 
+    from lightfield_gs.io.ply import write_ply
+    from lightfield_gs.lens import slow_way
+    from lightfield_gs.quality import Quality
     from lightfield_gs.rendering import encode
-    from lightfield_gs.rig import Rig
 
     if args.threads is not None:
         _use_threads(args.threads)
     device = choose_device(args.device)
-    rig = None if args.rig is None else Rig.from_yaml(args.rig)
+    given, rig, said = read_given(args, panel), None, []
     views = _views(args, panel)
+    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
+    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+        note(why)
     watch.lap("start")
     with torch.inference_mode():
-        gaussians, camera = load_scene(args, device, watch)
-        if rig is None and "cameras" not in views:
-            rig = Rig.frame(gaussians, panel, camera)
+        gaussians, file = load_scene(args, device, watch)
+        # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
+        if "cameras" in views:
+            views["cameras"] = views["cameras"].relative_to(gaussians.origin)
+        else:
+            rig, said = choose_rig(given, args, panel, gaussians, file)
+        rig_of_file = rig and rig.relative_to([-part for part in gaussians.origin])
         stats: dict = {}
         image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
                        output="uint8" if bits == 8 else "float32", quality=args.quality, threads=args.threads,
-                       stats=stats, **views)
+                       stats=stats, antialiased=args.antialiased, **views)
         image = image.cpu().numpy()
         watch.lap("image", stats["stages_ms"])
-        write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig), args.compression)
+        write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig_of_file), args.compression)
         if args.save_rig is not None:
-            rig.to_yaml(args.save_rig)
+            rig_of_file.to_yaml(args.save_rig)
         if args.save_gaussians is not None:
-            gaussians.save(args.save_gaussians)
+            write_ply(args.save_gaussians, gaussians, comments_of(args, panel, file, rig_of_file))
+            said.append(f"{args.save_gaussians}: the Gaussians in their own axes, with the framing and what is up")
         watch.lap("write")
         if args.preview is not None:
             from lightfield_gs.preview import write_preview
 
-            write_preview(args.preview, image, gaussians, panel, rig, args.background)
+            write_preview(args.preview, image, gaussians, panel, rig, args.background, args.antialiased)
             watch.lap("preview")
             if why := why_no_eye(panel):
                 note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
+    if stats["pairs"] == 0 and stats["gaussians_culled"] == gaussians.count:
+        note(f"{args.output} is all background: none of {gaussians.count} Gaussians is within what the cameras see, or "
+             "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras")
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians.count} Gaussians")
     print(watch.line())
     if args.stats:
         print("\n".join(_stats_lines(stats, gaussians.count)))
+    print("".join(f"{line}\n" for line in said), end="")
 
 
 def _outputs(args: argparse.Namespace) -> list[Path | None]:
@@ -112,18 +128,19 @@ def _check_options(args: argparse.Namespace) -> None:
             raise InputError(f"--views continuous is for a rig and the panel's lens, and {option} takes the place of "
                              "one; leave out one of them")
     if args.cameras is not None:
-        for option, value in (("--rig", args.rig), ("--save-rig", args.save_rig), ("--preview", args.preview)):
+        for option, value in (("--rig", args.rig), ("--camera", args.camera), ("--up", args.up),
+                              ("--save-rig", args.save_rig), ("--preview", args.preview)):
             if value is not None:
                 raise InputError(f"{option} is about a rig, and --cameras takes its place; leave out one of them")
 
 
 def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
     """The arguments of `encode` that only the method sorted has, those that were given."""
-    from lightfield_gs.io.view_files import read_cameras, read_view_map
+    from lightfield_gs.io.view_files import read_view_map
 
     views: dict[str, Any] = {}
     if args.cameras is not None:
-        views["cameras"] = read_cameras(args.cameras, panel)
+        views["cameras"] = load_cameras(args, panel)
     if args.view_map is not None:
         count = views["cameras"].count if "cameras" in views else panel.views
         views["view_map"] = read_view_map(args.view_map, panel, count)
@@ -162,9 +179,12 @@ def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
               rig: "Rig | None") -> dict[str, str]:
     """What the image was made from and by; the values but "software" and "input" are JSON."""
     scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
+    if any(gaussians.origin):
+        scene["origin"] = gaussians.origin
     encoding = {"method": args.method, "views": args.views, "background": list(args.background),
-                "quality": args.quality}
-    for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth)):
+                "quality": args.quality, **({"antialiased": True} if args.antialiased else {})}
+    for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth),
+                       ("camera", args.camera and args.camera[0])):
         if path is not None:
             encoding[name] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     versions = package_versions()

@@ -4,44 +4,83 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
+from lightfield_gs.io.text_file import read_text
+from lightfield_gs.io.yaml_file import MOST_BYTES
 from lightfield_gs.panel import Panel
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def run(args: argparse.Namespace) -> None:
     """Prints what args.file holds, a line a fact. Raises InputError."""
-    for key, value in describe(args.file):
+    for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up):
         print(f"{key}: {value}")
 
 
-def describe(path: Path) -> list[tuple[str, object]]:
-    """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file."""
+def describe(path: Path, serial: str | None = None, skip_invalid: bool = False,
+             up: str | None = None) -> list[tuple[str, object]]:
+    """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file.
+
+    serial: of the display, where the file has several. skip_invalid: of a scene, see read_scene. up: which axis of it
+    points up, in place of what its file says.
+    """
     suffix = path.suffix.lower()
+    if serial is not None and suffix != ".json":
+        raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
     if suffix in (".ply", ".spz", ".splat", ".ksplat", ".sog"):
-        return _scene(path)
+        return _scene(path, skip_invalid, up)
     if suffix == ".safetensors":
         return _checkpoint(path)
     if suffix in (".yaml", ".yml") and _is_rig(path):
         return _rig(path)
     if suffix in (".yaml", ".yml", ".json") or not suffix and not path.exists():
-        return [("panel", path), *Panel.load(path).to_dict().items()]
+        return [("panel", path), *Panel.load(path, serial=serial).to_dict().items()]
     return _image(path)
 
 
-def _scene(path: Path) -> list[tuple[str, object]]:
-    from lightfield_gs.commands.encode import scene_hash
-    from lightfield_gs.gaussians import Gaussians
+def _scene(path: Path, skip_invalid: bool, up: str | None) -> list[tuple[str, object]]:
+    import torch
 
-    scene = Gaussians.load(path)
-    quantile = [scene.means.sort(0).values[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
+    from lightfield_gs.commands.camera import axes_of, brought_along
+    from lightfield_gs.commands.encode import scene_hash
+    from lightfield_gs.commands.scene import read_noted
+
+    file = read_noted(path, skip_invalid)
+    scene = file.gaussians
+    centres = (scene.means.double() + scene.means.new_tensor(scene.origin, dtype=torch.float64)).sort(0).values
+    quantile = [centres[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
     facts: list[tuple[str, object]] = [
         ("gaussians", scene.count), ("sh_degree", scene.sh_degree), ("sha256", scene_hash(scene)),
-        ("median opacity", f"{scene.opacities.median():.3f}"), ("median scale", f"{scene.scales.median():.4g}")]
-    for name, values in zip(("1 %", "median", "99 %"), quantile):
-        facts.append((f"centres, {name}", ", ".join(f"{value:.4g}" for value in values)))
+        ("axes", axes_of(up, file).words()), *brought_along(file),
+        ("opacity", _range(scene.opacities)), ("median opacity", f"{scene.opacities.median():.3f}"),
+        ("scale", _range(scene.scales)), ("median scale", f"{scene.scales.median():.4g}")]
+    digits = _digits(centres)
+    if any(scene.origin):
+        facts.append(("origin", ", ".join(f"{part:.0f}" for part in scene.origin)))
+    for name, values in (("lowest", centres[0].tolist()), *zip(("1 %", "median", "99 %"), quantile),
+                         ("highest", centres[-1].tolist())):
+        facts.append((f"centres, {name}", ", ".join(f"{value:.{digits}g}" for value in values)))
+    facts.append(("extent", " x ".join(f"{side:.4g}" for side in (centres[-1] - centres[0]).tolist())
+                  + " (1 % to 99 %: " + " x ".join(f"{b - a:.4g}" for a, b in zip(quantile[0], quantile[2])) + ")"))
     return facts
+
+
+def _range(values: "Tensor") -> str:
+    return f"{values.min():.4g} to {values.max():.4g}"
+
+
+def _digits(centres: "Tensor") -> int:
+    """Significant digits that show centres [N, 3] to a ten-thousandth of the extent of most, 4 to 17."""
+    spread = float((centres[int(0.99 * (len(centres) - 1))] - centres[int(0.01 * (len(centres) - 1))]).max())
+    farthest = float(centres.abs().max())
+    return 4 if spread <= 0 or farthest <= 0 else min(17, 4 + max(0, math.ceil(math.log10(farthest / spread))))
 
 
 def _image(path: Path) -> list[tuple[str, object]]:
@@ -53,10 +92,7 @@ def _image(path: Path) -> list[tuple[str, object]]:
 
 
 def _is_rig(path: Path) -> bool:
-    try:
-        return "world_to_camera" in path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    return "world_to_camera" in read_text(path, MOST_BYTES, "YAML")
 
 
 def _rig(path: Path) -> list[tuple[str, object]]:
@@ -75,6 +111,7 @@ def _checkpoint(path: Path) -> list[tuple[str, object]]:
             counts = [_product(part.get_shape()) for part in slices.values()]
             types = sorted({part.get_dtype() for part in slices.values()})
     except (SafetensorError, OSError) as error:
+        refuse_stand_in(path)
         raise InputError(f"{path} is no safetensors file: {' '.join(str(error).split())[:200]}") from error
     return [("checkpoint", path), ("parameters", sum(counts)), ("tensors", len(counts)),
             ("types", ", ".join(types)), ("bytes", path.stat().st_size),

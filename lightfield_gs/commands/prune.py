@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 
+from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
 from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.panel import at_distance
-from lightfield_gs.commands.scene import check_scene_path
+from lightfield_gs.commands.panel import load_panel
+from lightfield_gs.commands.scene import check_scene_path, read_noted, say_origin
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_output_path, check_outputs
-from lightfield_gs.panel import Panel
 
 
 def run(args: argparse.Namespace) -> None:
@@ -19,29 +19,33 @@ def run(args: argparse.Namespace) -> None:
     check_scene_path(args.output)
     if args.save_rig is not None:
         check_output_path(args.save_rig)
-    check_outputs((args.output, args.save_rig), (args.input, args.rig, args.panel))
-    panel = at_distance(Panel.load(args.panel), args.viewing_distance)
+    check_outputs((args.output, args.save_rig), (args.input, args.rig, args.panel, args.camera and args.camera[0]))
+    panel = load_panel(args)
     device = choose_device(args.device)
 
-    from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.io.ply import write_ply
     from lightfield_gs.pruning import prune
-    from lightfield_gs.rig import Rig
 
-    rig = None if args.rig is None else Rig.from_yaml(args.rig)
+    given = read_given(args, panel)
     watch.lap("start")
-    scene = Gaussians.load(args.input)
+    file = read_noted(args.input, args.skip_invalid)
+    scene = file.gaussians
+    say_origin(args.input, scene)
     watch.lap("load")
     on_device = scene.to(device)
-    rig = rig or Rig.frame(on_device, panel)
-    kept = prune(on_device, panel, rig, args.contribution_cut)
+    rig, said = choose_rig(given, args, panel, on_device, file)
+    rig_of_file = rig.relative_to([-part for part in scene.origin])
+    kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased)
     watch.lap("prune")
     if kept.count == 0:
         raise InputError(f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "
                          "--contribution-cut or another --rig")
-    kept.to("cpu").save(args.output)
+    write_ply(args.output, kept.to("cpu"), comments_of(args, panel, file, rig_of_file))
     if args.save_rig is not None:
-        rig.to_yaml(args.save_rig)
+        rig_of_file.to_yaml(args.save_rig)
     watch.lap("write")
     print(f"{args.output}: {kept.count} of {scene.count} Gaussians, the others within {args.contribution_cut:g} of the "
           f"light of {panel.width_px} x {panel.height_px}, {panel.views} views")
     print(watch.line())
+    said.append(f"{args.output}: in the axes of {args.input}, with the framing and what is up: encode takes it from there")
+    print("\n".join(said))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from lightfield_gs.commands.complaint import note
 from lightfield_gs.commands.photo import has_depth, photo_object, photo_scene
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
@@ -15,6 +15,7 @@ from lightfield_gs.io.atomic import check_output_path
 
 if TYPE_CHECKING:
     from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.io.scene_file import SceneFile
 
 _SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 _PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
@@ -25,6 +26,8 @@ def check_scene_options(args: argparse.Namespace) -> None:
     """Raises InputError where options of the scene do not go together, or not with the input."""
     if _is_scene_file(args):
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
+    else:
+        _refuse(args, ("skip_invalid", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
     if _is_scene_file(args) or not has_depth(args):
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
@@ -48,15 +51,39 @@ def check_scene_path(path: Path) -> None:
         raise InputError(f"cannot write {path}: expected a name that ends in .ply")
 
 
-def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, np.ndarray | None]":
-    """The Gaussians of the input, and the pose of its camera if it has one."""
-    if _is_scene_file(args):
-        from lightfield_gs.gaussians import Gaussians
+def read_noted(path: Path, skip_invalid: bool) -> "SceneFile":
+    """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
+    from lightfield_gs.io.scene_file import read_scene
 
-        gaussians = Gaussians.load(args.input).to(device)
+    scene = read_scene(path, skip_invalid=skip_invalid)
+    for words in scene.notes:
+        note(f"{path}: {words}")
+    return scene
+
+
+def say_origin(path: Path, gaussians: "Gaussians") -> None:
+    if any(gaussians.origin):
+        place = ", ".join(f"{part:.0f}" for part in gaussians.origin)
+        print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
+
+
+def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, SceneFile | None]":
+    """The Gaussians of the input, on the device, and what else its file holds; None of a photo."""
+    if _is_scene_file(args):
+        file = read_noted(args.input, args.skip_invalid)
+        say_origin(args.input, file.gaussians)
+        gaussians = file.gaussians.to(device)
         watch.lap("load")
-        return gaussians, None
-    return (photo_scene if has_depth(args) else photo_object)(args, device, watch), np.eye(4)
+        return gaussians, file
+    _note_quilt(args.input)
+    return (photo_scene if has_depth(args) else photo_object)(args, device, watch), None
+
+
+def _note_quilt(path: Path) -> None:
+    """Says so where a photo's name is that of a quilt: <name>_qs<columns>x<rows>a<aspect>."""
+    if name := re.search(r"_qs(\d+)x(\d+)a\d", path.stem):
+        note(f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
+             "photo; its views are interlaced by lightfield_gs.interlace (Python)")
 
 
 def _is_scene_file(args: argparse.Namespace) -> bool:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 
 from lightfield_gs.commands.complaint import note
-from lightfield_gs.commands.panel import at_distance, why_no_eye
+from lightfield_gs.commands.panel import at_distance, load_panel, why_no_eye
 from lightfield_gs.commands.stopwatch import Stopwatch
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import check_outputs
@@ -16,6 +17,8 @@ from lightfield_gs.panel import Panel
 from lightfield_gs.preview import to_integers
 from lightfield_gs.simulate import simulate
 
+_NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # what sub-pixels show does not hang on them
+
 
 def run(args: argparse.Namespace) -> None:
     """Simulates one eye before args.image. Raises InputError."""
@@ -23,7 +26,7 @@ def run(args: argparse.Namespace) -> None:
     path = check_image_path(args.output)
     check_outputs((path,), (args.image, args.panel))
     watch.lap("start")
-    panel = at_distance(_panel_of(args), args.viewing_distance)
+    panel = load_panel(args) if args.panel is not None else at_distance(_stored_panel(args), args.viewing_distance)
     if why := why_no_eye(panel):
         raise InputError(why)
     image = read_image(args.image, as_stored=True)
@@ -34,8 +37,9 @@ def run(args: argparse.Namespace) -> None:
     watch.lap("write")
     print(f"{path}: {seen.shape[1]} x {seen.shape[0]}, one sample a lens, from {tuple(args.eye)} mm")
     print(watch.line())
-    if doubt := _doubt_of_eye(panel, args.eye):
-        note(doubt)
+    for doubt in (_doubt_of_eye(panel, args.eye), _doubt_of_panel(args, panel)):
+        if doubt:
+            note(doubt)
 
 
 def _doubt_of_eye(panel: Panel, eye_mm: tuple[float, float, float]) -> str | None:
@@ -54,14 +58,34 @@ def _doubt_of_eye(panel: Panel, eye_mm: tuple[float, float, float]) -> str | Non
     return None
 
 
-def _panel_of(args: argparse.Namespace) -> Panel:
-    """The panel named, else the one that the image was encoded for."""
-    if args.panel is not None:
-        return Panel.load(args.panel)
+def _doubt_of_panel(args: argparse.Namespace, panel: Panel) -> str | None:
+    """How the lens of the panel differs from the one that the image says it was encoded for; None where it does not."""
+    stored = None if args.panel is None else read_info(args.image).metadata.get("panel")
+    if stored is None:
+        return None
+    try:
+        made_for = _profile(args.image, stored)
+    except InputError:
+        return f"{args.image}: the panel profile in it cannot be used, nor compared with --panel"
+    others = [key for key, value in vars(panel).items() if key not in _NOT_OF_THE_LENS and value != vars(made_for)[key]]
+    if not others:
+        return None
+    return (f"{args.image} was encoded for panel {made_for.name}, whose {' and '.join(others)} differ from those of "
+            f"{panel.name}: the picture is that of an image on the wrong panel; leave out --panel for its own")
+
+
+def _stored_panel(args: argparse.Namespace) -> Panel:
+    """The panel that the image was encoded for."""
+    if args.device_serial is not None:
+        raise InputError("--device-serial chooses among the calibrations of a --panel; give one, or leave it out")
     stored = read_info(args.image).metadata.get("panel")
     if stored is None:
         raise InputError(f"{args.image} does not say which panel it is for; give --panel")
+    return _profile(args.image, stored)
+
+
+def _profile(image: Path, stored: str) -> Panel:
     try:
         return Panel(**parse_json(stored))
     except (TypeError, ValueError) as error:
-        raise InputError(f"{args.image}: its panel profile cannot be used ({error}); give --panel") from None
+        raise InputError(f"{image}: its panel profile cannot be used ({error}); give --panel") from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
+from pathlib import Path
 
 _UNITS = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 
@@ -42,6 +43,14 @@ def within(low: float, high: float, unit: str = ""):
             raise argparse.ArgumentTypeError(f"expected {low:g}..{high:g}{unit and ' ' + unit}, got '{text}'")
         return value
     return parse
+
+
+def camera_choice(text: str) -> tuple[Path, int | None]:
+    """"FILE" or "FILE:INDEX" -> the file, and which of its cameras."""
+    name, colon, index = text.rpartition(":")
+    if colon and name and index.isdecimal() and not Path(text).exists():
+        return Path(name), int(index[:9])
+    return Path(text), None
 
 
 def threads(text: str) -> int:

@@ -12,9 +12,8 @@ import numpy as np
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.images import read_info, read_picture
 from lightfield_gs.io.npy import open_array, stored_arrays
+from lightfield_gs.options import DEPTH_INVALID, DEPTH_KINDS, DepthInvalid, DepthKind
 
-KINDS = ("distance", "disparity")
-INVALID = ("far", "hole")
 _IMAGE_TYPES = ("uint8", "uint16", "half", "float")  # others would be read as shares of their largest number
 FARTHEST = 1e12  # scene units: what is farther counts as not measured
 _FAR_BEYOND = 2  # times the farthest distance that was measured: where a camera beside sees next to no parallax
@@ -46,8 +45,8 @@ class DepthMap:
     notes: list[str]
 
 
-def read_depth(path: str | Path, kind: str = "distance", *, scale: float | None = None,
-               limits: tuple[float, float] | None = None, invalid: str = "far") -> np.ndarray:
+def read_depth(path: str | Path, kind: DepthKind = "distance", *, scale: float | None = None,
+               limits: tuple[float, float] | None = None, invalid: DepthInvalid = "far") -> np.ndarray:
     """View-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
 
     path: a grey image (PNG of 8 or 16 bits, EXR, TIFF), a .npy of numbers [H, W], or a .npz with one.
@@ -69,7 +68,7 @@ def depth_map(path: str | Path, numbers: DepthNumbers, kind: str | None = None, 
     """read_depth, of what read_numbers found at `path`; kind None: what the file says, else distance. turn: gives the
     numbers as upright as the photo is."""
     kind = kind or numbers.kind or "distance"
-    for name, given, choices in (("depth kind", kind, KINDS), ("invalid depths", invalid, INVALID)):
+    for name, given, choices in (("depth kind", kind, DEPTH_KINDS), ("invalid depths", invalid, DEPTH_INVALID)):
         if given not in choices:
             raise InputError(f"{name}: expected {' or '.join(choices)}, got {given!r}")
     if scale is not None and limits is not None:

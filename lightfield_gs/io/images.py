@@ -18,7 +18,9 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.heif import decoded_heif, is_heif, opened_heif
 from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.png_colour import png_colour
+from lightfield_gs.options import Compression
 from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
@@ -79,7 +81,7 @@ def check_image_path(path: str | Path) -> Path:
 
 
 def write_image(path: str | Path, array: np.ndarray, metadata: dict[str, str] | None = None,
-                compression: str = "fast") -> None:
+                compression: Compression = "fast") -> None:
     """Writes [H, W, C], C = 1, 3 or 4, complete or not at all.
 
     uint8 or uint16 as PNG or TIFF, float32 as EXR or TIFF; the extension decides. `metadata` is kept as one JSON
@@ -209,7 +211,9 @@ def _opened(path: Path) -> Iterator:
     with _NATIVE_STDERR_SILENCED:
         source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        raise InputError(f"{path} is not an image that can be read: {_first_line(oiio.geterror)}")
+        reason = _first_line(oiio.geterror)  # if it stays there, it is printed when the program ends
+        refuse_stand_in(path)
+        raise InputError(f"{path} is not an image that can be read: {reason}")
     try:
         spec = source.spec()
         if spec.depth > 1 or not 1 <= spec.nchannels <= 16:

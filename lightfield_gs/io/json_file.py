@@ -1,4 +1,4 @@
-"""JSON files that hold an object."""
+"""JSON files."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.errors import InputError
-from lightfield_gs.paths import checked_path
+from lightfield_gs.io.text_file import read_text
 
 
 def parse_json(text: str) -> Any:
@@ -18,17 +18,18 @@ def parse_json(text: str) -> Any:
         raise ValueError(str(error)) from None
 
 
-def read_object(path: str | Path, limit_bytes: int) -> dict[str, Any]:
-    """The object in a JSON file of at most `limit_bytes`. Raises InputError that names the file."""
-    path = checked_path(path)
+def read_json(path: str | Path, limit_bytes: int) -> Any:
+    """The value in a JSON file of at most `limit_bytes`. Raises InputError that names the file."""
+    text = read_text(path, limit_bytes, "JSON")
     try:
-        if path.stat().st_size > limit_bytes:
-            raise InputError(f"{path}: expected at most {limit_bytes} bytes of JSON, got {path.stat().st_size}")
-        data = parse_json(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+        return parse_json(text)
     except ValueError as error:
         raise InputError(f"{path} is not JSON: {' '.join(str(error).split())[:200]}") from error
+
+
+def read_object(path: str | Path, limit_bytes: int) -> dict[str, Any]:
+    """The object in a JSON file of at most `limit_bytes`. Raises InputError that names the file."""
+    data = read_json(path, limit_bytes)
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object {{\"key\": value}}, got {type(data).__name__}")
     return data

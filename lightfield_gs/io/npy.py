@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.paths import checked_path
 
 _PARSE_ERRORS = (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError)
@@ -42,6 +43,7 @@ def open_array(path: str | Path) -> np.ndarray:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except _PARSE_ERRORS as error:
+        refuse_stand_in(path)
         raise InputError(f"{path} is not a .npy file of numbers: {' '.join(str(error).split())[:200]}") from error
 
 

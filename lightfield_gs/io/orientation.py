@@ -6,8 +6,7 @@ import numpy as np
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.images import upright
-
-ORIENTATIONS = ("stored", "upright")
+from lightfield_gs.options import MAP_ORIENTATIONS
 
 
 def turned_with_photo(name: str, values: np.ndarray, own: int, photo: tuple[int, int], orientation: int,
@@ -19,8 +18,8 @@ def turned_with_photo(name: str, values: np.ndarray, own: int, photo: tuple[int,
     was turned. The map is turned likewise where only the size before fits it. Where both do, `choice` has to say what it
     is: "stored", as the photo's file has its pixels, or "upright". Raises InputError.
     """
-    if choice is not None and choice not in ORIENTATIONS:
-        raise InputError(f"map orientation: expected {' or '.join(ORIENTATIONS)}, got {choice!r}")
+    if choice is not None and choice not in MAP_ORIENTATIONS:
+        raise InputError(f"map orientation: expected {' or '.join(MAP_ORIENTATIONS)}, got {choice!r}")
     if orientation not in range(2, 9) or own != 1:
         return values
     stored = photo[::-1] if orientation >= 5 else photo

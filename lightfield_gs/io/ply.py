@@ -1,136 +1,154 @@
-"""The standard .ply of 3D Gaussian splatting (Kerbl et al., 2023): binary little-endian, one vertex a Gaussian.
+"""The standard .ply of 3D Gaussian splatting (Kerbl et al., 2023), one vertex a Gaussian.
 
 Stored are x y z, the log of the standard deviations (scale_0..2), the logit of the opacity, the quaternion wxyz
 (rot_0..3) and the spherical harmonics: f_dc_0..2, and f_rest_* channel by channel (all of red, then green, then blue).
+In place of f_dc there may be red, green and blue: colours, not coefficients.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from lightfield_gs.checks import expect, is_row, shown
 from lightfield_gs.errors import InputError
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
+from lightfield_gs.io import doubts
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.ply_header import read_header
-from lightfield_gs.paths import checked_path
+from lightfield_gs.io.invalid import check_or_skip
+from lightfield_gs.io.ply_header import HEADER_LIMIT_BYTES, Element, Header
 
-_REQUIRED = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
-             "rot_0", "rot_1", "rot_2", "rot_3")
+_CENTRE = ("x", "y", "z")
+_DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_RGB = ("red", "green", "blue")
+_SHAPE = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
 _REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1), degree 0..3
 _TINY = np.finfo(np.float32).tiny
-_OTHER_FORMATS = {".spz": "SPZ", ".splat": "splat", ".ksplat": "ksplat", ".sog": "SOG", ".json": "SOG or JSON"}
 _MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
+_ROWS_AT_ONCE = 2048  # of the file and of what becomes of them: both stay in the cache, eleven times as quick
+_ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: where rounding to float32 moves centres by more, an origin is taken
 
 
-def read_ply(path: str | Path) -> Gaussians:
-    """The Gaussians of a standard 3DGS .ply: float32 tensors on the CPU, N >= 1, SH degree 0-3.
-
-    Properties may come in any order and number type; other properties and elements are ignored. An opacity that
-    underflows float32 is stored as the smallest normal number, so opacities are in (0, 1]; scales likewise.
-    Raises InputError when the file is not such a .ply, is cut, has wrong counts, lacks a property (it is named) or
-    holds a value that is not finite (property and index are named).
-    """
-    path = checked_path(path)
-    if path.suffix.lower() in _OTHER_FORMATS:
-        raise InputError(f"{path}: {_OTHER_FORMATS[path.suffix.lower()]} files are not supported in this version; "
-                         "convert it to a standard 3DGS .ply")
-    return _from_records(path, _vertex_records(path))
-
-
-def _vertex_records(path: Path) -> np.ndarray:
-    """Structured array of the element "vertex", read after its size has been checked."""
-    try:
-        with open(path, "rb") as file:
-            header = read_header(path, file.read(1 << 16))
-        size = path.stat().st_size
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    if any(element.name == "chunk" for element in header.elements):
+def check_header(path: Path, header: Header) -> None:
+    """Raises InputError unless the header is that of a file of Gaussians."""
+    elements = {element.name: element for element in reversed(header.elements)}
+    if "chunk" in elements:
         raise InputError(f"{path} is a compressed .ply (SuperSplat), which this version does not read; "
                          "export it as a standard 3DGS .ply")
-    offset = header.size_bytes
-    for element in header.elements:
-        if element.name == "vertex":
-            break
-        if element.dtype is None:
-            raise InputError(f"{path}: element {element.name[:60]} with lists comes before the vertices; "
-                             "export the file with the vertices first")
-        offset += element.count * element.dtype.itemsize
-    else:
+    if "vertex" not in elements:
         raise InputError(f"{path}: no element 'vertex'; this is not a file of Gaussians")
-    if element.dtype is None:
+    vertex = elements["vertex"]
+    if vertex.has_lists:
         raise InputError(f"{path}: the vertices have list properties; this is not a file of Gaussians")
-    if element.count == 0:
+    if vertex.count == 0:
         raise InputError(f"{path} has no Gaussians (element vertex 0)")
-    _check_properties(path, element.dtype.names or ())
-    wanted = offset + element.count * element.dtype.itemsize
-    if size < wanted:
-        raise InputError(f"{path}: the header promises {element.count} Gaussians, {wanted} bytes, but the file has "
-                         f"{size}; it is cut or its header is wrong")
-    if element is header.elements[-1] and size > wanted:
-        raise InputError(f"{path}: {size - wanted} bytes are left after the {element.count} Gaussians that the header "
-                         "promises; its header is wrong")
-    records = np.fromfile(path, element.dtype, element.count, offset=offset)
-    if len(records) < element.count:
-        raise InputError(f"{path} was changed while it was read; try again")
-    return records
+    _check_properties(path, vertex, "face" in elements)
 
 
-def _check_properties(path: Path, names: tuple[str, ...]) -> None:
-    missing = [name for name in _REQUIRED if name not in names]
+def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
+    names = tuple(column.name for column in vertex.properties)
+    required = (*_CENTRE, *(_DC if _is_harmonic(names) else ()), *_SHAPE)
+    missing = [name for name in required if name not in names]
+    if missing and not set(_SHAPE) & set(names) and set(_CENTRE) <= set(names):
+        kind = "mesh" if has_faces else "point cloud, the start of a fit to photographs"
+        raise InputError(f"{path}: missing {', '.join(missing)}; this is a {kind}, and no scene of Gaussians; give "
+                         "the .ply that a 3DGS trainer wrote")
     if missing:
         raise InputError(f"{path}: missing {', '.join(missing)}; expected the properties of a 3DGS .ply")
+    whole = [column for column in vertex.properties if column.name in required and column.kind in ("i2", "u2")]
+    if whole:
+        raise InputError(f"{path}: expected float or double for {whole[0].name}, got integers of 16 bits, in "
+                         f"{len(whole)} of {len(required)} properties; it looks like half floats that were written as "
+                         "integers; export it again with float properties")
     rest = _rest_names(names)
     if len(rest) not in _REST_COUNTS or any(name not in names for name in rest):
         raise InputError(f"{path}: {len(rest)} properties f_rest_*; expected f_rest_0 on, 0, 9, 24 or 45 of them")
 
 
-def _rest_names(names: tuple[str, ...]) -> list[str]:
+def _is_harmonic(names: Sequence[str]) -> bool:
+    """Whether colours are coefficients of harmonics (or nothing at all)."""
+    return any(name in names for name in _DC) or not all(name in names for name in _RGB)
+
+
+def _rest_names(names: Sequence[str]) -> list[str]:
     return [f"f_rest_{i}" for i in range(sum(name.startswith("f_rest_") for name in names))]
 
 
-def _from_records(path: Path, records: np.ndarray) -> Gaussians:
-    def columns(*names: str) -> np.ndarray:
-        out = np.empty((len(records), len(names)), np.float32)
-        for i, name in enumerate(names):
-            with np.errstate(over="ignore"):
-                out[:, i] = records[name]
-            _check_finite(path, name, out[:, i])
-        return out
+def gaussians_of(path: Path, records: np.ndarray, skip_invalid: bool = False) -> tuple[Gaussians, list[str]]:
+    """The Gaussians of the vertices, whose header has been checked, and notes on what looks wrong in them.
 
-    log_scales = columns("scale_0", "scale_1", "scale_2")
+    An infinite logit is the opacity 1 or, as what underflows float32, the smallest normal number, which is never drawn;
+    so opacities are in (0, 1]. Scales likewise: the log -inf is a flat disc.
+    skip_invalid: leaves out the Gaussians that `check_or_skip` complains of. Raises InputError.
+    """
+    log_scales, logits = _columns(records, _SHAPE[1:4]), _columns(records, _SHAPE[:1])[:, 0]
     with np.errstate(over="ignore", under="ignore"):
         scales = np.exp(log_scales)
-        logits = columns("opacity")[:, 0].astype(np.float64)
-        opacities = (1 / (1 + np.exp(-logits))).astype(np.float32)
-    for i in range(3):
-        _check_finite(path, f"scale_{i}", scales[:, i], " after exp")
-    rest_names = _rest_names(records.dtype.names or ())
-    rest = columns(*rest_names).reshape(len(records), 3, -1)
-    sh = np.concatenate([columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None], rest.transpose(0, 2, 1)], 1)
-    quaternions = columns("rot_0", "rot_1", "rot_2", "rot_3")
-    zero = np.flatnonzero(~quaternions.any(1))
-    if len(zero):
-        raise InputError(f"{path}: rot_0..rot_3 of Gaussian {zero[0]} are all zero, which is no rotation")
-    tensors = (columns("x", "y", "z"), quaternions, np.maximum(scales, _TINY), np.maximum(opacities, _TINY), sh)
-    return Gaussians(*(torch.from_numpy(array) for array in tensors))
+        opacities = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
+    means, origin = _centres(records, scales)
+    sh, notes = _harmonics(records)
+    fields = {"means": means, "quaternions": _columns(records, _SHAPE[4:]), "scales": scales, "opacities": opacities,
+              "sh": sh}
+    fields, skipped = check_or_skip(path, records, fields, skip_invalid)
+    notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]
+    for name in ("scales", "opacities"):
+        np.maximum(fields[name], _TINY, out=fields[name])
+    return Gaussians(*(torch.from_numpy(array) for array in fields.values()), origin), notes
 
 
-def _check_finite(path: Path, name: str, values: np.ndarray, when: str = "") -> None:
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        raise InputError(f"{path}: {name} of Gaussian {bad[0]} is {values[bad[0]]}{when} ({len(bad)} such); "
-                         "remove these Gaussians or export the file again")
+def _columns(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """These properties as float32 [N, len(names)]."""
+    out = np.empty((len(records), len(names)), np.float32)
+    with np.errstate(over="ignore"):
+        for start in range(0, len(records), _ROWS_AT_ONCE):
+            rows, target = records[start:start + _ROWS_AT_ONCE], out[start:start + _ROWS_AT_ONCE]
+            for i, name in enumerate(names):
+                target[:, i] = rows[name]
+    return out
 
 
-def write_ply(path: str | Path, gaussians: Gaussians) -> None:
-    """Writes one set of Gaussians as a standard 3DGS .ply (float32), complete or not at all.
+def _centres(records: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, tuple[float, float, float]]:
+    """Centres float32 [N, 3] and the origin they are given from, which is not zero only for doubles far from it."""
+    if all(records.dtype[name] != np.float64 for name in _CENTRE):
+        return _columns(records, _CENTRE), (0.0, 0.0, 0.0)
+    exact = np.stack([records[name] for name in _CENTRE], 1, dtype=np.float64)
+    origin = np.zeros(3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        usual = doubts.usual(exact)
+        if usual is not None and doubts.float_step(usual) > _ORIGIN_STEP * doubts.usual_size(scales):
+            origin = np.round(usual)
+        return (exact - origin).astype(np.float32), tuple((origin + 0.0).tolist())
 
-    Raises InputError on a batch of sets, a set of none, on values that `Gaussians.validate` refuses, or when it cannot
-    be written.
+
+def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """sh [N, K, 3], and a note where red, green and blue had to be guessed at."""
+    names = records.dtype.names or ()
+    bands = len(_rest_names(names)) // 3
+    rest = [f"f_rest_{channel * bands + band}" for band in range(bands) for channel in range(3)]
+    first = _DC if _is_harmonic(names) else _RGB
+    sh, notes = _columns(records, (*first, *rest)).reshape(len(records), 1 + bands, 3), []
+    if first is _RGB:
+        kind, full = records.dtype["red"], 255.0
+        if kind.kind == "f" and not np.nanmax(sh[:, 0], initial=0) > 1:
+            full = 1.0
+        elif kind.kind == "f":
+            notes.append("red, green and blue have numbers above 1 and are taken for 0..255")
+        elif kind == np.uint16:
+            full = 65535.0
+        sh[:, 0] = (sh[:, 0] / np.float32(full) - np.float32(0.5)) / np.float32(SH_CONSTANT)
+    return sh, notes
+
+
+def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
+    """Writes one set of Gaussians as a standard 3DGS .ply, complete or not at all: float32, but for the centres of
+    Gaussians with an origin, which are written as double with the origin added.
+
+    comments: texts of one line each for the header, 64 KiB in all at most with it.
+    Raises InputError on a batch of sets, a set of none, on values that `Gaussians.validate` refuses, on comments that
+    are no single lines, or when it cannot be written.
     """
     if gaussians.is_batched:
         raise InputError(f"a .ply holds one set of Gaussians, got a batch of {gaussians.means.shape[0]}; save one")
@@ -141,13 +159,41 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     with np.errstate(divide="ignore"):
         logits = np.log(arrays["opacities"]) - np.log1p(-arrays["opacities"])
     rest = arrays["sh"][:, 1:].transpose(0, 2, 1).reshape(count, 3 * (coefficients - 1))
-    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2",
-             *(f"f_rest_{i}" for i in range(rest.shape[1])), *_REQUIRED[6:]]
-    table = np.concatenate([arrays["means"], np.zeros((count, 3)), arrays["sh"][:, 0], rest,
-                            np.clip(logits, -1e3, _MAX_LOGIT)[:, None], np.log(arrays["scales"]),
-                            arrays["quaternions"]], 1, dtype="<f4")
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
-    header += "".join(f"property float {name}\n" for name in names) + "end_header\n"
+    names = ["nx", "ny", "nz", *_DC, *(f"f_rest_{i}" for i in range(rest.shape[1])), *_SHAPE]
+    rows = np.empty(count, [("centre", "<f8" if any(gaussians.origin) else "<f4", 3), ("rest", "<f4", len(names))])
+    rows["centre"] = arrays["means"] + gaussians.origin
+    np.concatenate([np.zeros((count, 3)), arrays["sh"][:, 0], rest, np.clip(logits, -1e3, _MAX_LOGIT)[:, None],
+                    np.log(arrays["scales"]), arrays["quaternions"]], 1, out=rows["rest"], casting="same_kind")
+    kinds = dict.fromkeys(_CENTRE, "double" if any(gaussians.origin) else "float") | dict.fromkeys(names, "float")
+    header = _header(count, kinds, comments)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        file.write(header.encode())
-        file.write(table.tobytes())
+        file.write(header)
+        file.write(rows.tobytes())
+
+
+def _header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes:
+    """Header for `count` vertices with properties of these kinds, by name. Raises InputError."""
+    columns = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
+    header = (b"ply\nformat binary_little_endian 1.0\n" + _comment_lines(comments)
+              + f"element vertex {count}\n{columns}end_header\n".encode())
+    if len(header) > HEADER_LIMIT_BYTES:
+        raise InputError(f"comments: expected at most {HEADER_LIMIT_BYTES} bytes with the rest of the header, got "
+                         f"{len(header)}")
+    return header
+
+
+def _comment_lines(comments: Sequence[str]) -> bytes:
+    """Lines of the header. Raises InputError."""
+    if not is_row(comments):
+        raise InputError(f"comments: expected texts of one line each, got {shown(comments)}")
+    lines = []
+    for text in comments:
+        expect("comments", text, str)
+        try:
+            line = f"comment {text}".encode()
+        except UnicodeEncodeError:
+            line = b"\n"
+        if b"\n" in line or b"\r" in line:
+            raise InputError(f"comments: expected texts of one line each, got {shown(text)}")
+        lines.append(line + b"\n")
+    return b"".join(lines)

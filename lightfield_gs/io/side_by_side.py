@@ -10,8 +10,8 @@ import numpy as np
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.depth import channels_apart
 from lightfield_gs.io.images import as_floats
+from lightfield_gs.options import DEPTH_PARTS
 
-SIDES = ("right", "left", "top", "bottom")  # of the depth map; the first is Looking Glass's
 _NAME = re.compile(r"(^|[^a-z0-9])rgbd$", re.IGNORECASE)
 _SAMPLES = 128  # a side: enough to see whether a half is grey
 _GREY = 0.04  # of its range: how far the channels of a grey half come apart, saved as JPEG
@@ -25,8 +25,8 @@ def is_named_so(path: Path) -> bool:
 
 def halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.ndarray, np.ndarray]:
     """The photo and the depth map, views of pixels [H, W, C]; side: of the latter. Raises InputError."""
-    if side not in SIDES:
-        raise InputError(f"--rgbd: expected {', '.join(SIDES)}, got {side!r}")
+    if side not in DEPTH_PARTS:
+        raise InputError(f"--rgbd: expected {', '.join(DEPTH_PARTS)}, got {side!r}")
     axis = 1 if side in ("right", "left") else 0
     size = pixels.shape[axis]
     if size % 2:
@@ -42,7 +42,7 @@ def depth_side(pixels: np.ndarray) -> str | None:
     height, width, channels = pixels.shape
     if channels < 3 or min(height, width) < 16:
         return None
-    for side in SIDES:
+    for side in DEPTH_PARTS:  # the first is Looking Glass's
         axis = 1 if side in ("right", "left") else 0
         if pixels.shape[axis] % 2:
             continue

@@ -6,15 +6,16 @@ import difflib
 import functools
 import json
 import re
+from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.paths import checked_path
+from lightfield_gs.io.text_file import read_text
 
-_LIMIT_BYTES = 1 << 16  # a second's work at most
+MOST_BYTES = 1 << 16  # a second's work at most
 
 
 def read_mapping(path: str | Path, required: Collection[str], optional: Collection[str]) -> dict[str, Any]:
@@ -24,13 +25,9 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
     """
     import yaml
 
-    path = checked_path(path)
+    text = read_text(path, MOST_BYTES, "YAML")
     try:
-        if path.stat().st_size > _LIMIT_BYTES:
-            raise InputError(f"{path}: {path.stat().st_size} bytes is too long for a YAML file of settings")
-        data = yaml.load(path.read_text(encoding="utf-8"), _loader())
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+        data = yaml.load(text, _loader())
     except (ValueError, IndexError, yaml.YAMLError, RecursionError) as error:  # ValueError: of dates
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path} is not YAML: {reason}") from error
@@ -43,7 +40,8 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
 @functools.cache
 def _loader() -> type:
     """SafeLoader without aliases (a small file could grow without bound), without tags (settings need none, and they
-    fail in many ways), and with 1e-5 as a number (YAML 1.2)."""
+    fail in many ways), without keys that come twice, and with 1e-5 as a number (both as in YAML 1.2); 010 and 1:30,
+    which are 8 and 90 before YAML 1.2, are refused."""
     import yaml
 
     class Loader(yaml.SafeLoader):
@@ -54,6 +52,20 @@ def _loader() -> type:
                 raise yaml.YAMLError("tags (!...) are not allowed")
             return super().compose_node(parent, index)
 
+        def construct_mapping(self, node, deep=False):
+            counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+            if twice := [key for key, count in counts.items() if count > 1]:
+                raise yaml.YAMLError(f"expected each key once, got '{twice[0][:60]}' twice")
+            return super().construct_mapping(node, deep)
+
+    def plain_number(loader: Loader, node: yaml.ScalarNode) -> int | float:
+        if re.match(r"[-+]?0[0-9_]|.*[:_]", node.value):
+            raise yaml.YAMLError(f"'{node.value[:60]}' is a different number to different programs; write it plain")
+        return usual[node.tag](loader, node)
+
+    usual = dict(Loader.yaml_constructors)
+    for tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
+        Loader.add_constructor(tag, plain_number)
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
                                  list("-+0123456789"))
     return Loader

@@ -11,6 +11,7 @@ from torch import Tensor
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.models.config import ModelConfig
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:
     except FileNotFoundError:
         raise InputError(f"{path}: found no such checkpoint") from None
     except (SafetensorError, OSError, KeyError, ValueError) as error:
+        refuse_stand_in(path)
         raise InputError(f"{path}: expected a SplatterNet checkpoint (safetensors with its configuration), "
                          f"but {' '.join(str(error).split())[:200]}") from None
     return ModelConfig.from_dict(config), weights

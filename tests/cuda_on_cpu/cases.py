@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rasterizer_cases import CELLS, MIRRORED
+
 from lightfield_gs import Gaussians, Panel, Quality, Rig, encode, render
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
 from lightfield_gs.panel import DEFAULT_PANEL
@@ -18,14 +20,16 @@ from lightfield_gs.quality import QUALITIES
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
 PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
           "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6),
-          "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0)}
+          "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0),
+          "cells": dict(line_number=19.17, slant_tan=0.1455, subpixel_cells=CELLS, cell_pattern=2),
+          "cells that exchange colours": dict(subpixel_cells=MIRRORED, cell_pattern=1)}
 BACKGROUND = (0.1, 0.6, 0.3)
 PRUNING = Quality(contribution_cut=0.6, opacity_cut=0.02)
 
 
 def frames_of(kernel: str) -> list[tuple[str, int, str]]:
     """Panel, SH degree and views of every frame; fewer of the kernel with tensor cores, which take seconds here."""
-    names = list(PANELS)[:2] if kernel == "ordinal" else PANELS
+    names = [*list(PANELS)[:2], "cells"] if kernel == "ordinal" else PANELS
     frames = [(name, degree, views) for name in names for degree, views in ((0, "integer"), (3, "continuous"))]
     return [*frames, ("default", 0, "continuous")]  # with harmonics or without, lists of more than fits at a time
 
@@ -150,18 +154,40 @@ def short_quaternions() -> Gaussians:
 HARD_GRADIENTS = [(scene, sensor) for scene in (blades, short_quaternions) for sensor in ("lens", "dense")]
 
 
-def gradients(scene: Gaussians, sensor: str, dtype: torch.dtype) -> dict[str, Tensor]:
-    """Those of a loss on a light-field image ("lens") or on ordinary images ("dense")."""
+def gradients(scene: Gaussians, sensor: str, dtype: torch.dtype, antialiased: bool = False) -> dict[str, Tensor]:
+    """Those of a loss on a light-field image ("lens") or on ordinary images ("dense"), and the image."""
     panel = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0})
     scene, rig = scene.to(dtype=dtype), rig_of(panel)
     leaves = {name: field.clone().requires_grad_() for name, field in scene.fields().items()}
     given = Gaussians(**leaves)
     if sensor == "lens":
-        image = encode(given, panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."))
+        image = encode(given, panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."),
+                       antialiased=antialiased)
     else:
-        image = render(given, rig.cameras(panel, [23, 11, 0]).to(dtype=dtype), background=BACKGROUND)
+        image = render(given, rig.cameras(panel, [23, 11, 0]).to(dtype=dtype), background=BACKGROUND,
+                       antialiased=antialiased)
     loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
-    return dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values()))))
+    return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}
+
+
+# Of anti-aliased scenes: kernel (None: the frame chooses), panel, SH degree, views and quality
+ANTIALIASED = [("pixel-quadratic", "default", 0, "integer", "exact"), (None, "narrow cone", 1, "integer", "draft"),
+               ("pixel-quadratic-small", "leaning the other way, BGR", 3, "continuous", "exact")]
+
+
+def fine(degree: int) -> Gaussians:
+    """Specks, lines and discs, most of them thinner than a pixel."""
+    scene = scene_of(degree)
+    shapes = torch.tensor([[0.2, 0.2, 0.2], [0.02, 3, 0.02], [1, 1, 1e-4]])
+    scene.scales *= shapes[torch.arange(scene.count) % 3]
+    scene.opacities[::2] = 1
+    return scene
+
+
+def beams() -> Gaussians:
+    """Lines hundreds of pixels long and a twelfth of one wide, at every angle."""
+    scene = blades()
+    return replace(scene, scales=scene.scales.clamp_min(0.01))
 
 
 CROWD = 4900

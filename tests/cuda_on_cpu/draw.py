@@ -10,6 +10,9 @@ import emulation  # before all that loads the native module
 
 import sys
 from dataclasses import replace
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 
 import cases
 import torch
@@ -31,10 +34,11 @@ def lattice_frame(kernel: str, quality: str, views: str, changes: dict, degree: 
     return drawn(*cases.lattice_frame(changes, degree), views, kernel, Quality.of(quality), share, dtype)
 
 
-def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32, colour_order=8) -> dict[str, object]:
+def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32, colour_order=8,
+          antialiased=False) -> dict[str, object]:
     """kernel: None, if the frame chooses. share: of the places that the pairs need."""
     job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND),
-                            *lens_arguments(panel, rig, views == "continuous"))
+                            *lens_arguments(panel, rig, views == "continuous"), antialiased)
 
     def with_places(places: int) -> frame_cuda.Frame:
         order = colour_order if job.scene.degree else 0
@@ -100,6 +104,14 @@ def in_chunks() -> list[dict[str, object]]:
     return images
 
 
+def antialiased(kernel: str | None, name: str, degree: int, views: str, quality: str) -> dict[str, object]:
+    """With half the places that the pairs need, if views are continuous."""
+    panel, continuous = cases.panel_of(name), views == "continuous"
+    kept = replace(Quality.of(quality), lattice_error=0.0, evaluation_error=0.0)  # as ops.frame_kind does
+    return drawn(cases.fine(degree), panel, cases.rig_of(panel), views, kernel, kept, 0.5 if continuous else 1.0,
+                 antialiased=True)
+
+
 def main(what: str) -> object:
     emulation.use_cuda_stages()
     if what == "half":
@@ -126,6 +138,11 @@ def main(what: str) -> object:
                 for kernel, quality, views, changes in cases.LATTICE_FRAMES for dtype in (torch.float32, torch.uint8)]
     if what == "gradients":
         return [cases.gradients(scene(), sensor, torch.float32) for scene, sensor in cases.HARD_GRADIENTS]
+    if what == "antialiased":
+        return [antialiased(*case) for case in cases.ANTIALIASED]
+    if what == "antialiased gradients":
+        return [cases.gradients(scene, sensor, torch.float32, antialiased=True)
+                for scene in (cases.fine(1), cases.beams()) for sensor in ("lens", "dense")]
     if what == "chosen":
         return [chosen(*case) for case in cases.wide_frames()]
     if what == "widest":

@@ -7,7 +7,8 @@ import struct
 
 _WORDS = [b"-1", b"0", b"1e999", b"nan", b"-inf", b"1e-320", b"4294967296", b"9" * 400, b"[[", b"{", b'"', b"null",
           b"true", b"end_header\n", b"element vertex 99999999\n", b"property list uchar int a\n", b"!!int", b"&a [*a]",
-          b"\xff\xfe", b"\0", b"2001-99-99", b"\n", b": ", b"- ", b"[" * 3000,
+          b"format ascii 1.0\n", b"format binary_big_endian 1.0\n", b"element face 2\n", b"uchar", b"double",
+          b"ushort", b"list", b"\xff\xfe", b"\0", b"2001-99-99", b"\n", b": ", b"- ", b"[" * 3000,
           b"\\ud800"]
 _NUMBERS = [struct.pack(kind, value) for kind, values in (
     ("<f", (float("nan"), float("inf"), -1e38, 1e-45, 0.0)), ("<i", (-1, 0, 2**31 - 1)), (">i", (1, 65536, 2**31 - 1)),

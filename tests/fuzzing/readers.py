@@ -18,7 +18,7 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.io.depth import read_depth
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.json_file import read_object
-from lightfield_gs.io.ply import read_ply
+from lightfield_gs.io.scene_file import read_scene
 from lightfield_gs.io.view_files import read_cameras, read_view_map
 from lightfield_gs.models.config import ModelConfig
 from training.data.srn import read_intrinsics, read_pose
@@ -52,8 +52,17 @@ def _read_image(path: Path) -> None:
     read_image(path, as_stored=True)
 
 
+def _read_display(path: Path) -> None:
+    """With each of the displays that seeds name, so that one of the ways is taken whatever the file holds."""
+    try:
+        Panel.load(path)
+    except InputError:
+        Panel.load(path, serial="B")
+
+
 READERS = {
-    "ply": Reader(".ply", lambda path: read_ply(path).validate(), "ply"),
+    "ply": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply"),
+    "ply-valid": Reader(".ply", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "ply"),
     "image": Reader(".png", _read_image, "image"),
     "photo": Reader(".png", lambda path: load_photo(path, whole=True), "image"),
     "depth": Reader(".png", lambda path: read_depth(path, limits=(0.5, 2.0)), "image"),
@@ -61,7 +70,7 @@ READERS = {
     "depth-npy": Reader(".npy", lambda path: read_depth(path, scale=0.001), "depth-npy"),
     "view-map": Reader(".npy", lambda path: read_view_map(path, SMALL_PANEL, 3), "view-map"),
     "cameras": Reader(".json", lambda path: read_cameras(path, SMALL_PANEL), "cameras"),
-    "looking-glass": Reader(".json", Panel.load, "looking-glass"),
+    "looking-glass": Reader(".json", _read_display, "looking-glass"),
     "panel": Reader(".yaml", Panel.from_yaml, "panel"),
     "rig": Reader(".yaml", Rig.from_yaml, "rig"),
     "model": Reader(".yaml", ModelConfig.from_yaml, "model"),

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import struct
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,11 +20,31 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
 
+_RGB = ("red", "green", "blue")
+
 
 def _gaussians(degree: int) -> Gaussians:
     count = (degree + 1) ** 2
     return Gaussians(torch.tensor([[0.0, 0, 2], [1, 2, 3]]), torch.eye(4)[:2], torch.full((2, 3), 0.1),
                      torch.tensor([0.5, 0.9]), torch.linspace(-1, 1, 6 * count).view(2, count, 3))
+
+
+def _scenes(folder: Path) -> None:
+    """In every encoding that is read, with elements before and after the vertices."""
+    for degree in (0, 3):
+        _gaussians(degree).save(folder / f"degree{degree}.ply")
+    replace(_gaussians(0), origin=(500123.0, 5412345.0, -420.0)).save(folder / "double.ply")
+    names = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
+    lines = ["comment Vertical Axis: z", "element face 2", "property list uchar short v", "property uchar flag",
+             "element vertex 24", *(f"property double {name}" for name in "xyz"),
+             *(f"property float {name}" for name in names), *(f"property uchar {name}" for name in _RGB),
+             "element size 1", "property ushort px", "end_header\n"]
+    rows = [(0.1 * i, 3.0, 2.0 - i, 0.5, -2.0, -3.0, -4.0, 1.0, 0.0, 0.5, 0.0, 10 * i, 255 - i, 7) for i in range(24)]
+    text = "3 0 1 2 9\n0 8\n" + "".join(" ".join(map(str, row)) + "\n" for row in rows) + "640\n"
+    (folder / "text.ply").write_text("\n".join(["ply", "format ascii 1.0", *lines]) + text)
+    body = struct.pack(">B3hBBB", 3, 0, 1, 2, 9, 0, 8) + b"".join(struct.pack(">3d8f3B", *row) for row in rows)
+    header = "\n".join(["ply", "format binary_big_endian 1.0", *lines])
+    (folder / "big-endian.ply").write_bytes(header.encode() + body + struct.pack(">H", 640) + b"\n")
 
 
 def _images(folder: Path, metadata: dict[str, str] | None = None) -> None:
@@ -44,14 +67,24 @@ def _looking_at_the_origin(azimuth_rad: float) -> list[list[float]]:
     return [[cosine, 0, sine, 1.3 * sine], [0, 1, 0, 0], [-sine, 0, cosine, 1.3 * cosine], [0, 0, 0, 1]]
 
 
+def _calibrations(folder: Path, calibration: dict[str, Any]) -> None:
+    """A calibration as it is, in another encoding, and among displays, as a mapping and as JSON in a string."""
+    (folder / "visual.json").write_text(json.dumps(calibration))
+    (folder / "utf16.json").write_bytes(json.dumps({**calibration, "pitch": "42.0"}).encode("utf-16"))
+    cells = {**calibration, "subpixelCells": [{"ROffsetX": -0.3, "ROffsetY": 0.25}], "CellPatternMode": {"value": 2}}
+    displays = {"0": {"hwid": "A", "calibration": cells, "defaultQuilt": {"tileX": 8}},
+                "1": {"hwid": {"value": "B"}, "calibration": {"value": json.dumps(calibration)}}}
+    (folder / "one-display.json").write_text(json.dumps({"devices": {"0": displays["1"]}}))
+    (folder / "displays.json").write_text(json.dumps({"devices": displays}))
+
+
 def main() -> None:
     folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
     for folder in folders.values():
         folder.mkdir(parents=True, exist_ok=True)
     if "heif" in READERS:  # and a HEIC, which Pillow does not write
         Image.linear_gradient("L").resize((16, 12)).convert("RGB").save(folders["heif"] / "small.avif", quality=50)
-    for degree in (0, 3):
-        _gaussians(degree).save(folders["ply"] / f"degree{degree}.ply")
+    _scenes(folders["ply"])
     _images(folders["image"], {"panel": "small"})
     np.save(folders["depth-npy"] / "millimetres.npy", np.arange(1, 13, dtype=np.uint16).reshape(3, 4))
     np.save(folders["depth-npy"] / "metres.npy", np.linspace(0.5, 2, 12, dtype=np.float32).reshape(3, 4).T)
@@ -63,7 +96,7 @@ def main() -> None:
     (folders["cameras"] / "three.json").write_text(json.dumps({n: getattr(cameras, n).tolist() for n in fields}))
     calibration = {"pitch": {"value": 42.0}, "slope": {"value": -6.0}, "center": {"value": 0.3}, "DPI": {"value": 136},
                    "screenW": {"value": 7680}, "screenH": {"value": 4320}, "viewCone": 40, "invView": 1, "flipSubp": 0}
-    (folders["looking-glass"] / "visual.json").write_text(json.dumps(calibration))
+    _calibrations(folders["looking-glass"], calibration)
     Panel(**{**SMALL_PANEL.to_dict(), "pixel_pitch_mm": 0.2}).to_yaml(folders["panel"] / "small.yaml")
     Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0, 30.0).to_yaml(folders["rig"] / "small.yaml")
     unet = UNetConfig(base_channels=4, multipliers=(1,), blocks=1, attention_px=(), heads=1)

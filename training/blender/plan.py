@@ -98,6 +98,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m training.blender.plan", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--panel", default=DEFAULT_PANEL, help=f"name or file (default: {DEFAULT_PANEL})")
+    parser.add_argument("--device-serial", help="which display, where a Looking Glass .json has several")
     parser.add_argument("--rig", type=Path, help="YAML: its cone_deg, and zero_depth in diagonals of the object")
     parser.add_argument("-o", "--output", type=Path, required=True, help="JSON file to write")
     for option, default, text in (("cone-margin", 1.0, "times the cone; for training 1.5"),
@@ -110,7 +111,8 @@ def main(arguments: list[str] | None = None) -> int:
         parser.add_argument(f"--{option}", type=int, default=default, help=f"{text} (default: {default})")
     options = parser.parse_args(arguments)
     from lightfield_gs.io.atomic import atomic_path
-    plan = make_plan(Panel.load(options.panel), None if options.rig is None else Rig.from_yaml(options.rig),
+    plan = make_plan(Panel.load(options.panel, serial=options.device_serial),
+                     None if options.rig is None else Rig.from_yaml(options.rig),
                      cone_margin=options.cone_margin, columns=options.columns, rows=options.rows,
                      row_step_deg=options.row_step, elevation_deg=options.elevation,
                      directions=options.directions, size_px=options.size, focal=options.focal)

@@ -1,0 +1,34 @@
+// Opacity of an anti-aliased splat. The blur of kBlurVariancePx spreads a splat out; its opacity is lowered by as much,
+// so that it keeps its light (Yu et al., Mip-Splatting, 2024, the 2D filter): from camera s by the share
+//   sqrt(det V(s) / det (V(s) + blur)) = sqrt(D(s) / S(s)),   D(s) = D0 + D1 s + D2 s^2,
+// V being the projected covariance, S that of Splat and D what S is without the part that the blur adds to it.
+#pragma once
+
+#include <cmath>
+
+#include "base/config.h"
+
+namespace lfgs {
+
+template <class T>
+struct Compensation {
+  T D0, D1, D2;
+};
+constexpr int kCompensationFields = 3;
+
+// Largest D(s) / S(s) over the rig. Its derivative has the sign of a parabola, for the cubes of s cancel.
+template <class T>
+LFGS_HD T largest_share(T S0, T S1, T S2, const Compensation<T>& c) {
+  auto share = [&](T s) { return (c.D0 + s * (c.D1 + s * c.D2)) / (S0 + s * (S1 + s * S2)); };
+  const T left = share(-1), right = share(1);
+  T most = left > right ? left : right;
+  const T bend = c.D2 * S1 - c.D1 * S2, half = c.D2 * S0 - c.D0 * S2, start = c.D1 * S0 - c.D0 * S1;
+  const T square = half * half - bend * start;
+  if (!(square >= 0)) return most;
+  const T q = half < 0 ? std::sqrt(square) - half : -std::sqrt(square) - half;
+  for (const T root : {q / bend, start / q})  // no number: none
+    if (root > -1 && root < 1 && share(root) > most) most = share(root);
+  return most;
+}
+
+}  // namespace lfgs
