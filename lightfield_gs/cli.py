@@ -101,8 +101,8 @@ def _add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
 
 def _add_camera(add: Callable[..., argparse.Action]) -> None:
     """The cameras of the views, of a scene that has a file; without any, framed automatically."""
-    add("--rig", type=Path, metavar="YAML", help="cameras of the views, in the file's own axes (default: those that the "
-        "file brings along, else framed automatically)")
+    add("--rig", type=Path, metavar="YAML", help="cameras of the views, in the file's own axes (default: those that "
+        "the file brings along, else framed automatically)")
     add("--camera", type=camera_choice, metavar="FILE[:INDEX]", help="centre camera of the views, in the file's own "
         "axes: one of a cameras.json (3D Gaussian splatting), of a transforms.json (NeRF), or a rig; its picture is "
         "fitted to the panel (default index 0)")
