@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_DUST_SHARE = 1e-4  # of the largest piece's mass: smaller ones go, wherever they are
-_BEAD_SHARE, _NEAR_SIZES = 0.001, 2  # from this mass on a piece no farther from the object than twice its length is of it
-_PIECE_SHARE = 0.01  # and from this one wherever it is
+_DUST_SHARE = 1e-4  # of the largest piece's mass: what is smaller never belongs to the object
+_BEAD_SHARE, _NEAR_SIZES = 0.001, 2  # from this mass on it does, no farther off than twice its size, the mass's root,
+_PIECE_SHARE = 0.01  # and from this one on wherever it is
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, in
     it has, and how many specks there are.
 
     Pieces are of pixels of at least `opaque`; the mass of one is the sum of its alpha. Those of 1 % of the largest stay
-    wherever they are, those of 0.1 % where they lie near to the box of the rest for their length, as beads do and dust
+    wherever they are, those of 0.1 % where they lie near to the box of the rest for their size, as beads do and dust
     does not, smaller ones within it. Those below 0.01 % go in any case.
     """
     pieces = Pieces.of(alpha >= opaque, diagonal=True)
@@ -85,7 +85,7 @@ def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, in
     share = masses / masses.max(initial=1e-300)
     kept = share >= _PIECE_SHARE
     boxes = pieces.boxes()
-    reaches = np.where(share >= _BEAD_SHARE, _NEAR_SIZES * (boxes[:, 2:] - boxes[:, :2]).max(1), 0)
+    reaches = np.where(share >= _BEAD_SHARE, _NEAR_SIZES * np.sqrt(masses), 0)
     maybe = np.flatnonzero(~kept & (share >= _DUST_SHARE))
     near = np.ones(0, bool)
     while len(maybe):

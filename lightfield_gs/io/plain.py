@@ -17,16 +17,18 @@ _SAME = 0.02  # colour distance below which an enclosed patch is the background,
 _PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits in it: smaller ones are highlights
 _WINDOWS_PX = (1, 3, 5, 7, 9)  # means over such squares make noise smaller, where it is too strong
 _NOISE_REACH = 3.4  # deviations of noise in a channel: a colour is farther off by chance once in a hundred times
-_LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from the background, where it has no noise, is part of it
+_LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from a background without noise is part of it
 _BAND_LINES = 16
+_EDGE_PX, _CLEARLY, _SHARP_SHARE = 3, 2.0, 0.5  # how far inside an edge, how many times what differs, on how much of it
+_BLOCK_PX = 16  # as far from a strong edge JPEG makes colours up
 _SHARE_SAMPLES = 1500  # of the longer side
 _STRIP_PIXELS = 1 << 19  # at a time in floating point: eight bytes times all pixels would be more than a photo itself
 
 
 @dataclass(frozen=True)
 class PlainCut:
-    """alpha: float32 [H, W] in 0..1, 1 on the object. Shares 0..1 of what lies between its pixels along rows or columns:
-    faded, what went with the background though its colour is another; holes, where that shows through."""
+    """alpha: float32 [H, W] in 0..1, 1 on the object. Shares 0..1 of it and what lies between its parts: faded, what went
+    with the background though its colour is another, as a pale body does; holes, where the background shows through."""
 
     alpha: np.ndarray
     faded: float
@@ -152,33 +154,56 @@ def _full_squares(flags: np.ndarray, side: int) -> np.ndarray:
 def _sharpened(outside: np.ndarray, distance: np.ndarray, raw: np.ndarray,
                reach: int) -> tuple[np.ndarray, np.ndarray]:
     """outside and distance without the fringe round the object, where means took in some of its colour."""
-    grown = outside
+    fringe = _grown(outside, reach)
+    fringe &= raw < _FAR
+    fringe |= outside
+    return fringe, np.minimum(distance, raw, out=distance)
+
+
+def _grown(flags: np.ndarray, reach: int) -> np.ndarray:
+    """The pixels [H, W] that are set within a square of so many pixels to each side."""
+    grown = flags
     for axis in (0, 1):
         before, grown = grown, grown.copy()
         for step in range(1, reach + 1):
             for one, other in ((np.s_[step:], np.s_[:-step]), (np.s_[:-step], np.s_[step:])):
                 target, source = (one, other) if axis == 0 else ((slice(None), one), (slice(None), other))
                 grown[target] |= before[source]
-    grown &= raw < _FAR
-    grown |= outside
-    return grown, np.minimum(distance, raw, out=distance)
+    return grown
 
 
 def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
     """PlainCut's faded and holes; differs: the colour distance from which on a pixel is not of the background's colour.
 
-    Of a white body before white all but its outline goes: its shades as faded, the rest through holes.
+    Of a white body before white all but its outline goes, or all: its shades are faded, the rest is taken for holes.
     """
     step = max(1, round(max(distance.shape) / _SHARE_SAMPLES))  # of a large picture a part will do
     outside, holes, distance = (values[::step, ::step] for values in (outside, holes, distance))
     opaque = distance > (_NEAR + _FAR) / 2
     opaque |= ~outside
-    lost = _between(opaque, 0) | _between(opaque, 1)
-    lost &= ~opaque
-    kept = max(1, np.count_nonzero(opaque))
-    faded = np.count_nonzero(lost & (distance > differs))
-    seen_through = np.count_nonzero(lost & holes & (distance <= differs))
-    return tuple(count / (kept + faded + seen_through) for count in (faded, seen_through))
+    between = _between(opaque, 0) | _between(opaque, 1)
+    between &= ~opaque
+    other = distance > differs
+    bodies = _with_sharp_edges(other & ~opaque, other, distance, differs)
+    bodies &= ~_grown(opaque, round(_BLOCK_PX / step))
+    faded = other & ~opaque & (between | bodies)
+    seen_through = between & holes & ~other
+    kept, *lost = (np.count_nonzero(pixels) for pixels in (opaque, faded, seen_through))
+    return tuple(count / max(1, kept + sum(lost)) for count in lost)
+
+
+def _with_sharp_edges(pale: np.ndarray, other: np.ndarray, distance: np.ndarray, differs: float) -> np.ndarray:
+    """The pieces of `pale` [H, W], which hardly differ from the background, that end at it as a body does and not as a
+    soft shadow: a few pixels inside `other`, what is not of the background's colour, they differ from it clearly."""
+    depth, inner = np.zeros(other.shape, np.int8), other
+    for _ in range(_EDGE_PX + 1):
+        depth += inner
+        padded = np.pad(inner, 1)
+        inner = inner & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    ring = pale & (depth == _EDGE_PX)
+    pieces = Pieces.of(pale, diagonal=True)
+    sharp = pieces.masses((ring & (distance > _CLEARLY * differs)).astype(np.float32))
+    return pieces.mask(sharp > _SHARP_SHARE * np.maximum(1, pieces.masses(ring.astype(np.float32))))
 
 
 def _between(flags: np.ndarray, axis: int) -> np.ndarray:
