@@ -140,7 +140,7 @@ def _add_depth(encode: argparse.ArgumentParser) -> None:
     add("--depth-invalid", choices=("far", "hole"), help="what infinite distances and the disparity 0 are: far away "
         "(default), or holes, as NaN and the distance 0 always are")
     add("--rgbd", choices=("right", "left", "top", "bottom"), help="in place of --depth: the half of the photo that is "
-        "its depth map (found by itself for names like photo_rgbd.png); bright is near, --depth-range is 1,1.6, when not "
+        "its depth map (found by itself for names like photo_rgbd.png); bright is near and --depth-range 1,1.6 when not "
         "said")
     add("--map-orientation", choices=("stored", "upright"), help="of --mask and --depth for a photo that its Exif "
         "orientation turns: as the photo's file has its pixels, or as it is seen (default: by their size)")
