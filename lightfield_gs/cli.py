@@ -181,8 +181,8 @@ def _add_depth(encode: argparse.ArgumentParser) -> None:
         "disparity; 0.001 for millimetres to metres (default for floats: 1); 0 is no measurement")
     add("--depth-invalid", choices=DEPTH_INVALID, help="what infinite distances and the disparity 0 are: far away "
         "(default), or holes, as NaN and the distance 0 always are")
-    add("--rgbd", choices=DEPTH_PARTS, help="in place of --depth: which half of the photo is its "
-        "depth map (default for names like photo_rgbd.png); without --depth-kind and --depth-range bright is near, 1,1.6")
+    add("--rgbd", choices=DEPTH_PARTS, help="in place of --depth: the half of the photo that is its depth map (found by "
+        "itself for names like photo_rgbd.png); bright is near and --depth-range 1,1.6 when not said")
     add("--map-orientation", choices=MAP_ORIENTATIONS, help="of --mask and --depth for a photo that its Exif "
         "orientation turns: as the photo's file has its pixels, or as it is seen (default: by their size)")
     add("--fov", type=float, metavar="DEG", help="angle that the photo's longer side takes, degrees (default 60)")
