@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from rasterizer_cases import random_scene
-from test_subject import PANEL, UPRIGHT, blobs, directions, floaters, joined, room, thing
+from subject_cases import PANEL, UPRIGHT, blobs, directions, floaters, joined, room, thing
 
 from lightfield_gs import Rig, _core, framing
 
