@@ -10,14 +10,11 @@ PANEL = Panel(width_px=160, height_px=80, views=8, line_number=9.8, slant_tan=0.
 UPRIGHT = np.eye(4)
 
 
-def blobs(places, size=0.02, flat=False) -> Gaussians:
+def blobs(places, size=0.02) -> Gaussians:
     means = torch.tensor(np.asarray(places), dtype=torch.float32)
     count = len(means)
-    scales = torch.full((count, 3), size)
-    if flat:
-        scales[:, 1] *= 0.05
-    return Gaussians(means, torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1), scales, torch.full((count,), 0.9),
-                     torch.zeros(count, 1, 3))
+    return Gaussians(means, torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1), torch.full((count, 3), size),
+                     torch.full((count,), 0.9), torch.zeros(count, 1, 3))
 
 
 def joined(*scenes: Gaussians) -> Gaussians:
