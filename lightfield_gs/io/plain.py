@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +25,7 @@ _BAND_LINES = 16
 _EDGE_PX, _CLEARLY, _SHARP_SHARE = 3, 2.0, 0.5  # how far inside an edge, how many times what differs, on how much of it
 _BLOCK_PX = 16  # as far from a strong edge JPEG makes colours up
 _SHARE_SAMPLES = 1500  # of the longer side
+_MOST_PIXELS = 1 << 24  # that are looked at one by one: a display shows no more
 _STRIP_PIXELS = 1 << 19  # at a time in floating point: eight bytes times all pixels would be more than a photo itself
 
 
@@ -48,9 +50,14 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
 
     The background is what is near the border's colour and connected to the border, or to a patch of just that colour
     that is large enough to be a hole of the object (a handle); smaller spots inside the object stay opaque. The edge is
-    soft, rising with the distance in colour. Where the border is noisy, colours are means over a few pixels.
+    soft, rising with the distance in colour. Where the border is noisy, colours are means over a few pixels. Photos of
+    more than 16 megapixels are cut out by the means of blocks, of 2 x 2 pixels and more.
     """
     height, width = rgb.shape[:2]
+    if height * width > _MOST_PIXELS:
+        factor = math.ceil(math.sqrt(height * width / _MOST_PIXELS))
+        cut = cut_from_plain_background(_block_means(rgb, factor))
+        return None if cut is None else replace(cut, alpha=_enlarged(cut.alpha, factor, height, width))
     if min(height, width) < 8:
         return None
     thick = max(1, round(_BORDER_SHARE * min(height, width)))
@@ -76,6 +83,31 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
     alpha = np.clip(distance, 0, 1, out=distance)
     alpha[~outside] = 1
     return PlainCut(alpha, *shares)
+
+
+def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
+    """rgb [H, W, 3] made smaller by a whole factor, of the same type; what is over at the far edges is left out."""
+    height, width = (size // factor for size in rgb.shape[:2])
+    means = np.empty((height, width, 3), rgb.dtype)
+    for top, bottom in strips(height, width, _STRIP_PIXELS):
+        block = rgb[top * factor:bottom * factor, :width * factor]
+        total = sum(block[down::factor, across::factor].astype(np.float32)
+                    for down in range(factor) for across in range(factor))
+        total *= np.float32(1 / factor**2)
+        means[top:bottom] = total if rgb.dtype == np.float32 else np.rint(total)
+    return means
+
+
+def _enlarged(alpha: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
+    """alpha of _block_means as that of the picture [height, width]."""
+    bottom, right = (size * factor for size in alpha.shape)
+    enlarged = np.empty((height, width), np.float32)
+    for down in range(factor):
+        for across in range(factor):
+            enlarged[down:bottom:factor, across:right:factor] = alpha
+    enlarged[bottom:] = enlarged[bottom - 1]
+    enlarged[:, right:] = enlarged[:, right - 1:right]
+    return enlarged
 
 
 def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
