@@ -79,9 +79,9 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
 
 @dataclass(frozen=True)
 class _Ground:
-    """A plain background. colours: what 1 and the place of a pixel, -1..1 from edge to edge downwards and across, are to
-    be multiplied by, [3, 3] float32. noise: its deviation in a channel; window: over how many pixels a side means make
-    little of it. differs: the colour distance from which on a pixel, as such a mean, is of another colour."""
+    """A plain background. colours: what 1 and the place of a pixel, -1..1 from edge to edge downwards and across, are
+    to be multiplied by, [3, 3] float32. noise: its deviation in a channel; window: over how many pixels a side means
+    make little of it. differs: the colour distance from which on a pixel, as such a mean, is of another colour."""
 
     colours: np.ndarray
     noise: float
