@@ -130,8 +130,8 @@ def _of_matrices(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """focal_px and principal_point_px of intrinsics K [..., C, 3, 3]; values on a device are not looked at."""
     expect("cameras: K", matrices, torch.Tensor)
     if matrices.shape[-2:] != (3, 3):
-        raise InputError("cameras: expected focal_px [..., C, 2] and principal_point_px [..., C, 2], or K [..., C, 3, 3] "
-                         f"in place of both, got {list(matrices.shape)} alone")
+        raise InputError("cameras: expected focal_px [..., C, 2] and principal_point_px [..., C, 2], or K "
+                         f"[..., C, 3, 3] in place of both, got {list(matrices.shape)} alone")
     if matrices.device.type == "cpu":
         for row, column, value in ((0, 1, 0), (1, 0, 0), (2, 0, 0), (2, 1, 0), (2, 2, 1)):
             if not bool((matrices[..., row, column] == value).all()):

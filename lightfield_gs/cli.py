@@ -101,8 +101,8 @@ def _add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
 
 def _add_camera(add: Callable[..., argparse.Action]) -> None:
     """The cameras of the views, of a scene that has a file; without any, framed automatically."""
-    add("--rig", type=Path, metavar="YAML", help="cameras of the views, in the file's own axes (default: those that the "
-        "file brings along, else framed automatically)")
+    add("--rig", type=Path, metavar="YAML", help="cameras of the views, in the file's own axes (default: those that "
+        "the file brings along, else framed automatically)")
     add("--camera", type=camera_choice, metavar="FILE[:INDEX]", help="centre camera of the views, in the file's own "
         "axes: one of a cameras.json (3D Gaussian splatting), of a transforms.json (NeRF), or a rig; its picture is "
         "fitted to the panel (default index 0)")
@@ -181,8 +181,8 @@ def _add_depth(encode: argparse.ArgumentParser) -> None:
         "disparity; 0.001 for millimetres to metres (default for floats: 1); 0 is no measurement")
     add("--depth-invalid", choices=DEPTH_INVALID, help="what infinite distances and the disparity 0 are: far away "
         "(default), or holes, as NaN and the distance 0 always are")
-    add("--rgbd", choices=DEPTH_PARTS, help="in place of --depth: which half of the photo is its "
-        "depth map (default for names like photo_rgbd.png); without --depth-kind and --depth-range bright is near, 1,1.6")
+    add("--rgbd", choices=DEPTH_PARTS, help="in place of --depth: the half of the photo that is its depth map (found by "
+        "itself for names like photo_rgbd.png); bright is near and --depth-range 1,1.6 when not said")
     add("--map-orientation", choices=MAP_ORIENTATIONS, help="of --mask and --depth for a photo that its Exif "
         "orientation turns: as the photo's file has its pixels, or as it is seen (default: by their size)")
     add("--fov", type=float, metavar="DEG", help="angle that the photo's longer side takes, degrees (default 60)")

@@ -10,23 +10,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import _core, subject, visible
+from lightfield_gs import _core, reach, subject, visible
 from lightfield_gs.axes import DEFAULT_UP, upright
 from lightfield_gs.checks import expect
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
-from lightfield_gs.quality import OPACITY_CUT
+from lightfield_gs.reach import extent
 from lightfield_gs.rig import Rig
 
 _FILL = 0.92  # share of the panel that the content fills
-_HAZE = 0.1  # Gaussians fainter than this share of the usual opacity do not count as content
-_LEAST_WEIGHT = 1e-6  # of a Gaussian where all have opacity 0
-# Share of the opacity that may lie outside on each side: the last, for thin ends of objects are a thousandth and less;
-# one before it where what lies beyond is far out, as the stray Gaussians of captures are.
-_TAILS = (0.01, 0.001, 0.0001)
-_FAR, _ROOM = 0.4, 0.15  # in units of the extent of the rest: far out; and what is left for it then
-_DEPTH_TAIL = 0.05
 _NEAR = _core.NEAR_DEPTH
 _FIELD_OF_VIEW_DEG = (20.0, 50.0)  # what the panel subtends at its viewing distance, kept within these
 _UNKNOWN_FIELD_OF_VIEW_DEG = 30.0
@@ -86,15 +79,16 @@ def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
 
 def look_from(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray, focal_px: tuple[float, float],
               principal_point_px: tuple[float, float]) -> Rig:
-    """A rig of this centre camera, at the panel's resolution; its zero plane is in the subject: the nearest of what is
-    seen in the middle of the picture. Raises InputError, also where no Gaussian lies in front of the camera."""
+    """A rig of this centre camera, at the panel's resolution; its zero plane is in the subject: what is nearest of what
+    is seen in the middle of the picture. Raises InputError, also where no Gaussian lies in front of the camera."""
     gaussians = _checked(gaussians, panel)
     rig = Rig(world_to_camera, focal_px, principal_point_px, 1.0)
+    if (found := visible.subject_depth(gaussians, panel, rig)) is not None:
+        return replace(rig, zero_depth=found)
     near, far, weight = extent(gaussians, _tensor(rig.world_to_camera, gaussians)).tolist()[4:]
     if not weight > 0:
         raise InputError(_NOTHING_IN_FRONT)
-    found = visible.subject_depth(gaussians, panel, rig)
-    return replace(rig, zero_depth=2 / (1 / near + 1 / far) if found is None else found)
+    return replace(rig, zero_depth=2 / (1 / near + 1 / far))
 
 
 def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:
@@ -109,17 +103,16 @@ def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:
 
 
 def _subject(gaussians: Gaussians) -> subject.Subject:
-    sizes, weights = _sizes(gaussians), _weights(gaussians)
-    bounds = _bounds(*_ordered(_sides(gaussians.means.T, sizes), weights))
-    return subject.find(gaussians.means, sizes, weights, float((bounds[:, 1] - bounds[:, 0]).max()))
+    low, high = reach.bounds_of(reach.some(gaussians)).unbind(1)
+    return subject.find(gaussians.means, reach.sizes_of(gaussians), reach.weights_of(gaussians),
+                        float((high - low).max()))
 
 
 def _parted(gaussians: Gaussians, found: subject.Subject) -> tuple[Gaussians, Gaussians | None]:
     """What is to be framed, and the rest of the scene."""
     if found.inside is None:
         return gaussians, None
-    return tuple(Gaussians(*(field[which] for field in gaussians.fields().values()))
-                 for which in (found.inside, ~found.inside))
+    return reach.part(gaussians, found.inside), reach.part(gaussians, ~found.inside)
 
 
 def _is_seen(gaussians: Gaussians, pose: np.ndarray) -> bool:
@@ -142,7 +135,7 @@ def _bounded(gaussians: Gaussians, panel: Panel, pose: np.ndarray) -> Rig:
     widest = max(panel.width_px, panel.height_px) / 2 / _WIDEST_TAN
     kept = _within(gaussians, pose, panel.width_px / 2 / widest, panel.height_px / 2 / widest)
     if bool(kept.any()):
-        seen = Gaussians(*(field[kept] for field in gaussians.fields().values()))
+        seen = reach.part(gaussians, kept)
         numbers = extent(seen, _tensor(pose, seen)).tolist()
         if numbers[-1] > 0:
             rig = fit(numbers, panel, pose)
@@ -168,26 +161,6 @@ def _tensor(pose: np.ndarray, like: Gaussians) -> Tensor:
     return torch.from_numpy(pose).to(like.means)
 
 
-def extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tensor:
-    """What `fit` needs to know, [7]: left, right (x/z), top, bottom (y/z), near and far of the content, weight of it.
-
-    The edges are robust (see `frame`); the weight is the opacity of what lies in front of the camera. None: the
-    Gaussians are in the camera's axes. Nothing here waits for a device.
-    """
-    points, sizes, weights = gaussians.means, _sizes(gaussians), _weights(gaussians)
-    if world_to_camera is not None:
-        points = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
-    depths = points[:, 2]
-    weights = weights * (depths > _NEAR)
-    depths = depths.clamp_min(_NEAR)
-    # One sort for all: on a GPU each takes longer for its launches than for its numbers
-    sides = _sides((points[:, :2] / depths[:, None]).T, sizes / depths)
-    ordered, cumulative = _ordered(torch.cat([sides, depths[None]]), weights)
-    edges = _bounds(ordered[:-1], cumulative[:-1])
-    near, far = _percentiles(ordered[-1:], cumulative[-1:], (_DEPTH_TAIL, 1 - _DEPTH_TAIL))
-    return torch.cat([edges.flatten(), near, far, weights.sum()[None]])
-
-
 def fit(extent: Sequence[float], panel: Panel, world_to_camera: np.ndarray) -> Rig:
     """The rig at this camera that shows the content of this `extent`. Raises InputError when there is none."""
     left, right, top, bottom, near, far, weight = extent
@@ -198,38 +171,25 @@ def fit(extent: Sequence[float], panel: Panel, world_to_camera: np.ndarray) -> R
     return Rig(world_to_camera, (focal, focal), centre, 2 / (1 / near + 1 / far))
 
 
-def _sizes(gaussians: Gaussians) -> Tensor:
-    """The middle standard deviations [N]."""
-    a, b, c = gaussians.scales.unbind(1)
-    return torch.maximum(torch.minimum(a, b), torch.minimum(torch.maximum(a, b), c))
-
-
-def _weights(gaussians: Gaussians) -> Tensor:
-    """Opacities [N] of the Gaussians that make up the scene, 0 of haze; what is usual depends on how it was made.
-
-    Those too faint to be drawn do not count, unless all are: whoever left them out must find the same.
-    """
-    opacities = gaussians.opacities.clamp_min(_LEAST_WEIGHT)
-    drawn = opacities >= OPACITY_CUT
-    opacities = torch.where(drawn | ~drawn.any(), opacities, 0)
-    usual = opacities.double().square().sum() / opacities.double().sum()
-    return torch.where(opacities >= _HAZE * usual, opacities, 0)
-
-
 def _in_front(content: Gaussians, rest: Gaussians | None, panel: Panel, turn: np.ndarray) -> Rig:
     """The rig of a camera with this rotation [3, 3] (world to camera) before the content, where it sees most of it."""
-    rig = _bounded(content, panel, _camera_in_front(content, panel, turn, 1.0))
-    if rest is None:
-        return rig
-    best = visible.share(content, rest, panel, rig)
-    for nearer in _NEARER:
+    chosen = 1.0 if rest is None else _clear_distance(content, rest, panel, turn)
+    return _bounded(content, panel, _camera_in_front(content, panel, turn, chosen))
+
+
+def _clear_distance(content: Gaussians, rest: Gaussians, panel: Panel, turn: np.ndarray) -> float:
+    """The share of its usual distance from where the camera sees enough of the content past the rest of the scene."""
+    depths = torch.from_numpy(turn[2]).to(content.means)
+    before = reach.part(rest, rest.means @ depths < (content.means @ depths).max())
+    few, chosen, best = reach.some(content), 1.0, -_WORTH
+    for nearer in (1.0, *_NEARER):
+        rig = _bounded(few, panel, _camera_in_front(few, panel, turn, nearer))
+        seen = visible.share(content, before, panel, rig) * _share_in_frame(few, panel, rig)
+        if seen > best + _WORTH:
+            chosen, best = nearer, seen
         if best >= _SEEN:
             break
-        other = _bounded(content, panel, _camera_in_front(content, panel, turn, nearer))
-        seen = visible.share(content, rest, panel, other) * _share_in_frame(content, panel, other)
-        if seen > best + _WORTH:
-            rig, best = other, seen
-    return rig
+    return chosen
 
 
 def _share_in_frame(gaussians: Gaussians, panel: Panel, rig: Rig) -> float:
@@ -246,8 +206,7 @@ def _share_in_frame(gaussians: Gaussians, panel: Panel, rig: Rig) -> float:
 def _camera_in_front(gaussians: Gaussians, panel: Panel, turn: np.ndarray, share: float) -> np.ndarray:
     """The pose of a camera with this rotation, at this share of its usual distance from the front of the content."""
     axes = torch.from_numpy(turn).to(gaussians.means)
-    sides = _sides(axes @ gaussians.means.T, _sizes(gaussians))
-    bounds = _bounds(*_ordered(sides, _weights(gaussians))).cpu().double().numpy()
+    bounds = reach.bounds_of(gaussians, axes).cpu().double().numpy()
     width, height, depth = bounds[:, 1] - bounds[:, 0]
     height = max(height, width * panel.height_px / panel.width_px, 1e-6)
     distance = share * height / _FILL / 2 / math.tan(_field_of_view_rad(panel) / 2)
@@ -265,35 +224,3 @@ def _field_of_view_rad(panel: Panel) -> float:
     return min(max(angle, math.radians(_FIELD_OF_VIEW_DEG[0])), math.radians(_FIELD_OF_VIEW_DEG[1]))
 
 
-def _sides(centres: Tensor, radii: Tensor) -> Tensor:
-    """Low sides [D, N] of balls with these centres [D, N] and radii [N], and after them the high ones, negated: of each
-    the outermost are the least."""
-    return torch.cat([centres - radii, -centres - radii])
-
-
-def _bounds(ordered: Tensor, cumulative: Tensor) -> Tensor:
-    """Robust bounds [D, 2] (low, high) of balls, from their sides as _ordered puts them."""
-    rest, *tails = _percentiles(ordered, cumulative, _TAILS)  # [2 D] each
-    low, high = rest.chunk(2)
-    extent = (-high - low).repeat(2)
-    bounds = rest - _ROOM * extent
-    for tail in tails:  # farther and farther out
-        bounds = torch.where(rest - tail <= _FAR * extent, tail, bounds)
-    low, high = bounds.chunk(2)
-    return torch.stack([low, -high], 1)
-
-
-def _ordered(values: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Every row of values [D, N] in ascending order, and the sums of the weights [N] up to each."""
-    ordered, order = values.sort(1)
-    # A GPU sums one long row faster than a few; what is before each row goes out again
-    sums = weights.double()[order].flatten().cumsum(0).view(order.shape)
-    before = torch.cat([sums.new_zeros(1), sums[:-1, -1]])
-    return ordered, sums - before[:, None]
-
-
-def _percentiles(ordered: Tensor, cumulative: Tensor, shares: Sequence[float]) -> Tensor:
-    """For each share the values [S, D] below which that share of the weights lies, for every row; see _ordered."""
-    wanted = torch.stack([share * cumulative[:, -1] for share in shares], 1)
-    index = torch.searchsorted(cumulative, wanted).clamp_max(ordered.shape[1] - 1)
-    return ordered.gather(1, index).T

@@ -93,7 +93,7 @@ class Gaussians:
         return replace(self, **{name: tensor.detach() for name, tensor in self.fields().items()})
 
     def rotated(self, rotation: Any) -> "Gaussians":
-        """The same Gaussians turned about the zero of their file: places, quaternions, spherical harmonics of degree 0..3.
+        """The same Gaussians turned about the zero of their file: places, quaternions and harmonics of degree 0..3.
 
         rotation: [3, 3], applied to column vectors, or a quaternion [4] (wxyz, any length but zero): tensor, array or
         numbers. What a camera `world_to_camera` sees of them, one with the rotation world_to_camera[:3, :3] @

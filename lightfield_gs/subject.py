@@ -19,7 +19,7 @@ _GAP = 2.5  # radii about the densest place, outer to inner, between which there
 _IN_GAP = 0.02  # of what is inside: next to nothing
 _CUT = math.sqrt(_GAP)  # in inner radii of the gap: where it is divided
 _SMALLER = 4.0  # extent of everything in inner radii, from which on the subject would be shown too small
-_TOWARDS_ONE_SIDE = 0.85  # share of the second moment of directions along one axis: a stalk or a pole, part of its subject
+_TOWARDS_ONE_SIDE = 0.85  # share of the second moment of directions along one axis: a pole, part of its subject
 _SMALL_BALL = 0.05  # radius of the densest place, in extents: so dense that it is what was captured
 _NEIGHBOURHOOD = 3.0  # in radii of the densest place: what belongs to it then
 _AROUND = 0.4  # share of all directions in which there must be more, for a place to be surrounded
@@ -34,8 +34,8 @@ _SUPPORT, _STRAY = 0.995, 1.2  # share of the surface, and how many times as far
 class Subject:
     """The Gaussians that a scene is about, and why not all.
 
-    inside: [N], which; None: all. why: what was found, in one line; empty: nothing that matters. left_out: share of what
-    counts.
+    inside: [N], which; None: all. why: what was found, in one line; empty: nothing that matters. left_out: share of
+    what counts.
     """
 
     inside: Tensor | None = None
@@ -49,20 +49,25 @@ def find(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -> Subjec
     extent: the largest side of what would be framed otherwise, scene units.
     """
     sample = _sample(weights)
-    points, weight = means[sample].double(), weights[sample].double()
+    points, sides, weight = (values[sample].cpu().double() for values in (means, sizes, weights))
     place, radius = _densest(points, weight)
     distances = (points - place).norm(dim=1)
     cut = _cut(points - place, distances, weight, radius)
     if cut is not None and _SMALLER * cut <= _CUT * extent:
         share = float(weight[distances > cut].sum() / weight.sum())
-        return Subject((means.double() - place).norm(dim=1) <= cut,
-                       f"{share:.1%} of the scene lies far around its dense part and was left out of the framing", share)
+        return Subject(_within(means, place, cut),
+                       f"{share:.1%} of the scene lies far around its dense part and was left out of the framing",
+                       share)
     if radius <= _SMALL_BALL * extent and _surrounds(points - place, distances > 2 * _NEIGHBOURHOOD * radius):
         far = distances > _NEIGHBOURHOOD * radius
-        return Subject((means.double() - place).norm(dim=1) <= _NEIGHBOURHOOD * radius,
+        return Subject(_within(means, place, _NEIGHBOURHOOD * radius),
                        "the scene surrounds its densest part, which was framed from within the scene",
                        float(weight[far].sum() / weight.sum()))
-    return _in_a_shell(means, sizes[sample].double(), points, weight)
+    return _in_a_shell(means, sides, points, weight)
+
+
+def _within(means: Tensor, place: Tensor, radius: float) -> Tensor:
+    return (means.double() - place.to(means.device)).norm(dim=1) <= radius
 
 
 def _sample(weights: Tensor) -> Tensor:
@@ -126,13 +131,13 @@ def _in_a_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor) -
         return Subject()
     kept = float(weights[inside].sum() / weights.sum())
     if kept < _INSIDE_SHARE:
-        return Subject(None, "the scene is a shell, closed on most sides with nothing inside: it was framed from outside")
-    return Subject(torch.cat([hull.gauge(part) for part in means.split(1 << 16)]) < _INSIDE,
+        return Subject(why="the scene is a shell, closed on most sides with nothing inside: it was framed from outside")
+    return Subject(torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _INSIDE,
                    "the scene is closed on most sides, like a room: what is inside was framed, from inside", 1 - kept)
 
 
 class _Hull:
-    """The convex hull of a surface: how far it reaches in many directions, once it is stretched to be as wide as deep."""
+    """The convex hull of a surface: how far it reaches in many directions, stretched to be as wide as deep."""
 
     def __init__(self, points: Tensor, areas: Tensor):
         self.areas, self.middle = areas, (areas[:, None] * points).sum(0) / areas.sum()

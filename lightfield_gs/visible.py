@@ -14,6 +14,7 @@ from lightfield_gs.rendering import render
 from lightfield_gs.rig import Rig, reduced
 
 _SIZE_PX = 256  # longer side of the picture that is looked at: thin things must not blend with what is behind them
+_SHARE_SIZE_PX = 128  # and where only how much of it shows matters
 _OPAQUE = 0.5  # what covers less is not seen as a surface
 _LEAST_SEEN = 0.01  # share of the picture that must show surfaces
 _MIDDLE = 0.2  # standard deviation of what counts as the middle, in units of the picture's shorter side
@@ -59,15 +60,15 @@ def _nearest(disparities: Tensor, weights: Tensor, share: float) -> float:
 
 
 def share(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig) -> float:
-    """How much of the content, as it would be seen alone, the cameras see past the rest of the scene, 0..1: the least of
-    the outermost two and the one in the middle."""
+    """How much of the content, as it would be seen alone, the cameras see past the rest of the scene, 0..1: the least
+    of the outermost two and the one in the middle."""
     both = Gaussians(*(torch.cat(fields) for fields in zip(content.fields().values(), rest.fields().values())))
     white = torch.zeros(both.count, 1, 3).to(both.means)
     white[:content.count], white[content.count:] = 0.5 / SH_CONSTANT, -0.5 / SH_CONSTANT
-    small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
-    cameras = small_rig.cameras_at(small_panel, [0, panel.views / 2, panel.views])
+    small_panel, small_rig = reduced(panel, rig, _SHARE_SIZE_PX)
+    cameras = small_rig.cameras_at(small_panel, [panel.views / 2, 0, panel.views])
     with torch.no_grad():
-        alone = render(_plain(content), cameras, alpha=True)[1].sum((1, 2))
+        alone = render(_plain(content), cameras.select([0]), alpha=True)[1].sum((1, 2))
         seen = render(replace(both, sh=white), cameras, background=(0, 0, 0))[..., 0].sum((1, 2))
     return float((seen / alone.clamp_min(1e-9)).min())
 

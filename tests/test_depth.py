@@ -119,9 +119,10 @@ def test_an_archive_of_arrays(tmp_path):
 def test_an_archive_that_would_fill_the_memory(tmp_path):
     """A few kilobytes that say they are 16 GB."""
     header = np.lib.format.header_data_from_array_1_0(np.ones((1, 1)))
-    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("depth.npy", "w") as file:
-        np.lib.format.write_array_header_1_0(file, {**header, "shape": (1 << 14, 1 << 17)})
-        file.write(bytes(1 << 20))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open("depth.npy", "w") as file:
+            np.lib.format.write_array_header_1_0(file, {**header, "shape": (1 << 14, 1 << 17)})
+            file.write(bytes(1 << 20))
     with pytest.raises(lf.InputError, match="'depth.npy' is damaged, too large"):
         read_numbers(tmp_path / "a.npz")
 
@@ -203,7 +204,8 @@ def test_a_mask_cuts_the_scene(folder, capsys):
     ("encode photo.png --depth depth.exr --intrinsics 50,50,100,20", "principal point 100,20 is outside"),
     ("encode photo.png --depth depth.exr --intrinsics 0.8,0.8,0.5,0.5", "--intrinsics: .* 176.9 degrees .* --fov"),
     ("encode photo.png --depth depth.exr --rgbd left", "--rgbd takes the place of --depth"),
-    ("encode photo.png --map-orientation stored", "file of its own, and there is none"), ("encode photo.png --depth-invalid far", "no --depth"),
+    ("encode photo.png --map-orientation stored", "file of its own, and there is none"),
+    ("encode photo.png --depth-invalid far", "no --depth"),
     ("encode photo.png --rgbd right", "photo.png: its right half is in colour"),
     ("encode odd.png --rgbd top", "odd.png: expected two halves of one size, its height is 5"),
     ("encode photo.png --depth depth.exr --depth-kind height", "invalid choice"),
@@ -224,8 +226,8 @@ def test_a_command_says_what_it_took_the_photo_for(folder, capsys):
     np.savez("d.npz", depth=depth, focallength_px=np.float32(50))
     out = run(capsys, "encode photo.png --depth d.npz -o o.png --panel p.yaml --save-gaussians g.ply").splitlines()[0]
     near, far = np.nanmin(depth), depth[np.isfinite(depth)].max()
-    assert out == (f"photo.png: 60 x 40, whole picture, depth by d.npz: distance as z {near:.4g}..{far:.4g}, 1.2% infinitely "
-                   f"far (put at {2 * far:.4g}), 0.5% not measured, focal length 50 px, of d.npz")
+    assert out == (f"photo.png: 60 x 40, whole picture, depth by d.npz: distance as z {near:.4g}..{far:.4g}, 1.2% "
+                   f"infinitely far (put at {2 * far:.4g}), 0.5% not measured, focal length 50 px, of d.npz")
     means = lf.Gaussians.load("g.ply").means
     assert float(means[0, 2]) == pytest.approx(2 * far, rel=1e-5)
     assert float(means[0, 0] / means[0, 2]) == pytest.approx(-29.5 / 50, rel=1e-5)
@@ -234,7 +236,8 @@ def test_a_command_says_what_it_took_the_photo_for(folder, capsys):
 def test_intrinsics_of_another_photo_are_noted(folder, capsys):
     write_scene()
     for intrinsics, words in (("50,50,20,20", "far off its middle"), ("400,400,30,20", "8.578 degrees")):
-        assert cli.main(f"encode photo.png --depth depth.exr --intrinsics {intrinsics} -o o.png --panel p.yaml".split()) == 0
+        line = f"encode photo.png --depth depth.exr --intrinsics {intrinsics} -o o.png --panel p.yaml"
+        assert cli.main(line.split()) == 0
         assert words in capsys.readouterr().err
 
 

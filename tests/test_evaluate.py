@@ -118,6 +118,21 @@ def test_objects_that_cannot_be_scored_are_left_out_and_named(tmp_path, capsys):
         score_folder(net, tmp_path / "set/single")
 
 
+def test_scores_from_afar_are_doubted(tmp_path, capsys):
+    """Poses of SRN objects are not scaled: from twice as far nothing is where the network puts it."""
+    SplatterNet(ModelConfig.from_dict(TINY)).save(tmp_path / "net.safetensors")
+    for name, scale in (("near", 1), ("far", 2)):
+        write_object(tmp_path / "set" / name, angles=ANGLES)
+        for path in (tmp_path / "set" / name / "pose").iterdir():
+            pose = np.loadtxt(path).reshape(4, 4)
+            pose[:3, 3] *= scale
+            np.savetxt(path, pose.reshape(1, 16))
+    arguments = ["--data", str(tmp_path / "set"), "--checkpoint", str(tmp_path / "net.safetensors"),
+                 "--json", str(tmp_path / "scores.json")]
+    assert evaluate.main(arguments) == 0
+    assert "note: 1 objects may be scored in vain, such as far: the cameras stand 2.60" in capsys.readouterr().err
+
+
 def test_any_view_may_be_the_source(tmp_path):
     """The middle one is that between the others; an object without that number is left out."""
     net = SplatterNet(ModelConfig.from_dict(TINY)).eval()

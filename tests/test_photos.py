@@ -1,52 +1,23 @@
-"""What is taken of photos as people have them: the object and not the dust, colours in sRGB, maps as they lie."""
-
-import struct
-import sys
-import zlib
+"""What is taken of photos as people have them: the object and not the dust, maps as they lie."""
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
 import torch
+from command_line import run
 from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
-from PIL import Image, ImageCms, features
+from photo_cases import tiny_net
+from PIL import Image
+from plain_photos import COLUMNS, HEIGHT, ROWS, THING, WIDTH, photo, picture, round_thing, save
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io import photo as photos
-from lightfield_gs.io.images import read_image, read_picture, write_image
-from lightfield_gs.io.photo import load_photo, photo_of
+from lightfield_gs.io.photo import load_photo
 from lightfield_gs.io.pieces import Pieces
 from lightfield_gs.models.crop import Square, object_square
 from lightfield_gs.preview import to_integers
 
-HEIGHT, WIDTH, GREY = 240, 320, 0.92
-ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
-
-
-def round_thing(row=130, column=170, radius=50) -> np.ndarray:
-    return np.hypot(ROWS - row, COLUMNS - column) < radius
-
-
-THING = round_thing() | (abs(COLUMNS - 170) < 2) & (ROWS > 40) & (ROWS < 130)  # with a thin rod
-
-
-def picture(mask=THING, colour=(0.8, 0.1, 0.1), background=GREY) -> np.ndarray:
-    return np.where(mask[..., None], colour, background).astype(np.float64)
-
-
-def save(path, values, **options):
-    if path.suffix == ".jpg":
-        options = {"quality": 95, "subsampling": 0, **options}
-    Image.fromarray(to_integers(values, 8)).save(path, **options)
-    return path
-
-
 def square_of(path) -> Square:
     return object_square(torch.from_numpy(load_photo(path)[..., 3]))
-
-
-def photo(path, *mask, **options):
-    return photo_of(path, read_picture(path), *mask, **options)
 
 
 # The object, and what lies beside it
@@ -121,83 +92,27 @@ def test_alpha_that_covers_nearly_everything_cuts_nothing_out(tmp_path):
     assert np.array_equal(found.pixels[..., 3], 255 * corners) and "all of it is taken as one object" in found.notes[0]
 
 
-def test_white_before_white_is_refused(tmp_path):
-    """A mug whose sides are shaded: the outline and a band would stay of it."""
+def pale_thing(what: str) -> np.ndarray:
+    """A mug with a band and shaded sides, of which outline and band would stay; a shirt, of which next to nothing."""
     inside = (ROWS > 60) & (ROWS < 190) & (abs(COLUMNS - 150) < 60)
-    shade = 1 - 0.2 * (np.abs(COLUMNS - 150) / 60) ** 4
-    mug = np.where(inside, shade, 1.0)[..., None].repeat(3, 2)
+    if what == "shirt":
+        return np.where(inside, 0.95 - 0.05 * np.sin(COLUMNS / 15) * np.cos(ROWS / 20), 1.0)[..., None].repeat(3, 2)
+    mug = np.where(inside, 1 - 0.2 * (np.abs(COLUMNS - 150) / 60) ** 4, 1.0)[..., None].repeat(3, 2)
     mug[110:125][inside[110:125]] = 0.1, 0.2, 0.7
-    with pytest.raises(InputError, match=r"a.png: the object is hardly different .* \d\d% .*--mask.*--remove-background"):
-        load_photo(save(tmp_path / "a.png", mug))
+    return mug
 
 
-# Colours
-
-SWAPPED = matrix_profile(SRGB_GREEN, SRGB_RED, SRGB_BLUE, name="swapped")
-
-
-@pytest.mark.parametrize("suffix, options", [("png", {}), ("jpg", {}), ("tif", {}),
-                                             ("webp", {"lossless": True})])
-def test_an_embedded_profile_is_honoured(tmp_path, suffix, options):
-    found = photo(save(tmp_path / f"a.{suffix}", picture(colour=(0.8, 0.3, 0.1)), icc_profile=SWAPPED, **options))
-    assert np.abs(found.pixels[130, 170, :3] / 255 - [0.3, 0.8, 0.1])[:2].max() < 0.02
-    assert found.said[1] == "profile 'swapped' converted to sRGB" and found.notes == []
+@pytest.mark.parametrize("what", ["mug", "shirt"])
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_white_before_white_is_refused(tmp_path, what, suffix):
+    with pytest.raises(InputError, match=r": the object is hardly different .* \d\d% .*--mask.*--remove-background"):
+        load_photo(save(tmp_path / f"a.{suffix}", pale_thing(what)))
 
 
-def test_profiles_that_say_srgb_or_nothing(tmp_path):
-    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    values = to_integers(picture(), 8)
-    for profile, word in ((srgb, ""), (SWAPPED[:200], "cannot be read"), (b"no profile", "cannot be read")):
-        for suffix in ("png", "tif"):
-            found = photo(save(tmp_path / f"a.{suffix}", picture(), icc_profile=profile))
-            assert np.array_equal(found.pixels[..., :3], values) and len(found.said) == 1
-            assert [word in note for note in found.notes] == ([True] if word else [])
-
-
-def chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-
-def test_a_png_without_a_profile_has_its_gamma_or_a_note(tmp_path):
-    stored = save(tmp_path / "a.png", picture(colour=(0.5, 0.1, 0.1))).read_bytes()
-    for extra, word in ((chunk(b"gAMA", struct.pack(">I", 100000)), ""), (chunk(b"cICP", bytes([9, 16, 0, 1])), "CICP 9/16"),
-                        (chunk(b"cHRM", struct.pack(">8I", 31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000)),
-                         "other primary colours")):
-        (tmp_path / "a.png").write_bytes(stored[:33] + extra + stored[33:])
-        found = photo(tmp_path / "a.png")
-        assert [word in note for note in found.notes] == ([True] if word else [])
-        assert found.floats()[130, 170, 0] == pytest.approx(0.502 if word else 0.7366, abs=1e-3)
-        assert ("linear, encoded as sRGB" in found.said) == (word == "")
-
-
-def test_sixteen_bits_with_a_profile_are_converted_in_eight(tmp_path):
-    spec = oiio.ImageSpec(WIDTH, HEIGHT, 3, "uint16")
-    spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(SWAPPED)}]"), np.frombuffer(SWAPPED, np.uint8))
-    out = oiio.ImageOutput.create(str(tmp_path / "a.png"))
-    assert out.open(str(tmp_path / "a.png"), spec)
-    assert out.write_image(to_integers(picture(colour=(0.8, 0.3, 0.1)), 16)) and out.close()
-    found = photo(tmp_path / "a.png")
-    assert np.abs(found.pixels[130, 170, :3] / 255 - [0.3, 0.8, 0.1])[:2].max() < 0.02 and "in 8 bits" in found.said[1]
-
-
-@pytest.mark.parametrize("suffix, dtype", [("tif", "uint8"), ("tif", "uint16"), ("exr", "float32")])
-def test_associated_alpha_is_undone(tmp_path, suffix, dtype):
-    """Of a file that holds colours times alpha, 128 of 255."""
-    most = 1 if dtype == "float32" else np.iinfo(dtype).max
-    half = 0.5 if most == 1 else 2 * round(most * 64 / 255)
-    stored = np.array([[[half, half / 2, 0, half], [0, 0, 0, 0]]], dtype)
-    path = str(tmp_path / f"a.{suffix}")
-    out = oiio.ImageOutput.create(path)
-    assert out.open(path, oiio.ImageSpec(2, 1, 4, dtype)) and out.write_image(stored) and out.close()
-    assert np.allclose(read_image(path), [[[1, 0.5, 0, half / most], [0, 0, 0, 0]]], atol=0.003)
-
-
-def test_linear_files_are_encoded_as_a_photo_is(tmp_path):
-    linear = np.where(THING[..., None], [0.5, 0.001, 2.0], 0.8).astype(np.float32)
-    write_image(tmp_path / "a.exr", linear)
-    found = photo(tmp_path / "a.exr")
-    assert np.allclose(found.pixels[130, 170, :3], [0.735357, 0.01292, 1], atol=1e-5)  # IEC 61966-2-1
-    assert "linear, encoded as sRGB" in found.said and "brighter than white" in found.notes[0]
+def test_soft_shadows_are_no_part_of_the_object(tmp_path):
+    values = picture() - 0.25 * np.exp(-((ROWS - 190) / 15) ** 2 - ((COLUMNS - 210) / 60) ** 2)[..., None]
+    alpha = load_photo(save(tmp_path / "a.png", values.clip(0, 1)))[..., 3]
+    assert alpha[THING].min() == 1 and alpha[:150][~THING[:150]].max() == 0
 
 
 # Masks, and how they lie
@@ -237,36 +152,19 @@ def test_masks_of_few_levels(tmp_path):
     Image.fromarray(THING.astype(np.uint8)).save(tmp_path / "m.png")
     assert np.array_equal(load_photo(photo_path, tmp_path / "m.png")[..., 3], THING)
     Image.fromarray(THING.astype(np.uint8) + round_thing()).save(tmp_path / "m.png")
-    with pytest.raises(InputError, match="m.png: expected a mask of 0 and 255, or of 0 and 1; its brightest pixel has 2"):
+    with pytest.raises(InputError, match="m.png: expected a mask of 0 and 255, or .* its brightest pixel has 2, as"):
         load_photo(photo_path, tmp_path / "m.png")
 
 
-# AVIF and HEIC
+# The command
 
-@pytest.mark.skipif(not features.check("avif"), reason="this Pillow reads no AVIF")
-def test_avif_is_read_upright(tmp_path):
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    save(tmp_path / "a.avif", picture(), quality=95, exif=exif)
-    found = load_photo(tmp_path / "a.avif")
-    assert found.shape == (WIDTH, HEIGHT, 4) and np.abs(found[..., 3] - np.rot90(THING, -1)).mean() < 0.02
-
-
-def test_heic_takes_a_package(tmp_path, monkeypatch):
-    for name in ("pi_heif", "pillow_heif"):
-        monkeypatch.setitem(sys.modules, name, None)
-    (tmp_path / "a.jpg").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(64))
-    with pytest.raises(InputError, match=r"a.jpg is a HEIC image.* pip install 'lightfield-gs\[heif\]'.*PNG or JPEG"):
-        load_photo(tmp_path / "a.jpg")
-
-
-def test_heic_is_read():
-    pytest.importorskip("pi_heif")
-    from fuzzing.readers import CORPUS
-
-    pixels = read_image(CORPUS / "heif" / "small.heic")
-    ramp = np.linspace(0, 1, 12 * 16 * 3).reshape(12, 16, 3)
-    assert np.abs(pixels - ramp).max() < 0.05
+def test_encode_says_what_it_took_the_photo_for(folder, capsys):
+    tiny_net().save("n.safetensors")
+    turned_photo(folder / "a.jpg")
+    Image.fromarray((np.arange(60 * 80).reshape(60, 80) % 80 > 40).astype(np.uint8)).save("m.png")
+    out = run(capsys, "encode a.jpg --mask m.png -o o.png --panel p.yaml --checkpoint n.safetensors").splitlines()
+    assert out[0] == ("a.jpg: 60 x 80, turned by its Exif orientation 6, m.png turned with it, a mask of 0 and 1, cut "
+                      "out by m.png, fills 48.8% of the picture, 60 x 39 pixels")
 
 
 # Large photos
@@ -276,7 +174,7 @@ def test_strips_change_nothing(tmp_path, monkeypatch):
     from lightfield_gs.io import colour, plain
     from lightfield_gs.models import crop
 
-    path = save(tmp_path / "a.png", spoiled("noise 7"), icc_profile=SWAPPED)
+    path = save(tmp_path / "a.png", spoiled("noise 7"), icc_profile=matrix_profile(SRGB_GREEN, SRGB_RED, SRGB_BLUE))
     whole = photo(path).pixels
     for module in (colour, photos, plain, crop):
         monkeypatch.setattr(module, "_STRIP_PIXELS", 7 * WIDTH)

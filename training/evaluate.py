@@ -70,6 +70,9 @@ def main(arguments: list[str] | None = None) -> int:
                           source=options.source, background=options.background)
     for reason in report["skipped"].values():
         note(f"skipped {reason}")
+    if report["doubts"]:
+        name, doubt = next(iter(report["doubts"].items()))
+        note(f"{len(report['doubts'])} objects may be scored in vain, such as {name}: {doubt}")
     report |= {"source_view": options.source, "background": options.background,
                "data": str(options.data), "checkpoint": str(options.checkpoint or "pretrained"),
                "supersampling": options.supersampling}

@@ -33,7 +33,7 @@ from training.data.background import Choice
 from training.data.images import find_cutout, read_view
 from training.data.objects import find_objects, folder_of, read_object
 from training.data.plan import relative_cameras
-from training.data.transforms import OBJECT_DISTANCE
+from training.data.transforms import OBJECT_DISTANCE, distance_doubt
 from training.data.views import ObjectViews
 from training.metrics import psnr_db, ssim
 from training.ranges import MOST
@@ -49,10 +49,12 @@ _METRICS = ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim", "card_psnr_db", "car
 class Comparison:
     """One object with V views, the source being one of them.
 
-    source: its number. azimuths_deg: [V], from the source. truth, rendered, card: [V,3,H,W] on white, 0..1.
+    source: its number. doubt: set where the cameras stand elsewhere than the network expects. azimuths_deg: [V], from
+    the source. truth, rendered, card: [V,3,H,W] on white, 0..1.
     """
     name: str
     source: int
+    doubt: str | None
     azimuths_deg: np.ndarray
     truth: Tensor
     rendered: Tensor
@@ -139,7 +141,8 @@ def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source:
     images = F.interpolate(images[0].clamp(0, 1), size=(height, width), mode="area")
     truth = F.interpolate(frames, size=(height, width), mode="area")
     card = render_card(truth[source], intrinsics[source], OBJECT_DISTANCE, cameras, intrinsics)
-    return Comparison(views.name, source, azimuths, _on_white(truth), images, _on_white(card))
+    return Comparison(views.name, source, distance_doubt(views.camera_to_world), azimuths, _on_white(truth), images,
+                      _on_white(card))
 
 
 def _scores(comparison: Comparison) -> Iterator[tuple[int | None, dict[str, float]]]:
@@ -167,7 +170,8 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
     Returns objects, and psnr_db, ssim, copy_psnr_db, copy_ssim, card_psnr_db, card_ssim and views (their number) over
     all novel views; bins: the same for each angle_deg (azimuth to either side, rounded to 5 degrees) of novel views;
     source: the same for the source views; object_psnr_db: of each object by its path, over its novel views. skipped:
-    why, for the path of each object that could not be scored; these count in nothing else.
+    why, for the path of each object that could not be scored; these count in nothing else. doubts: for the paths of
+    scored objects whose cameras stand elsewhere than the network expects.
     limit: score so many of them only, spread evenly over the folder; None: all.
     save_renders: folder for one picture per object, in folders as the objects are. device: where the network is.
     decoded: keeps the images from call to call, for those who score the same objects again. supersampling: samples of a
@@ -177,6 +181,7 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
     bins: dict[int | None, list[dict[str, float]]] = defaultdict(list)
     of_objects: dict[str, float] = {}
     skipped: dict[str, str] = {}
+    doubts: dict[str, str] = {}
     objects = find_objects(data, split)
     if limit is not None:
         count = min(whole_number("limit", limit, 1, MOST), len(objects))
@@ -188,6 +193,8 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
         except InputError as error:
             skipped[str(path.relative_to(data))] = str(error)
             continue
+        if comparison.doubt:
+            doubts[str(path.relative_to(data))] = comparison.doubt
         scores = list(_scores(comparison))
         for angle, row in scores:
             bins[angle].append(row)
@@ -202,7 +209,7 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
     of_sources = bins.pop(None)
     return {"objects": len(of_objects)} | _means([row for rows in bins.values() for row in rows]) | {
         "source": _means(of_sources), "bins": [{"angle_deg": angle} | _means(bins[angle]) for angle in sorted(bins)],
-        "object_psnr_db": of_objects, "skipped": skipped}
+        "object_psnr_db": of_objects, "skipped": skipped, "doubts": doubts}
 
 
 def labelled(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:

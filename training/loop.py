@@ -12,17 +12,19 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from lightfield_gs.commands.complaint import note
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import make_folder
 from training.checkpoints import cut_log, load_checkpoint, save_checkpoint
 from training.config import TrainingConfig
 from training.data.batches import make_batch
-from training.data.cache import load_set
+from training.data.cache import CachedSet, load_set
 from training.data.objects import find_objects
 from training.data.partners import find_partners
 from training.data.plan import BatchPlan, BatchPlanner
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
+from training.data.transforms import distance_doubt
 from training.distributed import Team, join_team
 from training.evaluation import score_folder
 from training.log import RunLog
@@ -38,13 +40,22 @@ def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> Batc
         sets, target_sets = ([load_set(Path(folder), Path(config.cache_dir), background=config.background)
                               for folder in folders] for folders in (config.data, config.target_data))
     if tell and team.leads:
-        print(*sets, *target_sets, sep="\n", flush=True)
+        _tell(sets + target_sets)
     partners = find_partners(sets, target_sets)
     poses = [views.camera_to_world for cached in sets + target_sets for views in cached.objects]
     sampler = ViewSampler(poses[:len(partners)], config.azimuth_deg, config.elevation_deg, config.targets, config.seed,
                           config.neighbour_deg, [poses[partner] for partner in partners])
     return BatchPlanner(ResidentViews(sets + target_sets, team.device), sampler, config.augmentation, partners,
                         config.procedural)
+
+
+def _tell(sets: list[CachedSet]) -> None:
+    """Prints what says which pixels of each set are object, and notes objects that are not where the network looks."""
+    print(*sets, sep="\n", flush=True)
+    doubts = [f"{views.name}: {doubt}" for cached in sets for views in cached.objects
+              if (doubt := distance_doubt(views.camera_to_world))]
+    if doubts:
+        note(f"{len(doubts)} objects may teach nothing; the first: {doubts[0]}")
 
 
 @contextmanager

@@ -45,11 +45,12 @@ struct Place {
   }
   __device__ int64_t pixel(const Image& image, int r) const { return image_row(r) * image.width_px + x0 + column; }
 
-  __device__ Sample sample(const Image& image, const Lens& lens, float s_start, float s_step, int r, int k) const {
+  __device__ Sample sample(const Image& image, const Lens& lens, float s_start, float s_step, int r,
+                           int channel) const {
     Sample sample;
     sample.transmittance = inside(image, r) ? 1.f : 0.f;
-    const int64_t row = image_row(r), subpixel = 3 * (x0 + column) + k;
-    sample.channel = lens.channel_at(row, subpixel);
+    const int64_t row = image_row(r), subpixel = lens.subpixel_of(row, x0 + column, channel);
+    sample.channel = channel;
     sample.s = fmaf(s_step, float(camera_coordinate(lens, lens.true_phase(row, subpixel))), s_start);
     return sample;
   }

@@ -67,10 +67,14 @@ __device__ void store_pixels(const LensOptics& lens, int column, int row, const 
   if (row >= lens.height_px || column >= lens.width_px) return;
   Out bytes[6];
 #pragma unroll
-  for (int i = 0; i < 6; ++i) {
-    const int first = i / 3 * 3, place = lens.places[i % 3];
-    const float moved = place == 0 ? values[first] : place == 1 ? values[first + 1] : values[first + 2];
-    bytes[i] = stored(lens.permuted ? moved : values[i], out);
+  for (int i = 0; i < 6; ++i) bytes[i] = stored(values[i], out);
+  if (lens.permuted) {
+    const Out placed[6] = {bytes[0], bytes[1], bytes[2], bytes[3], bytes[4], bytes[5]};
+#pragma unroll
+    for (int i = 0; i < 6; ++i) {
+      const int first = i / 3 * 3, place = lens.places[i % 3];
+      bytes[i] = place == 0 ? placed[first] : place == 1 ? placed[first + 1] : placed[first + 2];
+    }
   }
   Out* to = out + 3 * (int64_t(row) * lens.width_px + column);
   if (sizeof(Out) == 1 && lens.width_px % 2 == 0) {

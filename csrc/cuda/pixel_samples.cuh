@@ -37,6 +37,13 @@ struct LanePixels {
   // Calls visit(r, p, k, s) for them with the offset from which each is seen.
   template <class Visit>
   __device__ void for_each_offset(const LensOptics& lens, const Visit& visit) const {
+    if (lens.has_cells)
+      for_each_offset<true>(lens, visit);
+    else
+      for_each_offset<false>(lens, visit);
+  }
+  template <bool Cells, class Visit>
+  __device__ void for_each_offset(const LensOptics& lens, const Visit& visit) const {
 #pragma unroll
     for (int r = 0; r < lane_rows; ++r)
 #pragma unroll
@@ -45,7 +52,7 @@ struct LanePixels {
         const uint64_t* beyond = lens.cells.phases[row % kCellPeriod] + 3 * ((column + p) % kCellPeriod);
 #pragma unroll
         for (int k = 0; k < 3; ++k, phase += lens.phase_x) {
-          const uint64_t own = lens.has_cells ? phase + beyond[k] : phase;
+          const uint64_t own = Cells ? phase + beyond[k] : phase;
           visit(r, p, k, fmaf(lens.s_step, camera_of(lens, own), lens.s_start));
         }
       }

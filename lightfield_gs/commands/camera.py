@@ -44,6 +44,7 @@ def read_given(args: argparse.Namespace, panel: Panel) -> Given:
         return Given()
     unused = ["axes: --up is not used: the camera was given, in the file's own axes"] if args.up else []
     if args.rig is not None:
+        _refuse_cameras(args.rig)
         return Given(load_rig(args, panel), said=unused)
     path, index = args.camera
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -53,6 +54,15 @@ def read_given(args: argparse.Namespace, panel: Panel) -> Given:
         return Given(None, rig.world_to_camera, rig.focal_px, rig.principal_point_px,
                      [f"camera: {path}, a rig, at the panel's resolution; its zero plane was placed anew", *unused])
     return _of_camera_file(path, index, panel, unused)
+
+
+def _refuse_cameras(path: Path) -> None:
+    """Raises InputError where a file that was given as a rig holds the cameras of photographs."""
+    from lightfield_gs.io.camera_files import LIMIT_BYTES, is_camera_file
+    from lightfield_gs.io.json_file import read_json
+
+    if path.suffix.lower() == ".json" and is_camera_file(read_json(path, LIMIT_BYTES)):
+        raise InputError(f"{path}: holds the cameras of photographs, no rig; give it as --camera FILE[:INDEX]")
 
 
 def _of_camera_file(path: Path, index: int | None, panel: Panel, said: list[str]) -> Given:
@@ -117,14 +127,15 @@ def _automatic(args: argparse.Namespace, panel: Panel, gaussians: "Gaussians",
                file: "SceneFile") -> tuple[Rig, list[str]]:
     up, notes = axes_of(args.up, file), []
     rig = Rig.frame(gaussians, panel, up=up.axis, notes=notes)
-    return rig, [f"axes: {up.words()}", *(f"framing: {words}; another view: --camera, --rig or --up" for words in notes)]
+    others = "another view: --camera, --rig or --up"
+    return rig, [f"axes: {up.words()}", *(f"framing: {words}; {others}" for words in notes)]
 
 
 def axes_of(up: str | None, file: "SceneFile") -> Up:
     """Which axis points up, and who says so; up: what the command line says."""
     if up:
         return Up(up, "--up")
-    return stated_up(file.comments) or Up(DEFAULT_UP, "assumed, as in OpenCV axes: the file does not say; another: --up")
+    return stated_up(file.comments) or Up(DEFAULT_UP, "assumed: the file does not say; another: --up")
 
 
 def brought_along(file: "SceneFile") -> list[tuple[str, str]]:

@@ -17,6 +17,8 @@ from lightfield_gs.panel import Panel
 if TYPE_CHECKING:
     from torch import Tensor
 
+_CAMERAS_SHOWN = 20
+
 
 def run(args: argparse.Namespace) -> None:
     """Prints what args.file holds, a line a fact. Raises InputError."""
@@ -36,10 +38,14 @@ def describe(path: Path, serial: str | None = None, skip_invalid: bool = False,
         raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
     if suffix in (".ply", ".spz", ".splat", ".ksplat", ".sog"):
         return _scene(path, skip_invalid, up)
+    if up is not None:
+        raise InputError(f"--up is for files of Gaussians, and {path} is none; leave it out")
     if suffix == ".safetensors":
         return _checkpoint(path)
     if suffix in (".yaml", ".yml") and _is_rig(path):
         return _rig(path)
+    if suffix == ".json" and _is_camera_file(path):
+        return _camera_file(path)
     if suffix in (".yaml", ".yml", ".json") or not suffix and not path.exists():
         return [("panel", path), *Panel.load(path, serial=serial).to_dict().items()]
     return _image(path)
@@ -93,6 +99,26 @@ def _image(path: Path) -> list[tuple[str, object]]:
 
 def _is_rig(path: Path) -> bool:
     return "world_to_camera" in read_text(path, MOST_BYTES, "YAML")
+
+
+def _is_camera_file(path: Path) -> bool:
+    from lightfield_gs.io.camera_files import LIMIT_BYTES, is_camera_file
+    from lightfield_gs.io.json_file import read_json
+
+    return is_camera_file(read_json(path, LIMIT_BYTES))
+
+
+def _camera_file(path: Path) -> list[tuple[str, object]]:
+    """The cameras by the index that --camera takes; of many the first."""
+    from lightfield_gs.io.camera_files import read_camera_file
+
+    cameras = read_camera_file(path)
+    facts: list[tuple[str, object]] = [("cameras", len(cameras))]
+    for index, camera in enumerate(cameras[:_CAMERAS_SHOWN]):
+        centre = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
+        facts.append((f"camera {index}", f"{camera.name}, {camera.width_px:g} x {camera.height_px:g}, at "
+                      + ", ".join(f"{part:.6g}" for part in centre + 0.0)))
+    return facts
 
 
 def _rig(path: Path) -> list[tuple[str, object]]:

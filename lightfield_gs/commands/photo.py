@@ -65,8 +65,8 @@ def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gau
     picture = read_picture(args.input)
     side = None if args.depth is not None else args.rgbd or depth_side(picture.pixels)
     if side is None and args.depth is None:
-        raise InputError(f"{args.input}: its name says that its depth map is in it, and none of its halves is grey; say "
-                         "which it is with --rgbd, or rename it")
+        raise InputError(f"{args.input}: its name says that its depth map is in it, and none of its halves is grey; "
+                         "say which it is with --rgbd, or rename it")
     colour = picture if side is None else replace(picture, pixels=halves(args.input, picture.pixels, side)[0])
     photo = photo_of(args.input, colour, args.mask, remove_background=args.remove_background, whole=True,
                      map_orientation=args.map_orientation)
@@ -117,7 +117,7 @@ def _depth_beside(args: argparse.Namespace, picture: "Picture", side: str) -> "D
 
 
 def _camera(args: argparse.Namespace, height: int, width: int, focal_px: float | None) -> tuple:
-    """Focal lengths and principal point for from_depth, words for them, and notes; focal_px: of the depth map's file."""
+    """Focal lengths and principal point for from_depth, words for them, and notes; focal_px: of the depth's file."""
     from lightfield_gs.rgbd import FIELD_OF_VIEW_DEG, focal_length_px
 
     if args.intrinsics is not None:
@@ -139,13 +139,13 @@ def _checked_intrinsics(intrinsics: tuple[float, ...], height: int, width: int) 
     if off > 0.5 or not _ANGLES_DEG[0] <= angle <= _ANGLES_DEG[1]:
         why = (f"the principal point {cx:g},{cy:g} is outside it" if off > 0.5 else
                f"the longer side would take {angle:.4g} degrees")
-        raise InputError(f"--intrinsics: {why} ({at}); expected pixels of this photo, upright: scale them with its size, "
-                         "or give --fov DEG")
+        raise InputError(f"--intrinsics: {why} ({at}); expected pixels of this photo, upright: scale them with its "
+                         "size, or give --fov DEG")
     notes = []
     if off > _OFF_CENTRE:
         notes.append(f"--intrinsics {at}: the principal point is far off its middle; are they of another size, or of "
                      "the photo before it was turned?")
     if not _USUAL_ANGLES_DEG[0] <= angle <= _USUAL_ANGLES_DEG[1] or not 0.5 <= fx / fy <= 2:
-        notes.append(f"--intrinsics {at}: the longer side takes {angle:.4g} degrees, fx / fy is {fx / fy:.3g}; are they "
-                     "of another size?")
+        notes.append(f"--intrinsics {at}: the longer side takes {angle:.4g} degrees, fx / fy is {fx / fy:.3g}; are "
+                     "they of another size?")
     return f"focal lengths {fx:g},{fy:g} px", notes

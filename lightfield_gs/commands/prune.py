@@ -47,5 +47,5 @@ def run(args: argparse.Namespace) -> None:
     print(f"{args.output}: {kept.count} of {scene.count} Gaussians, the others within {args.contribution_cut:g} of the "
           f"light of {panel.width_px} x {panel.height_px}, {panel.views} views")
     print(watch.line())
-    said.append(f"{args.output}: in the axes of {args.input}, with the framing and what is up: encode takes it from there")
+    said.append(f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it")
     print("\n".join(said))

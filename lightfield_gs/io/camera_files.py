@@ -20,7 +20,7 @@ from lightfield_gs.checks import real_number, shown
 from lightfield_gs.errors import InputError
 from lightfield_gs.io.json_file import read_json
 
-_LIMIT_BYTES = 256 << 20
+LIMIT_BYTES = 256 << 20
 _FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
 _ORTHONORMAL = 1e-3  # how far rows may be off: numbers of a few digits are made a rotation again
 _MAX_SIZE_PX = 1 << 20
@@ -56,12 +56,19 @@ class FileCamera:
                 (width_px / 2 + (cx - self.width_px / 2) * scale, height_px / 2 + (cy - self.height_px / 2) * scale))
 
 
+def is_camera_file(data: Any) -> bool:
+    """Whether the value of a JSON file looks like either kind; calibrations of displays come in lists too."""
+    if isinstance(data, list):
+        return any(isinstance(entry, dict) and ("position" in entry or "rotation" in entry) for entry in data[:1])
+    return isinstance(data, dict) and "frames" in data
+
+
 def read_camera_file(path: str | Path) -> list[FileCamera]:
     """The cameras of either kind of file, in its order. Raises InputError that names the file and the key."""
-    data = read_json(path, _LIMIT_BYTES)
+    data = read_json(path, LIMIT_BYTES)
     if isinstance(data, list):
         return _inria(path, data)
-    if isinstance(data, dict) and "frames" in data:
+    if is_camera_file(data):
         return _transforms(path, data)
     if isinstance(data, dict) and "world_to_camera" in data:
         raise InputError(f"{path}: holds one camera for each view (world_to_camera, focal_px); give it as --cameras, "
@@ -72,7 +79,7 @@ def read_camera_file(path: str | Path) -> list[FileCamera]:
 
 def read_inria(path: str | Path) -> list[FileCamera]:
     """The cameras of a cameras.json. Raises InputError."""
-    data = read_json(path, _LIMIT_BYTES)
+    data = read_json(path, LIMIT_BYTES)
     if not isinstance(data, list):
         raise InputError(f"{path}: expected a list of cameras, as 3D Gaussian splatting writes cameras.json, got "
                          f"{type(data).__name__}")
@@ -81,7 +88,7 @@ def read_inria(path: str | Path) -> list[FileCamera]:
 
 def read_transforms(path: str | Path) -> list[FileCamera]:
     """The cameras of a transforms.json. Raises InputError."""
-    data = read_json(path, _LIMIT_BYTES)
+    data = read_json(path, LIMIT_BYTES)
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object with the key frames, as in transforms.json, got "
                          f"{type(data).__name__}")
@@ -119,8 +126,8 @@ def _frame(where: str, fields: dict[str, Any], images: "_Images") -> FileCamera:
     rotation = _rotation(f"{where}.transform_matrix", matrix[:3, :3])
     model = fields.get("camera_model", "PINHOLE")
     if model not in _PINHOLES or fields.get("is_fisheye") is True:
-        raise InputError(f"{where}.camera_model: expected a pinhole camera ({', '.join(_PINHOLES)}), got {shown(model)}; "
-                         "a panel shows flat perspective only")
+        raise InputError(f"{where}.camera_model: expected a pinhole camera ({', '.join(_PINHOLES)}), got "
+                         f"{shown(model)}; a panel shows flat perspective only")
     width, height, assumed = _size(where, fields, images)
     focal = _focal(where, fields, width, height)
     centre = tuple(side / 2 if fields.get(key) is None else _number(where, fields, key, -1e9, 1e9)
@@ -139,8 +146,8 @@ def _size(where: str, fields: dict[str, Any], images: "_Images") -> tuple[float,
         return *size, ""
     if fields.get("fl_x") is None and fields.get("fl_y") is None:
         return 1.0, 1.0, "its image is taken as square: the file does not say w and h, and there is no image"
-    raise InputError(f"{where}.w: expected w and h, the size of the image, beside fl_x: neither the file says it nor is "
-                     "there the image of file_path")
+    raise InputError(f"{where}.w: expected w and h, the size of the image, beside fl_x: neither does the file say it, "
+                     "nor is there the image of file_path")
 
 
 def _focal(where: str, fields: dict[str, Any], width: float, height: float) -> tuple[float, float]:
@@ -221,8 +228,8 @@ def _rotation(what: str, matrix: np.ndarray) -> np.ndarray:
     """The rotation that is nearest to a matrix that nearly is one; raises InputError."""
     error = np.abs(matrix @ matrix.T - np.eye(3)).max()
     if not error <= _ORTHONORMAL or np.linalg.det(matrix) < 0:
-        raise InputError(f"{what}: expected a rotation (orthonormal, determinant +1), got {shown(matrix.tolist())}; scale, "
-                         "shear and mirroring are not allowed")
+        raise InputError(f"{what}: expected a rotation (orthonormal, determinant +1), got {shown(matrix.tolist())}; "
+                         "scale, shear and mirroring are not allowed")
     left, _, right = np.linalg.svd(matrix)
     return left @ right
 

@@ -59,8 +59,8 @@ def _doubts(rgb: np.ndarray, picture: Picture) -> list[str]:
     """Notes on a picture without a profile."""
     cicp = tuple(picture.colour.get("CICP", ()))[:2]
     if any(value not in usual for value, usual in zip(cicp, _SRGB_CICP)):
-        return [f"says that its colours are of another kind (CICP {cicp[0]}/{cicp[1]}, of wide gamut or HDR), and they are "
-                "taken as sRGB; export it as sRGB"]
+        return [f"says that its colours are of another kind (CICP {cicp[0]}/{cicp[1]}, of wide gamut or HDR), and they "
+                "are taken as sRGB; export it as sRGB"]
     if picture.colour.get("Exif:ColorSpace") == _UNCALIBRATED:
         return ["says that its colours are not sRGB, perhaps Adobe RGB, and holds no profile; they are taken as sRGB; "
                 "export it with its profile, or as sRGB"]

@@ -64,16 +64,16 @@ def read_depth(path: str | Path, kind: DepthKind = "distance", *, scale: float |
 
 def depth_map(path: str | Path, numbers: DepthNumbers, kind: str | None = None, *, scale: float | None = None,
               limits: tuple[float, float] | None = None, invalid: str = "far",
-              turn: Callable[[DepthNumbers], np.ndarray] | None = None) -> DepthMap:
-    """read_depth, of what read_numbers found at `path`; kind None: what the file says, else distance. turn: gives the
-    numbers as upright as the photo is."""
+              turn: Callable[[DepthNumbers], tuple[np.ndarray, bool]] | None = None) -> DepthMap:
+    """read_depth, of what read_numbers found at `path`; kind None: what the file says, else distance. turn: gives
+    the numbers as upright as the photo is, and whether it turned them."""
     kind = kind or numbers.kind or "distance"
     for name, given, choices in (("depth kind", kind, DEPTH_KINDS), ("invalid depths", invalid, DEPTH_INVALID)):
         if given not in choices:
             raise InputError(f"{name}: expected {' or '.join(choices)}, got {given!r}")
     if scale is not None and limits is not None:
         raise InputError("a depth map has a scale, or near and far limits, not both; leave out one of them")
-    values = numbers.values if turn is None else turn(numbers)
+    values, turned = (numbers.values, False) if turn is None else turn(numbers)
     if limits is not None:
         z = _between(path, values, kind, *limits)
         if kind == "disparity" and invalid == "hole":
@@ -88,7 +88,8 @@ def depth_map(path: str | Path, numbers: DepthNumbers, kind: str | None = None, 
     measured = np.isfinite(z)
     if not measured.any():
         raise InputError(f"{path}: expected distances or disparities > 0, there is none")
-    said = f"{kind} {'as z' if kind == 'distance' else 'turned into z'} {z[measured].min():.4g}..{z[measured].max():.4g}"
+    said = f"{kind} {'as' if kind == 'distance' else 'turned into'} z {z[measured].min():.4g}..{z[measured].max():.4g}"
+    said += ", turned with the photo" if turned else ""
     if (far := np.isposinf(z)).any():
         beyond = min(_FAR_BEYOND * z[measured].max(), FARTHEST) if limits is None else limits[1]
         z[far] = beyond if invalid == "far" else np.nan
@@ -144,7 +145,9 @@ def channels_apart(pixels: np.ndarray, one: int, other: int) -> float:
     if not np.array_equal(both[..., 0][~finite.all(2)], both[..., 1][~finite.all(2)], equal_nan=True):
         return np.inf
     values = both[finite.all(2)]
-    return float(np.abs(values[:, 0] - values[:, 1]).max(initial=0)) / (float(np.ptp(values)) or 1.0) if len(values) else 0
+    if not len(values):
+        return 0.0
+    return float(np.abs(values[:, 0] - values[:, 1]).max()) / (float(np.ptp(values)) or 1.0)
 
 
 def _from_npz(path: str | Path) -> DepthNumbers:

@@ -162,8 +162,8 @@ def read_picture(path: str | Path, turn: bool = True) -> Picture:
         if pixels is None or source.has_error:
             raise InputError(f"{path} is damaged or cut: {_first_line(source.geterror)}")
         orientation = spec.get_int_attribute("Orientation", 1)
-        colour = {name: spec.getattribute(name) for name in _COLOUR_ATTRIBUTES}
-        colour = {"format": source.format_name(), **{name: value for name, value in colour.items() if value is not None}}
+        said = {name: spec.getattribute(name) for name in _COLOUR_ATTRIBUTES}
+        colour = {"format": source.format_name(), **{name: value for name, value in said.items() if value is not None}}
         if colour["format"] == "png":
             colour |= png_colour(path)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)

@@ -22,7 +22,7 @@ _MIN_OBJECT_SHARE = 0.001  # of the pixels
 _OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
 _COVERS_ALL = 0.95  # share of the pixels: alpha that leaves less out has rounded corners or a frame, and no object
 # Shares of what an object encloses: what is more is likely to be the object itself, or may be
-_MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.1, 0.6, 0.3
+_MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.12, 0.6, 0.3
 _FEW_LEVELS = 16  # of 255: a mask that is never brighter numbers things
 _STRIP_PIXELS = 1 << 19
 _OTHER_CUT_OUTS = ("give RGBA, a cut-out with --mask FILE, or --remove-background (pip install "
@@ -72,6 +72,8 @@ def photo_of(path: str | Path, picture: Picture, mask: str | Path | None = None,
     rgb, alpha = _colour_and_alpha(picture.pixels)
     colours = in_srgb(rgb, picture)
     photo = Photo(colours.pixels, picture.orientation, notes=[f"{path} {words}" for words in colours.notes])
+    if picture.orientation in range(2, 9):
+        photo.said.append(f"turned by its Exif orientation {picture.orientation}")
     if mask is not None:
         alpha = _read_mask(mask, photo, map_orientation)
         empty = f"{mask}: nothing is cut out, the mask is (nearly) empty; give another"
@@ -131,8 +133,8 @@ def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -
         raise InputError(f"{path}: the object is hardly different from its plain background: "
                          f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone; {_OTHER_CUT_OUTS}")
     if cut.holes > _MANY_HOLES:
-        photo.notes.append(f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is taken "
-                           f"for holes; where it is not, {_OTHER_CUT_OUTS}")
+        photo.notes.append(f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is "
+                           f"taken for holes; where it is not, {_OTHER_CUT_OUTS}")
     said = "cut out by its plain background"
     return cut.alpha, said if covered is None else f"{said} (its alpha covers {covered.mean():.1%})"
 
@@ -177,7 +179,9 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
     """Alpha [H, W] float32 in 0..1 of a mask, upright as the photo is."""
     picture = read_picture(path)
     size = photo.pixels.shape[:2]
-    pixels = turned_with_photo(str(path), picture.pixels, picture.orientation, size, photo.orientation, map_orientation)
+    pixels, turned = turned_with_photo(str(path), picture.pixels, picture.orientation, size, photo.orientation,
+                                       map_orientation)
+    photo.said += [f"{Path(path).name} turned with it"] if turned else []
     if pixels.shape[:2] != size:
         raise InputError(f"{path}: expected a mask of the photo's size {size[1]} x {size[0]}, "
                          f"got {pixels.shape[1]} x {pixels.shape[0]}")
@@ -188,8 +192,8 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
     if pixels.dtype != np.float32:
         levels = round(float(mask.max()) * _most(pixels))
         if 1 < levels < _FEW_LEVELS:
-            raise InputError(f"{path}: expected a mask of 0 and {_most(pixels):g}, or of 0 and 1; its brightest pixel has "
-                             f"{levels}, as where things are numbered; make the object white and the rest black")
+            raise InputError(f"{path}: expected a mask of 0 and {_most(pixels):g}, or of 0 and 1; its brightest pixel "
+                             f"has {levels}, as where things are numbered; make the object white and the rest black")
         if levels == 1:
             mask = mask * np.float32(_most(pixels))
             photo.said.append("a mask of 0 and 1")

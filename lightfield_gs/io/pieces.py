@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_DUST_SHARE = 1e-4  # of the largest piece's mass: smaller ones go, wherever they are
-_BEAD_SHARE, _NEAR_SIZES = 0.001, 2  # from this mass on a piece no farther from the object than twice its length is of it
-_PIECE_SHARE = 0.01  # and from this one wherever it is
+_DUST_SHARE = 1e-4  # of the largest piece's mass: what is smaller never belongs to the object
+_BEAD_SHARE, _NEAR_SIZES = 0.001, 2  # from this mass on it does, no farther off than twice its size, the mass's root,
+_MOST_BEADS = 64  # unless there are so many: that is noise
+_PIECE_SHARE = 0.03  # and from this one on wherever it is
 
 
 @dataclass(frozen=True)
@@ -76,29 +77,35 @@ def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, in
     """The mask [H, W] of what belongs to the object of alpha [H, W], bool, and not to specks beside it; how many pieces
     it has, and how many specks there are.
 
-    Pieces are of pixels of at least `opaque`; the mass of one is the sum of its alpha. Those of 1 % of the largest stay
-    wherever they are, those of 0.1 % where they lie near to the box of the rest for their length, as beads do and dust
-    does not, smaller ones within it. Those below 0.01 % go in any case.
+    Pieces are of pixels of at least `opaque`; the mass of one is the sum of its alpha. Those of 3 % of the largest stay
+    wherever they are, those of 0.1 % where they lie near to another for their size, as beads do and dust does not,
+    smaller ones within the box of all these. Those below 0.01 % go in any case.
     """
     pieces = Pieces.of(alpha >= opaque, diagonal=True)
     masses = pieces.masses(alpha)
     share = masses / masses.max(initial=1e-300)
-    kept = share >= _PIECE_SHARE
-    boxes = pieces.boxes()
-    reaches = np.where(share >= _BEAD_SHARE, _NEAR_SIZES * (boxes[:, 2:] - boxes[:, :2]).max(1), 0)
-    maybe = np.flatnonzero(~kept & (share >= _DUST_SHARE))
-    near = np.ones(0, bool)
-    while len(maybe):
-        top, left = boxes[kept, :2].min(0)
-        bottom, right = boxes[kept, 2:].max(0)
-        outside = np.stack([top - boxes[maybe, 2], left - boxes[maybe, 3], boxes[maybe, 0] - bottom,
-                            boxes[maybe, 1] - right], 1).max(1)
-        near = outside <= reaches[maybe]
-        if not near.any():
-            break
-        kept[maybe[near]] = True
-        maybe = maybe[~near]
+    boxes, kept = pieces.boxes(), share >= _PIECE_SHARE
+    beads = np.flatnonzero(~kept & (share >= _BEAD_SHARE))
+    if len(beads) <= _MOST_BEADS:
+        kept[_near(beads, boxes, np.flatnonzero(kept), _NEAR_SIZES * np.sqrt(masses))] = True
+    if kept.any():
+        (top, left), (bottom, right) = boxes[kept, :2].min(0), boxes[kept, 2:].max(0)
+        inside = (boxes[:, :2] >= (top, left)).all(1) & (boxes[:, 2:] <= (bottom, right)).all(1)
+        kept |= inside & (share >= _DUST_SHARE)
     return pieces.mask(kept), int(kept.sum()), int((~kept).sum())
+
+
+def _near(candidates: np.ndarray, boxes: np.ndarray, others: np.ndarray, reaches: np.ndarray) -> np.ndarray:
+    """Those of the pieces `candidates` whose box is no farther from that of one of the `others`, or of a piece found so,
+    than its reach."""
+    found = []
+    while len(others) and len(candidates):
+        one, other = boxes[candidates][:, None], boxes[others][None]
+        gaps = np.maximum(other[..., :2] - one[..., 2:], one[..., :2] - other[..., 2:]).max(2).min(1)
+        near = gaps <= reaches[candidates]
+        found += [others := candidates[near]]
+        candidates = candidates[~near]
+    return np.concatenate(found) if found else candidates[:0]
 
 
 def _runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lightfield_gs.io.pieces import Pieces
+from lightfield_gs.io.pieces import Pieces, object_pieces
 from lightfield_gs.io.strips import strips
 
 _BORDER_SHARE = 0.02  # of the shorter side, at least one pixel: what has to be plain
@@ -16,17 +16,21 @@ _NEAR, _FAR = 0.06, 0.14  # colour distances between which the mask rises from 0
 _SAME = 0.02  # colour distance below which an enclosed patch is the background, seen through a hole ...
 _PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits in it: smaller ones are highlights
 _WINDOWS_PX = (1, 3, 5, 7, 9)  # means over such squares make noise smaller, where it is too strong
+_LEAST_SLOPE = 0.02  # of a background's colour, from the middle to an edge
+_USUAL_SHARE = 0.98  # of the border: has nothing but noise
 _NOISE_REACH = 3.4  # deviations of noise in a channel: a colour is farther off by chance once in a hundred times
-_LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from the background, where it has no noise, is part of it
+_LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from a background without noise is part of it
 _BAND_LINES = 16
+_EDGE_PX, _CLEARLY, _SHARP_SHARE = 3, 2.0, 0.5  # how far inside an edge, how many times what differs, on how much of it
+_BLOCK_PX = 16  # as far from a strong edge JPEG makes colours up
 _SHARE_SAMPLES = 1500  # of the longer side
 _STRIP_PIXELS = 1 << 19  # at a time in floating point: eight bytes times all pixels would be more than a photo itself
 
 
 @dataclass(frozen=True)
 class PlainCut:
-    """alpha: float32 [H, W] in 0..1, 1 on the object. Shares 0..1 of what lies between its pixels along rows or columns:
-    faded, what went with the background though its colour is another; holes, where that shows through."""
+    """alpha: float32 [H, W] in 0..1, 1 on the object. Shares 0..1 of it and what lies between its parts: faded, what
+    went with the background though its colour is another, as a pale body does; holes, where that shows through."""
 
     alpha: np.ndarray
     faded: float
@@ -49,21 +53,23 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
     height, width = rgb.shape[:2]
     if min(height, width) < 8:
         return None
-    bands = _border(rgb, max(1, round(_BORDER_SHARE * min(height, width))))
+    thick = max(1, round(_BORDER_SHARE * min(height, width)))
+    bands = _border(rgb, thick)
     noise = _noise(bands)
     window = _window_px(noise)
     border = np.concatenate([_means(band, window).reshape(-1, 3) for band in bands])
     near = np.linalg.norm(border - np.median(border, 0), axis=1) < _NEAR + _PLAIN_STD
     if near.mean() < _PLAIN_SHARE or border[near].std(0).max() > _PLAIN_STD:
         return None
-    colour = border[near].mean(0)
-    distance = _distances(rgb, colour, window)
+    places = _places(height, width, thick)
+    ground = _ground(border[near], places[near])
+    distance = _distances(rgb, ground, window)
     outside, holes = _background(distance)
     if window > 1:
-        raw = _distances(rgb, colour, 1)
+        raw = _distances(rgb, ground, 1)
         raw -= max(0.0, _NOISE_REACH * noise - _NEAR)
         outside, distance = _sharpened(outside, distance, raw, window // 2)
-    plain = np.quantile(np.linalg.norm(border[near] - colour, axis=1), 0.995)
+    plain = np.quantile(np.linalg.norm(border[near] - places[near] @ ground, axis=1), 0.995)
     shares = _shares_lost(outside, holes, distance, max(_LEAST_DIFFERENCE, 1.2 * float(plain)))
     distance -= _NEAR
     distance /= _FAR - _NEAR
@@ -80,6 +86,22 @@ def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
     return [_floats(band[::each]) for band in bands]
 
 
+def _places(height: int, width: int, thick: int) -> np.ndarray:
+    """1, and where each pixel of _border is, -1..1 from edge to edge downwards and across: [N, 3] float32."""
+    down, across = (np.linspace(-1, 1, size, dtype=np.float32) for size in (height, width))
+    grids = (np.broadcast_to(values, (height, width))[..., None] for values in (np.float32(1), down[:, None], across))
+    return np.stack([np.concatenate([band.ravel() for band in _border(grid, thick)]) for grid in grids], 1)
+
+
+def _ground(colours: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The background's colour: what _places [N, 3] are to be multiplied by, [3, 3] float32, for the colours [N, 3]. It
+    has a slope where that is clearly seen, as on a wall that is lit from the side."""
+    level = np.zeros((3, 3), np.float32)
+    level[0] = colours.mean(0)
+    sloping = np.linalg.lstsq(places.astype(np.float64), colours.astype(np.float64), rcond=None)[0].astype(np.float32)
+    return sloping if np.abs(sloping[1:]).max() > _LEAST_SLOPE else level
+
+
 def _floats(rgb: np.ndarray) -> np.ndarray:
     return rgb.astype(np.float32) * np.float32(1 / 255) if rgb.dtype == np.uint8 else rgb.astype(np.float32)
 
@@ -87,8 +109,9 @@ def _floats(rgb: np.ndarray) -> np.ndarray:
 def _noise(bands: list[np.ndarray]) -> float:
     """The standard deviation of noise, per channel, from pixels two apart (JPEG shares colours among neighbours): that
     of a slow gradient is not in it."""
-    differences = np.concatenate([(band[:, 2:] - band[:, :-2]).reshape(-1, 3) for band in bands])
-    return float(np.sqrt(np.mean((np.median(np.abs(differences), 0) / (0.6745 * np.sqrt(2))) ** 2)))
+    squares = np.concatenate([(band[:, 2:] - band[:, :-2]).reshape(-1, 3) for band in bands]) ** 2 / 2
+    usual = np.sort(squares, 0)[:max(1, round(_USUAL_SHARE * len(squares)))]  # not what specks and objects do there
+    return float(np.sqrt(usual.mean()))
 
 
 def _window_px(noise: float) -> int:
@@ -109,17 +132,20 @@ def _means(values: np.ndarray, window: int) -> np.ndarray:
     return values
 
 
-def _distances(rgb: np.ndarray, colour: np.ndarray, window: int) -> np.ndarray:
-    """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from `colour`."""
+def _distances(rgb: np.ndarray, ground: np.ndarray, window: int) -> np.ndarray:
+    """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from that of _ground."""
     (height, width), reach = rgb.shape[:2], window // 2
     distances = np.empty((height, width), np.float32)
-    tables = (_floats(np.arange(256, dtype=np.uint8))[:, None] - colour).T ** 2
+    tables = (_floats(np.arange(256, dtype=np.uint8))[:, None] - ground[0]).T ** 2
+    down, across = (np.linspace(-1, 1, size, dtype=np.float32)[:, None] for size in (height, width))
     for top, bottom in strips(height, width, _STRIP_PIXELS):
-        if window == 1 and rgb.dtype == np.uint8:
+        if window == 1 and rgb.dtype == np.uint8 and not ground[1:].any():
             squares = (tables[channel][rgb[top:bottom, :, channel]] for channel in range(3))
         else:
             first = max(0, top - reach)
-            block = _means(_floats(rgb[first:bottom + reach]) - colour, window)[top - first:][:bottom - top]
+            block = _floats(rgb[first:bottom + reach]) - (ground[0] + across * ground[2])
+            block -= (down[first:bottom + reach] * ground[1])[:, None]
+            block = _means(block, window)[top - first:][:bottom - top]
             squares = (block[..., channel] ** 2 for channel in range(3))
         np.sqrt(sum(squares), out=distances[top:bottom])
     return distances
@@ -152,33 +178,59 @@ def full_squares(flags: np.ndarray, side: int) -> np.ndarray:
 def _sharpened(outside: np.ndarray, distance: np.ndarray, raw: np.ndarray,
                reach: int) -> tuple[np.ndarray, np.ndarray]:
     """outside and distance without the fringe round the object, where means took in some of its colour."""
-    grown = outside
+    fringe = _grown(outside, reach)
+    fringe &= raw < _FAR
+    fringe |= outside
+    return fringe, np.minimum(distance, raw, out=distance)
+
+
+def _grown(flags: np.ndarray, reach: int) -> np.ndarray:
+    """The pixels [H, W] that are set within a square of so many pixels to each side."""
+    grown = flags
     for axis in (0, 1):
         before, grown = grown, grown.copy()
         for step in range(1, reach + 1):
             for one, other in ((np.s_[step:], np.s_[:-step]), (np.s_[:-step], np.s_[step:])):
                 target, source = (one, other) if axis == 0 else ((slice(None), one), (slice(None), other))
                 grown[target] |= before[source]
-    grown &= raw < _FAR
-    grown |= outside
-    return grown, np.minimum(distance, raw, out=distance)
+    return grown
 
 
 def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
     """PlainCut's faded and holes; differs: the colour distance from which on a pixel is not of the background's colour.
 
-    Of a white body before white all but its outline goes: its shades as faded, the rest through holes.
+    Of a white body before white all but its outline goes, or all: its shades are faded, the rest is taken for holes.
     """
     step = max(1, round(max(distance.shape) / _SHARE_SAMPLES))  # of a large picture a part will do
     outside, holes, distance = (values[::step, ::step] for values in (outside, holes, distance))
     opaque = distance > (_NEAR + _FAR) / 2
     opaque |= ~outside
-    lost = _between(opaque, 0) | _between(opaque, 1)
-    lost &= ~opaque
-    kept = max(1, np.count_nonzero(opaque))
-    faded = np.count_nonzero(lost & (distance > differs))
-    seen_through = np.count_nonzero(lost & holes & (distance <= differs))
-    return tuple(count / (kept + faded + seen_through) for count in (faded, seen_through))
+    other = distance > differs
+    object_ = object_pieces(opaque.astype(np.float32), 1)[0]
+    other &= object_ | ~opaque  # no specks
+    opaque = object_
+    between = _between(opaque, 0) | _between(opaque, 1)
+    between &= ~opaque
+    bodies = _with_sharp_edges(other & ~opaque, other, distance, differs)
+    bodies &= ~_grown(opaque, round(_BLOCK_PX / step))
+    faded = other & ~opaque & (between | bodies)
+    seen_through = between & holes & ~other
+    kept, *lost = (np.count_nonzero(pixels) for pixels in (opaque, faded, seen_through))
+    return tuple(count / max(1, kept + sum(lost)) for count in lost)
+
+
+def _with_sharp_edges(pale: np.ndarray, other: np.ndarray, distance: np.ndarray, differs: float) -> np.ndarray:
+    """The pieces of `pale` [H, W], which hardly differ from the background, that end at it as a body does and not as a
+    soft shadow: a few pixels inside `other`, what is not of the background's colour, they differ from it clearly."""
+    depth, inner = np.zeros(other.shape, np.int8), other
+    for _ in range(_EDGE_PX + 1):
+        depth += inner
+        padded = np.pad(inner, 1)
+        inner = inner & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    ring = pale & (depth == _EDGE_PX)
+    pieces = Pieces.of(pale, diagonal=True)
+    sharp = pieces.masses((ring & (distance > _CLEARLY * differs)).astype(np.float32))
+    return pieces.mask(sharp > _SHARP_SHARE * np.maximum(1, pieces.masses(ring.astype(np.float32))))
 
 
 def _between(flags: np.ndarray, axis: int) -> np.ndarray:

@@ -8,8 +8,8 @@ from typing import Any
 
 
 def png_colour(path: Path) -> dict[str, Any]:
-    """By OpenImageIO's names: "ICCProfile", also where it is broken, and "chromaticities", x and y of red, green, blue and
-    white. Empty where the file is damaged."""
+    """By OpenImageIO's names: "ICCProfile", also where it is broken, and "chromaticities", x and y of red, green, blue
+    and white. Empty where the file is damaged."""
     from PIL import Image
 
     try:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.camera_files import is_camera_file
 from lightfield_gs.io.json_file import read_json
 from lightfield_gs.io.npy import open_array
 from lightfield_gs.io.yaml_file import check_keys
@@ -28,9 +29,9 @@ def read_cameras(path: str | Path, panel: Panel) -> "Cameras":
     from lightfield_gs.cameras import Cameras
 
     data = read_json(path, _LIMIT_BYTES)
-    if isinstance(data, list) or isinstance(data, dict) and "frames" in data:
-        raise InputError(f"{path}: holds the cameras of photographs (cameras.json or transforms.json), not one for each "
-                         "view of the panel; give it as --camera FILE[:INDEX] for the centre camera")
+    if is_camera_file(data):
+        raise InputError(f"{path}: holds the cameras of photographs (cameras.json or transforms.json), not one for "
+                         "each view of the panel; give it as --camera FILE[:INDEX] for the centre camera")
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object with {', '.join(_FIELDS)}, got {type(data).__name__}")
     check_keys(data, _FIELDS, (), str(path))

@@ -86,7 +86,7 @@ def crop_resize(image: Tensor, square: Square, size_px: int) -> Tensor:
 
 
 def crop_resize_premultiplied(image: Tensor, square: Square, size_px: int) -> Tensor:
-    """crop_resize of image [H,W,4], uint8 or float32 in 0..1, with straight alpha, multiplied here: [4,size_px,size_px].
+    """crop_resize of image [H,W,4], uint8 or float32 in 0..1, whose alpha is straight: [4,size_px,size_px], multiplied.
 
     A strip of rows at a time, across and then down, as the filter goes anyway: a photo of 50 megapixels in floating
     point, and again multiplied, would take 1.6 GB.

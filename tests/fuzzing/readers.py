@@ -14,10 +14,13 @@ from typing import Any
 from PIL import features
 
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
+from lightfield_gs.axes import stated_up
 from lightfield_gs.errors import InputError
+from lightfield_gs.io.camera_files import read_camera_file
 from lightfield_gs.io.depth import read_depth
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.own_camera import photo_camera, stored_framing
 from lightfield_gs.io.scene_file import read_scene
 from lightfield_gs.io.view_files import read_cameras, read_view_map
 from lightfield_gs.models.config import ModelConfig
@@ -36,6 +39,12 @@ def _read_transforms(path: Path) -> Any:
     if not image.exists():
         shutil.copyfile(CORPUS / "image" / "rgba.png", image)
     return read_transforms(path)
+
+
+def _read_own_camera(path: Path) -> Any:
+    """What a scene's file says of its axes and cameras."""
+    scene = read_scene(path)
+    return stated_up(scene.comments), stored_framing(scene.comments, SMALL_PANEL), photo_camera(scene.elements)
 
 
 @dataclass(frozen=True)
@@ -70,6 +79,8 @@ READERS = {
     "depth-npy": Reader(".npy", lambda path: read_depth(path, scale=0.001), "depth-npy"),
     "view-map": Reader(".npy", lambda path: read_view_map(path, SMALL_PANEL, 3), "view-map"),
     "cameras": Reader(".json", lambda path: read_cameras(path, SMALL_PANEL), "cameras"),
+    "camera-file": Reader(".json", read_camera_file, "camera-file"),
+    "own-camera": Reader(".ply", _read_own_camera, "own-camera"),
     "looking-glass": Reader(".json", _read_display, "looking-glass"),
     "panel": Reader(".yaml", Panel.from_yaml, "panel"),
     "rig": Reader(".yaml", Rig.from_yaml, "rig"),

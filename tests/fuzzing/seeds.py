@@ -17,6 +17,8 @@ from PIL import Image
 
 from lightfield_gs import Gaussians, Panel, Rig, SplatterNet
 from lightfield_gs.io.images import write_image
+from lightfield_gs.io.own_camera import framing_comment
+from lightfield_gs.io.ply import write_ply
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
 
@@ -67,6 +69,26 @@ def _looking_at_the_origin(azimuth_rad: float) -> list[list[float]]:
     return [[cosine, 0, sine, 1.3 * sine], [0, 1, 0, 0], [-sine, 0, cosine, 1.3 * cosine], [0, 0, 0, 1]]
 
 
+def _camera_files(folder: Path) -> None:
+    entry = {"id": 0, "img_name": "a", "width": 40, "height": 30, "position": [0, 0.5, -3], "fx": 44.0, "fy": 45.0,
+             "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    (folder / "cameras.json").write_text(json.dumps([entry, {**entry, "id": 1, "cx": 21.0}]))
+    frames = [{"file_path": "view", "transform_matrix": _looking_at_the_origin(angle)} for angle in (-0.3, 0.2)]
+    (folder / "transforms.json").write_text(json.dumps({"w": 40, "h": 30, "fl_x": 44.0, "k1": 0.1, "frames": frames}))
+    (folder / "angle.json").write_text(json.dumps({"camera_angle_x": 0.9, "frames": frames}))
+
+
+def _own_cameras(folder: Path) -> None:
+    rig = Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0, 30.0)
+    write_ply(folder / "framed.ply", _gaussians(0), ["Vertical Axis: -z", framing_comment(rig, SMALL_PANEL)])
+    write_ply(folder / "photo.ply", _gaussians(0))
+    elements = {"extrinsic": np.eye(4), "intrinsic": np.array([[9.0, 0, 2], [0, 9, 1], [0, 0, 1]]),
+                "image_size": np.array([4.0, 2])}
+    header = "".join(f"element {name} {values.size}\nproperty float {name}\n" for name, values in elements.items())
+    data = (folder / "photo.ply").read_bytes().replace(b"end_header\n", header.encode() + b"end_header\n", 1)
+    (folder / "photo.ply").write_bytes(data + b"".join(values.astype("<f4").tobytes() for values in elements.values()))
+
+
 def _calibrations(folder: Path, calibration: dict[str, Any]) -> None:
     """A calibration as it is, in another encoding, and among displays, as a mapping and as JSON in a string."""
     (folder / "visual.json").write_text(json.dumps(calibration))
@@ -94,6 +116,8 @@ def main() -> None:
     cameras = Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0).cameras(SMALL_PANEL)
     fields = ("world_to_camera", "focal_px", "principal_point_px")
     (folders["cameras"] / "three.json").write_text(json.dumps({n: getattr(cameras, n).tolist() for n in fields}))
+    _camera_files(folders["camera-file"])
+    _own_cameras(folders["own-camera"])
     calibration = {"pitch": {"value": 42.0}, "slope": {"value": -6.0}, "center": {"value": 0.3}, "DPI": {"value": 136},
                    "screenW": {"value": 7680}, "screenH": {"value": 4320}, "viewCone": 40, "invView": 1, "flipSubp": 0}
     _calibrations(folders["looking-glass"], calibration)

@@ -35,6 +35,7 @@ from training.data.views import (ObjectViews, check_intrinsics, check_looking_at
                                  depths_of_object)
 
 OBJECT_DISTANCE = 1.3
+_NEAREST, _FARTHEST = 0.75, 1.33  # times that, of cameras that are not scaled: further off the network has no depths
 _LIMIT_BYTES = 64 << 20
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
@@ -154,3 +155,14 @@ def _at_object_distance(path: Path, poses: np.ndarray) -> np.ndarray:
     scaled = poses.copy()
     scaled[:, :3, 3] *= OBJECT_DISTANCE / distance
     return scaled
+
+
+def distance_doubt(camera_to_world: np.ndarray) -> str | None:
+    """What to do about cameras [V,4,4] that stand elsewhere than the network expects, as they may in SRN layout."""
+    if len(camera_to_world) < 2:
+        return None
+    distance = depths_of_object(camera_to_world).mean()
+    if _NEAREST < distance / OBJECT_DISTANCE < _FARTHEST:
+        return None
+    return (f"the cameras stand {distance:.2f} units from what they look at, the network expects it at "
+            f"{OBJECT_DISTANCE}: multiply the positions in the poses by {OBJECT_DISTANCE / distance:.3g}")

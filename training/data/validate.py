@@ -26,11 +26,10 @@ from training.data.images import Cutout, find_cutout, read_colours, read_view
 from training.data.lens import share_beyond, words
 from training.data.objects import find_objects, read_object
 from training.data.sheet import Sheet, check_sheet_path
-from training.data.transforms import OBJECT_DISTANCE
-from training.data.views import ObjectViews, depths_of_object
+from training.data.transforms import distance_doubt
+from training.data.views import ObjectViews
 
 _FADED = 0.02  # share of an object: more is no noise of its outline
-_NEAREST, _FARTHEST = 0.75, 1.33  # of the distance that the network expects
 
 
 @dataclass
@@ -75,11 +74,8 @@ class Examined:
         if faded:
             yield (f"up to {max(faded):.0%} of the object is lost to the background, which is of nearly its colour, in "
                    f"{self._count(len(faded))}: give alpha or masks, or renders in a lossless format")
-        if self.views is not None and len(self.views.camera_to_world) > 1:
-            distance = depths_of_object(self.views.camera_to_world).mean()
-            if not _NEAREST < distance / OBJECT_DISTANCE < _FARTHEST:
-                yield (f"the cameras stand {distance:.2f} units from what they look at, the network expects it at "
-                       f"{OBJECT_DISTANCE}: multiply the positions in the poses by {OBJECT_DISTANCE / distance:.3g}")
+        if self.views is not None and (doubt := distance_doubt(self.views.camera_to_world)):
+            yield doubt
 
 
 def _orientation(path: Path) -> int:
