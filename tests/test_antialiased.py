@@ -185,6 +185,33 @@ def test_the_option_is_true_or_false():
         encode(scene, shown, rig(shown), antialiased=1)
 
 
+def test_a_3d_filter_is_part_of_its_gaussians(folder, capsys):
+    """As Mip-Splatting stores it: wider by the filter, fainter by as much."""
+    names = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
+             "rot_2", "rot_3", "filter_3D")
+    rows = np.zeros((2, len(names)), "<f4")
+    rows[:, 2], rows[:, 6], rows[:, 10] = 2, (0, 3), 1
+    rows[:, 7:10], rows[:, 14] = np.log([[0.03, 0.4, 0.01], [1, 2, 3]]), (0.04, 0)
+
+    def write(name: str) -> None:
+        header = "ply\nformat binary_little_endian 1.0\nelement vertex 2\n"
+        header += "".join(f"property float {column}\n" for column in names) + "end_header\n"
+        (folder / name).write_bytes(header.encode() + rows.tobytes())
+
+    write("mip.ply")
+    scene = Gaussians.load("mip.ply")
+    wide = [0.05, math.hypot(0.4, 0.04), math.hypot(0.01, 0.04)]
+    assert scene.scales.tolist() == [pytest.approx(wide), pytest.approx([1, 2, 3])]
+    opacity = 0.5 * 0.03 * 0.4 * 0.01 / math.prod(wide)
+    assert scene.opacities.tolist() == pytest.approx([opacity, 1 / (1 + math.exp(-3))])
+    assert cli.main("encode mip.ply -o o.png --panel p.yaml --antialiased".split()) == 0
+    assert "filter_3D of Mip-Splatting was applied" in capsys.readouterr().err
+    rows[1, 14] = np.nan
+    write("mip.ply")
+    with pytest.raises(InputError, match="filter_3D of Gaussian 1 is nan"):
+        Gaussians.load("mip.ply")
+
+
 def test_the_commands_take_the_option(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shown, scene = panel(width_px=96, height_px=54), fine_scene().to(torch.float32)

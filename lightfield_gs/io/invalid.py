@@ -12,7 +12,7 @@ from lightfield_gs.errors import InputError
 _REASONS = {
     "means": (("x", "y", "z"), "a centre that is not finite"),
     "quaternions": (("rot_0", "rot_1", "rot_2", "rot_3"), "a rotation that is not finite"),
-    "scales": (("scale_0", "scale_1", "scale_2"), "a scale that is no number or overflows"),
+    "scales": (("scale_0", "scale_1", "scale_2", "filter_3D"), "a scale that is no number or overflows"),
     "opacities": (("opacity",), "an opacity that is no number"),
     "sh": (("f_dc_", "red", "green", "blue", "f_rest_"), "a colour that is not finite"),
 }

@@ -16,7 +16,7 @@ import torch
 from lightfield_gs.checks import expect, is_row, shown
 from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
-from lightfield_gs.io import doubts
+from lightfield_gs.io import doubts, filter_3d
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.invalid import check_or_skip
 from lightfield_gs.io.ply_header import HEADER_LIMIT_BYTES, Element, Header
@@ -88,11 +88,15 @@ def gaussians_of(path: Path, records: np.ndarray, skip_invalid: bool = False) ->
     with np.errstate(over="ignore", under="ignore"):
         scales = np.exp(log_scales)
         opacities = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
+    has_filter = filter_3d.PROPERTY in (records.dtype.names or ())
+    if has_filter:
+        scales, opacities = filter_3d.filtered(scales, opacities, _columns(records, (filter_3d.PROPERTY,))[:, 0])
     means, origin = _centres(records, scales)
     sh, notes = _harmonics(records)
     fields = {"means": means, "quaternions": _columns(records, _SHAPE[4:]), "scales": scales, "opacities": opacities,
               "sh": sh}
     fields, skipped = check_or_skip(path, records, fields, skip_invalid)
+    notes += [filter_3d.NOTE] if has_filter else []
     notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]
     for name in ("scales", "opacities"):
         np.maximum(fields[name], _TINY, out=fields[name])

@@ -1,0 +1,20 @@
+"""The 3D filter of Mip-Splatting (Yu et al., 2024), which its trainer stores beside the Gaussians it belongs to."""
+
+from __future__ import annotations
+
+import numpy as np
+
+PROPERTY = "filter_3D"  # standard deviation of a Gaussian's filter, scene units
+NOTE = (f"the property {PROPERTY} of Mip-Splatting was applied to scales and opacities; its scenes are trained with "
+        "anti-aliasing: --antialiased (Python: antialiased=True) draws them as they were")
+
+
+def filtered(scales: np.ndarray, opacities: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What scales [N, 3] and opacities [N] become, float32: Gaussians are as much fainter as they are larger.
+
+    widths: of the filters, [N].
+    """
+    with np.errstate(over="ignore"):
+        wide = np.hypot(scales, widths[:, None].astype(np.float32))
+    share = np.divide(scales, wide, out=np.ones(wide.shape), where=wide > 0).prod(1)
+    return wide, (opacities * share).astype(np.float32)
