@@ -11,6 +11,7 @@ from plain_photos import COLUMNS, HEIGHT, ROWS, THING, WIDTH, photo, picture, ro
 
 from lightfield_gs.errors import InputError
 from lightfield_gs.io import photo as photos
+from lightfield_gs.io.images import write_image
 from lightfield_gs.io.photo import load_photo
 from lightfield_gs.io.pieces import Pieces
 from lightfield_gs.models.crop import Square, object_square
@@ -185,12 +186,15 @@ def test_strips_change_nothing(tmp_path, monkeypatch):
         assert torch.equal(crop.crop_resize_premultiplied(image, square, 32), expected)
 
 
-def test_large_photos_are_cut_out_by_blocks(tmp_path, monkeypatch):
-    from lightfield_gs.io import plain
+def test_large_photos_are_cut_out_by_blocks_in_bytes(tmp_path, monkeypatch):
+    from lightfield_gs.io import colour, plain
 
     path = save(tmp_path / "a.png", picture()[:-1, :-1])
     whole = photo(path)
-    monkeypatch.setattr(plain, "_MOST_PIXELS", HEIGHT * WIDTH // 4)
+    for module in (plain, colour):
+        monkeypatch.setattr(module, "_MOST_PIXELS", HEIGHT * WIDTH // 4)
+    write_image(tmp_path / "b.png", to_integers(picture()[:-1, :-1], 16))
+    assert "taken in 8 bits for its size" in photo(tmp_path / "b.png").said
     found = photo(path)
     assert np.abs(found.pixels[..., 3] / 255 - whole.pixels[..., 3] / 255).mean() < 0.004
     assert found.pixels.shape == whole.pixels.shape and np.array_equal(found.pixels[..., :3], whole.pixels[..., :3])

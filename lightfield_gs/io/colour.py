@@ -17,6 +17,7 @@ _SRGB_CICP = (1, 2), (1, 2, 6, 13)  # ITU-T H.273: primaries of BT.709; transfer
 _SRGB_PRIMARIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06)  # x and y of red, green and blue
 _UNCALIBRATED = 65535  # Exif's ColorSpace of what is not sRGB, in cameras' files Adobe RGB
 _STRIP_PIXELS = 1 << 20  # at a time: Pillow keeps four bytes a pixel, beside what comes in and goes out
+_MOST_PIXELS = 1 << 24  # in floating point
 _CLIPPED_SHARE = 0.001  # of the pixels, above 1: from here on it is said
 
 
@@ -48,7 +49,10 @@ def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
         primaries = picture.colour.get("chromaticities", _SRGB_PRIMARIES)
         if not np.allclose(primaries[:6], _SRGB_PRIMARIES, atol=0.005):
             colours.notes.append("has other primary colours than sRGB, which are taken for those; export it as sRGB")
-    if colours.pixels.dtype != np.uint8:
+    if colours.pixels.dtype != np.uint8 and colours.pixels[..., 0].size > _MOST_PIXELS:
+        colours.pixels = _bytes(colours.pixels)
+        colours.said += f"{colours.said and ', '}taken in 8 bits for its size"
+    elif colours.pixels.dtype != np.uint8:
         colours.pixels = np.clip(as_floats(colours.pixels), 0, 1)
     if colours.pixels.shape[2] == 1:
         colours.pixels = np.repeat(colours.pixels, 3, 2)
@@ -122,7 +126,12 @@ def _probe(mode: str) -> np.ndarray:
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:
-    return values if values.dtype == np.uint8 else np.rint(np.clip(as_floats(values), 0, 1) * 255).astype(np.uint8)
+    if values.dtype == np.uint8:
+        return values
+    rounded = np.empty(values.shape, np.uint8)
+    for top, bottom in strips(*values.shape[:2], _STRIP_PIXELS):
+        rounded[top:bottom] = np.rint(np.clip(as_floats(values[top:bottom]), 0, 1) * 255)
+    return rounded
 
 
 def _printable(text: str) -> str:
