@@ -25,7 +25,7 @@ _ENOUGH = 20_000  # Gaussians that show well enough how far all of them reach
 def extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tensor:
     """What `fit` needs to know, [7]: left, right (x/z), top, bottom (y/z), near and far of the content, weight of it.
 
-    The edges are robust (see `frame`); the weight is the opacity of what lies in front of the camera. None: the
+    The edges are robust (see framing.frame); the weight is the opacity of what lies in front of the camera. None: the
     Gaussians are in the camera's axes. Nothing here waits for a device.
     """
     points, sizes, weights = gaussians.means, sizes_of(gaussians), weights_of(gaussians)

@@ -183,3 +183,14 @@ def test_strips_change_nothing(tmp_path, monkeypatch):
         image = torch.from_numpy(whole)
         expected = crop.crop_resize(crop.premultiplied(image), square, 32)
         assert torch.equal(crop.crop_resize_premultiplied(image, square, 32), expected)
+
+
+def test_large_photos_are_cut_out_by_blocks(tmp_path, monkeypatch):
+    from lightfield_gs.io import plain
+
+    path = save(tmp_path / "a.png", picture()[:-1, :-1])
+    whole = photo(path)
+    monkeypatch.setattr(plain, "_MOST_PIXELS", HEIGHT * WIDTH // 4)
+    found = photo(path)
+    assert np.abs(found.pixels[..., 3] / 255 - whole.pixels[..., 3] / 255).mean() < 0.004
+    assert found.pixels.shape == whole.pixels.shape and np.array_equal(found.pixels[..., :3], whole.pixels[..., :3])

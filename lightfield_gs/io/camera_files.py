@@ -33,9 +33,9 @@ _SIZE_SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # what file_path may leave out
 class FileCamera:
     """One camera of a file.
 
-    name: of its image, or its number. world_to_camera: [4, 4] float64, OpenCV axes, scene units. focal_px, principal
-    point_px, width_px, height_px: pixels of its image, from the outer corner of the first; where the file and its
-    images do not say how large they are, the image is taken as square, one unit wide, and `assumed` says so.
+    name: of its image, or its number. world_to_camera: [4, 4] float64, OpenCV axes, scene units. focal_px,
+    principal_point_px, width_px, height_px: pixels of its image, from the outer corner of the first; where neither the
+    file nor an image says how large it is, it is taken as square, one unit wide, and `assumed` says so.
     distorted: whether the file tells of lens distortion, which these numbers leave out.
     """
 

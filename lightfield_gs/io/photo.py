@@ -20,7 +20,7 @@ from lightfield_gs.io.strips import strips
 __all__ = ["Photo", "load_photo", "photo_of", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
 _OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
-_COVERS_ALL = 0.95  # share of the pixels: alpha that leaves less out has rounded corners or a frame, and no object
+_COVERS_ALL = 0.93  # share of the pixels: alpha that leaves less out has rounded corners or a frame, and no object
 # Shares of what an object encloses: what is more is likely to be the object itself, or may be
 _MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.12, 0.6, 0.3
 _FEW_LEVELS = 16  # of 255: a mask that is never brighter numbers things

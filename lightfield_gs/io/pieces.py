@@ -96,7 +96,7 @@ def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, in
 
 
 def _near(candidates: np.ndarray, boxes: np.ndarray, others: np.ndarray, reaches: np.ndarray) -> np.ndarray:
-    """Those of the pieces `candidates` whose box is no farther from that of one of the `others`, or of a piece found so,
+    """Those of the pieces `candidates` whose box is no farther from that of one of the `others`, or of one found so,
     than its reach."""
     found = []
     while len(others) and len(candidates):

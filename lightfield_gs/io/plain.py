@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,10 +21,11 @@ _LEAST_SLOPE = 0.02  # of a background's colour, from the middle to an edge
 _USUAL_SHARE = 0.98  # of the border: has nothing but noise
 _NOISE_REACH = 3.4  # deviations of noise in a channel: a colour is farther off by chance once in a hundred times
 _LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from a background without noise is part of it
-_BAND_LINES = 16
+_BAND_LINES = 16  # of the border that are looked at, at most twice as many
 _EDGE_PX, _CLEARLY, _SHARP_SHARE = 3, 2.0, 0.5  # how far inside an edge, how many times what differs, on how much of it
 _BLOCK_PX = 16  # as far from a strong edge JPEG makes colours up
-_SHARE_SAMPLES = 1500  # of the longer side
+_SHARE_SAMPLES = 1500  # pixels of the longer side that are looked at to see what is lost
+_MOST_PIXELS = 1 << 24  # that are looked at one by one: a display shows no more
 _STRIP_PIXELS = 1 << 19  # at a time in floating point: eight bytes times all pixels would be more than a photo itself
 
 
@@ -48,11 +50,47 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
 
     The background is what is near the border's colour and connected to the border, or to a patch of just that colour
     that is large enough to be a hole of the object (a handle); smaller spots inside the object stay opaque. The edge is
-    soft, rising with the distance in colour. Where the border is noisy, colours are means over a few pixels.
+    soft, rising with the distance in colour. Where the border is noisy, colours are means over a few pixels. Photos of
+    more than 16 megapixels are cut out by the means of blocks, of 2 x 2 pixels and more.
     """
     height, width = rgb.shape[:2]
+    if height * width > _MOST_PIXELS:
+        factor = math.ceil(math.sqrt(height * width / _MOST_PIXELS))
+        cut = cut_from_plain_background(_block_means(rgb, factor))
+        return None if cut is None else replace(cut, alpha=_enlarged(cut.alpha, factor, height, width))
     if min(height, width) < 8:
         return None
+    ground = _ground_of(rgb)
+    if ground is None:
+        return None
+    distance = _distances(rgb, ground.colours, ground.window)
+    outside, holes = _background(distance)
+    if ground.window > 1:
+        raw = _distances(rgb, ground.colours, 1)
+        raw -= max(0.0, _NOISE_REACH * ground.noise - _NEAR)
+        outside, distance = _sharpened(outside, distance, raw, ground.window // 2)
+    shares = _shares_lost(outside, holes, distance, ground.differs)
+    distance -= _NEAR
+    distance /= _FAR - _NEAR
+    alpha = np.clip(distance, 0, 1, out=distance)
+    alpha[~outside] = 1
+    return PlainCut(alpha, *shares)
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """A plain background. colours: what 1 and the place of a pixel, -1..1 from edge to edge downwards and across, are
+    to be multiplied by, [3, 3] float32. noise: its deviation in a channel; window: over how many pixels a side means
+    make little of it. differs: the colour distance from which on a pixel, as such a mean, is of another colour."""
+
+    colours: np.ndarray
+    noise: float
+    window: int
+    differs: float
+
+
+def _ground_of(rgb: np.ndarray) -> _Ground | None:
+    height, width = rgb.shape[:2]
     thick = max(1, round(_BORDER_SHARE * min(height, width)))
     bands = _border(rgb, thick)
     noise = _noise(bands)
@@ -61,21 +99,35 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
     near = np.linalg.norm(border - np.median(border, 0), axis=1) < _NEAR + _PLAIN_STD
     if near.mean() < _PLAIN_SHARE or border[near].std(0).max() > _PLAIN_STD:
         return None
-    places = _places(height, width, thick)
-    ground = _ground(border[near], places[near])
-    distance = _distances(rgb, ground, window)
-    outside, holes = _background(distance)
-    if window > 1:
-        raw = _distances(rgb, ground, 1)
-        raw -= max(0.0, _NOISE_REACH * noise - _NEAR)
-        outside, distance = _sharpened(outside, distance, raw, window // 2)
-    plain = np.quantile(np.linalg.norm(border[near] - places[near] @ ground, axis=1), 0.995)
-    shares = _shares_lost(outside, holes, distance, max(_LEAST_DIFFERENCE, 1.2 * float(plain)))
-    distance -= _NEAR
-    distance /= _FAR - _NEAR
-    alpha = np.clip(distance, 0, 1, out=distance)
-    alpha[~outside] = 1
-    return PlainCut(alpha, *shares)
+    places = _places(height, width, thick)[near]
+    colours = _fitted(border[near], places)
+    usual = float(np.quantile(np.linalg.norm(border[near] - places @ colours, axis=1), 0.995))
+    return _Ground(colours, noise, window, max(_LEAST_DIFFERENCE, 1.2 * usual))
+
+
+def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
+    """rgb [H, W, 3] made smaller by a whole factor, of the same type; what is over at the far edges is left out."""
+    height, width = (size // factor for size in rgb.shape[:2])
+    means = np.empty((height, width, 3), rgb.dtype)
+    for top, bottom in strips(height, width, _STRIP_PIXELS):
+        block = rgb[top * factor:bottom * factor, :width * factor]
+        total = sum(block[down::factor, across::factor].astype(np.float32)
+                    for down in range(factor) for across in range(factor))
+        total *= np.float32(1 / factor**2)
+        means[top:bottom] = total if rgb.dtype == np.float32 else np.rint(total)
+    return means
+
+
+def _enlarged(alpha: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
+    """alpha of _block_means as that of the picture [height, width]."""
+    bottom, right = (size * factor for size in alpha.shape)
+    enlarged = np.empty((height, width), np.float32)
+    for down in range(factor):
+        for across in range(factor):
+            enlarged[down:bottom:factor, across:right:factor] = alpha
+    enlarged[bottom:] = enlarged[bottom - 1]
+    enlarged[:, right:] = enlarged[:, right - 1:right]
+    return enlarged
 
 
 def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
@@ -93,9 +145,9 @@ def _places(height: int, width: int, thick: int) -> np.ndarray:
     return np.stack([np.concatenate([band.ravel() for band in _border(grid, thick)]) for grid in grids], 1)
 
 
-def _ground(colours: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """The background's colour: what _places [N, 3] are to be multiplied by, [3, 3] float32, for the colours [N, 3]. It
-    has a slope where that is clearly seen, as on a wall that is lit from the side."""
+def _fitted(colours: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """_Ground's colours, of pixels [N, 3] at their places [N, 3]. They have a slope where that is clearly seen, as on a
+    wall that is lit from the side."""
     level = np.zeros((3, 3), np.float32)
     level[0] = colours.mean(0)
     sloping = np.linalg.lstsq(places.astype(np.float64), colours.astype(np.float64), rcond=None)[0].astype(np.float32)
@@ -133,7 +185,7 @@ def _means(values: np.ndarray, window: int) -> np.ndarray:
 
 
 def _distances(rgb: np.ndarray, ground: np.ndarray, window: int) -> np.ndarray:
-    """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from that of _ground."""
+    """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from _Ground's."""
     (height, width), reach = rgb.shape[:2], window // 2
     distances = np.empty((height, width), np.float32)
     tables = (_floats(np.arange(256, dtype=np.uint8))[:, None] - ground[0]).T ** 2
