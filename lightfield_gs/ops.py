@@ -256,7 +256,7 @@ def draw_lens(job: LensArguments, as_bytes: bool, quality: Quality, stats: Stats
 def frame_kind(job: LensArguments, quality: Quality, moving: bool = False) -> Any:
     """What frames of such arguments are known to need, on CUDA. moving: of one's own, for frames of changing rigs.
 
-    Anti-aliased ones are evaluated as they are written, whatever the quality."""
+    Anti-aliased ones know neither lattices nor half precision, whatever the quality."""
     from lightfield_gs.frame_cuda import kind_of, moving_kind
 
     if job.antialiased:

@@ -31,9 +31,9 @@ void bind_lens_frame(py::module_ m) {
         require(kernel >= -1 && kernel < int(cuda::LensKernel::kCount), "no such kernel: " + std::to_string(kernel));
         require(kernel != int(cuda::LensKernel::kOrdinal) || frame.has_ordinal,
                 "the ordinal kernel cannot draw this lens on this device");
-        require(!frame.rig.antialiased || kernel == int(cuda::LensKernel::kPixelQuadratic) ||
-                    kernel == int(cuda::LensKernel::kPixelQuadraticSmall) || kernel == -1,
-                "anti-aliased frames are drawn by pixel-quadratic or pixel-quadratic-small");
+        require(!frame.rig.antialiased || (kernel != int(cuda::LensKernel::kPixel) &&
+                                           kernel != int(cuda::LensKernel::kPixelSmall)),
+                "anti-aliased frames are drawn by pixel-quadratic, pixel-quadratic-small or ordinal");
         frame.forced = kernel;
       });
   m.def("frame_state", [](Address address) {  // of a copy in host memory

@@ -78,9 +78,25 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
 #endif
 }
 
+// The shares of opacity of every splat at every ordinal.
+__global__ void __launch_bounds__(kColourThreads) ordinal_shares_kernel(const __grid_constant__ LensFrame frame) {
+#if __CUDA_ARCH__ >= 800
+  if (frame.state->kernel != int(LensKernel::kOrdinal)) return;
+  const Ordinals& ordinals = frame.optics.ordinals;
+  const int columns = ordinals.columns();
+  const int64_t at = int64_t(blockIdx.x) * kColourThreads + threadIdx.x, id = at / columns;
+  if (id >= frame.splats.count || frame.splats.splats[id].reach_y < 0) return;
+  const float centre = ordinals.centre[min(int(at % columns), ordinals.count - 1)], unit = offset_unit(frame.optics);
+  const OrdinalShape shape(frame.splats.splats[id], centre, unit);
+  const ShareFit fit(OrdinalShare(frame.splats.compensations[id], shape, centre, unit), shape, ordinals);
+  reinterpret_cast<float2*>(frame.ordinal_shares)[at] =
+      make_float2(fit.level, __uint_as_float(halves(fit.slope, fit.bend)));
+#endif
+}
+
 #if __CUDA_ARCH__ >= 800
 // No branch: several reads are under way at a time.
-template <bool Harmonics>
+template <bool Harmonics, bool Antialiased>
 __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, Memory<Harmonics>& memory) {
   constexpr int kParts = Harmonics ? 3 : 4;
   const unsigned columns = frame.optics.ordinals.columns();
@@ -90,13 +106,13 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, in
     const int i = j / kParts, k = j % kParts;
     const uint32_t id = ids[i];
     float4 part = k < 3 ? splats[3 * int64_t(id) + k] : colours[id];
-    if (Harmonics && k == 2) part.w = __uint_as_float(id * columns + first);
+    if ((Harmonics || Antialiased) && k == 2) part.w = __uint_as_float(id * columns + first);
     if (!Harmonics && k == 3) part = by_place(frame.optics, part);
     *(k < 3 ? &memory.splat[k][i] : &memory.colour[Harmonics ? 0 : i]) = part;
   }
 }
 
-template <bool Harmonics, class Out>
+template <bool Harmonics, bool Antialiased, class Out>
 __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned tile, int row_bytes,
                           const float4& background, Out* out, Memory<Harmonics>& memory) {
   const LensOptics& lens = frame.optics;
@@ -111,7 +127,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
     shown = row < lens.height_px && ends.y > 0 && ends.x < width;
   }
   if (!__syncthreads_or(shown)) return;
-  Task<Harmonics> task(frame, memory, tile_x, tile_y);
+  Task<Harmonics, Antialiased> task(frame, memory, tile_x, tile_y);
   uint8_t* bytes = reinterpret_cast<uint8_t*>(&memory + 1);
   auto put = [&](int r, int at, float value) {
     if constexpr (sizeof(Out) == 1) {
@@ -131,7 +147,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
       const int count = min(unsigned(kBatch<Harmonics>), range.y - begin);
       const bool opaque = task.all_opaque(last - first + 1);
       if (__syncthreads_and(opaque)) break;
-      stage<Harmonics>(frame, lists.ids + begin, count, first, memory);
+      stage<Harmonics, Antialiased>(frame, lists.ids + begin, count, first, memory);
       __syncthreads();
       if (opaque) continue;
       const int hits = task.cull(count, first, last);
@@ -156,7 +172,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
 }
 #endif
 
-template <bool Harmonics, class Out>
+template <bool Harmonics, bool Antialiased, class Out>
 __global__ void __launch_bounds__(kThreads, 2)
     composite_ordinal_kernel(const __grid_constant__ LensFrame frame, int row_bytes, const float* background,
                              Out* out) {
@@ -171,7 +187,7 @@ __global__ void __launch_bounds__(kThreads, 2)
   if (!Harmonics && threadIdx.x == 0) memory.colour[Harmonics ? 0 : kBatch<Harmonics>] = make_float4(0, 0, 0, 0);
   for (unsigned tile = blockIdx.x; tile < tiles; tile = memory.next_tile) {
     if (threadIdx.x == 0) work.claim(gridDim.x);
-    draw_tile<Harmonics>(frame, lists, tile_to_draw(frame, tile), row_bytes, behind, out, memory);
+    draw_tile<Harmonics, Antialiased>(frame, lists, tile_to_draw(frame, tile), row_bytes, behind, out, memory);
     __syncthreads();
     if (threadIdx.x == 0) memory.next_tile = work.claimed;
     __syncthreads();
@@ -179,14 +195,19 @@ __global__ void __launch_bounds__(kThreads, 2)
 #endif
 }
 
-template <bool Harmonics, class Out>
+template <bool Harmonics, bool Antialiased, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   if (Harmonics && frame.splats.count) {
     const int64_t items = frame.splats.count * (frame.optics.ordinals.columns() / kShare);
     ordinal_colours_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
     check_launch("composite_ordinal: colours");
   }
-  const auto kernel = composite_ordinal_kernel<Harmonics, Out>;
+  if (Antialiased && frame.splats.count) {
+    const int64_t items = frame.splats.count * frame.optics.ordinals.columns();
+    ordinal_shares_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
+    check_launch("composite_ordinal: shares");
+  }
+  const auto kernel = composite_ordinal_kernel<Harmonics, Antialiased, Out>;
   const int row = lens_row_bytes(frame.optics.line_number);
   const size_t bytes = sizeof(Memory<Harmonics>) + kTileRows * row;
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
@@ -218,11 +239,14 @@ bool can_composite_ordinal(const Lens& lens) {
 
 void composite_ordinal(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
   if (!frame.has_ordinal) return;
-  auto draw = [&](auto* image) {
+  auto draw_as = [&](auto antialiased, auto* image) {
     if (frame.splats.orders)
-      launch<true>(frame, background, image, cudaStream_t(stream));
+      launch<true, antialiased>(frame, background, image, cudaStream_t(stream));
     else
-      launch<false>(frame, background, image, cudaStream_t(stream));
+      launch<false, antialiased>(frame, background, image, cudaStream_t(stream));
+  };
+  auto draw = [&](auto* image) {
+    frame.rig.antialiased ? draw_as(std::true_type(), image) : draw_as(std::false_type(), image);
   };
   out8 ? draw(out8) : draw(out);
 }

@@ -123,8 +123,7 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
   require(!rig.antialiased || !(lattice > 0 || in_half),
           "an anti-aliased frame is drawn neither from lattices nor in half precision");
   // Colours at ordinals are numbered with 32 bits
-  has_ordinal = !rig.antialiased && can_composite_ordinal(lens) &&
-                gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
+  has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
   require(std::max(pixel.down, ordinal.down) <= kProbeRows * kMostProbeRows,
           "the panel has too many rows: " + std::to_string(lens.height_px));
   require(most_lists() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_lists()));
@@ -144,7 +143,10 @@ size_t LensFrame::place(void* work) {
     const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
     parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
   }
-  if (rig.antialiased) parts.take(splats.compensations, n);
+  if (rig.antialiased) {
+    parts.take(splats.compensations, n);
+    parts.take(ordinal_shares, has_ordinal ? 2 * n * optics.ordinals.columns() : 0);
+  }
   parts.take(depths, n), parts.take(ids, std::max(capacity, n)), parts.take(long_lists, most_lists());
   if (lattice > 0) parts.take(lattices, most_lists()), parts.take(refused, most_lists());
   return parts.used;

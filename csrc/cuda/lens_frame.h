@@ -109,6 +109,8 @@ struct LensFrame {
   // first place in the fourth number of a colour)
   float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
   uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
+  // Of an anti-aliased scene: log2 of the share of opacity there, and its first and second power of v as halves
+  float* ordinal_shares = nullptr;  // [N, columns, 2]
   Lattice* lattices = nullptr;  // [tiles], where any are laid: see composite_lattice.cu
   uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order, where lattices are laid
 

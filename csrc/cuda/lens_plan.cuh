@@ -159,7 +159,8 @@ __device__ inline bool lattices_may_pay(const LensFrame& frame, float half_width
 // Times in ms on an H200, fitted to frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp instructions
 // of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
 // area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density. By the thread that ends the sums.
-// An anti-aliased frame is drawn by patches of pixels, every splat carefully: nothing else knows of shares of opacity.
+// An anti-aliased frame is drawn by ordinals, or by patches of pixels, every splat carefully: nothing else knows of
+// shares of opacity.
 template <bool kAntialiased>
 __device__ inline void choose_kernel(const LensFrame& frame) {
   FrameState& state = *frame.state;

@@ -2,12 +2,13 @@
 #pragma once
 
 #include "cuda/ordinal_patch.cuh"
+#include "cuda/ordinal_share.cuh"
 #include "cuda/root_series.cuh"
 
 namespace lfgs::cuda {
 
 #if __CUDA_ARCH__ >= 800
-template <bool Harmonics>
+template <bool Harmonics, bool Antialiased>
 struct Task : Patch<Harmonics> {
   using Base = Patch<Harmonics>;
   using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::middle_y, Base::places;
@@ -31,8 +32,8 @@ struct Task : Patch<Harmonics> {
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
       low[h] = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
       high[h] = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
-      // The last two have coefficients of zero: they are for the colours
-      rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), Harmonics ? halves(v, vv) : 0);
+      // The last two have coefficients of zero, but for shares of opacity: they are for the colours
+      rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), Harmonics || Antialiased ? halves(v, vv) : 0);
     }
 #pragma unroll
     for (int h = 0; h < kHalves; ++h) {
@@ -68,6 +69,12 @@ struct Task : Patch<Harmonics> {
     return {make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv)),
             make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632)),
             make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0)};
+  }
+  // Puts a hit's share of opacity into its exponent; share: see ShareFit.
+  __device__ void take_share(Operands& operands, const Splat<float>& s, float2 share) const {
+    const float Y = middle_y - s.v0;
+    operands.exponent.x = split(fmaf(-s.tau * Y, Y, s.log2_opacity) + share.x);
+    operands.exponent.w = __float_as_uint(share.y);
   }
 
   // The colour of a staged splat, for all cameras; number kBatch is black.
@@ -114,15 +121,19 @@ struct Task : Patch<Harmonics> {
     return v + __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));
   }
 
-  // Gives d, of two hits at two samples of a fragment, its factor (1 + s1 v + s2 v^2)^(-1/2) where it lacks it; s: s1
-  // and s2 of the hits, zero where d has it.
-  __device__ void complete(float (&d)[4], const unsigned (&features)[kFragments][4], int fragment,
-                           const float2 (&s)[2]) const {
+  // Gives d, of two hits at two samples of a fragment, its factor (1 + s1 v + s2 v^2)^(-1/2) where it lacks it, and A
+  // its share of opacity; s: s1 and s2 of the hits, zero where d has it; shares: 1 where A has it.
+  __device__ void complete(float (&d)[4], [[maybe_unused]] float (&A)[4], const unsigned (&features)[kFragments][4],
+                           int fragment, const float2 (&s)[2], [[maybe_unused]] const OrdinalShare (&shares)[2]) const {
 #pragma unroll
     for (int sample = 0; sample < 2; ++sample) {
       const float v = exact_view_of(features, 2 * fragment + sample);
 #pragma unroll
-      for (int i = 0; i < 2; ++i) d[2 * sample + i] *= fast_rsqrt(fmaf(v, fmaf(v, s[i].y, s[i].x), 1.f));
+      for (int i = 0; i < 2; ++i) {
+        const float factor = fast_rsqrt(fmaf(v, fmaf(v, s[i].y, s[i].x), 1.f));
+        d[2 * sample + i] *= factor;
+        if constexpr (Antialiased) A[2 * sample + i] += shares[i].log2_at(v, factor * factor);
+      }
     }
   }
 
@@ -178,11 +189,16 @@ struct Task : Patch<Harmonics> {
         c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
         slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
       }
+      [[maybe_unused]] float2 share;
+      if constexpr (Antialiased)
+        share = reinterpret_cast<const float2*>(frame.ordinal_shares)[__float_as_uint(splat.depth) + t];
       __syncwarp();
       const OrdinalShape shape(splat, centre, unit);
       Operands operands = coefficients<false>(splat, shape, centre, unit, x_centre);
+      if constexpr (Antialiased) take_share(operands, splat, share);
       const bool opaque = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
+      if constexpr (Antialiased) special = special || __any_sync(~0u, valid && lacks(share));
       if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
       if constexpr (Harmonics) {
         const int turn = begin / 8 % 2 * 32;
@@ -198,10 +214,11 @@ struct Task : Patch<Harmonics> {
       if (special) {         // rarely: once more from the splat on, so that nothing of it takes registers before
         const Splat<float> again = staged(i);
         const OrdinalShape varying(again, centre, unit);
-        const bool mine = valid && varying.parabola_error(ordinals, again.log2_opacity) > kMostParabolaError;
+        bool mine = valid && varying.parabola_error(ordinals, again.log2_opacity) > kMostParabolaError;
+        if constexpr (Antialiased) mine = mine || (valid && lacks(share));
         careful = __ballot_sync(~0u, mine);
         special = careful || __any_sync(~0u, opaque);
-        if (mine) store_shape(coefficients<true>(again, varying, centre, unit, x_centre));
+        if (mine) store_carefully(coefficients<true>(again, varying, centre, unit, x_centre));
       }
       __syncwarp();
       const int batches = min(4, (quarter - begin + 1) / 2);
@@ -224,7 +241,7 @@ struct Task : Patch<Harmonics> {
             multiply(c, one_hot, c_b);
           }
           constexpr bool Limit = decltype(limited)::value;
-          (completed(d, f), ...);
+          (completed(d, A, f), ...);
           blend<Limit>(d[0], A[0], c[0], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
           blend<Limit>(d[2], A[2], c[2], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
           blend<Limit>(d[1], A[1], c[1], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
@@ -240,7 +257,8 @@ struct Task : Patch<Harmonics> {
         }
       } else {
         OrdinalShape varying(staged(i), centre, unit);
-        if (!(careful >> lane & 1)) varying.s1 = varying.s2 = 0;
+        OrdinalShare varied = share_of(i, varying, centre, unit);
+        if (!(careful >> lane & 1)) varying.s1 = varying.s2 = 0, varied = OrdinalShare();
 #pragma unroll 1
         for (int b = 0; b < batches; ++b) {
           if (!(careful >> 8 * b & 0xff)) {
@@ -249,10 +267,14 @@ struct Task : Patch<Harmonics> {
           }
           const int at = 8 * b + 2 * quad;
           float2 s[2];
+          OrdinalShare shares[2];
 #pragma unroll
-          for (int i = 0; i < 2; ++i)
+          for (int i = 0; i < 2; ++i) {
             s[i] = make_float2(__shfl_sync(~0u, varying.s1, at + i), __shfl_sync(~0u, varying.s2, at + i));
-          batch(b, std::true_type{}, [&](float (&d)[4], int f) { complete(d, d_features, f, s); });
+            if constexpr (Antialiased) shares[i] = varied.of_lane(at + i);
+          }
+          batch(b, std::true_type{},
+                [&](float (&d)[4], float (&A)[4], int f) { complete(d, A, d_features, f, s, shares); });
         }
       }
     }
@@ -273,10 +295,24 @@ struct Task : Patch<Harmonics> {
     return __shfl_sync(~0u, last ? kept : hit, lane_before());
   }
 
+  // Whether a hit has no parabola for its share of opacity.
+  __device__ static bool lacks(float2 share) { return !(share.x == share.x); }
+  // The share of staged splat i, as it is.
+  __device__ OrdinalShare share_of(int i, const OrdinalShape& shape, float centre, float unit) const {
+    if constexpr (!Antialiased) return {};
+    const unsigned id = __float_as_uint(staged(i).depth) / unsigned(frame.optics.ordinals.columns());
+    return OrdinalShare(frame.splats.compensations[id], shape, centre, unit);
+  }
+
   // One hit's coefficients of d.
   __device__ void store_shape(const Operands& operands) {
     reinterpret_cast<uint4*>(own.operands)[lane] = operands.low;
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = operands.high;
+  }
+  // Those of a careful hit, and without a share.
+  __device__ void store_carefully(const Operands& operands) {
+    store_shape(operands);
+    if constexpr (Antialiased) reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
   }
   // All of one hit's operands; its colour as the difference to the hit before it in its quarter.
   __device__ void store_operands(const Operands& operands, const Colour& now, const Colour& before) {

@@ -80,7 +80,7 @@ void composite_sorted(const Splats<float>& splats, const Image& image, const int
 
 // --- the reverses. Every slot is written by one block in a fixed order, and sums run in slot order: the same
 // bits in every run. slot_gradients [pairs, kDenseSums]; tile_background [I * tiles, 3].
-constexpr int kDenseSums = 10, kLensSums = 10;  // lens: and 3 for each power of s in the colours, and 3 for compensations
+constexpr int kDenseSums = 10, kLensSums = 10;  // lens: and 3 for each power of s in the colours, 3 for compensations
 void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                               const Pairs& pairs, DenseImages<const float> images,
                               DenseImages<const float> gradients, float* slot_gradients, float* tile_background,

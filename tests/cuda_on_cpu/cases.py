@@ -172,7 +172,9 @@ def gradients(scene: Gaussians, sensor: str, dtype: torch.dtype, antialiased: bo
 
 # Of anti-aliased scenes: kernel (None: the frame chooses), panel, SH degree, views and quality
 ANTIALIASED = [("pixel-quadratic", "default", 0, "integer", "exact"), (None, "narrow cone", 1, "integer", "draft"),
-               ("pixel-quadratic-small", "leaning the other way, BGR", 3, "continuous", "exact")]
+               ("pixel-quadratic-small", "leaning the other way, BGR", 3, "continuous", "exact"),
+               ("ordinal", "default", 0, "integer", "exact"), ("ordinal", "default", 3, "continuous", "exact"),
+               ("ordinal", "leaning the other way, BGR", 1, "continuous", "exact")]
 
 
 def fine(degree: int) -> Gaussians:
