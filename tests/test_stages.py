@@ -5,7 +5,7 @@ import pytest
 import torch
 from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stacked
 
-from lightfield_gs import _core, encode, reference, render
+from lightfield_gs import _core, encode, lens, reference, render
 from lightfield_gs.cameras import Cameras
 from lightfield_gs.quality import EXACT
 from lightfield_gs.reference_blend import Eye, Projection, Scene
@@ -72,23 +72,19 @@ class Stages:
 
 
 def native_lens(shown, fan, continuous=False):
-    s0, sx, sy = shown.phase_steps()
     start = float(reference.lens_offsets(shown, fan, np.array(0.0)))
     end = float(reference.lens_offsets(shown, fan, np.array(float(shown.views))))
-    return _core.Lens(width_px=shown.width_px, height_px=shown.height_px, views=shown.views, phase0=s0, phase_x=sx,
-                      phase_y=sy, line_number=shown.line_number, slant_tan=shown.slant_tan, phase=shown.phase,
-                      bgr=shown.subpixel_order == "BGR", continuous=continuous, offset_start=start,
-                      offset_step=(end - start) / shown.views)
+    return lens.native_lens(*lens.lens_lists(shown, continuous, start, (end - start) / shown.views))
 
 
 @pytest.mark.parametrize("name", PANELS)
 def test_lens_phase_is_that_of_the_panel(name):
     shown = panel(name)
-    lens, views = native_lens(shown, rig(shown)), shown.view_map()
+    native, views = native_lens(shown, rig(shown)), shown.view_map()
     random = np.random.default_rng(1)
     for row, column, channel in zip(random.integers(0, shown.height_px, 300), random.integers(0, shown.width_px, 300),
                                     random.integers(0, 3, 300)):
-        assert lens.view_at(row, 3 * column + shown.place(channel)) == views[row, column, channel]
+        assert native.view_at(row, native.subpixel_of(row, column, channel)) == views[row, column, channel]
 
 
 @pytest.mark.parametrize("precision", DTYPES)

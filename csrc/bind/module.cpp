@@ -294,6 +294,7 @@ PYBIND11_MODULE(_core, m) {
            py::arg("bgr"), py::arg("continuous"), py::arg("offset_start"), py::arg("offset_step"),
            py::arg("cell_phases") = std::vector<uint64_t>(), py::arg("cell_channels") = std::vector<int>())
       .def("reach", &Lens::reach)
+      .def("subpixel_of", &Lens::subpixel_of)
       .def("stands_in_order", &Lens::stands_in_order)
       .def("has_one_order", &Lens::has_one_order)
       .def("view_at", [](const Lens& lens, int64_t row, int64_t subpixel) {

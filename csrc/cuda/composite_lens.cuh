@@ -61,14 +61,15 @@ __device__ inline Splat<float> whole_splat_about(const Splats<float>& splats, ui
   return splat;
 }
 
-// Two neighbouring pixels, the first in an even column; values by place.
-template <class Out>
+// Two neighbouring pixels, the first in an even column; values by place. Cells: see by_place().
+template <bool Cells, class Out>
 __device__ void store_pixels(const LensOptics& lens, int column, int row, const float (&values)[6], Out* out) {
   if (row >= lens.height_px || column >= lens.width_px) return;
   Out bytes[6];
 #pragma unroll
-  for (int i = 0; i < 6; ++i) bytes[i] = stored(values[i], out);
-  if (lens.permuted) {
+  for (int i = 0; i < 6; ++i)
+    bytes[i] = stored(!Cells && lens.permuted ? values[i / 3 * 3 + 2 - i % 3] : values[i], out);
+  if (Cells && lens.permuted) {
     const Out placed[6] = {bytes[0], bytes[1], bytes[2], bytes[3], bytes[4], bytes[5]};
 #pragma unroll
     for (int i = 0; i < 6; ++i) {

@@ -50,7 +50,7 @@ __device__ void add_run(const Staged<C::Harmonics>& staged, int h, int end, unsi
 template <class C>
 __device__ void add_hits(const LensFrame& frame, int count, float2 centre, float4 background, Samples<C>& samples,
                          Staged<C::Harmonics>& staged) {
-  using Hit = CarefulHit<C::Harmonics, C::Antialiased>;
+  using Hit = CarefulHit<C>;
   if constexpr (C::Antialiased) {
     for (int h = 0; h < count; ++h) samples.add_carefully(Hit(frame, staged.ids[h], centre, background));
     return;
@@ -114,7 +114,7 @@ template <class C, class Out>
 __device__ void draw_patches(const LensFrame& frame, const float* background, Out* out,
                              Staged<C::Harmonics> (&staged)[kWarps]) {
   constexpr unsigned kAcross = kPixelTileWidth / kPatchWidth, kDown = kPixelTileHeight / kUnitHeight;
-  const float4 behind = by_place(frame.optics, make_float4(background[0], background[1], background[2], 0));
+  const float4 behind = by_place<C::Cells>(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
   const unsigned units = tiles_to_draw(frame, frame.pixel) * kAcross * kDown, across = unsigned(frame.pixel.across);
   WorkQueue work(frame, C::kernel);
@@ -135,11 +135,11 @@ __device__ void draw_patches(const LensFrame& frame, const float* background, Ou
 }
 
 // One kernel for straight lines and parabolas: a launch that finds nothing to do takes its time, too.
-template <Evaluation straight, int lane_rows, bool Harmonics, class Out>
+template <Evaluation straight, int lane_rows, bool Harmonics, bool Cells, class Out>
 __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
-  using Straight = Config<straight, Harmonics, lane_rows>;
-  using Quadratic = Config<Evaluation::kQuadratic, Harmonics, lane_rows>;
+  using Straight = Config<straight, Harmonics, lane_rows, Cells>;
+  using Quadratic = Config<Evaluation::kQuadratic, Harmonics, lane_rows, Cells>;
   __shared__ Staged<Harmonics> staged[kWarps];
   if (frame.state->kernel == int(Straight::kernel))
     draw_patches<Straight>(frame, background, out, staged);
@@ -150,14 +150,15 @@ __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
 template <int lane_rows, bool Harmonics, class Out>
 __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     composite_antialiased_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
-  using Antialiased = Config<Evaluation::kQuadratic, Harmonics, lane_rows, true>;
+  using Antialiased = Config<Evaluation::kQuadratic, Harmonics, lane_rows, true, true>;
   __shared__ Staged<Harmonics> staged[kWarps];
   if (frame.state->kernel == int(Antialiased::kernel)) draw_patches<Antialiased>(frame, background, out, staged);
 }
 
 template <Evaluation straight, int lane_rows, bool Harmonics, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
-  auto kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, Out>;
+  auto kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, false, Out>;
+  if (frame.optics.has_cells) kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, true, Out>;
   if (frame.rig.antialiased) kernel = composite_antialiased_kernel<lane_rows, Harmonics, Out>;
   kernel<<<resident_blocks(kernel, kThreads, 0), kThreads, 0, stream>>>(frame, background, out);
   check_launch("composite_pixel");

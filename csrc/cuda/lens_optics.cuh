@@ -70,8 +70,11 @@ __device__ inline void store_row(const LensOptics& lens, int row, int2 ends, con
     if (m >= 0) to[in_image(lens, m)] = bytes[m - ends.x];
 }
 
-// Colours in the order of the sub-pixels of a pixel, left to right.
-__device__ inline float4 by_place(const LensOptics& lens, float4 c) {
+// Colours in the order of the sub-pixels of a pixel, left to right. Cells: false where the panel has none, and another
+// order is the other way round.
+template <bool Cells = true>
+__device__ float4 by_place(const LensOptics& lens, float4 c) {
+  if constexpr (!Cells) return lens.permuted ? make_float4(c.z, c.y, c.x, c.w) : c;
   if (!lens.permuted) return c;
   auto at = [&](int place) { return lens.channels[place] == 0 ? c.x : lens.channels[place] == 1 ? c.y : c.z; };
   return make_float4(at(0), at(1), at(2), c.w);

@@ -19,11 +19,12 @@ constexpr float kSmallEdge = 3e-3f;            // slope of a colour at zero: at 
 // rough; with a straight line in half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
 
-// Antialiased: no splat has a fit, all are evaluated carefully.
-template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Antialiased_ = false>
+// Antialiased: no splat has a fit, all are evaluated carefully. Cells: of panels that may have cells; what these take
+// would cost the registers of others.
+template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Cells_, bool Antialiased_ = false>
 struct Config {
   static constexpr bool Quadratic = evaluation == Evaluation::kQuadratic, Half = evaluation == Evaluation::kHalf;
-  static constexpr bool Antialiased = Antialiased_;
+  static constexpr bool Antialiased = Antialiased_, Cells = Cells_;
   static constexpr bool Harmonics = Harmonics_, Bends = Harmonics && Quadratic;  // colours may be parabolas
   static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
   // Slopes of colours with the rest of a hit's fit, read at once: quicker in small patches, slower in large ones.
@@ -166,7 +167,7 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   shape_polynomial(splat, root_fit(splat, curved), fit);
   if (C::Half) careful = careful || too_rough_in_half<C>(fit, colour);
   if (careful) colour = {};
-  auto step_of = [&](float4 part, float4& last) { return steps(by_place(frame.optics, part), count, last); };
+  auto step_of = [&](float4 part, float4& last) { return steps(by_place<C::Cells>(frame.optics, part), count, last); };
   const float4 step = step_of(colour.value, staged.colour.value);
   fit[2].z = step.x, fit[2].w = step.y, fit[3].x = step.z;
   float4 slope = colour.slope, bend = colour.bend;

@@ -38,7 +38,7 @@ struct HalfSamples {
   __device__ HalfSamples(const LensFrame& frame, int left, int top) : pixels(left, top) {
     const float inverse = 1 / half_unit(frame.optics);
     float at[C::lane_rows][2][3];
-    pixels.for_each_offset(frame.optics, [&](int r, int p, int k, float s) {
+    pixels.template for_each_offset<C::Cells>(frame.optics, [&](int r, int p, int k, float s) {
       at[r][p][k] = s * inverse, colour[r][p][k] = 0;
     });
     for_each([&](int r, int k) {
@@ -119,9 +119,9 @@ struct HalfSamples {
     for_each([&](int r, int k) { sum[r][k] = __hfma2(transmittance[r][k], steps.at(k, v[r][k]), sum[r][k]); });
   }
 
-  __device__ void add_carefully(const CarefulHit<C::Harmonics>& hit) {
+  __device__ void add_carefully(const CarefulHit<C>& hit) {
     float after[C::lane_rows][2][3];
-    pixels.for_each_offset(hit.frame.optics, [&](int r, int p, int k, float s) {
+    pixels.template for_each_offset<C::Cells>(hit.frame.optics, [&](int r, int p, int k, float s) {
       const __half2 T = transmittance[r][k];
       after[r][p][k] = p ? __high2float(T) : __low2float(T);
       hit.add(pixels.x + p, pixels.y + 4 * r, s, k, after[r][p][k], colour[r][p][k]);
@@ -133,7 +133,7 @@ struct HalfSamples {
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) {
     const float unit = half_unit(lens);
-    pixels.store(lens, out, [&](int r, int p, int k) {
+    pixels.template store<C::Cells>(lens, out, [&](int r, int p, int k) {
       auto half = [&](__half2 h) { return p ? __high2float(h) : __low2float(h); };
       const float T = half(transmittance[r][k]);
       const float shown = fmaf(T, last_step<C>(staged, background, unit * half(v[r][k]), k), colour[r][p][k]);

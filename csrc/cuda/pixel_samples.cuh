@@ -35,13 +35,6 @@ struct LanePixels {
         for (int k = 0; k < 3; ++k) visit(r, p, k);
   }
   // Calls visit(r, p, k, s) for them with the offset from which each is seen.
-  template <class Visit>
-  __device__ void for_each_offset(const LensOptics& lens, const Visit& visit) const {
-    if (lens.has_cells)
-      for_each_offset<true>(lens, visit);
-    else
-      for_each_offset<false>(lens, visit);
-  }
   template <bool Cells, class Visit>
   __device__ void for_each_offset(const LensOptics& lens, const Visit& visit) const {
 #pragma unroll
@@ -52,13 +45,13 @@ struct LanePixels {
         const uint64_t* beyond = lens.cells.phases[row % kCellPeriod] + 3 * ((column + p) % kCellPeriod);
 #pragma unroll
         for (int k = 0; k < 3; ++k, phase += lens.phase_x) {
-          const uint64_t own = Cells ? phase + beyond[k] : phase;
+          const uint64_t own = Cells && lens.has_cells ? phase + beyond[k] : phase;
           visit(r, p, k, fmaf(lens.s_step, camera_of(lens, own), lens.s_start));
         }
       }
   }
   // Puts the sub-pixels value(r, p, k) into the image.
-  template <class Out, class Value>
+  template <bool Cells, class Out, class Value>
   __device__ void store(const LensOptics& lens, Out* out, const Value& value) const {
 #pragma unroll
     for (int r = 0; r < lane_rows; ++r) {
@@ -67,7 +60,7 @@ struct LanePixels {
       for (int p = 0; p < 2; ++p)
 #pragma unroll
         for (int k = 0; k < 3; ++k) values[3 * p + k] = value(r, p, k);
-      store_pixels(lens, column, row + 4 * r, values, out);
+      store_pixels<Cells>(lens, column, row + 4 * r, values, out);
     }
   }
 };
@@ -83,7 +76,7 @@ __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background
 
 // Adds a Gaussian to one sample as it is written: a division, the limit of alpha, the whole colour polynomial, the stop
 // of what is opaque; of anti-aliased ones the share of opacity.
-template <bool Harmonics, bool Antialiased = false>
+template <class C>
 struct CarefulHit {
   const LensFrame& frame;
   Splat<float> splat;
@@ -94,19 +87,19 @@ struct CarefulHit {
 
   __device__ CarefulHit(const LensFrame& frame, uint32_t id, float2 centre, float4 background)
       : frame(frame), splat(whole_splat_about(frame.splats, id, centre)),
-        compensation(Antialiased ? frame.splats.compensations[id] : Compensation<float>{}),
-        order(Harmonics ? frame.splats.orders[id] : 0),
+        compensation(C::Antialiased ? frame.splats.compensations[id] : Compensation<float>{}),
+        order(C::Harmonics ? frame.splats.orders[id] : 0),
         powers(reinterpret_cast<const float4*>(frame.splats.colours) + int64_t(id) * (frame.splats.colour_order + 1)),
-        highest(by_place(frame.optics, powers[order])), background(background) {}
+        highest(by_place<C::Cells>(frame.optics, powers[order])), background(background) {}
 
   __device__ void add(float x, float y, float s, int k, float& T, float& colour) const {
     const float dy = y - splat.v0, dx = x - splat.u0 - splat.c0 * dy - s * fmaf(splat.c1, dy, splat.du);
     const float S = fmaf(s, fmaf(s, splat.S2, splat.S1), splat.S0);
     float power = splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S);
-    if constexpr (Antialiased) power += log2_share(compensation, s, S);
+    if constexpr (C::Antialiased) power += log2_share(compensation, s, S);
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
-    for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place(frame.optics, powers[q]), k));
+    for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place<C::Cells>(frame.optics, powers[q]), k));
     // Of a sample that should have ended before, see ended(), no more is drawn
     const bool hit = power >= frame.hit_cut && T >= float(kMinTransmittance), stop = after < float(kMinTransmittance);
     // One that stops keeps its light for the background; an alpha of nothing leaves it as it is
@@ -122,7 +115,7 @@ struct FloatSamples {
   float s[C::lane_rows][2][3], colour[C::lane_rows][2][3], transmittance[C::lane_rows][2][3];
 
   __device__ FloatSamples(const LensFrame& frame, int left, int top) : pixels(left, top) {
-    pixels.for_each_offset(frame.optics, [&](int r, int p, int k, float offset) {
+    pixels.template for_each_offset<C::Cells>(frame.optics, [&](int r, int p, int k, float offset) {
       s[r][p][k] = offset, colour[r][p][k] = 0, transmittance[r][p][k] = pixels.seen(frame.optics, r, p) ? 1.f : 0.f;
     });
   }
@@ -190,7 +183,7 @@ struct FloatSamples {
     });
   }
 
-  __device__ void add_carefully(const CarefulHit<C::Harmonics, C::Antialiased>& hit) {
+  __device__ void add_carefully(const CarefulHit<C>& hit) {
     pixels.for_each([&](int r, int p, int k) {
       hit.add(pixels.x + p, pixels.y + 4 * r, s[r][p][k], k, transmittance[r][p][k], colour[r][p][k]);
     });
@@ -199,7 +192,7 @@ struct FloatSamples {
   // Over the background.
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) const {
-    pixels.store(lens, out, [&](int r, int p, int k) {
+    pixels.template store<C::Cells>(lens, out, [&](int r, int p, int k) {
       const float T = transmittance[r][p][k];
       const float shown = fmaf(T, last_step<C>(staged, background, s[r][p][k], k), colour[r][p][k]);
       return ended(shown, T, part(background, k));
