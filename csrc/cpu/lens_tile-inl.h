@@ -116,7 +116,8 @@ class LensTile {
         start(r, c) = layout_.cell_start(lens_, row0 + r, cell0 + c);
         if (layout_.lead) anchors_[size_t(place(r, c))] = layout_.first_stripe(lens_, row0 + r, cell0 + c) - layout_.lead;
       }
-    for (int64_t patch = 0; patch < patches_; ++patch) place_patch(patch);
+    for (int64_t patch = 0; patch < patches_; ++patch)
+      lens_.has_cells ? place_patch<true>(patch) : place_patch<false>(patch);
   }
 
   // Finds the vectors that the splat may touch: list()[0 .. result), with rows(v) filled for each.
@@ -267,6 +268,7 @@ class LensTile {
   }
 
   // Positions, offsets and channels of a patch's samples.
+  template <bool kCells>
   void place_patch(int64_t patch) {
     const D d;
     const hn::RebindToSigned<D> di;
@@ -276,7 +278,7 @@ class LensTile {
     alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
     alignas(64) T columns[kLanes];
     alignas(64) uint64_t phases[kLanes];
-    const CellRow* cells[kLanes] = {};
+    [[maybe_unused]] const CellRow* cells[kLanes] = {};
     constexpr uint64_t kAbove = uint64_t(3) << 32;  // no cell begins so far left of the panel: divided without a sign
     const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
     for (int lane = 0; lane < kLanes; ++lane) {
@@ -287,7 +289,7 @@ class LensTile {
       ends[lane] = TI(std::min(start(r, c + 1), all) - first);
       places[lane] = TI(above - 3 * pixel), columns[lane] = T(int32_t(int64_t(pixel) - left)) + T(0.5);
       phases[lane] = lens_.phase_at(row, first);
-      if (lens_.has_cells) {
+      if constexpr (kCells) {
         const int64_t within = int64_t(above % kRowPeriod);
         cells[lane] = &cells_[size_t(row % kCellPeriod * (kRowPeriod + layout_.ordinals) + within)];
         phases[lane] -= lens_.phase_x * uint64_t(within);
@@ -303,17 +305,17 @@ class LensTile {
       const auto shown = hn::RebindMask(d, hn::And(hn::Gt(ordinal, before), hn::Lt(ordinal, end)));
       alignas(64) uint64_t in_cells[kLanes];
       alignas(64) TI channels[kLanes];
-      if (lens_.has_cells)
+      if constexpr (kCells)
         for (int lane = 0; lane < kLanes; ++lane)
           in_cells[lane] = phases[lane] + cells[lane][t].phase, channels[lane] = TI(cells[lane][t].channel);
-      const V offset = next_offsets(lens_.has_cells ? in_cells : phases);
+      const V offset = next_offsets(kCells ? in_cells : phases);
       s_low = hn::Min(s_low, hn::IfThenElse(shown, offset, s_low));
       s_high = hn::Max(s_high, hn::IfThenElse(shown, offset, s_high));
 
       // Lanes without a sub-pixel of the panel stand where no splat reaches
       hn::Store(hn::IfThenElse(shown, column, hn::Set(d, T(1e9))), d, &x[i]);
       hn::Store(offset, d, &s[i]);
-      hn::Store(lens_.has_cells ? hn::Load(di, channels) : lens_.bgr ? hn::Sub(two, place) : place, di, &channel[i]);
+      hn::Store(kCells ? hn::Load(di, channels) : lens_.bgr ? hn::Sub(two, place) : place, di, &channel[i]);
       const auto last = hn::Eq(place, two);
       place = hn::IfThenZeroElse(last, hn::Add(place, hn::Set(di, TI(1))));
       column = hn::Add(column, hn::IfThenElseZero(hn::RebindMask(d, last), hn::Set(d, T(1))));
