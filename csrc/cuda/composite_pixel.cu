@@ -31,7 +31,7 @@ constexpr int blocks_of(int lane_rows, bool harmonics) { return lane_rows == 1 ?
 
 // Adds the hits [h, end), of which none is careful. Runs of one kind: to choose at every hit would move registers.
 template <class C>
-__device__ void add_run(const Staged<C::Harmonics>& staged, int h, int end, unsigned special, float cut,
+__device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned special, float cut,
                         Samples<C>& samples) {
   constexpr bool kSpecial = C::Quadratic || C::Half;
   while (h < end) {
@@ -49,12 +49,7 @@ __device__ void add_run(const Staged<C::Harmonics>& staged, int h, int end, unsi
 // Adds the first `count` <= 32 waiting hits.
 template <class C>
 __device__ void add_hits(const LensFrame& frame, int count, float2 centre, float4 background, Samples<C>& samples,
-                         Staged<C::Harmonics>& staged) {
-  using Hit = CarefulHit<C>;
-  if constexpr (C::Antialiased) {
-    for (int h = 0; h < count; ++h) samples.add_carefully(Hit(frame, staged.ids[h], centre, background));
-    return;
-  }
+                         StagedOf<C>& staged) {
   const Marks marks = specialise<C>(frame, count, centre, staged);
   __syncwarp();
   unsigned careful = marks.careful;
@@ -64,14 +59,14 @@ __device__ void add_hits(const LensFrame& frame, int count, float2 centre, float
     if (next == count) break;
     h = next, careful &= careful - 1;
     samples.close(staged, h);
-    samples.add_carefully(Hit(frame, staged.ids[h], centre, background));
+    samples.add_carefully(CarefulHit<C>(frame, staged.ids[h], centre, background));
   }
   samples.flush();
 }
 
 template <class C, class Out>
 __device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 range, int left, int top,
-                           float4 background, Out* out, Staged<C::Harmonics>& staged) {
+                           float4 background, Out* out, StagedOf<C>& staged) {
   const int lane = threadIdx.x % 32;
   const float2 centre = make_float2(left + 0.5f * kPatchWidth, top + 0.5f * C::patch_height);
   const float half_height = 0.5f * C::patch_height - 0.5f;
@@ -112,7 +107,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 ran
 
 template <class C, class Out>
 __device__ void draw_patches(const LensFrame& frame, const float* background, Out* out,
-                             Staged<C::Harmonics> (&staged)[kWarps]) {
+                             StagedOf<C> (&staged)[kWarps]) {
   constexpr unsigned kAcross = kPixelTileWidth / kPatchWidth, kDown = kPixelTileHeight / kUnitHeight;
   const float4 behind = by_place<C::Cells>(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
@@ -151,7 +146,7 @@ template <int lane_rows, bool Harmonics, class Out>
 __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     composite_antialiased_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
   using Antialiased = Config<Evaluation::kQuadratic, Harmonics, lane_rows, true, true>;
-  __shared__ Staged<Harmonics> staged[kWarps];
+  __shared__ StagedOf<Antialiased> staged[kWarps];
   if (frame.state->kernel == int(Antialiased::kernel)) draw_patches<Antialiased>(frame, background, out, staged);
 }
 

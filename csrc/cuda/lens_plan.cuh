@@ -159,8 +159,8 @@ __device__ inline bool lattices_may_pay(const LensFrame& frame, float half_width
 // Times in ms on an H200, fitted to frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp instructions
 // of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
 // area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density. By the thread that ends the sums.
-// An anti-aliased frame is drawn by ordinals, or by patches of pixels, every splat carefully: nothing else knows of
-// shares of opacity.
+// An anti-aliased frame is drawn by ordinals, or by patches of pixels with parabolas: nothing else knows of shares of
+// opacity.
 template <bool kAntialiased>
 __device__ inline void choose_kernel(const LensFrame& frame) {
   FrameState& state = *frame.state;
@@ -179,7 +179,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const bool linear = !kAntialiased && mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
   int level = 0;
   while (level < kLevels && mean(kMixedError + level) > kMeanShapeError) ++level;
-  const bool exact = kAntialiased || level == kLevels;
+  const bool exact = level == kLevels;
   const float curved = exact ? 1 : mean(kCurved + level), careful = exact ? 1 : mean(kMixedCareful + level);
 
   const float large = hits(15, 7, 1), small = hits(15, 3, 1);
@@ -191,8 +191,10 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const float each_small = with_careful(frame.in_half ? 157 : 187, linear_careful);
   cost[int(LensKernel::kPixel)] = linear ? pixel_cost(each * large, 500) : INFINITY;
   cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(each_small * small, 556) : INFINITY;
-  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost(with_careful(187 + 30 * curved, careful) * large, 500);
-  cost[int(LensKernel::kPixelQuadraticSmall)] = pixel_cost(with_careful(236 + 26 * curved, careful) * small, 556);
+  constexpr float kShare = kAntialiased ? 24 : 0;  // two operations a sample
+  const float quadratic = 187 + kShare + 30 * curved, quadratic_small = 236 + kShare + 26 * curved;
+  cost[int(LensKernel::kPixelQuadratic)] = pixel_cost(with_careful(quadratic, careful) * large, 500);
+  cost[int(LensKernel::kPixelQuadraticSmall)] = pixel_cost(with_careful(quadratic_small, careful) * small, 556);
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;

@@ -1,6 +1,9 @@
 // Gaussians as composite_pixel.cu evaluates them: polynomials about the centre of a warp's patch, made 32 at a time.
 #pragma once
 
+#include <type_traits>
+
+#include "cuda/compensated.cuh"
 #include "cuda/composite_lens.cuh"
 #include "cuda/halves.cuh"
 #include "cuda/lens_optics.cuh"
@@ -19,7 +22,7 @@ constexpr float kSmallEdge = 3e-3f;            // slope of a colour at zero: at 
 // rough; with a straight line in half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
 
-// Antialiased: no splat has a fit, all are evaluated carefully. Cells: of panels that may have cells; what these take
+// Antialiased: with shares of opacity. Cells: of panels that may have cells; what these take
 // would cost the registers of others.
 template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Cells_, bool Antialiased_ = false>
 struct Config {
@@ -48,6 +51,14 @@ struct Staged {
   uint32_t ids[64];                  // hits that wait: fewer than 32, and those of one cull
 };
 
+// Of anti-aliased hits also the share of opacity that they have, see share_fit().
+template <bool Harmonics>
+struct AntialiasedStaged : Staged<Harmonics> {
+  float2 share[32];
+};
+template <class C>
+using StagedOf = std::conditional_t<C::Antialiased, AntialiasedStaged<C::Harmonics>, Staged<C::Harmonics>>;
+
 // Of up to 32 hits those that are evaluated as they are written, and those with a parabola for r or the colour's step,
 // or in halves those that are cut.
 struct Marks {
@@ -60,6 +71,17 @@ __device__ inline float3 root_fit(const Splat<float>& s, bool curved) {
   const float node = curved ? kParabolaPlace : kLinePlace, right = root(node), left = root(-node);  // and 0, if curved
   const float middle = curved ? root(0.f) : 0.5f * (right + left);
   return make_float3(middle, (right - left) * (curved ? kParabolaPlace : 1.f), right + left - 2 * middle);
+}
+
+// Log2 of the share of its opacity that an anti-aliased splat has, as x + y s + z s^2, see kLinePlace; x is no number
+// where that is too rough at the ends of the rig, where it errs most.
+__device__ inline float3 share_fit(const Compensation<float>& c, const Splat<float>& s) {
+  constexpr float kMostError = 2e-4f;  // alpha is off by less than 0.04/255, on average by a tenth of that
+  auto share = [&](float v) { return log2_share(c, v, fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
+  const float middle = share(0.f), left = share(-kParabolaPlace), right = share(kParabolaPlace);
+  const float slope = (right - left) * kParabolaPlace, bend = right + left - 2 * middle;
+  auto error = [&](float v) { return fabsf(share(v) - fmaf(v, fmaf(v, bend, slope), middle)); };
+  return make_float3(error(-1.f) <= kMostError && error(1.f) <= kMostError ? middle : NAN, slope, bend);
 }
 
 // The polynomial of d and the rest of what a sample needs:
@@ -149,15 +171,20 @@ __device__ bool too_rough_in_half(const float4 fit[2], const ColourFit& colour) 
 
 // Makes the polynomials of the first `count` <= 32 waiting hits. A careful hit's step closes the colour before it.
 template <class C>
-__device__ Marks specialise(const LensFrame& frame, int count, float2 centre, Staged<C::Harmonics>& staged) {
+__device__ Marks specialise(const LensFrame& frame, int count, float2 centre, StagedOf<C>& staged) {
   const int lane = threadIdx.x % 32;
   const bool inside = lane < count;
   const uint32_t id = staged.ids[inside ? lane : 0];
-  const Splat<float> splat = whole_splat_about(frame.splats, id, centre);
+  Splat<float> splat = whole_splat_about(frame.splats, id, centre);
   const ShapeError error(splat);
   const bool curved = C::Quadratic && error.linear > frame.state->straight;
   bool careful = (!C::Half && splat.log2_opacity >= kCarefulOpacity) ||
                  (curved ? error.quadratic : error.linear) > frame.state->careful;
+  if constexpr (C::Antialiased) {
+    const float3 share = share_fit(frame.splats.compensations[id], splat);
+    careful = careful || !(share.x <= 0.5f);
+    splat.log2_opacity += share.x, staged.share[lane] = make_float2(share.y, share.z);
+  }
   ColourFit colour = {};
   float4 fit[4];
   if (C::Harmonics)

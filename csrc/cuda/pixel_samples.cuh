@@ -143,10 +143,12 @@ struct FloatSamples {
   };
 
   template <bool Parabola>
-  __device__ void add(const Staged<C::Harmonics>& staged, int i, float cut) {
+  __device__ void add(const StagedOf<C>& staged, int i, float cut) {
     constexpr bool Curved = C::Quadratic && Parabola;
     const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i], f3 = staged.fit[3][i];
     const Step step(staged, i);
+    float2 share;
+    if constexpr (C::Antialiased) share = staged.share[i];
     // At the lane's first pixel; the others are a step away in x, four in y
     float t = fmaf(f2.y, pixels.y, f2.x);
     float c0 = fmaf(f1.y, pixels.x, fmaf(f0.y, pixels.y, f0.x));
@@ -162,7 +164,8 @@ struct FloatSamples {
         for (int k = 0; k < 3; ++k) {
           const float v = s[r][p][k];
           float& T = transmittance[r][p][k];
-          const float d = fmaf(v, fmaf(v, Curved ? fmaf(v, f3.w, p2) : p2, p1), p0), power = fmaf(-d, d, A);
+          const float d = fmaf(v, fmaf(v, Curved ? fmaf(v, f3.w, p2) : p2, p1), p0);
+          const float power = fmaf(-d, d, C::Antialiased ? fmaf(v, fmaf(v, share.y, share.x), A) : A);
           const float alpha = fast_exp2(power);
           colour[r][p][k] = fmaf(T, step.template at<Parabola>(k, v), colour[r][p][k]);
           if (power >= cut) T = fmaf(-alpha, T, T);
