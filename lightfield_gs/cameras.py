@@ -65,6 +65,9 @@ class Cameras:
         if self.focal_px.device.type == "cpu" and not bool((self.focal_px > 0).all()):
             raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
+            if getattr(self, name) is None:
+                raise InputError(f"cameras: {name} is missing; no matrix says how large the image is: give width_px and "
+                                 "height_px")
             setattr(self, name, whole_number(f"cameras: {name}", getattr(self, name), 1, 65536))
 
     @classmethod
