@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +20,7 @@ _SRGB_PRIMARIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06)  # x and y of red, green an
 _UNCALIBRATED = 65535  # Exif's ColorSpace of what is not sRGB, in cameras' files Adobe RGB
 _STRIP_PIXELS = 1 << 20  # at a time: Pillow keeps four bytes a pixel, beside what comes in and goes out
 _MOST_PIXELS = 1 << 24  # in floating point
+_MOST_THREADS = 4
 _CLIPPED_SHARE = 0.001  # of the pixels, above 1: from here on it is said
 
 
@@ -95,25 +98,31 @@ def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
         if mode is None or was_cmyk:
             return Colours(rgb, notes=[f"has a colour profile for {space} ('{name}'), which cannot be used here; its "
                                        "colours are only about right; export it as RGB"])
-        transform = ImageCms.buildTransform(
+        # One for each thread: a transform remembers the last colour that it met
+        transforms = [ImageCms.buildTransform(
             source, ImageCms.createProfile("sRGB"), mode, "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC,
-            ImageCms.Flags.BLACKPOINTCOMPENSATION)
+            ImageCms.Flags.BLACKPOINTCOMPENSATION) for _ in range(min(os.cpu_count() or 1, _MOST_THREADS))]
     except (ImageCms.PyCMSError, OSError, ValueError, TypeError, AttributeError) as error:
         return Colours(rgb, notes=[f"has a colour profile that cannot be read ({_printable(str(error))}); its colours "
                                    "are taken as sRGB"])
 
-    def converted(block: np.ndarray) -> np.ndarray:
+    def converted(block: np.ndarray, transform: ImageCms.ImageCmsTransform) -> np.ndarray:
         block = block[..., 0] if mode == "L" else block
         return np.asarray(ImageCms.applyTransform(Image.fromarray(np.ascontiguousarray(block)), transform))
 
     if mode == "L" and rgb.shape[2] == 3:
         rgb = rgb[..., :1]
     probe = _probe(mode)
-    if np.abs(converted(probe).astype(int) - probe).max() <= _SAME_LEVELS:
+    if np.abs(converted(probe, transforms[0]).astype(int) - probe).max() <= _SAME_LEVELS:
         return Colours(rgb)
-    pixels = np.empty((*rgb.shape[:2], 3), np.uint8)
-    for top, bottom in strips(*rgb.shape[:2], _STRIP_PIXELS):
-        pixels[top:bottom] = converted(_bytes(rgb[top:bottom]))
+    pixels, rows = np.empty((*rgb.shape[:2], 3), np.uint8), list(strips(*rgb.shape[:2], _STRIP_PIXELS))
+
+    def convert(thread: int) -> None:
+        for top, bottom in rows[thread::len(transforms)]:
+            pixels[top:bottom] = converted(_bytes(rgb[top:bottom]), transforms[thread])
+
+    with ThreadPoolExecutor(len(transforms)) as pool:  # lcms works outside the interpreter lock
+        list(pool.map(convert, range(len(transforms))))
     return Colours(pixels, f"profile '{name}' converted to sRGB" + ("" if rgb.dtype == np.uint8 else " in 8 bits"))
 
 
