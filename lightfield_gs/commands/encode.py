@@ -56,6 +56,9 @@ def run(args: argparse.Namespace) -> None:
     lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
     if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
         note(why)
+    if args.antialiased and args.quality != "exact" and device == "cuda":
+        note("anti-aliased scenes are drawn neither from lattices nor in half precision on CUDA: --quality "
+             f"{args.quality} saves little time")
     watch.lap("start")
     with torch.inference_mode():
         gaussians, file = load_scene(args, device, watch)
