@@ -67,7 +67,7 @@ def _checked_cell(number: int, cell: Any) -> Cell:
 
 
 def check_pattern(panel: "Panel") -> None:
-    """Raises InputError for a pattern, rule or origin of rows that is not known, or asks for more cells than there are."""
+    """Raises InputError for a pattern, rule or origin of rows that is not known, or asks for more cells than given."""
     for name, value, known in (("cell_pattern", panel.cell_pattern, PATTERNS),
                                ("cell_rule", panel.cell_rule, CELL_RULES), ("cell_rows", panel.cell_rows, CELL_ROWS)):
         if isinstance(value, bool) or not isinstance(value, (int, str)) or value not in known:

@@ -1,4 +1,4 @@
-"""The lens of a panel as the native code takes it: two lists of numbers, which operators carry, and what is made of them."""
+"""The lens of a panel as the native code takes it: two lists of numbers, which operators carry, and what they make."""
 
 from __future__ import annotations
 

@@ -198,7 +198,7 @@ class Panel:
         return _phase_steps(self.line_number, self.slant_tan, self.phase)
 
     def place(self, channel: int) -> int:
-        """Place k, left to right, of image channel 0, 1, 2 (red, green, blue) within its pixel, of a panel of stripes."""
+        """Place k, left to right, of image channel 0, 1, 2 (red, green, blue) within its pixel, of stripes."""
         return channel if self.subpixel_order == "RGB" else 2 - channel
 
     def phase_rows(self, rows_per_chunk: int = 64) -> Iterator[tuple[slice, np.ndarray]]:

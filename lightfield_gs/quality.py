@@ -31,7 +31,7 @@ class Quality:
         left larger than this, nor its root mean square over a run of tiles (on CUDA: a tile) larger than a fifth, nor
         is a node moved farther; else the lattice is refined, split or given up. Between corners and middles the error
         is what a smooth field leaves it, not bounded. Colours on a lattice end at 0 and 1; on the CPU its nodes have 8
-        bits. 0: no lattice.
+        bits. 0: no lattice. On CUDA panels with sub-pixel cells and anti-aliased scenes have none.
     contribution_cut: 0..1; a Gaussian is left out whose alphas, summed over all sub-pixels of the panel as if nothing
         hid it, are less than its even share of this: contribution_cut * sub-pixels / Gaussians. A sample changes by at
         most the sum of the alphas left out there, and the mean of all samples by at most this; for the sums are taken

@@ -107,7 +107,8 @@ def test_looking_glass_formula(change, cell):
 
 def test_a_mirrored_looking_glass_may_gain_half_a_lens():
     mirrored = {**TEMPLATE, "flipImageX": 1}
-    plain, moved = (Panel.from_looking_glass(mirrored, flip_center=by).view_map(continuous=True)[0, 0, 0] for by in (0, 0.5))
+    plain, moved = (Panel.from_looking_glass(mirrored, flip_center=by).view_map(continuous=True)[0, 0, 0]
+                    for by in (0, 0.5))
     assert (moved - plain) % 96 == pytest.approx(48)
 
 

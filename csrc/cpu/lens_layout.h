@@ -22,8 +22,8 @@ struct LensLayout {
   double s_of_ordinal_0 = 0, s_per_ordinal = 0, half_s = 0;  // of the samples at ordinal t: centre, and half spread
   double x_per_ordinal = 1;  // pixels from one ordinal to the next; 1 where there is one ordinal only
   float half_patch_px = 0;  // half spread in x of a patch's samples at one ordinal, rows apart
-  // Of sub-pixels that do not stand in stripes: how far aside, at most; and so many before that of the first stripe of a
-  // lens, and after that of the last, may be of this lens
+  // Of sub-pixels that do not stand in stripes: how far aside, at most; and so many before that of the first stripe of
+  // a lens, and after that of the last, may be of this lens
   double beyond = 0;
   int lead = 0;
 

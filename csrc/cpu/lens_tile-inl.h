@@ -114,7 +114,8 @@ class LensTile {
     for (int64_t r = 0; r < kBandRows; ++r)
       for (int64_t c = 0; c <= layout_.cells_per_tile; ++c) {
         start(r, c) = layout_.cell_start(lens_, row0 + r, cell0 + c);
-        if (layout_.lead) anchors_[size_t(place(r, c))] = layout_.first_stripe(lens_, row0 + r, cell0 + c) - layout_.lead;
+        if (layout_.lead)
+          anchors_[size_t(place(r, c))] = layout_.first_stripe(lens_, row0 + r, cell0 + c) - layout_.lead;
       }
     for (int64_t patch = 0; patch < patches_; ++patch)
       lens_.has_cells ? place_patch<true>(patch) : place_patch<false>(patch);

@@ -44,8 +44,8 @@ struct FrameState {
 constexpr int kMostOrdinals = 32;
 constexpr int kPixelTileWidth = 64, kPixelTileHeight = 32;
 
-// Sub-pixels t of all lenses, t = 0, 1, ...: the part of the rig that they see. With cells, t counts from one before the
-// first stripe of a lens to one behind the last: those are of this lens or of the next.
+// Sub-pixels t of all lenses, t = 0, 1, ...: the part of the rig that they see. With cells, t counts from one before
+// the first stripe of a lens to one behind the last: those are of this lens or of the next.
 struct Ordinals {
   int count, per_group, groups;
   int first_lens;                                    // left-most lens of the panel

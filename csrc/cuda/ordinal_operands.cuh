@@ -37,8 +37,8 @@ struct WarpMemory {
   int first_page[kGroupOrdinals];              // how many of a queue lie in the first page, the others in the second
   float2 state[kGroupOrdinals * kHalves][32];  // colour and transmittance of each sample of the group
   // Of the lens of each sample, in its row: the sub-pixel at ordinal 0 and its phase; the first ordinal that is the
-  // lens's own, and the first that is no more. In memory: the compiler would rather compute them again for every ordinal
-  // than keep so many registers.
+  // lens's own, and the first that is no more. In memory: the compiler would rather compute them again for every
+  // ordinal than keep so many registers.
   int start[kHalves][32];
   ushort2 ordinals[kHalves][32];
   uint64_t phase[kHalves][32];

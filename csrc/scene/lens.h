@@ -12,8 +12,8 @@
 
 namespace lfgs {
 
-// Sub-pixels that do not stand in stripes: what a place k of a pixel has beyond the stripe k, and whose it is; by row and
-// column modulo kCellPeriod. Places are in the order in which the lens meets them.
+// Sub-pixels that do not stand in stripes: what a place k of a pixel has beyond the stripe k, and whose it is; by row
+// and column modulo kCellPeriod. Places are in the order in which the lens meets them.
 constexpr int kCellPeriod = 4, kRowPeriod = 3 * kCellPeriod;  // in sub-pixels
 struct SubpixelCells {
   uint64_t phases[kCellPeriod][kRowPeriod] = {};  // 2^64 = one lens, signed: about 0

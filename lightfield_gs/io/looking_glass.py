@@ -38,7 +38,8 @@ def panel_fields(source: str | Path | dict[str, Any] | list[Any], views: int, se
     if _is_set(data, "flipImageY", where):
         raise InputError(f"{where}: flipImageY is set; no published program says what it does to the lens, and this "
                          "one does not guess: turn the display, or describe the panel in a .yaml")
-    for key, meaning in (("verticalAngle", "cameras looking from above or below"), ("fringe", "a correction of colours")):
+    for key, meaning in (("verticalAngle", "cameras looking from above or below"),
+                         ("fringe", "a correction of colours")):
         if _is_set(data, key, where):
             raise InputError(f"{where}: {key} is set, {meaning}, which is not known here; set it to 0 to do without")
     line_number = 3 * dpi / (pitch * math.cos(math.atan(1 / slope)))
