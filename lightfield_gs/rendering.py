@@ -115,8 +115,8 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: M
     by stage: geometry, image (the sorted sub-pixels), binning; of the largest chunk of views, and of all views at once.
     out: of "direct", an image of the same size, type and device, e.g. of the frame before, that is drawn over and
     returned: on a CPU a new one of 88 MB costs 10 to 25 ms, for the system to find its memory.
-    antialiased: for scenes that were trained so, see `render`; of any method. "direct" evaluates most of those as they
-    are written, which takes longer, and on CUDA neither from lattices nor in half precision, whatever the quality.
+    antialiased: for scenes that were trained so, see `render`; of any method. "direct" takes up to half as long again,
+    and on CUDA draws them neither from lattices nor in half precision, whatever the quality.
     Raises InputError.
     """
     check_options(method, views, output)

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 import torch
-from command_line import PANEL, complaint, run
+from command_line import complaint, run
 
 from lightfield_gs import Gaussians, InputError, Rig
 from lightfield_gs.axes import UP_AXES, stated_up, upright
