@@ -22,17 +22,49 @@ if TYPE_CHECKING:
     from lightfield_gs.sorted_plan import SortedPlan
 
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
-_HOMES = {"Cameras": "cameras", "Encoder": "encoder", "Gaussians": "gaussians", "InputError": "errors",
-          "Panel": "panel", "PhotoEncoder": "photo_encoder", "Quality": "quality", "Rig": "rig",
-          "SortedPlan": "sorted_plan", "SplatterNet": "models", "encode": "rendering", "from_depth": "rgbd",
-          "interlace": "rendering", "load_photo": "io.photo", "prune": "pruning", "render": "rendering"}
+_HOMES = {
+    "Cameras": "cameras",
+    "Encoder": "encoder",
+    "Gaussians": "gaussians",
+    "InputError": "errors",
+    "Panel": "panel",
+    "PhotoEncoder": "photo_encoder",
+    "Quality": "quality",
+    "Rig": "rig",
+    "SortedPlan": "sorted_plan",
+    "SplatterNet": "models",
+    "encode": "rendering",
+    "from_depth": "rgbd",
+    "interlace": "rendering",
+    "load_photo": "io.photo",
+    "prune": "pruning",
+    "render": "rendering",
+}
 # Spelled out for type checkers, which take no other name as public, and do not run what would make this list of that
-__all__ = ["Cameras", "Encoder", "Gaussians", "InputError", "Panel", "PhotoEncoder", "Quality", "Rig", "SortedPlan",
-           "SplatterNet", "build_info", "encode", "from_depth", "interlace", "load_photo", "prune", "render"]
+__all__ = [
+    "Cameras",
+    "Encoder",
+    "Gaussians",
+    "InputError",
+    "Panel",
+    "PhotoEncoder",
+    "Quality",
+    "Rig",
+    "SortedPlan",
+    "SplatterNet",
+    "build_info",
+    "encode",
+    "from_depth",
+    "interlace",
+    "load_photo",
+    "prune",
+    "render",
+]
 __version__ = "0.1.0"
 
 
 if not TYPE_CHECKING:  # to a checker, every name would be there
+
     def __getattr__(name: str) -> Any:
         if name not in _HOMES:
             raise AttributeError(f"module 'lightfield_gs' has no attribute {name!r}")

@@ -50,8 +50,10 @@ class Cameras:
             if name != "jacobian_limits" or value is not None:
                 expect(f"cameras: {name}", value, torch.Tensor)
                 if not value.is_floating_point() or value.layout != torch.strided or value.is_meta:
-                    raise InputError(f"cameras: {name} must be floating point numbers, got {value.dtype} "
-                                     f"({value.layout}, {value.device})")
+                    raise InputError(
+                        f"cameras: {name} must be floating point numbers, got {value.dtype} "
+                        f"({value.layout}, {value.device})"
+                    )
         lead = self.world_to_camera.shape[:-2]
         expected = {"world_to_camera": (*lead, 4, 4), "focal_px": (*lead, 2), "principal_point_px": (*lead, 2)}
         if self.jacobian_limits is not None:
@@ -59,19 +61,20 @@ class Cameras:
         for name, shape in expected.items():
             found = tuple(getattr(self, name).shape)
             if found != shape or len(lead) not in (1, 2):
-                raise InputError(f"cameras: {name} must be {['...', 'C', *shape[len(lead):]]}, got {list(found)}")
+                raise InputError(f"cameras: {name} must be {['...', 'C', *shape[len(lead) :]]}, got {list(found)}")
             if getattr(self, name).device.type == "cpu":
                 check_finite(f"cameras: {name}", getattr(self, name))
         if self.focal_px.device.type == "cpu" and not bool((self.focal_px > 0).all()):
             raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
             if getattr(self, name) is None:
-                raise InputError(f"cameras: {name} is missing; no matrix says how large the image is: give width_px and "
-                                 "height_px")
+                raise InputError(
+                    f"cameras: {name} is missing; no matrix says how large the image is: give width_px and height_px"
+                )
             setattr(self, name, whole_number(f"cameras: {name}", getattr(self, name), 1, 65536))
 
     @classmethod
-    def from_inria(cls, path: str | Path, index: int | None = None) -> "Cameras":
+    def from_inria(cls, path: str | Path, index: int | None = None) -> Cameras:
         """The cameras [C] of a cameras.json as 3D Gaussian splatting writes it, or only that of this index, float64.
 
         Raises InputError that names file and key, also where images are of several sizes and no index is given.
@@ -81,7 +84,7 @@ class Cameras:
         return _of_file(cls, path, read_inria(path), index)
 
     @classmethod
-    def from_transforms(cls, path: str | Path, index: int | None = None) -> "Cameras":
+    def from_transforms(cls, path: str | Path, index: int | None = None) -> Cameras:
         """The cameras [C] of a transforms.json (NeRF; OpenGL axes in the file), or only that of this index, float64.
 
         Raises InputError that names file and key, also where images are of several sizes and no index is given, where
@@ -110,40 +113,56 @@ class Cameras:
             edges += [-(centre + 0.15 * size) / focal, (1.15 * size - centre) / focal]
         return torch.stack([*edges, torch.zeros_like(edges[0])], -1)
 
-    def select(self, views: slice | list[int] | torch.Tensor) -> "Cameras":
+    def select(self, views: slice | list[int] | torch.Tensor) -> Cameras:
         """The cameras at these places along C."""
         limits = None if self.jacobian_limits is None else self.jacobian_limits[..., views, :]
-        return Cameras(self.world_to_camera[..., views, :, :], self.focal_px[..., views, :],
-                       self.principal_point_px[..., views, :], self.width_px, self.height_px, limits)
+        return Cameras(
+            self.world_to_camera[..., views, :, :],
+            self.focal_px[..., views, :],
+            self.principal_point_px[..., views, :],
+            self.width_px,
+            self.height_px,
+            limits,
+        )
 
-    def relative_to(self, origin: Sequence[float]) -> "Cameras":
+    def relative_to(self, origin: Sequence[float]) -> Cameras:
         """The same cameras for coordinates that are given from `origin`; see Rig.relative_to."""
         poses = self.world_to_camera.clone()
         poses[..., :3, 3] += poses[..., :3, :3] @ poses.new_tensor(origin)
         return replace(self, world_to_camera=poses)
 
-    def to(self, *args, **kwargs) -> "Cameras":
+    def to(self, *args, **kwargs) -> Cameras:
         """Every tensor through torch.Tensor.to."""
         limits = None if self.jacobian_limits is None else self.jacobian_limits.to(*args, **kwargs)
-        return Cameras(self.world_to_camera.to(*args, **kwargs), self.focal_px.to(*args, **kwargs),
-                       self.principal_point_px.to(*args, **kwargs), self.width_px, self.height_px, limits)
+        return Cameras(
+            self.world_to_camera.to(*args, **kwargs),
+            self.focal_px.to(*args, **kwargs),
+            self.principal_point_px.to(*args, **kwargs),
+            self.width_px,
+            self.height_px,
+            limits,
+        )
 
 
 def _of_matrices(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """focal_px and principal_point_px of intrinsics K [..., C, 3, 3]; values on a device are not looked at."""
     expect("cameras: K", matrices, torch.Tensor)
     if matrices.shape[-2:] != (3, 3):
-        raise InputError("cameras: expected focal_px [..., C, 2] and principal_point_px [..., C, 2], or K "
-                         f"[..., C, 3, 3] in place of both, got {list(matrices.shape)} alone")
+        raise InputError(
+            "cameras: expected focal_px [..., C, 2] and principal_point_px [..., C, 2], or K "
+            f"[..., C, 3, 3] in place of both, got {list(matrices.shape)} alone"
+        )
     if matrices.device.type == "cpu":
         for row, column, value in ((0, 1, 0), (1, 0, 0), (2, 0, 0), (2, 1, 0), (2, 2, 1)):
             if not bool((matrices[..., row, column] == value).all()):
-                raise InputError(f"cameras: expected K of fx 0 cx, 0 fy cy, 0 0 1 (no skew), got other than {value} in "
-                                 f"row {row}, column {column}")
+                raise InputError(
+                    f"cameras: expected K of fx 0 cx, 0 fy cy, 0 0 1 (no skew), got other than {value} in "
+                    f"row {row}, column {column}"
+                )
     return matrices[..., (0, 1), (0, 1)], matrices[..., :2, 2]
 
 
-def _of_file(cls: type[Cameras], path: str | Path, cameras: "list[FileCamera]", index: int | None) -> Cameras:
+def _of_file(cls: type[Cameras], path: str | Path, cameras: list[FileCamera], index: int | None) -> Cameras:
     """The cameras of a file; they all need one size."""
     if index is not None:
         cameras = [cameras[whole_number(f"{path}: index", index, 0, len(cameras) - 1)]]
@@ -154,9 +173,13 @@ def _of_file(cls: type[Cameras], path: str | Path, cameras: "list[FileCamera]", 
         if camera.assumed:
             raise InputError(f"{path}: expected w and h, the size of the images: {camera.assumed}")
         if camera.distorted:
-            raise InputError(f"{path}: expected cameras without lens distortion (k1 ... p2 zero); undistort the images "
-                             "first, or set these to zero for their flat perspective")
-    arrays = (np.array([getattr(camera, name) for camera in cameras], np.float64)
-              for name in ("world_to_camera", "focal_px", "principal_point_px"))
-    (width, height), = sizes
+            raise InputError(
+                f"{path}: expected cameras without lens distortion (k1 ... p2 zero); undistort the images "
+                "first, or set these to zero for their flat perspective"
+            )
+    arrays = (
+        np.array([getattr(camera, name) for camera in cameras], np.float64)
+        for name in ("world_to_camera", "focal_px", "principal_point_px")
+    )
+    ((width, height),) = sizes
     return cls(*(torch.from_numpy(array) for array in arrays), width, height)

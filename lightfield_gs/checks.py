@@ -9,7 +9,6 @@ import numpy as np
 
 from lightfield_gs.errors import InputError
 
-
 _KIND_NAMES = {"NoneType": "none", "Tensor": "torch.Tensor"}
 
 

@@ -31,8 +31,10 @@ def slopes(depth: Tensor, focal_px: float) -> Tensor:
     """
     whole = joined(depth, focal_px)
     steps = torch.where(whole, depth[:, 1:] - depth[:, :-1], 0)
-    both = [torch.nn.functional.pad(values, (1, 0)) + torch.nn.functional.pad(values, (0, 1))
-            for values in (steps, whole.to(steps))]
+    both = [
+        torch.nn.functional.pad(values, (1, 0)) + torch.nn.functional.pad(values, (0, 1))
+        for values in (steps, whole.to(steps))
+    ]
     return both[0] / both[1].clamp_min(1) * focal_px / depth
 
 

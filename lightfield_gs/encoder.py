@@ -46,9 +46,18 @@ class Encoder:
     and kernels of one's own: call `forget` after those. Inference tensors count nothing and are always drawn.
     """
 
-    def __init__(self, panel: Panel, rig: Rig, *, views: Views = "integer",
-                 background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
-                 quality: QualityName | Quality = "exact", versioned: bool = False, antialiased: bool = False):
+    def __init__(
+        self,
+        panel: Panel,
+        rig: Rig,
+        *,
+        views: Views = "integer",
+        background: Colour = (1.0, 1.0, 1.0),
+        output: Output = "uint8",
+        quality: QualityName | Quality = "exact",
+        versioned: bool = False,
+        antialiased: bool = False,
+    ):
         rendering.check_options("direct", views, output)
         expect("panel", panel, Panel)
         expect("rig", rig, Rig)
@@ -70,12 +79,12 @@ class Encoder:
 
     @property
     def views(self) -> Views:
-        """"integer" or "continuous"."""
+        """ "integer" or "continuous"."""
         return self._views
 
     @property
     def output(self) -> Output:
-        """"uint8", "float32" or "float64"."""
+        """ "uint8", "float32" or "float64"."""
         return self._output
 
     @property
@@ -106,15 +115,28 @@ class Encoder:
         if gaussians.is_batched:
             raise InputError(f"an Encoder takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
         on_cuda, as_bytes = gaussians.means.is_cuda, self.output == "uint8"
-        if on_cuda and not (self.output != "float64" and all(t.dtype == torch.float32 and t.is_contiguous()
-                                                             for t in gaussians.fields().values())):
+        if on_cuda and not (
+            self.output != "float64"
+            and all(t.dtype == torch.float32 and t.is_contiguous() for t in gaussians.fields().values())
+        ):
             self.stats["frames"] += 1
-            return rendering.encode(gaussians, self.panel, self.rig, views=self.views, background=self.background,
-                                    output=self.output, quality=self.quality, antialiased=self.antialiased)
+            return rendering.encode(
+                gaussians,
+                self.panel,
+                self.rig,
+                views=self.views,
+                background=self.background,
+                output=self.output,
+                quality=self.quality,
+                antialiased=self.antialiased,
+            )
         if not isinstance(self._frames, CudaFrames if on_cuda else CpuFrames):
             precision = torch.float64 if self.output == "float64" else torch.float32
-            self._frames = (CudaFrames(as_bytes, self.quality, self.versioned, self.antialiased) if on_cuda
-                            else CpuFrames(precision, as_bytes, self.quality, self.antialiased))
+            self._frames = (
+                CudaFrames(as_bytes, self.quality, self.versioned, self.antialiased)
+                if on_cuda
+                else CpuFrames(precision, as_bytes, self.quality, self.antialiased)
+            )
         arguments = rendering.lens_arguments(self.panel, self.rig, self.views == "continuous")
         image, kept = self._frames.draw(gaussians, self.background, arguments)
         self.stats["frames"] += 1

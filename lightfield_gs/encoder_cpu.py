@@ -41,8 +41,9 @@ class CpuFrames:
         self.precision, self.as_bytes, self.quality, self.antialiased = precision, as_bytes, quality, antialiased
         self.last: _Frame | None = None
 
-    def draw(self, gaussians: Gaussians, background: Colour,
-             arguments: tuple[list[float], list[int], list[float]]) -> tuple[Tensor, set[str]]:
+    def draw(
+        self, gaussians: Gaussians, background: Colour, arguments: tuple[list[float], list[int], list[float]]
+    ) -> tuple[Tensor, set[str]]:
         """The image, which belongs to the caller, and the stages that were not repeated.
 
         arguments: as rendering.lens_arguments makes them. Raises InputError.
@@ -52,8 +53,11 @@ class CpuFrames:
         last, fields = self.last, gaussians.fields()
         rig, _, shape = arguments
         numbers = {"pose": rig[:16], "rig": [*rig[16:], *shape]}
-        inputs = {**fields, "background": background,
-                  **{name: torch.tensor(values, dtype=torch.float64) for name, values in numbers.items()}}
+        inputs = {
+            **fields,
+            "background": background,
+            **{name: torch.tensor(values, dtype=torch.float64) for name, values in numbers.items()},
+        }
         before = last.inputs if last else {}
         changed = {name for name, value in inputs.items() if name not in before or not _same(before[name], value)}
         if changed & fields.keys():
@@ -62,8 +66,9 @@ class CpuFrames:
             return last.image.clone(), set(STAGES)
 
         self.last = None  # what fails below leaves nothing half done
-        job = ops.LensArguments(*gaussians.to(dtype=self.precision).fields().values(), background, *arguments,
-                                self.antialiased)
+        job = ops.LensArguments(
+            *gaussians.to(dtype=self.precision).fields().values(), background, *arguments, self.antialiased
+        )
         work, order, kept = self._prepared(job, last, changed)
         image = job.image(self.as_bytes)
         work.composite_lens(job.lens, self.quality, job.background, image)
@@ -71,8 +76,9 @@ class CpuFrames:
         self.last = _Frame(copies, work, order, None if changed else image.clone())
         return image, kept
 
-    def _prepared(self, job: ops.LensArguments, last: _Frame | None,
-                  changed: set[str]) -> tuple[Workspace, tuple[Tensor, Tensor], set[str]]:
+    def _prepared(
+        self, job: ops.LensArguments, last: _Frame | None, changed: set[str]
+    ) -> tuple[Workspace, tuple[Tensor, Tensor], set[str]]:
         """The stages up to the composite, where what they read has changed; and which were not repeated."""
         if last and changed <= {"background"}:
             return last.work, last.order, {"project", "order", "bin"}
@@ -88,13 +94,16 @@ class CpuFrames:
 
 def _same(a: Tensor, b: Tensor) -> bool:
     """Bit by bit."""
-    return a.shape == b.shape and a.dtype == b.dtype and torch.equal(a.view(_BITS[a.dtype]),
-                                                                     b.detach().view(_BITS[b.dtype]))
+    return (
+        a.shape == b.shape
+        and a.dtype == b.dtype
+        and torch.equal(a.view(_BITS[a.dtype]), b.detach().view(_BITS[b.dtype]))
+    )
 
 
 def _has_places(work: Workspace, order: Tensor, drawn: Tensor) -> bool:
     """Whether every splat that is drawn has a place in the order. One there that is not drawn any more does no harm: it
     touches no band."""
     places = torch.zeros(work.scene.count, dtype=torch.bool)
-    places[order[0, :int(drawn)].long()] = True
+    places[order[0, : int(drawn)].long()] = True
     return not bool(((work.splats[0, :, _core.SPLAT_FIELDS - 2] >= 0) & ~places).any())

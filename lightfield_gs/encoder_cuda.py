@@ -56,13 +56,12 @@ class CudaFrames:
         self.background: tuple[Tensor, Tensor] | None = None  # on the host, a copy, and on the device
         self.captured: _Capture | None = None
         self.moving: FrameKind | None = None  # of frames whose rig is new
-        self.kind: FrameKind | None = None    # of the last frame
+        self.kind: FrameKind | None = None  # of the last frame
         self.image: Tensor | None = None
         self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
         self.last_arguments: Arguments | None = None
 
-    def draw(self, gaussians: Gaussians, background: Colour,
-             arguments: Arguments) -> tuple[Tensor, set[str]]:
+    def draw(self, gaussians: Gaussians, background: Colour, arguments: Arguments) -> tuple[Tensor, set[str]]:
         """The image, drawn over by the next call, and the stages that were not repeated.
 
         gaussians: float32, contiguous; arguments: as rendering.lens_arguments makes them. Raises InputError.
@@ -87,15 +86,17 @@ class CudaFrames:
         if isinstance(background, (tuple, list)) or isinstance(background, Tensor) and background.is_cuda:
             return rendering.background_tensor(background, like)
         colour = rendering.background_tensor(background, like.new_empty(0, device="cpu"))
-        if (self.background is None or self.background[1].device != like.device
-                or not torch.equal(self.background[0], colour)):
+        if (
+            self.background is None
+            or self.background[1].device != like.device
+            or not torch.equal(self.background[0], colour)
+        ):
             self.background = colour.clone(), colour.to(like.device)
         return self.background[1]
 
     def _still_shows(self, given: _Input, before: _Input, image_version: int | None) -> bool:
         untouched = image_version is not None and image_version == _version(self.image)
-        return (self.versioned and untouched and given.arguments == before.arguments
-                and not given.changed_since(before))
+        return self.versioned and untouched and given.arguments == before.arguments and not given.changed_since(before)
 
     def _draw(self, given: _Input, moved: bool) -> set[str]:
         if self.captured is None or not self.captured.draws(given):

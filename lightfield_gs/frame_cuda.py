@@ -36,12 +36,27 @@ def _colour_tolerances(quality: Quality) -> tuple[float, float]:
 class Frame:
     """One light-field frame: its work buffer, from torch's allocator, and its stages, on torch's stream."""
 
-    def __init__(self, scene: Scene, rig: Any, lens: Any, colour_order: int, quality: Quality, capacity: int,
-                 kernel: str | None = None):
+    def __init__(
+        self,
+        scene: Scene,
+        rig: Any,
+        lens: Any,
+        colour_order: int,
+        quality: Quality,
+        capacity: int,
+        kernel: str | None = None,
+    ):
         self.scene = scene
-        self.native = _core.cuda.LensFrame(gaussians=scene.count, sh_degree=scene.degree, colour_order=colour_order,
-                                           rig=rig, lens=lens, capacity=capacity, quality=quality.native,
-                                           tolerance=_colour_tolerances(quality)[1])
+        self.native = _core.cuda.LensFrame(
+            gaussians=scene.count,
+            sh_degree=scene.degree,
+            colour_order=colour_order,
+            rig=rig,
+            lens=lens,
+            capacity=capacity,
+            quality=quality.native,
+            tolerance=_colour_tolerances(quality)[1],
+        )
         if kernel is not None:
             self.native.force(_core.cuda.FRAME_KERNELS.index(kernel))
         self.work = scene.new(self.native.bytes(), dtype=torch.uint8)
@@ -86,7 +101,7 @@ class Frame:
 
     def state_bytes(self) -> Tensor:
         offset = self.native.state_address() - self.work.data_ptr()
-        return self.work[offset:offset + _core.cuda.FRAME_STATE_BYTES]
+        return self.work[offset : offset + _core.cuda.FRAME_STATE_BYTES]
 
 
 def _state_of(host: Tensor) -> dict[str, Any]:
@@ -106,8 +121,16 @@ class FrameKind:
     rig and lens may be replaced between frames (see moving_kind).
     """
 
-    def __init__(self, device: torch.device, rig: Any, lens: Any, colour_orders: tuple[int, ...], quality: Quality,
-                 kernel: str | None, slack: float = _SLACK):
+    def __init__(
+        self,
+        device: torch.device,
+        rig: Any,
+        lens: Any,
+        colour_orders: tuple[int, ...],
+        quality: Quality,
+        kernel: str | None,
+        slack: float = _SLACK,
+    ):
         self.device, self.slack = device, slack
         self.rig, self.lens, self.orders, self.quality, self.kernel = rig, lens, colour_orders, quality, kernel
         self.capacity: int | None = None
@@ -147,8 +170,10 @@ class FrameKind:
 
     def _learn(self, scene: Scene) -> None:
         if torch.cuda.is_current_stream_capturing():
-            raise InputError("the first frame of a kind waits for the device, which a stream that captures a graph "
-                             "must not: encode once before the capture")
+            raise InputError(
+                "the first frame of a kind waits for the device, which a stream that captures a graph "
+                "must not: encode once before the capture"
+            )
         while True:
             frame = self._frame(scene, 0)
             frame.project()
@@ -176,8 +201,9 @@ _kinds: OrderedDict[tuple, FrameKind] = OrderedDict()
 forced_kernel: str | None = None  # of _core.cuda.FRAME_KERNELS; None: chosen by cost. For tests and measurements
 
 
-def kind_of(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...],
-            quality: Quality) -> FrameKind:
+def kind_of(
+    scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...], quality: Quality
+) -> FrameKind:
     """The kind of frames of a scene; numbers: what rig and lens were made of. Remembers the last 64."""
     key = (scene.tensors[0].device, scene.count, scene.degree, numbers, quality, forced_kernel)
     if key not in _kinds:
@@ -188,8 +214,9 @@ def kind_of(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tu
     return _kinds[key]
 
 
-def moving_kind(scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...],
-                quality: Quality) -> FrameKind:
+def moving_kind(
+    scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...], quality: Quality
+) -> FrameKind:
     """A kind to be kept by who draws scenes of one size, each with a rig of its own: it reserves generously.
 
     Its colour polynomials have the highest order that a frame before needed; those of kind_of the one that their own

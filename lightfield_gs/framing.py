@@ -32,8 +32,14 @@ _FEW = 0.1  # of the scene: floaters, which are left out also where a given came
 _NOTHING_IN_FRONT = "no Gaussian lies in front of the camera; give another rig"
 
 
-def frame(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray | None = None, *, up: str = DEFAULT_UP,
-          notes: list[str] | None = None) -> Rig:
+def frame(
+    gaussians: Gaussians,
+    panel: Panel,
+    world_to_camera: np.ndarray | None = None,
+    *,
+    up: str = DEFAULT_UP,
+    notes: list[str] | None = None,
+) -> Rig:
     """A rig that shows the whole scene on the panel, or what it is about, where it surrounds that or floats far off.
 
     Content is what the visible Gaussians cover, but for the outermost 0.01 % of their opacity on each side, and for up
@@ -77,8 +83,13 @@ def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
     return fit(extent(_checked(gaussians, panel)).tolist(), panel, np.eye(4))
 
 
-def look_from(gaussians: Gaussians, panel: Panel, world_to_camera: np.ndarray, focal_px: tuple[float, float],
-              principal_point_px: tuple[float, float]) -> Rig:
+def look_from(
+    gaussians: Gaussians,
+    panel: Panel,
+    world_to_camera: np.ndarray,
+    focal_px: tuple[float, float],
+    principal_point_px: tuple[float, float],
+) -> Rig:
     """A rig of this centre camera, at the panel's resolution; its zero plane is in the subject: what is nearest of what
     is seen in the middle of the picture. Raises InputError, also where no Gaussian lies in front of the camera."""
     gaussians = _checked(gaussians, panel)
@@ -104,8 +115,9 @@ def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:
 
 def _subject(gaussians: Gaussians) -> subject.Subject:
     low, high = reach.bounds_of(reach.some(gaussians)).unbind(1)
-    return subject.find(gaussians.means, reach.sizes_of(gaussians), reach.weights_of(gaussians),
-                        float((high - low).max()))
+    return subject.find(
+        gaussians.means, reach.sizes_of(gaussians), reach.weights_of(gaussians), float((high - low).max())
+    )
 
 
 def _parted(gaussians: Gaussians, found: subject.Subject) -> tuple[Gaussians, Gaussians | None]:
@@ -146,9 +158,10 @@ def _bounded(gaussians: Gaussians, panel: Panel, pose: np.ndarray) -> Rig:
 
 def _is_narrow(rig: Rig, panel: Panel) -> bool:
     """Whether the panel takes 90 degrees at most."""
-    return all(math.atan(centre / focal) + math.atan((size - centre) / focal) <= _WIDEST_RAD
-               for centre, focal, size in zip(rig.principal_point_px, rig.focal_px,
-                                              (panel.width_px, panel.height_px)))
+    return all(
+        math.atan(centre / focal) + math.atan((size - centre) / focal) <= _WIDEST_RAD
+        for centre, focal, size in zip(rig.principal_point_px, rig.focal_px, (panel.width_px, panel.height_px))
+    )
 
 
 def _with_something_at_zero(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
@@ -197,8 +210,9 @@ def _share_in_frame(gaussians: Gaussians, panel: Panel, rig: Rig) -> float:
     matrix = _tensor(rig.world_to_camera, gaussians)
     x, y, z = (gaussians.means @ matrix[:3, :3].T + matrix[:3, 3]).unbind(1)
     inside = z > _NEAR
-    for slope, focal, centre, size in zip((x / z, y / z), rig.focal_px, rig.principal_point_px,
-                                          (panel.width_px, panel.height_px)):
+    for slope, focal, centre, size in zip(
+        (x / z, y / z), rig.focal_px, rig.principal_point_px, (panel.width_px, panel.height_px)
+    ):
         inside &= (focal * slope + centre >= 0) & (focal * slope + centre <= size)
     return float(inside.double().mean())
 
@@ -222,5 +236,3 @@ def _field_of_view_rad(panel: Panel) -> float:
         return math.radians(_UNKNOWN_FIELD_OF_VIEW_DEG)
     angle = 2 * math.atan(panel.height_px * panel.pixel_pitch_mm / 2 / panel.viewing_distance_mm)
     return min(max(angle, math.radians(_FIELD_OF_VIEW_DEG[0])), math.radians(_FIELD_OF_VIEW_DEG[1]))
-
-

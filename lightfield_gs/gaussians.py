@@ -81,18 +81,23 @@ class Gaussians:
 
     def fields(self) -> dict[str, torch.Tensor]:
         """The five tensors by name."""
-        return {"means": self.means, "quaternions": self.quaternions, "scales": self.scales,
-                "opacities": self.opacities, "sh": self.sh}
+        return {
+            "means": self.means,
+            "quaternions": self.quaternions,
+            "scales": self.scales,
+            "opacities": self.opacities,
+            "sh": self.sh,
+        }
 
-    def to(self, *args, **kwargs) -> "Gaussians":
+    def to(self, *args, **kwargs) -> Gaussians:
         """As torch.Tensor.to, on every field."""
         return replace(self, **{name: tensor.to(*args, **kwargs) for name, tensor in self.fields().items()})
 
-    def detach(self) -> "Gaussians":
+    def detach(self) -> Gaussians:
         """The same data outside the autograd graph."""
         return replace(self, **{name: tensor.detach() for name, tensor in self.fields().items()})
 
-    def rotated(self, rotation: Any) -> "Gaussians":
+    def rotated(self, rotation: Any) -> Gaussians:
         """The same Gaussians turned about the zero of their file: places, quaternions and harmonics of degree 0..3.
 
         rotation: [3, 3], applied to column vectors, or a quaternion [4] (wxyz, any length but zero): tensor, array or
@@ -104,7 +109,7 @@ class Gaussians:
 
         return rotated(self, rotation)
 
-    def validate(self) -> "Gaussians":
+    def validate(self) -> Gaussians:
         """Returns self.
 
         Raises InputError that names the field and the first bad index: wrong shape, dtype or device, NaN or infinity,
@@ -138,18 +143,28 @@ class Gaussians:
             raise InputError(f"means: expected a tensor on the CPU or CUDA, got {means.device}")
         if means.dtype not in (torch.float32, torch.float64):
             way_out = "; convert them with gaussians.to(torch.float32), or each field with .float()"
-            raise InputError(f"means: expected float32 or float64, got {means.dtype}"
-                             f"{way_out if means.dtype in (torch.float16, torch.bfloat16) else ''}")
+            raise InputError(
+                f"means: expected float32 or float64, got {means.dtype}"
+                f"{way_out if means.dtype in (torch.float16, torch.bfloat16) else ''}"
+            )
         lead = means.shape[:-1]
-        shapes = {"means": (*lead, 3), "quaternions": (*lead, 4), "scales": (*lead, 3), "opacities": lead,
-                  "sh": (*lead, self.sh.shape[-2] if self.sh.ndim >= 2 else 0, 3)}
+        shapes = {
+            "means": (*lead, 3),
+            "quaternions": (*lead, 4),
+            "scales": (*lead, 3),
+            "opacities": lead,
+            "sh": (*lead, self.sh.shape[-2] if self.sh.ndim >= 2 else 0, 3),
+        }
         for name, tensor in self.fields().items():
             if tuple(tensor.shape) != tuple(shapes[name]):
-                raise InputError(f"{name}: expected shape {list(shapes[name])} beside means {list(means.shape)}, "
-                                 f"got {list(tensor.shape)}")
+                raise InputError(
+                    f"{name}: expected shape {list(shapes[name])} beside means {list(means.shape)}, "
+                    f"got {list(tensor.shape)}"
+                )
             if tensor.dtype != means.dtype or tensor.device != means.device:
-                raise InputError(f"{name}: expected {means.dtype} on {means.device} as means, "
-                                 f"got {tensor.dtype} on {tensor.device}")
+                raise InputError(
+                    f"{name}: expected {means.dtype} on {means.device} as means, got {tensor.dtype} on {tensor.device}"
+                )
         if self.sh.shape[-2] not in SH_COEFFICIENTS:
             raise InputError(f"sh: expected 1, 4, 9 or 16 coefficients (degree 0..3), got {self.sh.shape[-2]}")
         if not is_row(self.origin, 3):
@@ -158,7 +173,7 @@ class Gaussians:
             real_number("origin", value, -1e300, 1e300)
 
     @staticmethod
-    def load(path: str | Path, *, skip_invalid: bool = False) -> "Gaussians":
+    def load(path: str | Path, *, skip_invalid: bool = False) -> Gaussians:
         """Reads a standard 3DGS .ply: float32, CPU. What looks wrong is a warning, and so is an origin.
 
         skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.io.scene_file.read_scene,
@@ -170,8 +185,11 @@ class Gaussians:
         for words in scene.notes:
             warnings.warn(f"{path}: {words}", stacklevel=2)
         if any(scene.gaussians.origin):
-            warnings.warn(f"{path}: the means are given from the origin {scene.gaussians.origin}; cameras in the "
-                          "file's coordinates fit after relative_to(gaussians.origin)", stacklevel=2)
+            warnings.warn(
+                f"{path}: the means are given from the origin {scene.gaussians.origin}; cameras in the "
+                "file's coordinates fit after relative_to(gaussians.origin)",
+                stacklevel=2,
+            )
         return scene.gaussians
 
     def save(self, path: str | Path) -> None:

@@ -24,8 +24,18 @@ COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a 
 FRAME_COLOUR_ORDERS = (2, 4, 8, 12, 16)
 
 
-def _workspace(scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, threads: int,
-               lens: bool, state: State | None = None, compensated: bool = False) -> Any:
+def _workspace(
+    scene: Scene,
+    images: int,
+    width: int,
+    height: int,
+    colour_order: int,
+    stats: Stats,
+    threads: int,
+    lens: bool,
+    state: State | None = None,
+    compensated: bool = False,
+) -> Any:
     """The workspace of the scene's device."""
     if scene.tensors[0].is_cuda:
         from lightfield_gs.workspace_cuda import CudaWorkspace
@@ -40,8 +50,24 @@ def _workspace(scene: Scene, images: int, width: int, height: int, colour_order:
 class _DenseJob:
     """Arguments of render_dense, checked, and the stages up to the composite, or what a render left of them."""
 
-    def __init__(self, means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits,
-                 width: int, height: int, antialiased: bool, stats: Stats, threads: int, state: State | None = None):
+    def __init__(
+        self,
+        means,
+        quaternions,
+        scales,
+        opacities,
+        sh,
+        background,
+        world_to_camera,
+        intrinsics,
+        limits,
+        width: int,
+        height: int,
+        antialiased: bool,
+        stats: Stats,
+        threads: int,
+        state: State | None = None,
+    ):
         self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
         if world_to_camera.dim() != 4:
             raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
@@ -50,11 +76,14 @@ class _DenseJob:
         self.lead = lead = (scene.batch, world_to_camera.shape[1])
         self.images, self.width, self.height, self.threads = lead[0] * lead[1], width, height, threads
         self.background = check("background", background, (*lead, 3), means)
-        self.cameras_tensors = [check("world_to_camera", world_to_camera, (*lead, 4, 4), means),
-                                check("intrinsics", intrinsics, (*lead, 4), means),
-                                check("limits", limits, (*lead, 5), means)]
-        self.cameras = scene.core.Cameras(*lead, width, height, *(t.data_ptr() for t in self.cameras_tensors),
-                                          antialiased)
+        self.cameras_tensors = [
+            check("world_to_camera", world_to_camera, (*lead, 4, 4), means),
+            check("intrinsics", intrinsics, (*lead, 4), means),
+            check("limits", limits, (*lead, 5), means),
+        ]
+        self.cameras = scene.core.Cameras(
+            *lead, width, height, *(t.data_ptr() for t in self.cameras_tensors), antialiased
+        )
         with scene.guard:
             self.work = _workspace(scene, self.images, width, height, 0, stats, threads, lens=False, state=state)
             if state is None:
@@ -81,9 +110,20 @@ def _dense_forward(arguments: tuple[Any, ...], stats: Stats, threads: int) -> tu
     return tuple(out), job.work.state()
 
 
-def render_dense(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
-                 background: Tensor, world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
-                 height: int, antialiased: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+def render_dense(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh: Tensor,
+    background: Tensor,
+    world_to_camera: Tensor,
+    intrinsics: Tensor,
+    limits: Tensor,
+    width: int,
+    height: int,
+    antialiased: bool = False,
+) -> tuple[Tensor, Tensor, Tensor]:
     """B scenes of N Gaussians, each seen by V cameras.
 
     means [B,N,3], quaternions [B,N,4] wxyz, scales [B,N,3] > 0, opacities [B,N] in (0,1], sh [B,N,K,3],
@@ -104,18 +144,56 @@ _library.impl("render_dense", render_dense, "CompositeImplicitAutograd")
 
 @torch.library.custom_op("lightfield_gs::render_dense_with_state", mutates_args=(), device_types=("cpu", "cuda"))
 def render_dense_with_state(
-        means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-        world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int, height: int,
-        antialiased: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh: Tensor,
+    background: Tensor,
+    world_to_camera: Tensor,
+    intrinsics: Tensor,
+    limits: Tensor,
+    width: int,
+    height: int,
+    antialiased: bool = False,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """render_dense, and the State that spares the reverse to project, order and bin once more."""
-    out, state = _dense_forward((means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics,
-                                 limits, width, height, antialiased), Stats(), torch.get_num_threads())
+    out, state = _dense_forward(
+        (
+            means,
+            quaternions,
+            scales,
+            opacities,
+            sh,
+            background,
+            world_to_camera,
+            intrinsics,
+            limits,
+            width,
+            height,
+            antialiased,
+        ),
+        Stats(),
+        torch.get_num_threads(),
+    )
     return (*out, *state)
 
 
 @render_dense_with_state.register_fake
-def _(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits, width, height,
-      antialiased=False):
+def _(
+    means,
+    quaternions,
+    scales,
+    opacities,
+    sh,
+    background,
+    world_to_camera,
+    intrinsics,
+    limits,
+    width,
+    height,
+    antialiased=False,
+):
     lead, count = world_to_camera.shape[:2], means.shape[1]
     size = (*lead, height, width)
     state = [means.new_empty(shape) for shape in State.shapes(lead[0] * lead[1], count, 0)]
@@ -124,21 +202,57 @@ def _(means, quaternions, scales, opacities, sh, background, world_to_camera, in
 
 
 @torch.library.custom_op("lightfield_gs::render_dense_backward", mutates_args=(), device_types=("cpu", "cuda"))
-def render_dense_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
-                          background: Tensor, world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int,
-                          height: int, image: Tensor, alpha: Tensor, depth: Tensor, splats: Tensor, colours: Tensor,
-                          lists: Tensor, g_image: Tensor, g_alpha: Tensor, g_depth: Tensor, antialiased: bool = False
-                          ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+def render_dense_backward(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh: Tensor,
+    background: Tensor,
+    world_to_camera: Tensor,
+    intrinsics: Tensor,
+    limits: Tensor,
+    width: int,
+    height: int,
+    image: Tensor,
+    alpha: Tensor,
+    depth: Tensor,
+    splats: Tensor,
+    colours: Tensor,
+    lists: Tensor,
+    g_image: Tensor,
+    g_alpha: Tensor,
+    g_depth: Tensor,
+    antialiased: bool = False,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Gradients of render_dense's first seven arguments from what render_dense_with_state returned and the gradients of
     its images."""
     threads = torch.get_num_threads()
-    job = _DenseJob(means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits, width,
-                    height, antialiased, Stats(), threads, State(splats, colours, lists))
+    job = _DenseJob(
+        means,
+        quaternions,
+        scales,
+        opacities,
+        sh,
+        background,
+        world_to_camera,
+        intrinsics,
+        limits,
+        width,
+        height,
+        antialiased,
+        Stats(),
+        threads,
+        State(splats, colours, lists),
+    )
     core, work = job.scene.core, job.work
-    images = [check(n, t, s, means) for n, t, s in zip(("image", "alpha", "depth"), (image, alpha, depth),
-                                                       job.image_shapes())]
-    grads = [check(n, t, s, means) for n, t, s in zip(("g_image", "g_alpha", "g_depth"), (g_image, g_alpha, g_depth),
-                                                      job.image_shapes())]
+    images = [
+        check(n, t, s, means) for n, t, s in zip(("image", "alpha", "depth"), (image, alpha, depth), job.image_shapes())
+    ]
+    grads = [
+        check(n, t, s, means)
+        for n, t, s in zip(("g_image", "g_alpha", "g_depth"), (g_image, g_alpha, g_depth), job.image_shapes())
+    ]
     native = [core.DenseImages(*(t.data_ptr() for t in ts)) for ts in (images, grads)]
     with job.scene.guard:
         out, parts, g_cameras = work.dense_backward(job.cameras, job.background, *native)
@@ -161,8 +275,9 @@ def _dense_setup(ctx, inputs, output):
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
     grads = [torch.zeros_like(out) if g is None else g for g, out in zip(grads[:3], saved[9:])]
-    out = torch.ops.lightfield_gs.render_dense_backward(*saved[:9], ctx.width, ctx.height, *saved[9:], *grads,
-                                                        ctx.antialiased)
+    out = torch.ops.lightfield_gs.render_dense_backward(
+        *saved[:9], ctx.width, ctx.height, *saved[9:], *grads, ctx.antialiased
+    )
     return (*out, None, None, None, None, None)
 
 
@@ -188,16 +303,33 @@ class _RenderDense(torch.autograd.Function):
 class LensArguments:
     """Arguments of render_lens, checked."""
 
-    def __init__(self, means, quaternions, scales, opacities, sh, background, rig: list[float], lens: list[int],
-                 lens_shape: list[float], antialiased: bool = False):
+    def __init__(
+        self,
+        means,
+        quaternions,
+        scales,
+        opacities,
+        sh,
+        background,
+        rig: list[float],
+        lens: list[int],
+        lens_shape: list[float],
+        antialiased: bool = False,
+    ):
         self.scene = scene = Scene(*(t.unsqueeze(0) for t in (means, quaternions, scales, opacities, sh)))
         self.background = check("background", background, (3,), means)
         self.lens = native_lens(lens, lens_shape)
         self.width, self.height = lens[0], lens[1]
         if len(rig) != 26:
             raise InputError(f"rig must be 26 numbers (see render_lens), got {len(rig)}")
-        self.rig = _core.Rig(world_to_camera=rig[:16], intrinsics=rig[16:20], limits=rig[20:25], zero_depth=rig[25],
-                             lens=self.lens, antialiased=antialiased)
+        self.rig = _core.Rig(
+            world_to_camera=rig[:16],
+            intrinsics=rig[16:20],
+            limits=rig[20:25],
+            zero_depth=rig[25],
+            lens=self.lens,
+            antialiased=antialiased,
+        )
         self.antialiased = antialiased
         self.numbers = (*rig, *lens, *lens_shape, antialiased)
         # Colours: raise the order until the polynomials are good enough. float64 is the exact twin: highest order.
@@ -212,8 +344,9 @@ def projected_lens(job: LensArguments, stats: Stats, threads: int, quality: Qual
     """The workspace of a light field after its projection."""
     with job.scene.guard, stats.stage("project"):
         for order in job.colour_orders:
-            work = _workspace(job.scene, 1, job.width, job.height, order, stats, threads, lens=True,
-                              compensated=job.antialiased)
+            work = _workspace(
+                job.scene, 1, job.width, job.height, order, stats, threads, lens=True, compensated=job.antialiased
+            )
             stats.colour_error = work.project_lens(job.rig, job.lens, quality)
             if stats.colour_error <= quality.colour_error:
                 break
@@ -228,8 +361,14 @@ def _lens_workspace(job: LensArguments, stats: Stats, threads: int, quality: Qua
     return work
 
 
-def lens_forward(*arguments: Any, as_bytes: bool = False, quality: Quality = EXACT, stats: Stats | None = None,
-                 threads: int | None = None, out: Tensor | None = None) -> Tensor:
+def lens_forward(
+    *arguments: Any,
+    as_bytes: bool = False,
+    quality: Quality = EXACT,
+    stats: Stats | None = None,
+    threads: int | None = None,
+    out: Tensor | None = None,
+) -> Tensor:
     """render_lens without autograd; see there. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`, and `out`
     where it is given: an image of that size and type, checked.
 
@@ -243,8 +382,9 @@ def lens_forward(*arguments: Any, as_bytes: bool = False, quality: Quality = EXA
     return draw_lens(job, as_bytes, quality, stats, threads, out)
 
 
-def draw_lens(job: LensArguments, as_bytes: bool, quality: Quality, stats: Stats, threads: int,
-              out: Tensor | None = None) -> Tensor:
+def draw_lens(
+    job: LensArguments, as_bytes: bool, quality: Quality, stats: Stats, threads: int, out: Tensor | None = None
+) -> Tensor:
     """The image of a light field on the CPU."""
     work = _lens_workspace(job, stats, threads, quality)
     with stats.stage("composite"):
@@ -280,8 +420,18 @@ def draw_frame(job: LensArguments, kind: Any, as_bytes: bool, stats: Stats, out:
 
 
 @torch.library.custom_op("lightfield_gs::render_lens", mutates_args=(), device_types=("cpu", "cuda"))
-def render_lens(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-                rig: list[float], lens: list[int], lens_shape: list[float], antialiased: bool = False) -> Tensor:
+def render_lens(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh: Tensor,
+    background: Tensor,
+    rig: list[float],
+    lens: list[int],
+    lens_shape: list[float],
+    antialiased: bool = False,
+) -> Tensor:
     """The image [H, W, 3] that a slanted-lenticular panel shows of N Gaussians.
 
     means [N,3], quaternions [N,4] wxyz, scales [N,3] > 0, opacities [N] in (0,1], sh [N,K,3], background [3]; all
@@ -308,14 +458,25 @@ def _(means, quaternions, scales, opacities, sh, background, rig, lens, lens_sha
 
 
 @torch.library.custom_op("lightfield_gs::render_lens_backward", mutates_args=(), device_types=("cpu", "cuda"))
-def render_lens_backward(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor,
-                         background: Tensor, rig: list[float], lens: list[int], lens_shape: list[float],
-                         image: Tensor, g_image: Tensor, antialiased: bool = False
-                         ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+def render_lens_backward(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh: Tensor,
+    background: Tensor,
+    rig: list[float],
+    lens: list[int],
+    lens_shape: list[float],
+    image: Tensor,
+    g_image: Tensor,
+    antialiased: bool = False,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Gradients of render_lens's first six arguments from its output and the gradient of that."""
     job = LensArguments(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased)
-    image, g_image = (check(n, t, (job.height, job.width, 3), means) for n, t in (("image", image),
-                                                                                 ("g_image", g_image)))
+    image, g_image = (
+        check(n, t, (job.height, job.width, 3), means) for n, t in (("image", image), ("g_image", g_image))
+    )
     work = _lens_workspace(job, Stats(), torch.get_num_threads())
     with job.scene.guard:
         out, parts = work.lens_backward(job.rig, job.lens, job.background, image, g_image)
@@ -335,8 +496,9 @@ def _lens_setup(ctx, inputs, output):
 
 def _lens_backward(ctx, grad):
     *tensors, image = ctx.saved_tensors
-    out = torch.ops.lightfield_gs.render_lens_backward(*tensors, ctx.rig, ctx.lens, ctx.lens_shape, image, grad,
-                                                       ctx.antialiased)
+    out = torch.ops.lightfield_gs.render_lens_backward(
+        *tensors, ctx.rig, ctx.lens, ctx.lens_shape, image, grad, ctx.antialiased
+    )
     return (*out, None, None, None, None)
 
 

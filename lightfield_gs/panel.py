@@ -81,9 +81,14 @@ class Panel:
     def __post_init__(self) -> None:
         for key, low, high in (("width_px", 1, MAX_SIZE_PX), ("height_px", 1, MAX_SIZE_PX), ("views", 1, MAX_VIEWS)):
             self._set(key, whole_number(f"panel: {key}", getattr(self, key), low, high))
-        for key, low, high in (("line_number", 1e-3, 1e6), ("slant_tan", -10, 10), ("phase", -1e12, 1e12),
-                               ("cone_deg", 1e-6, 180), ("viewing_distance_mm", 1e-3, 1e9),
-                               ("pixel_pitch_mm", 1e-6, 1e6)):
+        for key, low, high in (
+            ("line_number", 1e-3, 1e6),
+            ("slant_tan", -10, 10),
+            ("phase", -1e12, 1e12),
+            ("cone_deg", 1e-6, 180),
+            ("viewing_distance_mm", 1e-3, 1e9),
+            ("pixel_pitch_mm", 1e-6, 1e6),
+        ):
             if getattr(self, key) is not None or key not in ("viewing_distance_mm", "pixel_pitch_mm"):
                 self._set(key, real_number(f"panel: {key}", getattr(self, key), low, high))
         if self.cone_deg >= 180:
@@ -102,7 +107,7 @@ class Panel:
     # Where panels come from
 
     @staticmethod
-    def load(source: str | Path, *, serial: str | None = None) -> "Panel":
+    def load(source: str | Path, *, serial: str | None = None) -> Panel:
         """A panel by name (configs/panels), from a YAML file, or from a Looking Glass calibration in a .json file.
 
         serial: which display, where the file has calibrations of several (see from_looking_glass). Raises InputError.
@@ -111,12 +116,14 @@ class Panel:
         if str(source).lower().endswith(".json"):
             return Panel.from_looking_glass(source, serial=serial)
         if serial is not None:
-            raise InputError(f"--device-serial (serial= in Python) chooses among Looking Glass calibrations in a .json "
-                             f"file, and {shown(str(source))} is none; leave it out")
+            raise InputError(
+                f"--device-serial (serial= in Python) chooses among Looking Glass calibrations in a .json "
+                f"file, and {shown(str(source))} is none; leave it out"
+            )
         return Panel.from_yaml(source)
 
     @staticmethod
-    def from_yaml(source: str | Path) -> "Panel":
+    def from_yaml(source: str | Path) -> Panel:
         """A panel from a YAML file with the fields of this class, or by the name of one in configs/panels.
 
         Raises InputError when it cannot be read, or names an unknown or missing key.
@@ -130,10 +137,22 @@ class Panel:
         return Panel._of_file(path, {"name": path.stem, **data})
 
     @staticmethod
-    def from_physical(*, width_px: int, height_px: int, views: int, lens_pitch_mm: float, slant_tan: float,
-                      viewing_distance_mm: float, lens_gap_mm: float, pixel_pitch_mm: float, phase: float = 0.0,
-                      subpixel_order: SubpixelOrder = "RGB", invert_views: bool = False, cone_deg: float | None = None,
-                      name: str = "panel") -> "Panel":
+    def from_physical(
+        *,
+        width_px: int,
+        height_px: int,
+        views: int,
+        lens_pitch_mm: float,
+        slant_tan: float,
+        viewing_distance_mm: float,
+        lens_gap_mm: float,
+        pixel_pitch_mm: float,
+        phase: float = 0.0,
+        subpixel_order: SubpixelOrder = "RGB",
+        invert_views: bool = False,
+        cone_deg: float | None = None,
+        name: str = "panel",
+    ) -> Panel:
         """A panel from its measures in mm.
 
         lens_pitch_mm is measured across the lens axis; lens_gap_mm is the air-equivalent distance of lens and
@@ -143,19 +162,40 @@ class Panel:
         """
         pitch, gap, distance, pixel = (
             real_number(f"panel: {key}", value, 1e-6, 1e9)
-            for key, value in (("lens_pitch_mm", lens_pitch_mm), ("lens_gap_mm", lens_gap_mm),
-                               ("viewing_distance_mm", viewing_distance_mm), ("pixel_pitch_mm", pixel_pitch_mm)))
+            for key, value in (
+                ("lens_pitch_mm", lens_pitch_mm),
+                ("lens_gap_mm", lens_gap_mm),
+                ("viewing_distance_mm", viewing_distance_mm),
+                ("pixel_pitch_mm", pixel_pitch_mm),
+            )
+        )
         slant = real_number("panel: slant_tan", slant_tan, -10, 10)
         lens_width = (distance + gap) / distance * pitch / math.cos(math.atan(slant))  # in mm along a row
         if cone_deg is None:
             cone_deg = 2 * math.degrees(math.atan(lens_width / (2 * gap)))
-        return Panel(width_px=width_px, height_px=height_px, views=views, line_number=lens_width / (pixel / 3),
-                     slant_tan=slant, phase=phase, subpixel_order=subpixel_order, invert_views=invert_views,
-                     cone_deg=cone_deg, viewing_distance_mm=distance, pixel_pitch_mm=pixel, name=name)
+        return Panel(
+            width_px=width_px,
+            height_px=height_px,
+            views=views,
+            line_number=lens_width / (pixel / 3),
+            slant_tan=slant,
+            phase=phase,
+            subpixel_order=subpixel_order,
+            invert_views=invert_views,
+            cone_deg=cone_deg,
+            viewing_distance_mm=distance,
+            pixel_pitch_mm=pixel,
+            name=name,
+        )
 
     @staticmethod
-    def from_looking_glass(source: str | Path | dict[str, Any] | list[Any], *, views: int = 96,
-                           serial: str | None = None, flip_center: float = 0.0) -> "Panel":
+    def from_looking_glass(
+        source: str | Path | dict[str, Any] | list[Any],
+        *,
+        views: int = 96,
+        serial: str | None = None,
+        flip_center: float = 0.0,
+    ) -> Panel:
         """A panel from a Looking Glass calibration: visual.json, the answer of Looking Glass Bridge, or what is in one.
 
         Its values may be plain or {"value": v}, and numbers may be strings. serial: of the calibration or the display;
@@ -168,7 +208,7 @@ class Panel:
         return Panel._of_file(source, panel_fields(source, views, serial, flip_center))
 
     @staticmethod
-    def _of_file(source: object, data: dict[str, Any]) -> "Panel":
+    def _of_file(source: object, data: dict[str, Any]) -> Panel:
         """A panel of these fields; what is wrong with them is told with the name of the file that they are from."""
         try:
             return Panel(**data)

@@ -38,9 +38,16 @@ class PhotoEncoder:
     to learn where the object is. Raises InputError.
     """
 
-    def __init__(self, net: SplatterNet, panel: Panel, *, views: Views = "integer",
-                 background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
-                 quality: QualityName | Quality = "exact"):
+    def __init__(
+        self,
+        net: SplatterNet,
+        panel: Panel,
+        *,
+        views: Views = "integer",
+        background: Colour = (1.0, 1.0, 1.0),
+        output: Output = "uint8",
+        quality: QualityName | Quality = "exact",
+    ):
         self.quality = Quality.of(quality)
         rendering.check_options("direct", views, output)
         expect("net", net, SplatterNet)
@@ -82,8 +89,15 @@ class PhotoEncoder:
         with stats.stage("framing"):
             self.rig = framing.frame_photo(self.gaussians, self.panel)
         with stats.stage("encode"):
-            return rendering.encode(self.gaussians, self.panel, self.rig, views=self.views, background=self.background,
-                                    output=self.output, quality=self.quality)
+            return rendering.encode(
+                self.gaussians,
+                self.panel,
+                self.rig,
+                views=self.views,
+                background=self.background,
+                output=self.output,
+                quality=self.quality,
+            )
 
     def _draw_on_cuda(self, photo: Tensor, stats: Stats) -> Tensor:
         with torch.cuda.device(self.net.device):
@@ -102,8 +116,11 @@ class PhotoEncoder:
     def _draw_frame(self) -> Tensor:
         """The frame's kernels as ordinary launches: the rig, another for each photo, is part of their arguments."""
         background = rendering.background_tensor(self.background, self.gaussians.means).reshape(-1)
-        job = ops.LensArguments(*self.gaussians.fields().values(), background,
-                                *rendering.lens_arguments(self.panel, self.rig, self.views == "continuous"))
+        job = ops.LensArguments(
+            *self.gaussians.fields().values(),
+            background,
+            *rendering.lens_arguments(self.panel, self.rig, self.views == "continuous"),
+        )
         if self._kind is None:
             self._kind = ops.frame_kind(job, self.quality, moving=True)
         self._kind.rig, self._kind.lens = job.rig, job.lens
@@ -120,8 +137,7 @@ class _Capture:
         self.photo.copy_(photo)
         self._crop, (self.cropped, self.checks) = _captured(self._cropped)
         self._network, self.gaussians = _captured(lambda: net.all_gaussians(self.cropped, self.intrinsics))
-        self._framing, self.numbers = _captured(
-            lambda: torch.cat([self.checks, framing.extent(self.gaussians)]))
+        self._framing, self.numbers = _captured(lambda: torch.cat([self.checks, framing.extent(self.gaussians)]))
 
     def takes(self, photo: Tensor) -> bool:
         return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype

@@ -22,8 +22,15 @@ _SHEET_VIEW_WIDTH_PX, _ANIMATION_WIDTH_PX = 480, 960
 _FRAMES, _FRAME_MS, _WEBP_QUALITY = 24, 60, 85
 
 
-def write_preview(folder: str | Path, image: np.ndarray, gaussians: Gaussians, panel: Panel, rig: Rig,
-                  background: tuple[float, float, float] = (1.0, 1.0, 1.0), antialiased: bool = False) -> list[Path]:
+def write_preview(
+    folder: str | Path,
+    image: np.ndarray,
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    antialiased: bool = False,
+) -> list[Path]:
     """Writes previews of an encoded light field into `folder` (made if absent) and returns their paths.
 
     views.png: views from the left-most to the right-most camera, row by row.
@@ -56,11 +63,16 @@ def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
     return paths
 
 
-def contact_sheet(gaussians: Gaussians, panel: Panel, rig: Rig,
-                  background: tuple[float, float, float] = (1.0, 1.0, 1.0), antialiased: bool = False) -> np.ndarray:
+def contact_sheet(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    antialiased: bool = False,
+) -> np.ndarray:
     """Twelve views of the light field, left-most camera first, in rows of four: uint8 [H, W, 3]."""
     views = _views(gaussians, panel, rig, background, _SHEET_COLUMNS * _SHEET_ROWS, _SHEET_VIEW_WIDTH_PX, antialiased)
-    rows = [np.concatenate(views[i:i + _SHEET_COLUMNS], 1) for i in range(0, len(views), _SHEET_COLUMNS)]
+    rows = [np.concatenate(views[i : i + _SHEET_COLUMNS], 1) for i in range(0, len(views), _SHEET_COLUMNS)]
     return np.concatenate(rows)
 
 
@@ -69,13 +81,20 @@ def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
     top = (1 << bits) - 1
     out = np.empty(image.shape, np.uint8 if bits == 8 else np.uint16)
     for first in range(0, len(image), 256):  # in strips: an 8K frame in float64 would be 700 MB
-        strip = np.nan_to_num(image[first:first + 256].astype(np.float64))
-        out[first:first + 256] = np.floor(np.clip(strip, 0, 1) * top + 0.5)
+        strip = np.nan_to_num(image[first : first + 256].astype(np.float64))
+        out[first : first + 256] = np.floor(np.clip(strip, 0, 1) * top + 0.5)
     return out
 
 
-def _views(gaussians: Gaussians, panel: Panel, rig: Rig, background: tuple[float, float, float], count: int,
-           width_px: int, antialiased: bool) -> list[np.ndarray]:
+def _views(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    background: tuple[float, float, float],
+    count: int,
+    width_px: int,
+    antialiased: bool,
+) -> list[np.ndarray]:
     """`count` views spread over the fan, left-most camera first, each uint8 [h, w, 3]."""
     from lightfield_gs.rendering import render
 
@@ -97,5 +116,12 @@ def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
 
     images = [Image.fromarray(frame) for frame in [*frames, *frames[-2:0:-1]]]
     with atomic_path(path) as temporary:
-        images[0].save(temporary, save_all=True, append_images=images[1:], duration=_FRAME_MS, loop=0,
-                       quality=_WEBP_QUALITY, method=2)
+        images[0].save(
+            temporary,
+            save_all=True,
+            append_images=images[1:],
+            duration=_FRAME_MS,
+            loop=0,
+            quality=_WEBP_QUALITY,
+            method=2,
+        )

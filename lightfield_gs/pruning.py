@@ -15,8 +15,9 @@ from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
 
 
-def prune(gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float,
-          antialiased: bool = False) -> Gaussians:
+def prune(
+    gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float, antialiased: bool = False
+) -> Gaussians:
     """The scene without the Gaussians that contribute least to the image that the panel shows of it by this rig.
 
     A Gaussian contributes its weights, alpha times the transmittance of what stands before it, in all sub-pixels. Those
@@ -43,8 +44,12 @@ def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: boo
 
     That is the derivative of the sum of the image by its colour. Raises InputError.
     """
-    for name, value, kind in (("gaussians", gaussians, Gaussians), ("panel", panel, Panel), ("rig", rig, Rig),
-                              ("antialiased", antialiased, bool)):
+    for name, value, kind in (
+        ("gaussians", gaussians, Gaussians),
+        ("panel", panel, Panel),
+        ("rig", rig, Rig),
+        ("antialiased", antialiased, bool),
+    ):
         expect(name, value, kind)
     gaussians.validate_layout()
     if gaussians.is_batched:
@@ -56,5 +61,5 @@ def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: boo
         scene = Gaussians(means, *shape, grey.requires_grad_())
         output = str(means.dtype).removeprefix("torch.")
         image = rendering.encode(scene, panel, rig, output=output, antialiased=antialiased)
-        gradient, = torch.autograd.grad(image, grey, torch.ones_like(image))
+        (gradient,) = torch.autograd.grad(image, grey, torch.ones_like(image))
     return gradient.double().sum((1, 2)) / SH_CONSTANT

@@ -51,9 +51,14 @@ class Quality:
     evaluation_error: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, low, high in (("opacity_cut", OPACITY_CUT, 0.5), ("transmittance_stop", TRANSMITTANCE_STOP, 0.5),
-                                ("colour_error", 0.0, 1.0), ("lattice_error", 0.0, 1.0),
-                                ("contribution_cut", 0.0, 1.0), ("evaluation_error", 0.0, 1.0)):
+        for name, low, high in (
+            ("opacity_cut", OPACITY_CUT, 0.5),
+            ("transmittance_stop", TRANSMITTANCE_STOP, 0.5),
+            ("colour_error", 0.0, 1.0),
+            ("lattice_error", 0.0, 1.0),
+            ("contribution_cut", 0.0, 1.0),
+            ("evaluation_error", 0.0, 1.0),
+        ):
             real_number(f"quality: {name}", getattr(self, name), low, high)
 
     @staticmethod
@@ -72,9 +77,13 @@ class Quality:
 
     @cached_property
     def native(self) -> Any:
-        return _core.Quality(opacity_cut=self.opacity_cut, transmittance_stop=self.transmittance_stop,
-                             lattice=self.lattice_error, contribution=self.contribution_cut,
-                             evaluation=self.evaluation_error)
+        return _core.Quality(
+            opacity_cut=self.opacity_cut,
+            transmittance_stop=self.transmittance_stop,
+            lattice=self.lattice_error,
+            contribution=self.contribution_cut,
+            evaluation=self.evaluation_error,
+        )
 
 
 EXACT = Quality()

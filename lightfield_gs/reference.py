@@ -39,12 +39,14 @@ def _chunks(projection: Projection, samples: Samples) -> Iterator[tuple[slice, S
         yield span, chunk, projection.blend(chunk)
 
 
-def _colours(projection: Projection, columns: Tensor, rows: Tensor, offsets: Tensor, channels: Tensor,
-             background: Tensor) -> tuple[Tensor, Tensor]:
+def _colours(
+    projection: Projection, columns: Tensor, rows: Tensor, offsets: Tensor, channels: Tensor, background: Tensor
+) -> tuple[Tensor, Tensor]:
     """Colours [M] and margins [M] of samples in any order, each of one channel."""
     device = projection.scene.means.device
     columns, rows, offsets, channels, background = (
-        t.to(device) for t in (columns, rows, offsets, channels, background))
+        t.to(device) for t in (columns, rows, offsets, channels, background)
+    )
     order = torch.sort(rows, stable=True).indices
     samples, channels = Samples(columns[order], rows[order], offsets[order]), channels[order]
     colours, margins = [], []
@@ -57,8 +59,9 @@ def _colours(projection: Projection, columns: Tensor, rows: Tensor, offsets: Ten
     return torch.cat(colours)[back], torch.cat(margins)[back]
 
 
-def lens_views(panel: Panel, rows: Sequence[int], columns: Sequence[int], channels: Sequence[int],
-               continuous: bool = False) -> np.ndarray:
+def lens_views(
+    panel: Panel, rows: Sequence[int], columns: Sequence[int], channels: Sequence[int], continuous: bool = False
+) -> np.ndarray:
     """View x in [0,N) of sub-pixels, float64 [M]: exact in fractions; n + 1/2 (n whole) unless continuous."""
     pitch, slant, phase = (Fraction(float(value)) for value in (panel.line_number, panel.slant_tan, panel.phase))
     # Lens coordinate (D_0 + 3 j + k + 3 i tan) / P_e over one denominator, then whole numbers of any length.
@@ -116,10 +119,19 @@ def frustum_limits(fx: float, fy: float, cx: float, cy: float, width: int, heigh
     return torch.tensor(limits, dtype=torch.float64)
 
 
-def subpixel_colours(gaussians: Gaussians, panel: Panel, rig: Rig, rows: np.ndarray, columns: np.ndarray,
-                     channels: np.ndarray, *, continuous: bool = False, background: Sequence[float] = (1, 1, 1),
-                     antialiased: bool = False, return_margin: bool = False
-                     ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+def subpixel_colours(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    channels: np.ndarray,
+    *,
+    continuous: bool = False,
+    background: Sequence[float] = (1, 1, 1),
+    antialiased: bool = False,
+    return_margin: bool = False,
+) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Colours that chosen sub-pixels of a light-field image must have, float64 [M].
 
     rows, columns: 0-based pixels [M]; channels: image channels [M], 0 red to 2 blue. continuous: fractional views.
@@ -129,36 +141,80 @@ def subpixel_colours(gaussians: Gaussians, panel: Panel, rig: Rig, rows: np.ndar
     """
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
     projection = Projection(Scene.of(gaussians), rig_eye(panel, rig), antialiased)
-    colours, margins = _colours(projection, _centres(columns), _centres(rows), torch.from_numpy(offsets),
-                                torch.as_tensor(channels, dtype=torch.int64), _float64(background))
+    colours, margins = _colours(
+        projection,
+        _centres(columns),
+        _centres(rows),
+        torch.from_numpy(offsets),
+        torch.as_tensor(channels, dtype=torch.int64),
+        _float64(background),
+    )
     return (colours.cpu().numpy(), margins.cpu().numpy()) if return_margin else colours.cpu().numpy()
 
 
-def lens_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-               panel: Panel, rig: Rig, *, continuous: bool = False, antialiased: bool = False) -> Tensor:
+def lens_torch(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh: Tensor,
+    background: Tensor,
+    panel: Panel,
+    rig: Rig,
+    *,
+    continuous: bool = False,
+    antialiased: bool = False,
+) -> Tensor:
     """The whole light-field image [H,W,3] of one small scene, differentiable in every tensor (float64, no batch)."""
     rows, columns, channels = (index.ravel() for index in np.indices((panel.height_px, panel.width_px, 3)))
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
     projection = Projection(Scene(means, quaternions, scales, opacities, sh), rig_eye(panel, rig), antialiased)
-    colours, _ = _colours(projection, _centres(columns), _centres(rows), torch.from_numpy(offsets),
-                          torch.from_numpy(channels), background)
+    colours, _ = _colours(
+        projection, _centres(columns), _centres(rows), torch.from_numpy(offsets), torch.from_numpy(channels), background
+    )
     return colours.reshape(panel.height_px, panel.width_px, 3)
 
 
-def pixel_colours(gaussians: Gaussians, cameras: Cameras, camera: int, rows: np.ndarray, columns: np.ndarray,
-                  channels: np.ndarray, *, background: Sequence[float] = (1, 1, 1), antialiased: bool = False,
-                  return_margin: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+def pixel_colours(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    camera: int,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    channels: np.ndarray,
+    *,
+    background: Sequence[float] = (1, 1, 1),
+    antialiased: bool = False,
+    return_margin: bool = False,
+) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Colours of chosen pixels and channels of one ordinary camera, float64 [M]; the rest as `subpixel_colours`."""
     projection = Projection(Scene.of(gaussians), _camera_eye(cameras, camera), antialiased)
     offsets = torch.zeros(len(rows), dtype=torch.float64)
-    colours, margins = _colours(projection, _centres(columns), _centres(rows), offsets,
-                                torch.as_tensor(channels, dtype=torch.int64), _float64(background))
+    colours, margins = _colours(
+        projection,
+        _centres(columns),
+        _centres(rows),
+        offsets,
+        torch.as_tensor(channels, dtype=torch.int64),
+        _float64(background),
+    )
     return (colours.cpu().numpy(), margins.cpu().numpy()) if return_margin else colours.cpu().numpy()
 
 
-def dense_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor, background: Tensor,
-                world_to_camera: Tensor, intrinsics: Tensor, limits: Tensor, width: int, height: int,
-                antialiased: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+def dense_torch(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh: Tensor,
+    background: Tensor,
+    world_to_camera: Tensor,
+    intrinsics: Tensor,
+    limits: Tensor,
+    width: int,
+    height: int,
+    antialiased: bool = False,
+) -> tuple[Tensor, Tensor, Tensor]:
     """Images [B,V,H,W,3], alpha and depth [B,V,H,W] of B small scenes before V cameras each, differentiable, float64.
 
     means [B,N,3], quaternions [B,N,4], scales [B,N,3], opacities [B,N], sh [B,N,K,3], background [B,V,3],
@@ -166,10 +222,11 @@ def dense_torch(means: Tensor, quaternions: Tensor, scales: Tensor, opacities: T
     the centre of a rig).
     """
     scenes = [Scene(*fields) for fields in zip(means, quaternions, scales, opacities, sh)]
-    images = [_dense_image(Projection(scene, Eye(pose, camera, limit[:4], limit[4]), antialiased), colour, width,
-                           height)
-              for scene, *views in zip(scenes, world_to_camera, intrinsics, limits, background)
-              for pose, camera, limit, colour in zip(*views)]
+    images = [
+        _dense_image(Projection(scene, Eye(pose, camera, limit[:4], limit[4]), antialiased), colour, width, height)
+        for scene, *views in zip(scenes, world_to_camera, intrinsics, limits, background)
+        for pose, camera, limit, colour in zip(*views)
+    ]
     batch = world_to_camera.shape[:2]
     return tuple(torch.stack(part).reshape(*batch, *part[0].shape) for part in zip(*images))
 
@@ -183,8 +240,11 @@ def _dense_image(projection: Projection, background: Tensor, width: int, height:
         image.append(blend.sum(colour) + blend.transmittance[:, None] * background)
         alpha.append(1 - blend.transmittance)
         depth.append(blend.sum(projection.position[blend.gaussian, 2]))
-    return (torch.cat(image).reshape(height, width, 3), torch.cat(alpha).reshape(height, width),
-            torch.cat(depth).reshape(height, width))
+    return (
+        torch.cat(image).reshape(height, width, 3),
+        torch.cat(alpha).reshape(height, width),
+        torch.cat(depth).reshape(height, width),
+    )
 
 
 def _camera_eye(cameras: Cameras, camera: int) -> Eye:

@@ -59,8 +59,13 @@ class Eye:
     def to(self, device: torch.device) -> Eye:
         """The same eye, its tensors on a device."""
         to_centre = self.to_centre.to(device) if isinstance(self.to_centre, Tensor) else self.to_centre
-        return replace(self, world_to_camera=self.world_to_camera.to(device), intrinsics=self.intrinsics.to(device),
-                       limits=self.limits.to(device), to_centre=to_centre)
+        return replace(
+            self,
+            world_to_camera=self.world_to_camera.to(device),
+            intrinsics=self.intrinsics.to(device),
+            limits=self.limits.to(device),
+            to_centre=to_centre,
+        )
 
 
 @dataclass(frozen=True)
@@ -95,9 +100,17 @@ class Blend:
 def rotations(quaternions: Tensor) -> Tensor:
     """Rotation matrices [N,3,3] of quaternions [N,4] (wxyz, any length but zero)."""
     w, x, y, z = (quaternions / quaternions.norm(dim=-1, keepdim=True)).unbind(-1)
-    rows = (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    rows = (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
     return torch.stack(rows, -1).reshape(*quaternions.shape[:-1], 3, 3)
 
 
@@ -105,7 +118,8 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
     """The first `count` (1, 4, 9, 16) real spherical harmonics [P,K] of unit directions [P,3], signs as in 3DGS."""
     x, y, z = directions.unbind(-1)
     k0, k1, k20, k21, k22, k30, k31, k32, k33 = (
-        float(np.sqrt(value / np.pi)) / 4 for value in (4, 12, 5, 60, 15, 7, 21 / 2, 105, 35 / 2))
+        float(np.sqrt(value / np.pi)) / 4 for value in (4, 12, 5, 60, 15, 7, 21 / 2, 105, 35 / 2)
+    )
     basis = [torch.full_like(x, k0)]
     if count > 1:
         basis += [-k1 * y, k1 * z, -k1 * x]
@@ -113,9 +127,15 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
         xx, yy, zz = x * x, y * y, z * z
         basis += [k21 * x * y, -k21 * y * z, k20 * (2 * zz - xx - yy), -k21 * x * z, k22 * (xx - yy)]
     if count > 9:
-        basis += [-k33 * y * (3 * xx - yy), 2 * k32 * x * y * z, -k31 * y * (4 * zz - xx - yy),
-                  k30 * z * (2 * zz - 3 * xx - 3 * yy), -k31 * x * (4 * zz - xx - yy), k32 * z * (xx - yy),
-                  -k33 * x * (xx - 3 * yy)]
+        basis += [
+            -k33 * y * (3 * xx - yy),
+            2 * k32 * x * y * z,
+            -k31 * y * (4 * zz - xx - yy),
+            k30 * z * (2 * zz - 3 * xx - 3 * yy),
+            -k31 * x * (4 * zz - xx - yy),
+            k32 * z * (xx - yy),
+            -k33 * x * (xx - 3 * yy),
+        ]
     return torch.stack(basis, -1)
 
 

@@ -31,22 +31,64 @@ _CLASSIC_PIXELS = 4_000_000  # rendered at a time: small images go in batches
 
 
 @overload
-def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: Literal[False] = ..., depth: Literal[False] = ..., antialiased: bool = ...) -> Tensor: ...
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[False] = ...,
+    depth: Literal[False] = ...,
+    antialiased: bool = ...,
+) -> Tensor: ...
 @overload
-def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: Literal[True], depth: Literal[False] = ..., antialiased: bool = ...) -> tuple[Tensor, Tensor]: ...
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[True],
+    depth: Literal[False] = ...,
+    antialiased: bool = ...,
+) -> tuple[Tensor, Tensor]: ...
 @overload
-def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: Literal[False] = ..., depth: Literal[True], antialiased: bool = ...) -> tuple[Tensor, Tensor]: ...
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[False] = ...,
+    depth: Literal[True],
+    antialiased: bool = ...,
+) -> tuple[Tensor, Tensor]: ...
 @overload
-def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: Literal[True], depth: Literal[True], antialiased: bool = ...) -> tuple[Tensor, Tensor, Tensor]: ...
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[True],
+    depth: Literal[True],
+    antialiased: bool = ...,
+) -> tuple[Tensor, Tensor, Tensor]: ...
 @overload
-def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = ...,
-           alpha: bool = ..., depth: bool = ..., antialiased: bool = ...) -> Tensor | tuple[Tensor, ...]: ...
-def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = (1.0, 1.0, 1.0),
-           alpha: bool = False, depth: bool = False, antialiased: bool = False) -> Tensor | tuple[Tensor, ...]:
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: bool = ...,
+    depth: bool = ...,
+    antialiased: bool = ...,
+) -> Tensor | tuple[Tensor, ...]: ...
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = (1.0, 1.0, 1.0),
+    alpha: bool = False,
+    depth: bool = False,
+    antialiased: bool = False,
+) -> Tensor | tuple[Tensor, ...]:
     """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
 
     gaussians [N, ...] with cameras [C, ...]; or gaussians [B, N, ...] with cameras [B, C, ...], or with the same
@@ -70,8 +112,10 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = (1.0,
     if cameras.world_to_camera.dim() == 3:
         views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
     elif not batched:
-        raise InputError(f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
-                         f"cameras {list(cameras.world_to_camera.shape)}")
+        raise InputError(
+            f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
+            f"cameras {list(cameras.world_to_camera.shape)}"
+        )
     tensors = [t if batched else t.unsqueeze(0) for t in _tensors(gaussians)]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
     draw = torch.ops.lightfield_gs.render_dense
@@ -87,12 +131,24 @@ def render(gaussians: Gaussians, cameras: Cameras, *, background: Colour = (1.0,
     return tuple(out) if len(out) > 1 else out[0]
 
 
-def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: Method = "direct", *,
-           views: Views = "integer", cameras: Cameras | None = None,
-           view_map: np.ndarray | Tensor | SortedPlan | None = None, memory_budget: int | None = None,
-           background: Colour = (1.0, 1.0, 1.0), output: Output = "uint8",
-           quality: QualityName | Quality = "exact", threads: int | None = None, stats: dict[str, Any] | None = None,
-           out: Tensor | None = None, antialiased: bool = False) -> Tensor:
+def encode(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig | None = None,
+    method: Method = "direct",
+    *,
+    views: Views = "integer",
+    cameras: Cameras | None = None,
+    view_map: np.ndarray | Tensor | SortedPlan | None = None,
+    memory_budget: int | None = None,
+    background: Colour = (1.0, 1.0, 1.0),
+    output: Output = "uint8",
+    quality: QualityName | Quality = "exact",
+    threads: int | None = None,
+    stats: dict[str, Any] | None = None,
+    out: Tensor | None = None,
+    antialiased: bool = False,
+) -> Tensor:
     """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
 
     method: "direct" renders only the sub-pixels (all cameras of the rig share one projection and one sort); "sorted"
@@ -120,9 +176,14 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: M
     Raises InputError.
     """
     check_options(method, views, output)
-    for name, value, kinds in (("gaussians", gaussians, (Gaussians,)), ("panel", panel, (Panel,)),
-                               ("rig", rig, (Rig, type(None))), ("cameras", cameras, (Cameras, type(None))),
-                               ("stats", stats, (dict, type(None))), ("antialiased", antialiased, (bool,))):
+    for name, value, kinds in (
+        ("gaussians", gaussians, (Gaussians,)),
+        ("panel", panel, (Panel,)),
+        ("rig", rig, (Rig, type(None))),
+        ("cameras", cameras, (Cameras, type(None))),
+        ("stats", stats, (dict, type(None))),
+        ("antialiased", antialiased, (bool,)),
+    ):
         expect(name, value, *kinds)
     gaussians.validate_layout()
     quality = Quality.of(quality)
@@ -136,8 +197,10 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: M
         memory_budget = whole_number("memory_budget (bytes)", memory_budget, 1, _MOST_BYTES)
     _check_sorted_only(method, views, rig, cameras, view_map, memory_budget)
     if not quality.is_exact and (method != "direct" or output == "float64"):
-        raise InputError(f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
-                         f"{output!r}: those are exact only")
+        raise InputError(
+            f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
+            f"{output!r}: those are exact only"
+        )
     if out is not None:
         _check_out(out, method, output, panel, gaussians.device)
     precision = torch.float64 if output == "float64" else torch.float32
@@ -149,13 +212,23 @@ def encode(gaussians: Gaussians, panel: Panel, rig: Rig | None = None, method: M
     elif method == "sorted":
         with counters.stage("plan"):
             chosen = cameras_and_plan(panel, rig, cameras, view_map, views == "continuous", gaussians.device)
-        image = encode_sorted(_tensors(gaussians), *chosen, memory_budget, colour, output == "uint8",
-                              threads or torch.get_num_threads(), counters, antialiased)
+        image = encode_sorted(
+            _tensors(gaussians),
+            *chosen,
+            memory_budget,
+            colour,
+            output == "uint8",
+            threads or torch.get_num_threads(),
+            counters,
+            antialiased,
+        )
     elif _wants_gradients(output, gaussians, colour):
-        _refuse_with_gradients(quality=not quality.is_exact, threads=threads is not None, stats=stats is not None,
-                               out=out is not None)
-        image = torch.ops.lightfield_gs.render_lens(*_tensors(gaussians), colour,
-                                                    *lens_arguments(panel, rig, views == "continuous"), antialiased)
+        _refuse_with_gradients(
+            quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
+        )
+        image = torch.ops.lightfield_gs.render_lens(
+            *_tensors(gaussians), colour, *lens_arguments(panel, rig, views == "continuous"), antialiased
+        )
     else:
         image = _direct(gaussians, panel, rig, views, colour, output, quality, threads, counters, out, antialiased)
     if stats is not None:
@@ -173,12 +246,16 @@ def _check_out(out: Tensor, method: Method, output: Output, panel: Panel, device
         raise InputError(f"out is for method 'direct', not {method!r}")
     expected = (panel.height_px, panel.width_px, 3), _DTYPES[output], device
     if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:
-        raise InputError(f"out must be a contiguous {expected[1]} tensor {list(expected[0])} on {device} without "
-                         f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
-                         f"{', with gradients' if out.requires_grad else ''}")
+        raise InputError(
+            f"out must be a contiguous {expected[1]} tensor {list(expected[0])} on {device} without "
+            f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
+            f"{', with gradients' if out.requires_grad else ''}"
+        )
     if out.is_cuda and out.data_ptr() % 2:
-        raise InputError("out must begin at an even address on CUDA, got a part of another tensor at an odd one; give "
-                         "a tensor of its own")
+        raise InputError(
+            "out must begin at an even address on CUDA, got a part of another tensor at an odd one; give "
+            "a tensor of its own"
+        )
 
 
 def check_options(method: str, views: str, output: str) -> None:
@@ -186,8 +263,10 @@ def check_options(method: str, views: str, output: str) -> None:
     for name, value in (("method", method), ("views", views), ("output", output)):
         expect(name, value, str)
     if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
-        raise InputError(f"encode takes method {METHODS}, views {VIEWS} and output {OUTPUTS}, got {method!r}, "
-                         f"{views!r} and {output!r}")
+        raise InputError(
+            f"encode takes method {METHODS}, views {VIEWS} and output {OUTPUTS}, got {method!r}, "
+            f"{views!r} and {output!r}"
+        )
 
 
 def interlace(views: Tensor, panel: Panel) -> Tensor:
@@ -208,24 +287,52 @@ def interlace(views: Tensor, panel: Panel) -> Tensor:
 def lens_arguments(panel: Panel, rig: Rig, continuous: bool) -> tuple[list[float], list[int], list[float]]:
     """rig, lens and lens_shape as torch.ops.lightfield_gs.render_lens takes them."""
     start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
-    numbers = [*np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist(), *rig.focal_px,
-               *rig.principal_point_px, *rig.jacobian_limits(panel), 0.0, rig.zero_depth]
+    numbers = [
+        *np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist(),
+        *rig.focal_px,
+        *rig.principal_point_px,
+        *rig.jacobian_limits(panel),
+        0.0,
+        rig.zero_depth,
+    ]
     return [float(v) for v in numbers], *lens_lists(panel, continuous, start, (end - start) / panel.views)
 
 
-def _direct(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
-            quality: Quality, threads: int | None, stats: Stats, out: Tensor | None, antialiased: bool) -> Tensor:
+def _direct(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    views: Views,
+    background: Tensor,
+    output: Output,
+    quality: Quality,
+    threads: int | None,
+    stats: Stats,
+    out: Tensor | None,
+    antialiased: bool,
+) -> Tensor:
     """The image without gradients."""
     with torch.no_grad():
-        return ops.lens_forward(*_tensors(gaussians), background, *lens_arguments(panel, rig, views == "continuous"),
-                                antialiased, as_bytes=output == "uint8", quality=quality, stats=stats,
-                                threads=threads, out=out)
+        return ops.lens_forward(
+            *_tensors(gaussians),
+            background,
+            *lens_arguments(panel, rig, views == "continuous"),
+            antialiased,
+            as_bytes=output == "uint8",
+            quality=quality,
+            stats=stats,
+            threads=threads,
+            out=out,
+        )
 
 
 def _wants_gradients(output: Output, gaussians: Gaussians, background: Tensor) -> bool:
     """Whether torch is to follow how an image came about; bytes have no gradients."""
-    return output != "uint8" and torch.is_grad_enabled() and any(
-        t.requires_grad for t in (*_tensors(gaussians), background))
+    return (
+        output != "uint8"
+        and torch.is_grad_enabled()
+        and any(t.requires_grad for t in (*_tensors(gaussians), background))
+    )
 
 
 def _refuse_with_gradients(**given: bool) -> None:
@@ -235,8 +342,17 @@ def _refuse_with_gradients(**given: bool) -> None:
 
 
 @torch.no_grad()
-def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, background: Tensor, output: Output,
-             threads: int | None, stats: Stats, antialiased: bool) -> Tensor:
+def _classic(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    views: Views,
+    background: Tensor,
+    output: Output,
+    threads: int | None,
+    stats: Stats,
+    antialiased: bool,
+) -> Tensor:
     """One dense image per view that the panel shows; with continuous views, one per distinct x."""
     with stats.stage("plan"):
         places, x = _classic_plan(panel, views == "continuous", gaussians.device)
@@ -245,11 +361,20 @@ def _classic(gaussians: Gaussians, panel: Panel, rig: Rig, views: Views, backgro
     out = torch.empty(3 * pixels, dtype=_DTYPES[output], device=gaussians.device)
     chunk = max(1, _CLASSIC_PIXELS // pixels)
     for first in range(0, len(x), chunk):
-        cameras = rig.cameras_at(panel, x[first:first + chunk]).to(gaussians.means)
+        cameras = rig.cameras_at(panel, x[first : first + chunk]).to(gaussians.means)
         one = Stats(device=stats.device)
         images, alpha, depth = ops.dense_forward(
-            *tensors, background.expand(1, cameras.count, 3), cameras.world_to_camera[None], cameras.intrinsics()[None],
-            cameras.limits()[None], panel.width_px, panel.height_px, antialiased, stats=one, threads=threads)
+            *tensors,
+            background.expand(1, cameras.count, 3),
+            cameras.world_to_camera[None],
+            cameras.intrinsics()[None],
+            cameras.limits()[None],
+            panel.width_px,
+            panel.height_px,
+            antialiased,
+            stats=one,
+            threads=threads,
+        )
         one.add_buffers(images, alpha, depth)
         stats.add_render(one)
         with stats.stage("interlace"):
@@ -275,19 +400,24 @@ def _classic_plan(panel: Panel, continuous: bool, device: torch.device) -> tuple
     return torch.from_numpy(places).to(device), x
 
 
-def _check_sorted_only(method: Method, views: Views, rig: Rig | None, cameras: Cameras | None, view_map: Any,
-                       memory_budget: int | None) -> None:
+def _check_sorted_only(
+    method: Method, views: Views, rig: Rig | None, cameras: Cameras | None, view_map: Any, memory_budget: int | None
+) -> None:
     """Raises InputError where arguments of one method meet another."""
     if method != "sorted":
         for name, value in (("cameras", cameras), ("view_map", view_map), ("memory_budget", memory_budget)):
             if value is not None:
-                raise InputError(f"{name}= is for method 'sorted', not {method!r}: the other methods draw the panel's "
-                                 "own views by a rig")
+                raise InputError(
+                    f"{name}= is for method 'sorted', not {method!r}: the other methods draw the panel's "
+                    "own views by a rig"
+                )
         if rig is None:
             raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
     if memory_budget is not None and views == "continuous":
-        raise InputError("memory_budget goes with integer views: cameras for all distinct places within a lens have no "
-                         "bound; use method direct, which takes little memory, or integer views")
+        raise InputError(
+            "memory_budget goes with integer views: cameras for all distinct places within a lens have no "
+            "bound; use method direct, which takes little memory, or integer views"
+        )
 
 
 def _tensors(gaussians: Gaussians) -> list[Tensor]:
@@ -326,13 +456,15 @@ def _checked_background(background: Colour, dtype: torch.dtype, device: torch.de
     try:
         colour = torch.as_tensor(background, dtype=dtype, device=device)
     except (TypeError, ValueError, RuntimeError, OverflowError):
-        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {type(background).__name__}"
-                         ) from None
+        raise InputError(
+            f"background must be three finite numbers R, G, B in 0..1, got {type(background).__name__}"
+        ) from None
     if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
         raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {shown(background)}")
     if plain and not bool(((colour >= 0) & (colour <= 1)).all()):
-        raise InputError(f"background must be three numbers R, G, B in 0..1, got {shown(background)}; divide bytes by "
-                         "255")
+        raise InputError(
+            f"background must be three numbers R, G, B in 0..1, got {shown(background)}; divide bytes by 255"
+        )
     return colour
 
 
@@ -340,9 +472,15 @@ def _report(counters: Stats, gaussians: Gaussians, panel: Panel, out: dict[str, 
     evaluations = None if gaussians.means.is_cuda else counters.evaluations
     per_subpixel = None if evaluations is None else evaluations / (3 * panel.width_px * panel.height_px)
     culled = gaussians.count - counters.gaussians_drawn // max(counters.images, 1)
-    out.update(stages_ms=dict(counters.stages_ms), pairs=counters.pairs, evaluations=evaluations,
-               evaluations_per_subpixel=per_subpixel, work_bytes=counters.work_bytes, gaussians_culled=culled,
-               colour_error=counters.colour_error)
+    out.update(
+        stages_ms=dict(counters.stages_ms),
+        pairs=counters.pairs,
+        evaluations=evaluations,
+        evaluations_per_subpixel=per_subpixel,
+        work_bytes=counters.work_bytes,
+        gaussians_culled=culled,
+        colour_error=counters.colour_error,
+    )
     if counters.kernel is not None:
         out["kernel"] = counters.kernel
     if counters.memory_bytes:

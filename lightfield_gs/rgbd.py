@@ -33,8 +33,12 @@ def focal_length_px(field_of_view_deg: float, height_px: int, width_px: int) -> 
 
 
 @torch.no_grad()
-def from_depth(image: np.ndarray | Tensor, depth: np.ndarray | Tensor, focal_px: Sequence[float] | None = None,
-               principal_point_px: Sequence[float] | None = None) -> Gaussians:
+def from_depth(
+    image: np.ndarray | Tensor,
+    depth: np.ndarray | Tensor,
+    focal_px: Sequence[float] | None = None,
+    principal_point_px: Sequence[float] | None = None,
+) -> Gaussians:
     """The Gaussians of a photo whose depths are known: one per pixel, in its camera's axes (OpenCV, at the origin).
 
     image: [H, W, 3], or [H, W, 4] with straight alpha, floating point in 0..1. depth: [H, W], the view-space z of each
@@ -71,29 +75,34 @@ def from_depth(image: np.ndarray | Tensor, depth: np.ndarray | Tensor, focal_px:
     return Gaussians(*(torch.cat(fields) for fields in zip(*parts)))
 
 
-def _visible(image: Tensor, depth: Tensor, opacity: Tensor, focal: tuple[float, float],
-             centre: tuple[float, float]) -> tuple[Tensor, ...]:
+def _visible(
+    image: Tensor, depth: Tensor, opacity: Tensor, focal: tuple[float, float], centre: tuple[float, float]
+) -> tuple[Tensor, ...]:
     """The Gaussians of the pixels that have a depth."""
     rows, columns = torch.isfinite(depth).nonzero().unbind(1)
-    z, across, down = (values[rows, columns] for values in (depth, slopes(depth, focal[0]),
-                                                            slopes(depth.T, focal[1]).T))
+    z, across, down = (
+        values[rows, columns] for values in (depth, slopes(depth, focal[0]), slopes(depth.T, focal[1]).T)
+    )
     rays = _rays(columns + 0.5, rows + 0.5, focal, centre)
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
-    return _surface_elements(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns],
-                             image[rows, columns, :3])
+    return _surface_elements(
+        rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], image[rows, columns, :3]
+    )
 
 
-def _hidden(image: Tensor, depth: Tensor, opacity: Tensor, focal: tuple[float, float],
-            centre: tuple[float, float]) -> tuple[Tensor, ...]:
+def _hidden(
+    image: Tensor, depth: Tensor, opacity: Tensor, focal: tuple[float, float], centre: tuple[float, float]
+) -> tuple[Tensor, ...]:
     """The Gaussians of what goes on behind the edges, parallel to the image."""
     more = continue_behind(depth, focal[0])
     z = depth[more.rows, more.columns]
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (more.widths[:, None] * x, (focal[0] / focal[1] * y).expand(len(z), 3))
     means = _rays(more.centres, more.rows + 0.5, focal, centre) * z[:, None]
-    return _surface_elements(means, tangents, z / focal[0], opacity[more.rows, more.columns],
-                             image[more.rows, more.colour_columns, :3])
+    return _surface_elements(
+        means, tangents, z / focal[0], opacity[more.rows, more.columns], image[more.rows, more.colour_columns, :3]
+    )
 
 
 def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:
@@ -102,8 +111,9 @@ def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tup
     return torch.stack([x, y, torch.ones_like(x)], 1)
 
 
-def _surface_elements(means: Tensor, tangents: tuple[Tensor, Tensor], footprint: Tensor, opacities: Tensor,
-                      colours: Tensor) -> tuple[Tensor, ...]:
+def _surface_elements(
+    means: Tensor, tangents: tuple[Tensor, Tensor], footprint: Tensor, opacities: Tensor, colours: Tensor
+) -> tuple[Tensor, ...]:
     """Fields of flat Gaussians [M, ...] with the covariance (_SPREAD footprint)^2 (t_u t_u^T + t_v t_v^T).
 
     t_u and t_v [M, 3] are the steps in the surface from column to column and row to row, in footprints; footprint [M]
@@ -119,8 +129,9 @@ def _surface_elements(means: Tensor, tangents: tuple[Tensor, Tensor], footprint:
     angle, middle, radius = 0.5 * torch.atan2(2 * xy, xx - yy), (xx + yy) / 2, torch.hypot((xx - yy) / 2, xy)
     area = (a * d - b * c).abs()
     long = (middle + radius).sqrt()
-    scales = footprint[:, None] * torch.stack([_SPREAD * long, _SPREAD * area / long,
-                                                    torch.full_like(long, _THICKNESS)], 1)
+    scales = footprint[:, None] * torch.stack(
+        [_SPREAD * long, _SPREAD * area / long, torch.full_like(long, _THICKNESS)], 1
+    )
     cos, sin = torch.cos(angle / 2), torch.sin(angle / 2)
     w, x, y, _ = turn.unbind(1)
     quaternions = torch.stack([w * cos, x * cos + y * sin, y * cos - x * sin, w * sin], 1)
@@ -131,8 +142,10 @@ def _plane_axes(normal: Tensor) -> tuple[Tensor, Tensor]:
     """Where the shortest turn of the z-axis to the normal [M, 3] takes the x-axis and the y-axis, [M, 3] each."""
     nx, ny, nz = normal.unbind(1)
     shared = -nx * ny / (1 + nz)
-    return (torch.stack([1 - nx * nx / (1 + nz), shared, -nx], 1),
-            torch.stack([shared, 1 - ny * ny / (1 + nz), -ny], 1))
+    return (
+        torch.stack([1 - nx * nx / (1 + nz), shared, -nx], 1),
+        torch.stack([shared, 1 - ny * ny / (1 + nz), -ny], 1),
+    )
 
 
 def _checked_image(image: np.ndarray | Tensor) -> Tensor:
@@ -143,8 +156,10 @@ def _checked_image(image: np.ndarray | Tensor) -> Tensor:
     if not image.is_floating_point():
         raise InputError(f"photo: expected floating point values in 0..1, got {image.dtype}; divide by 255")
     if image.shape[0] * image.shape[1] > MAX_PIXELS:
-        raise InputError(f"photo: {image.shape[1]} x {image.shape[0]} pixels, each a Gaussian; expected at most "
-                         f"{MAX_PIXELS}; make photo and depth map smaller")
+        raise InputError(
+            f"photo: {image.shape[1]} x {image.shape[0]} pixels, each a Gaussian; expected at most "
+            f"{MAX_PIXELS}; make photo and depth map smaller"
+        )
     if not bool(torch.isfinite(image).all()) or float(image.min()) < 0 or float(image.max()) > 1:
         raise InputError("photo: expected values in 0..1, got values outside or not finite")
     return image.to(torch.float32)
@@ -154,8 +169,10 @@ def check_depth_size(name: str, depth: np.ndarray | Tensor, photo: np.ndarray | 
     """Raises InputError where a depth map [H, W] is not as large as its photo [H, W, C]; name: of the map."""
     (height, width), expected = depth.shape, photo.shape[:2]
     if (height, width) != tuple(expected):
-        raise InputError(f"{name}: expected a depth map of the photo's size {expected[1]} x {expected[0]}, got {width} "
-                         f"x {height}; resize one of them (the map without smoothing: it would join far and near)")
+        raise InputError(
+            f"{name}: expected a depth map of the photo's size {expected[1]} x {expected[0]}, got {width} "
+            f"x {height}; resize one of them (the map without smoothing: it would join far and near)"
+        )
 
 
 def _checked_depth(depth: np.ndarray | Tensor) -> Tensor:

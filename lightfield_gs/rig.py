@@ -52,7 +52,7 @@ class Rig:
     # Files
 
     @staticmethod
-    def from_yaml(path: str | Path) -> "Rig":
+    def from_yaml(path: str | Path) -> Rig:
         """A rig from a YAML file with the fields of this class (cone_deg may be missing). Raises InputError."""
         required = ("world_to_camera", "focal_px", "principal_point_px", "zero_depth")
         data = read_mapping(path, required, ("cone_deg",))
@@ -63,8 +63,12 @@ class Rig:
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as from_yaml reads them."""
-        fields = {"world_to_camera": self.world_to_camera.tolist(), "focal_px": list(self.focal_px),
-                  "principal_point_px": list(self.principal_point_px), "zero_depth": self.zero_depth}
+        fields = {
+            "world_to_camera": self.world_to_camera.tolist(),
+            "focal_px": list(self.focal_px),
+            "principal_point_px": list(self.principal_point_px),
+            "zero_depth": self.zero_depth,
+        }
         return fields if self.cone_deg is None else {**fields, "cone_deg": self.cone_deg}
 
     def to_yaml(self, path: str | Path) -> None:
@@ -72,8 +76,14 @@ class Rig:
         write_mapping(path, self.to_dict())
 
     @staticmethod
-    def frame(gaussians: "Gaussians", panel: Panel, world_to_camera: np.ndarray | None = None, *, up: str = DEFAULT_UP,
-              notes: list[str] | None = None) -> "Rig":
+    def frame(
+        gaussians: Gaussians,
+        panel: Panel,
+        world_to_camera: np.ndarray | None = None,
+        *,
+        up: str = DEFAULT_UP,
+        notes: list[str] | None = None,
+    ) -> Rig:
         """A rig that fits the scene to the panel's height (or width, where that is met first), in 90 degrees at most.
 
         The zero plane is at the harmonic mean of robust near and far depths. With `world_to_camera` the camera stays
@@ -85,7 +95,7 @@ class Rig:
 
         return frame(gaussians, panel, world_to_camera, up=up, notes=notes)
 
-    def relative_to(self, origin: Sequence[float]) -> "Rig":
+    def relative_to(self, origin: Sequence[float]) -> Rig:
         """The same cameras for coordinates that are given from `origin`, three numbers in scene units.
 
         rig.relative_to(gaussians.origin) is the rig for Gaussians with an origin of one in their file's coordinates;
@@ -126,10 +136,14 @@ class Rig:
         (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
         width, height = panel.width_px, panel.height_px
         widen = self.half_width(panel) / self.zero_depth
-        return (-(cx + _MARGIN * width) / fx - widen, (width - cx + _MARGIN * width) / fx + widen,
-                -(cy + _MARGIN * height) / fy, (height - cy + _MARGIN * height) / fy)
+        return (
+            -(cx + _MARGIN * width) / fx - widen,
+            (width - cx + _MARGIN * width) / fx + widen,
+            -(cy + _MARGIN * height) / fy,
+            (height - cy + _MARGIN * height) / fy,
+        )
 
-    def cameras(self, panel: Panel, views: Sequence[int] | None = None) -> "Cameras":
+    def cameras(self, panel: Panel, views: Sequence[int] | None = None) -> Cameras:
         """The cameras of the integer views given (all N when None), float64, in that order: at x = n + 1/2.
 
         Raises InputError on a view outside 0..N-1.
@@ -144,7 +158,7 @@ class Rig:
             raise InputError(f"views must be 0..{panel.views - 1}, got {numbers.min()}..{numbers.max()}")
         return self.cameras_at(panel, numbers + 0.5)
 
-    def cameras_at(self, panel: Panel, x: Sequence[float] | np.ndarray) -> "Cameras":
+    def cameras_at(self, panel: Panel, x: Sequence[float] | np.ndarray) -> Cameras:
         """The cameras at these view coordinates x in [0, N], float64, in that order.
 
         Same rotation; translation t_x - s and principal point cx + fx s / Z0, so that z = zero_depth has no parallax.
@@ -161,12 +175,22 @@ class Rig:
         offsets = self.offset(positions, panel)
         matrices = np.repeat(self.world_to_camera[None], len(offsets), 0)
         matrices[:, 0, 3] -= offsets
-        centres = np.stack([self.principal_point_px[0] + self.focal_px[0] / self.zero_depth * offsets,
-                            np.full(len(offsets), self.principal_point_px[1])], 1)
+        centres = np.stack(
+            [
+                self.principal_point_px[0] + self.focal_px[0] / self.zero_depth * offsets,
+                np.full(len(offsets), self.principal_point_px[1]),
+            ],
+            1,
+        )
         limits = np.concatenate([np.tile(self.jacobian_limits(panel), (len(offsets), 1)), offsets[:, None]], 1)
-        return Cameras(torch.from_numpy(matrices), torch.tensor([self.focal_px] * len(offsets), dtype=torch.float64),
-                       torch.from_numpy(centres), panel.width_px, panel.height_px,
-                       jacobian_limits=torch.from_numpy(limits))
+        return Cameras(
+            torch.from_numpy(matrices),
+            torch.tensor([self.focal_px] * len(offsets), dtype=torch.float64),
+            torch.from_numpy(centres),
+            panel.width_px,
+            panel.height_px,
+            jacobian_limits=torch.from_numpy(limits),
+        )
 
 
 def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
@@ -174,8 +198,9 @@ def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
     scale = min(1.0, width_px / panel.width_px)
     width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
     scales = width / panel.width_px, height / panel.height_px
-    focal, centre = (tuple(value * s for value, s in zip(pair, scales))
-                     for pair in (rig.focal_px, rig.principal_point_px))
+    focal, centre = (
+        tuple(value * s for value, s in zip(pair, scales)) for pair in (rig.focal_px, rig.principal_point_px)
+    )
     return replace(panel, width_px=width, height_px=height), replace(rig, focal_px=focal, principal_point_px=centre)
 
 
@@ -200,8 +225,10 @@ def _rigid(given: Any) -> np.ndarray:
         raise InputError(f"rig: the last row of world_to_camera must be 0 0 0 1, got {matrix[3].tolist()}")
     rotation = matrix[:3, :3]
     if not np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-4 or np.linalg.det(rotation) < 0:
-        raise InputError("rig: world_to_camera must begin with a rotation (orthonormal, determinant +1); "
-                         "scale, shear or mirroring is not allowed")
+        raise InputError(
+            "rig: world_to_camera must begin with a rotation (orthonormal, determinant +1); "
+            "scale, shear or mirroring is not allowed"
+        )
     return matrix
 
 

@@ -18,8 +18,9 @@ _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
 _ROWS_PER_CHUNK_PX = 16  # small temporaries stay in the cache
 
 
-def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_subpixels: float = 1.0,
-             threads: int | None = None) -> np.ndarray:
+def simulate(
+    image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_subpixels: float = 1.0, threads: int | None = None
+) -> np.ndarray:
     """The picture that one eye perceives: float32 [round(3 H / P_e), round(3 W / P_e), 3], one sample a lens.
 
     image: the light-field image [H, W, 3 or 4] of this panel, uint8, uint16 or float (alpha is ignored).
@@ -54,12 +55,12 @@ def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_su
     cells_per_chunk = max(1, int(_ROWS_PER_CHUNK_PX * len(rows) / panel.height_px))
 
     def sum_up(first: int) -> None:
-        bounds = rows[first:first + cells_per_chunk + 1]
+        bounds = rows[first : first + cells_per_chunk + 1]
         cells = slice(first, first + len(bounds) - 1)
         for channel in range(3):
             light = _light(panel, channel, slice(bounds[0], bounds[-1]), shift, slope, middle, sigma)
             weight[cells, :, channel] = _sums(light, bounds, columns)
-            light *= image[bounds[0]:bounds[-1], :, channel]
+            light *= image[bounds[0] : bounds[-1], :, channel]
             lit[cells, :, channel] = _sums(light, bounds, columns)
 
     with ThreadPoolExecutor(threads) as pool:  # NumPy works outside the interpreter lock
@@ -68,8 +69,9 @@ def simulate(image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_su
     return np.float32(scale) * _blurred(lit) / _blurred(weight)
 
 
-def _light(panel: Panel, channel: int, rows: slice, shift: float, slope: float, middle: float,
-           sigma: float) -> np.ndarray:
+def _light(
+    panel: Panel, channel: int, rows: slice, shift: float, slope: float, middle: float, sigma: float
+) -> np.ndarray:
     """How much each sub-pixel of a channel is lit, float32 [rows, W]."""
     columns, numbers = np.arange(panel.width_px), np.arange(rows.start, rows.stop)
     within = subpixel_offsets(panel)[..., channel].astype(np.float64)[:, columns % PERIOD]  # [PERIOD, W]
@@ -128,5 +130,7 @@ def _check(image: np.ndarray, panel: Panel) -> None:
     if image.dtype.name not in ("uint8", "uint16", "float32", "float64"):
         raise InputError(f"image: expected uint8, uint16, float32 or float64, got {image.dtype}")
     if image.shape[:2] != (panel.height_px, panel.width_px):
-        raise InputError(f"image is {image.shape[1]} x {image.shape[0]} pixels, panel {panel.name} is "
-                         f"{panel.width_px} x {panel.height_px}; name the panel it was encoded for")
+        raise InputError(
+            f"image is {image.shape[1]} x {image.shape[0]} pixels, panel {panel.name} is "
+            f"{panel.width_px} x {panel.height_px}; name the panel it was encoded for"
+        )

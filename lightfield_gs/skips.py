@@ -29,11 +29,12 @@ def of_lens(counters: Any, orders: Tensor, splats: Tensor, most: int) -> dict[st
     """Tiles, lattices and samples of a composite; splats [1, N, ...] by the polynomial orders [1, N] of their colours,
     0..most."""
     drawn = splats[..., _core.SPLAT_FIELDS - 2] >= 0  # by their reach
-    return {"colour_orders": torch.bincount(orders[drawn], minlength=most + 1).tolist(),
-            "tiles": {"empty": counters.empty_tiles, "lattice": counters.lattice_tiles, "drawn": counters.tiles},
-            "lattices": {"fit": counters.lattices, "split": counters.split_lattices,
-                         "refused": counters.refused_lattices},
-            "samples_stopped": counters.stopped_samples}
+    return {
+        "colour_orders": torch.bincount(orders[drawn], minlength=most + 1).tolist(),
+        "tiles": {"empty": counters.empty_tiles, "lattice": counters.lattice_tiles, "drawn": counters.tiles},
+        "lattices": {"fit": counters.lattices, "split": counters.split_lattices, "refused": counters.refused_lattices},
+        "samples_stopped": counters.stopped_samples,
+    }
 
 
 def of_frame(state: dict[str, Any]) -> dict[str, Any]:
@@ -51,8 +52,10 @@ def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
     if reasons := skipped.get("gaussians"):
         out.append(f"of {gaussians} Gaussians not drawn: " + ", ".join(f"{n} {why}" for why, n in reasons.items()))
     if orders := skipped.get("colour_orders"):
-        out.append("colours by polynomial order over the views: " + ", ".join(
-            f"{order}: {n}" for order, n in enumerate(orders) if n))
+        out.append(
+            "colours by polynomial order over the views: "
+            + ", ".join(f"{order}: {n}" for order, n in enumerate(orders) if n)
+        )
     if tiles := skipped.get("tiles"):
         how = {"empty": "empty", "lattice": "from lattices", "drawn": "drawn"}
         out.append("tiles: " + ", ".join(f"{count} {how[kind]}" for kind, count in tiles.items()))
@@ -62,6 +65,8 @@ def lines(skipped: dict[str, Any], gaussians: int) -> list[str]:
     if "samples_stopped" in skipped:
         out.append(f"sub-pixels that ended early: {skipped['samples_stopped']}")
     if reused := skipped.get("reused"):
-        out.append(f"of {skipped['frames']} frames drawn without a stage anew: " + ", ".join(
-            f"{stage} {n}" for stage, n in reused.items()))
+        out.append(
+            f"of {skipped['frames']} frames drawn without a stage anew: "
+            + ", ".join(f"{stage} {n}" for stage, n in reused.items())
+        )
     return out

@@ -24,35 +24,48 @@ from lightfield_gs.workspace import Scene, Stats, Workspace, check
 
 _MOST_VIEWS = 4096  # in a chunk
 _MOST_PAIRS = (1 << 31) - 1
-_PROBE = 65536      # Gaussians
+_PROBE = 65536  # Gaussians
 _KEY_BYTES, _PAIR_BYTES = 40, 24  # at most, of CudaWorkspace.order_and_bin for a splat and for a pair
 
 Counts = tuple[int, int]  # pairs of a chunk, most of them in one band of one view
 
 
-def cameras_and_plan(panel: Panel, rig: Rig | None, cameras: Cameras | None,
-                     view_map: np.ndarray | Tensor | SortedPlan | None, continuous: bool,
-                     device: torch.device) -> tuple[Cameras, SortedPlan]:
+def cameras_and_plan(
+    panel: Panel,
+    rig: Rig | None,
+    cameras: Cameras | None,
+    view_map: np.ndarray | Tensor | SortedPlan | None,
+    continuous: bool,
+    device: torch.device,
+) -> tuple[Cameras, SortedPlan]:
     """What encode_sorted takes, from the arguments of lightfield_gs.encode; see there. Raises InputError."""
     if rig is None and cameras is None:
         raise InputError("method sorted takes a rig, or cameras= with one for each view; got neither")
     if continuous:
         if cameras is not None or view_map is not None:
-            raise InputError("continuous views are those of a rig and the panel's own lens: leave out cameras= and "
-                             "view_map=, or use integer views")
+            raise InputError(
+                "continuous views are those of a rig and the panel's own lens: leave out cameras= and "
+                "view_map=, or use integer views"
+            )
         places, x = views_shown(panel, True)
         table = places.astype(np.int32).reshape(panel.height_px, panel.width_px, 3)
         return rig.cameras_at(panel, x), SortedPlan(panel, table, len(x), device)
     if cameras is None:
         cameras = rig.cameras(panel)
-    elif cameras.world_to_camera.dim() != 3 or (cameras.width_px, cameras.height_px) != (panel.width_px,
-                                                                                        panel.height_px):
-        raise InputError(f"cameras must be one for each view, [N, 4, 4], for images of {panel.width_px} x "
-                         f"{panel.height_px} px, the panel's; got {list(cameras.world_to_camera.shape)} for "
-                         f"{cameras.width_px} x {cameras.height_px}")
+    elif cameras.world_to_camera.dim() != 3 or (cameras.width_px, cameras.height_px) != (
+        panel.width_px,
+        panel.height_px,
+    ):
+        raise InputError(
+            f"cameras must be one for each view, [N, 4, 4], for images of {panel.width_px} x "
+            f"{panel.height_px} px, the panel's; got {list(cameras.world_to_camera.shape)} for "
+            f"{cameras.width_px} x {cameras.height_px}"
+        )
     if view_map is None and cameras.count != panel.views:
-        raise InputError(f"the panel has {panel.views} views, so cameras must be {panel.views}, got {cameras.count}; "
-                         "for another number give a view_map too")
+        raise InputError(
+            f"the panel has {panel.views} views, so cameras must be {panel.views}, got {cameras.count}; "
+            "for another number give a view_map too"
+        )
     if isinstance(view_map, SortedPlan):
         plan = view_map
     elif view_map is None:
@@ -60,8 +73,10 @@ def cameras_and_plan(panel: Panel, rig: Rig | None, cameras: Cameras | None,
     else:
         plan = SortedPlan(panel, view_map, cameras.count, device)
     if (plan.width_px, plan.height_px, plan.views) != (panel.width_px, panel.height_px, cameras.count):
-        raise InputError(f"the plan is for {plan.width_px} x {plan.height_px} px and {plan.views} views, and panel and "
-                         f"cameras are {panel.width_px} x {panel.height_px} px and {cameras.count}")
+        raise InputError(
+            f"the plan is for {plan.width_px} x {plan.height_px} px and {plan.views} views, and panel and "
+            f"cameras are {panel.width_px} x {panel.height_px} px and {cameras.count}"
+        )
     return cameras, plan
 
 
@@ -98,11 +113,15 @@ class _CpuStages:
         per_band = work.band_offsets.diff()
         return work.pairs, int(per_band.max()) if per_band.numel() else 0
 
-    def composite(self, work: Workspace, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor,
-                  out: Tensor) -> None:
+    def composite(
+        self, work: Workspace, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+    ) -> None:
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
-        work.stats.count(self.scene.core.composite_sorted(work.native, work.bins, cameras, native,
-                                                          background.data_ptr(), *_floats_or_bytes(out), self.threads))
+        work.stats.count(
+            self.scene.core.composite_sorted(
+                work.native, work.bins, cameras, native, background.data_ptr(), *_floats_or_bytes(out), self.threads
+            )
+        )
 
 
 class _CudaStages:
@@ -128,19 +147,28 @@ class _CudaStages:
     def workspace(self, scene: Scene, views: int, stats: Stats) -> Any:
         from lightfield_gs.workspace_cuda import CudaWorkspace
 
-        return CudaWorkspace(scene, views, self.plan.width_px, self.plan.height_px, 0, stats, lens=False,
-                             tile=self.plan.tile)
+        return CudaWorkspace(
+            scene, views, self.plan.width_px, self.plan.height_px, 0, stats, lens=False, tile=self.plan.tile
+        )
 
     def counts(self, work: Any) -> Counts:
         return work.pair_count, 0
 
-    def composite(self, work: Any, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor,
-                  out: Tensor) -> None:
+    def composite(self, work: Any, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor) -> None:
         pairs = work.tile_ranges().diff().squeeze(1)
         heaviest = torch.argsort((pairs + 1) * lists[0].diff(), descending=True)
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
-        _core.cuda.composite_sorted(work.native, work.image, work.ranges, work.pairs, native,
-                                    heaviest.data_ptr(), background.data_ptr(), *_floats_or_bytes(out), work.stream)
+        _core.cuda.composite_sorted(
+            work.native,
+            work.image,
+            work.ranges,
+            work.pairs,
+            native,
+            heaviest.data_ptr(),
+            background.data_ptr(),
+            *_floats_or_bytes(out),
+            work.stream,
+        )
 
 
 def _floats_or_bytes(out: Tensor) -> tuple[int, int]:
@@ -148,8 +176,17 @@ def _floats_or_bytes(out: Tensor) -> tuple[int, int]:
 
 
 @torch.no_grad()
-def encode_sorted(fields: list[Tensor], cameras: Cameras, plan: SortedPlan, budget: int | None, background: Tensor,
-                  as_bytes: bool, threads: int, stats: Stats, antialiased: bool = False) -> Tensor:
+def encode_sorted(
+    fields: list[Tensor],
+    cameras: Cameras,
+    plan: SortedPlan,
+    budget: int | None,
+    background: Tensor,
+    as_bytes: bool,
+    threads: int,
+    stats: Stats,
+    antialiased: bool = False,
+) -> Tensor:
     """The image [H, W, 3] of N Gaussians (five fields, float32 or float64), view n of the plan seen by camera n.
 
     budget: bytes that the work memory beside image, Gaussians and view map may take, on their device; None: the plan
@@ -161,8 +198,10 @@ def encode_sorted(fields: list[Tensor], cameras: Cameras, plan: SortedPlan, budg
     scene = Scene(*(field.unsqueeze(0) for field in fields))
     device = scene.tensors[0].device
     if plan.device_type != device.type:
-        raise InputError(f"the plan was made for {plan.device_type}, and the Gaussians are on {device}: make "
-                         f"SortedPlan(..., device='{device.type}')")
+        raise InputError(
+            f"the plan was made for {plan.device_type}, and the Gaussians are on {device}: make "
+            f"SortedPlan(..., device='{device.type}')"
+        )
     background = check("background", background, (3,), scene.tensors[0])
     out = scene.new(plan.height_px, plan.width_px, 3, dtype=torch.uint8 if as_bytes else None)
     if plan.hidden:
@@ -175,8 +214,17 @@ def encode_sorted(fields: list[Tensor], cameras: Cameras, plan: SortedPlan, budg
 class _Encoding:
     """One image: the chunks of views, and the memory that they take."""
 
-    def __init__(self, scene: Scene, cameras: Cameras, plan: SortedPlan, budget: int | None, background: Tensor,
-                 threads: int, stats: Stats, antialiased: bool):
+    def __init__(
+        self,
+        scene: Scene,
+        cameras: Cameras,
+        plan: SortedPlan,
+        budget: int | None,
+        background: Tensor,
+        threads: int,
+        stats: Stats,
+        antialiased: bool,
+    ):
         self.scene, self.cameras, self.plan, self.budget = scene, cameras, plan, budget
         self.background, self.threads, self.stats, self.antialiased = background, threads, stats, antialiased
         self.device = scene.tensors[0].device
@@ -207,15 +255,24 @@ class _Encoding:
         """Bytes by stage of a chunk of views."""
         plan, resident = self.plan, self.resident if resident is None else resident
         lists = plan.bytes() if resident else plan.bytes(first, first + views)
-        return {"geometry": self.stages.geometry_bytes(views), "image": plan.table_bytes() + lists,
-                "binning": self.stages.binning_bytes(views, counts)}
+        return {
+            "geometry": self.stages.geometry_bytes(views),
+            "image": plan.table_bytes() + lists,
+            "binning": self.stages.binning_bytes(views, counts),
+        }
 
     def _most_views(self, first: int) -> int:
         """How many views from `first` are expected to fit; at least one."""
         pairs, most = self.expected
         left = min(self.plan.count - first, _MOST_VIEWS)
-        return max(1, bisect_right(range(1, left + 1), self.usable, key=lambda views: sum(
-            self._memory(first, views, (views * pairs, most)).values())))
+        return max(
+            1,
+            bisect_right(
+                range(1, left + 1),
+                self.usable,
+                key=lambda views: sum(self._memory(first, views, (views * pairs, most)).values()),
+            ),
+        )
 
     def _draw(self, first: int, views: int, out: Tensor) -> bool:
         """Draws shown views first .. first + views - 1 if they fit, and notes what they took."""
@@ -260,11 +317,12 @@ class _Encoding:
 
     def _native_cameras(self, first: int, views: int) -> tuple[Any, list[Tensor]]:
         """The core's view of a chunk's cameras, and the tensors that it points into."""
-        chosen = torch.from_numpy(self.plan.shown[first:first + views])
+        chosen = torch.from_numpy(self.plan.shown[first : first + views])
         cameras = self.cameras.select(chosen).to(self.scene.tensors[0])
         tensors = [t.contiguous() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
-        native = self.scene.core.Cameras(1, views, self.plan.width_px, self.plan.height_px,
-                                         *(t.data_ptr() for t in tensors), self.antialiased)
+        native = self.scene.core.Cameras(
+            1, views, self.plan.width_px, self.plan.height_px, *(t.data_ptr() for t in tensors), self.antialiased
+        )
         return native, tensors
 
     # The least budget
@@ -272,15 +330,17 @@ class _Encoding:
     def _refuse(self) -> None:
         least = max(sum(self._memory(place, 1, self._counts_of(place)).values()) for place in range(self.plan.count))
         least += least // (self.stages.reserve - 1) + 1
-        raise InputError(f"a memory budget of {self.budget} bytes is too small even for one view at a time; this scene "
-                         f"and panel need {least} bytes or more beside the image")
+        raise InputError(
+            f"a memory budget of {self.budget} bytes is too small even for one view at a time; this scene "
+            f"and panel need {least} bytes or more beside the image"
+        )
 
     def _counts_of(self, place: int) -> Counts:
         """Pairs of one view and a bound on those of a band, counted in little memory: some Gaussians at a time."""
         cameras, held = self._native_cameras(place, 1)
         pairs = most = 0
         for first in range(0, self.scene.count, _PROBE):
-            some = Scene(*(t[:, first:first + _PROBE] for t in self.scene.tensors))
+            some = Scene(*(t[:, first : first + _PROBE] for t in self.scene.tensors))
             work = self.stages.workspace(some, 1, Stats())
             work.project_dense(cameras)
             work.order_and_bin(lambda: False)

@@ -18,7 +18,7 @@ from lightfield_gs.lens import lens_lists, native_lens
 from lightfield_gs.panel import MAX_VIEWS, Panel
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels; every list is filled up to whole blocks
-_SUBPIXELS_PER_TILE = 224    # of one view, on the average
+_SUBPIXELS_PER_TILE = 224  # of one view, on the average
 _MOST_TILE_PIXELS = 1 << 14  # what 16 bits can address
 _MOST_DISTINCT_VIEWS = 65536
 
@@ -36,8 +36,13 @@ class SortedPlan:
     hidden: whether some sub-pixel shows no view (-1 in the map).
     """
 
-    def __init__(self, panel: Panel, view_map: np.ndarray | Tensor | None = None, views: int | None = None,
-                 device: torch.device | str = "cpu"):
+    def __init__(
+        self,
+        panel: Panel,
+        view_map: np.ndarray | Tensor | None = None,
+        views: int | None = None,
+        device: torch.device | str = "cpu",
+    ):
         """Of the panel's lens, or of an int32 view_map [H, W, 3] by image channel, values 0 .. views - 1, or -1 where a
         sub-pixel shows nothing. views: the panel's unless given. device: where it will be used. Raises InputError."""
         expect("panel", panel, Panel)
@@ -45,19 +50,23 @@ class SortedPlan:
         self.views = panel.views if views is None else whole_number("views", views, 1, MAX_VIEWS)
         self.device_type = _device_type(device)
         self._table = None if view_map is None else checked_view_map(view_map, panel, self.views)
-        self._map = _core_map(panel) if self._table is None else _core.ViewMap(
-            self.width_px, self.height_px, self.views, self._table.ctypes.data)
+        self._map = (
+            _core_map(panel)
+            if self._table is None
+            else _core.ViewMap(self.width_px, self.height_px, self.views, self._table.ctypes.data)
+        )
         self.tile = _tile(self.views, self.width_px, self.device_type)
         self.tiles = self.tile.count(self.width_px, self.height_px)
-        self._codes: Tensor | None = None     # of all lists, on the host
+        self._codes: Tensor | None = None  # of all lists, on the host
         self._resident: tuple[Tensor, Tensor] | None = None  # starts and codes on another device
         self._count()
 
     def _count(self) -> None:
         every = torch.arange(self.views, dtype=torch.int32)
         counts = torch.empty(self.views, self.tiles, dtype=torch.int32)
-        _core.plan_sorted_count(self._map, self.tile, every.data_ptr(), self.views, counts.data_ptr(),
-                                torch.get_num_threads())
+        _core.plan_sorted_count(
+            self._map, self.tile, every.data_ptr(), self.views, counts.data_ptr(), torch.get_num_threads()
+        )
         totals = counts.sum(1)
         self.hidden = int(totals.sum()) < 3 * self.width_px * self.height_px
         self.shown = totals.nonzero().squeeze(1).numpy()
@@ -86,18 +95,18 @@ class SortedPlan:
         """starts and codes of shown views first .. last - 1 on the device; keep: held there for the next time."""
         begin, end = first * self.tiles, last * self.tiles
         if device.type == "cpu" and not keep:
-            starts = self.starts[begin:end + 1] - self.starts[begin]
+            starts = self.starts[begin : end + 1] - self.starts[begin]
             return starts, self._fill(first, last, starts, threads)
         if self._codes is None:
             self._codes = self._fill(0, self.count, self.starts, threads)
         if device.type == "cpu":
-            return self.starts[begin:end + 1], self._codes
+            return self.starts[begin : end + 1], self._codes
         if keep:
             if self._resident is None or self._resident[0].device != device:
                 self._resident = (self.starts.to(device), self._codes.to(device))
-            return self._resident[0][begin:end + 1], self._resident[1]
-        codes = self._codes[int(self.starts[begin]):int(self.starts[end])]
-        return (self.starts[begin:end + 1] - self.starts[begin]).to(device), codes.to(device)
+            return self._resident[0][begin : end + 1], self._resident[1]
+        codes = self._codes[int(self.starts[begin]) : int(self.starts[end])]
+        return (self.starts[begin : end + 1] - self.starts[begin]).to(device), codes.to(device)
 
     def release(self) -> None:
         """Gives back what `lists` kept on the device of the images."""
@@ -109,8 +118,9 @@ class SortedPlan:
         places = torch.full((self.views,), -1, dtype=torch.int32)
         places[self.shown[first:last]] = torch.arange(last - first, dtype=torch.int32)
         codes = torch.empty(int(starts[-1]), dtype=torch.int16)
-        _core.plan_sorted_fill(self._map, self.tile, places.data_ptr(), last - first, starts.data_ptr(),
-                               codes.data_ptr(), threads)
+        _core.plan_sorted_fill(
+            self._map, self.tile, places.data_ptr(), last - first, starts.data_ptr(), codes.data_ptr(), threads
+        )
         return codes
 
 
@@ -149,12 +159,14 @@ def views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]
         return places, np.flatnonzero(used) + 0.5
     # Equal up to the rounding of the fixed-point phase; a few rows tell a panel with too many
     view_map = np.round(view_map, 9)
-    if len(np.unique(view_map[:2**21])) <= _MOST_DISTINCT_VIEWS:
+    if len(np.unique(view_map[: 2**21])) <= _MOST_DISTINCT_VIEWS:
         x, places = np.unique(view_map, return_inverse=True)
         if len(x) <= _MOST_DISTINCT_VIEWS:
             return places, x
-    raise InputError("methods classic and sorted take a camera for every distinct view, and this panel shows more "
-                     f"than {_MOST_DISTINCT_VIEWS} continuous ones: use method direct, or integer views")
+    raise InputError(
+        "methods classic and sorted take a camera for every distinct view, and this panel shows more "
+        f"than {_MOST_DISTINCT_VIEWS} continuous ones: use method direct, or integer views"
+    )
 
 
 def _core_map(panel: Panel) -> Any:

@@ -55,14 +55,18 @@ def find(means: Tensor, sizes: Tensor, weights: Tensor, extent: float) -> Subjec
     cut = _cut(points - place, distances, weight, radius)
     if cut is not None and _SMALLER * cut <= _CUT * extent:
         share = float(weight[distances > cut].sum() / weight.sum())
-        return Subject(_within(means, place, cut),
-                       f"{share:.1%} of the scene lies far around its dense part and was left out of the framing",
-                       share)
+        return Subject(
+            _within(means, place, cut),
+            f"{share:.1%} of the scene lies far around its dense part and was left out of the framing",
+            share,
+        )
     if radius <= _SMALL_BALL * extent and _surrounds(points - place, distances > 2 * _NEIGHBOURHOOD * radius):
         far = distances > _NEIGHBOURHOOD * radius
-        return Subject(_within(means, place, _NEIGHBOURHOOD * radius),
-                       "the scene surrounds its densest part, which was framed from within the scene",
-                       float(weight[far].sum() / weight.sum()))
+        return Subject(
+            _within(means, place, _NEIGHBOURHOOD * radius),
+            "the scene surrounds its densest part, which was framed from within the scene",
+            float(weight[far].sum() / weight.sum()),
+        )
     return _in_a_shell(means, sides, points, weight)
 
 
@@ -80,8 +84,9 @@ def _sample(weights: Tensor) -> Tensor:
 
 def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
     """Middle [3] and radius of the smallest ball about any of a few of the points that holds _DENSE_SHARE of all."""
-    places = points[torch.arange(min(_PLACES, len(points)), device=points.device) * len(points)
-                    // min(_PLACES, len(points))]
+    places = points[
+        torch.arange(min(_PLACES, len(points)), device=points.device) * len(points) // min(_PLACES, len(points))
+    ]
     distances, order = torch.cdist(places, points).sort(1)
     sums = weights[order].cumsum(1)
     index = torch.searchsorted(sums, _DENSE_SHARE * sums[:, -1:])
@@ -126,14 +131,19 @@ def _in_a_shell(means: Tensor, sizes: Tensor, points: Tensor, weights: Tensor) -
     hull = _Hull(points, sizes.square() * weights)
     gauge = hull.gauge(points)
     shell, inside = gauge > _SHELL, gauge < _INSIDE
-    if (hull.areas[shell].sum() < _SHELL_SHARE * hull.areas.sum()
-            or _share_of_directions(hull.whitened(points[shell])) < _CLOSED):
+    if (
+        hull.areas[shell].sum() < _SHELL_SHARE * hull.areas.sum()
+        or _share_of_directions(hull.whitened(points[shell])) < _CLOSED
+    ):
         return Subject()
     kept = float(weights[inside].sum() / weights.sum())
     if kept < _INSIDE_SHARE:
         return Subject(why="the scene is a shell, closed on most sides with nothing inside: it was framed from outside")
-    return Subject(torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _INSIDE,
-                   "the scene is closed on most sides, like a room: what is inside was framed, from inside", 1 - kept)
+    return Subject(
+        torch.cat([hull.gauge(part.cpu()) for part in means.split(1 << 16)]).to(means.device) < _INSIDE,
+        "the scene is closed on most sides, like a room: what is inside was framed, from inside",
+        1 - kept,
+    )
 
 
 class _Hull:

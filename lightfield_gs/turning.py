@@ -23,16 +23,20 @@ _DIRECTIONS = 64  # more than the 16 harmonics, spread evenly: their values dete
 _TOLERANCE = 1e-4  # of orthonormality, as for the poses of cameras
 
 
-def rotated(gaussians: "Gaussians", rotation: Any) -> "Gaussians":
+def rotated(gaussians: Gaussians, rotation: Any) -> Gaussians:
     """See Gaussians.rotated."""
     gaussians.validate_layout()
     matrix = rotation_matrix(rotation, gaussians.device)
     like = gaussians.means
     turn = _quaternion(matrix).to(like)
     origin = matrix.detach().cpu() @ torch.tensor(gaussians.origin, dtype=torch.float64)
-    return replace(gaussians, means=like @ matrix.T.to(like), quaternions=_product(turn, gaussians.quaternions),
-                   sh=harmonics_rotation(matrix, gaussians.sh.shape[-2]).to(like) @ gaussians.sh,
-                   origin=tuple((origin + 0.0).tolist()))
+    return replace(
+        gaussians,
+        means=like @ matrix.T.to(like),
+        quaternions=_product(turn, gaussians.quaternions),
+        sh=harmonics_rotation(matrix, gaussians.sh.shape[-2]).to(like) @ gaussians.sh,
+        origin=tuple((origin + 0.0).tolist()),
+    )
 
 
 def rotation_matrix(rotation: Any, device: torch.device | str = "cpu") -> Tensor:
@@ -51,8 +55,10 @@ def rotation_matrix(rotation: Any, device: torch.device | str = "cpu") -> Tensor
         return rotations((given / given.abs().max())[None])[0]
     error = float((given @ given.T - torch.eye(3).to(given)).abs().max())
     if not error <= _TOLERANCE or float(torch.linalg.det(given)) < 0:
-        raise InputError("rotation: expected orthonormal rows and determinant +1 (no scale, shear or mirroring), got "
-                         f"{shown(given.tolist())}")
+        raise InputError(
+            "rotation: expected orthonormal rows and determinant +1 (no scale, shear or mirroring), got "
+            f"{shown(given.tolist())}"
+        )
     return given
 
 
@@ -93,11 +99,14 @@ def _inverses() -> tuple[np.ndarray, ...]:
 def _quaternion(matrix: Tensor) -> Tensor:
     """The unit quaternion [4] (wxyz) of a rotation [3, 3]: the column of its outer product that is longest."""
     m = matrix
-    outer = torch.stack([
-        torch.stack([1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]),
-        torch.stack([m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]),
-        torch.stack([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]]),
-        torch.stack([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]])])
+    outer = torch.stack(
+        [
+            torch.stack([1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]),
+            torch.stack([m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]),
+            torch.stack([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]]),
+            torch.stack([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]]),
+        ]
+    )
     longest = outer[int(outer.detach().diagonal().argmax())]
     return longest / longest.norm()
 
@@ -105,6 +114,12 @@ def _quaternion(matrix: Tensor) -> Tensor:
 def _product(first: Tensor, others: Tensor) -> Tensor:
     """Hamilton's product of a quaternion [4] with each of others [..., 4]: turned by the latter, then by the former."""
     w, x, y, z = first.unbind()
-    rows = torch.stack([torch.stack([w, -x, -y, -z]), torch.stack([x, w, -z, y]),
-                        torch.stack([y, z, w, -x]), torch.stack([z, -y, x, w])])
+    rows = torch.stack(
+        [
+            torch.stack([w, -x, -y, -z]),
+            torch.stack([x, w, -z, y]),
+            torch.stack([y, z, w, -x]),
+            torch.stack([z, -y, x, w]),
+        ]
+    )
     return others @ rows.T

@@ -64,7 +64,7 @@ def share(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig) -> float:
     of the outermost two and the one in the middle."""
     both = Gaussians(*(torch.cat(fields) for fields in zip(content.fields().values(), rest.fields().values())))
     white = torch.zeros(both.count, 1, 3).to(both.means)
-    white[:content.count], white[content.count:] = 0.5 / SH_CONSTANT, -0.5 / SH_CONSTANT
+    white[: content.count], white[content.count :] = 0.5 / SH_CONSTANT, -0.5 / SH_CONSTANT
     small_panel, small_rig = reduced(panel, rig, _SHARE_SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2, 0, panel.views])
     with torch.no_grad():
@@ -83,8 +83,8 @@ def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, 
     if float(surface.double().mean()) < _LEAST_SEEN:
         return None
     rows, columns = (torch.arange(size, device=depth.device) + 0.5 - size / 2 for size in depth.shape)
-    squares = rows[:, None]**2 + columns**2
-    weights = torch.exp(-squares / 2 / (_MIDDLE * min(depth.shape))**2).to(depth)
+    squares = rows[:, None] ** 2 + columns**2
+    weights = torch.exp(-squares / 2 / (_MIDDLE * min(depth.shape)) ** 2).to(depth)
     return 1 / depth[surface], weights[surface]
 
 

@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
-from typing import Any, Iterator, NamedTuple
+from typing import Any, NamedTuple
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -28,11 +29,11 @@ class Stats:
     pairs: int = 0
     evaluations: int = 0
     work_bytes: int = 0
-    memory_bytes: dict[str, int] = field(default_factory=dict)            # of method sorted, see sorted.encode_sorted
+    memory_bytes: dict[str, int] = field(default_factory=dict)  # of method sorted, see sorted.encode_sorted
     memory_bytes_unchunked: dict[str, int] = field(default_factory=dict)
     images: int = 0
     gaussians_drawn: int = 0  # in all images
-    pruned: int = 0           # of a light field, see Quality
+    pruned: int = 0  # of a light field, see Quality
     colour_error: float = 0.0
     kernel: str | None = None  # that drew a light field on CUDA
     skipped: dict[str, Any] = field(default_factory=dict)  # of a light field, see skips.lines
@@ -49,7 +50,7 @@ class Stats:
         if self.device is not None and self.device.type == "cuda":
             torch.cuda.synchronize(self.device)
 
-    def add_render(self, other: "Stats") -> None:
+    def add_render(self, other: Stats) -> None:
         """One of several renders that follow each other: their work adds up, their memory is used again."""
         for name, ms in other.stages_ms.items():
             self.stages_ms[name] = self.stages_ms.get(name, 0.0) + ms
@@ -95,8 +96,9 @@ def check(name: str, tensor: Tensor, shape: tuple[int, ...], like: Tensor) -> Te
     if tensor.shape != shape:
         raise InputError(f"{name} must be {list(shape)}, got {list(tensor.shape)}")
     if tensor.dtype != like.dtype or tensor.device != like.device:
-        raise InputError(f"{name} must be {like.dtype} on {like.device} like the means, got {tensor.dtype} on "
-                         f"{tensor.device}")
+        raise InputError(
+            f"{name} must be {like.dtype} on {like.device} like the means, got {tensor.dtype} on {tensor.device}"
+        )
     return tensor.contiguous()
 
 
@@ -117,11 +119,13 @@ class Scene:
             raise InputError(f"sh must be [scenes, N, 1 | 4 | 9 | 16, 3], got {list(sh.shape)}")
         self.core, self.batch, self.count = _core_of(means), batch, count
         self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[sh.shape[2]]
-        self.tensors = [check("means", means, (batch, count, 3), means),
-                        check("quaternions", quaternions, (batch, count, 4), means),
-                        check("scales", scales, (batch, count, 3), means),
-                        check("opacities", opacities, (batch, count), means),
-                        check("sh", sh, (batch, count, sh.shape[2], 3), means)]
+        self.tensors = [
+            check("means", means, (batch, count, 3), means),
+            check("quaternions", quaternions, (batch, count, 4), means),
+            check("scales", scales, (batch, count, 3), means),
+            check("opacities", opacities, (batch, count), means),
+            check("sh", sh, (batch, count, sh.shape[2], 3), means),
+        ]
 
     @property
     def guard(self) -> AbstractContextManager:
@@ -156,20 +160,33 @@ class State(NamedTuple):
 
     def check(self, images: int, scene: Scene, colour_order: int, least_bytes: int) -> State:
         """Itself; raises InputError if it is not of such a render."""
-        splats, colours = (check(f"state: {name}", t, shape, scene.tensors[0]) for name, t, shape in zip(
-            self._fields, self, self.shapes(images, scene.count, colour_order)))
+        splats, colours = (
+            check(f"state: {name}", t, shape, scene.tensors[0])
+            for name, t, shape in zip(self._fields, self, self.shapes(images, scene.count, colour_order))
+        )
         size = self.lists.numel()
         if self.lists.dtype != torch.uint8 or self.lists.dim() != 1 or size < least_bytes:
-            raise InputError(f"state: lists must be {least_bytes} bytes or more, got {list(self.lists.shape)} of "
-                             f"{self.lists.dtype}")
+            raise InputError(
+                f"state: lists must be {least_bytes} bytes or more, got {list(self.lists.shape)} of {self.lists.dtype}"
+            )
         return State(splats, colours, self.lists.contiguous())
 
 
 class Workspace:
     """Splats and bins of one render on the CPU, and the stages over them."""
 
-    def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats,
-                 threads: int, state: State | None = None, compensated: bool = False):
+    def __init__(
+        self,
+        scene: Scene,
+        images: int,
+        width: int,
+        height: int,
+        colour_order: int,
+        stats: Stats,
+        threads: int,
+        state: State | None = None,
+        compensated: bool = False,
+    ):
         """compensated: of an anti-aliased light field, whose opacities change over the rig."""
         n, self.scene, self.images, self.stats, self.threads = scene.count, scene, images, stats, threads
         self.width, self.height, self.colour_order = width, height, colour_order
@@ -181,8 +198,15 @@ class Workspace:
             self._use_lists(lists)
         self.orders = scene.new(images, n, dtype=torch.int32)
         self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if compensated else None
-        self.native = scene.core.Splats(images, n, colour_order, self.splats.data_ptr(), self.colours.data_ptr(),
-                                        self.orders.data_ptr(), self.compensations.data_ptr() if compensated else 0)
+        self.native = scene.core.Splats(
+            images,
+            n,
+            colour_order,
+            self.splats.data_ptr(),
+            self.colours.data_ptr(),
+            self.orders.data_ptr(),
+            self.compensations.data_ptr() if compensated else 0,
+        )
 
     def _use_lists(self, lists: Tensor) -> None:
         """Bytes: band offsets [I * bands + 1] int64, then the splats of the pairs, int32."""
@@ -197,8 +221,9 @@ class Workspace:
 
     def project_lens(self, rig: Any, lens: Any, quality: Quality) -> float:
         """The largest estimated error of a colour polynomial."""
-        return self.scene.core.project_lens(self.scene.native(), rig, lens, quality.native, quality.colour_error,
-                                            self.native, self.threads)
+        return self.scene.core.project_lens(
+            self.scene.native(), rig, lens, quality.native, quality.colour_error, self.native, self.threads
+        )
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
         """admit: see bin."""
@@ -222,7 +247,7 @@ class Workspace:
             if not admit():
                 return False
             self._use_lists(scene.new(8 * self.offsets + 4 * self.pairs, dtype=torch.uint8))
-            self.lists[:8 * self.offsets] = self.band_offsets.view(torch.uint8)
+            self.lists[: 8 * self.offsets] = self.band_offsets.view(torch.uint8)
             core.bin_fill(self.native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
         self.stats.images += self.images
         self.stats.gaussians_drawn += int(drawn.sum())
@@ -236,41 +261,73 @@ class Workspace:
         self._use_lists(other.lists)
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
-        self.stats.count(self.scene.core.composite_dense(self.native, self.bins, cameras, background.data_ptr(), out,
-                                                         self.threads))
+        self.stats.count(
+            self.scene.core.composite_dense(self.native, self.bins, cameras, background.data_ptr(), out, self.threads)
+        )
 
     def composite_lens(self, lens: Any, quality: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], of the scene's dtype or uint8."""
         floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
-        counters = self.scene.core.composite_lens(self.native, self.bins, lens, quality.native, background.data_ptr(),
-                                                  floats, bytes_, self.threads)
+        counters = self.scene.core.composite_lens(
+            self.native, self.bins, lens, quality.native, background.data_ptr(), floats, bytes_, self.threads
+        )
         self.stats.count(counters)
         if self.stats.device is not None:
             self.stats.pruned = int((self.splats[..., _core.SPLAT_FIELDS - 2] == _core.PRUNED).sum())
             self.stats.skipped = skips.of_lens(counters, self.orders, self.splats, self.colour_order)
 
-    def dense_backward(self, cameras: Any, background: Tensor, images: Any,
-                       gradients: Any) -> tuple[list[Tensor], Tensor, Tensor]:
+    def dense_backward(
+        self, cameras: Any, background: Tensor, images: Any, gradients: Any
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
         """Gradients of the five fields, of the background in parts [I * parts, 3], and of the cameras [I, 4, 4]."""
         core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
-        core.composite_dense_backward(self.native, self.bins, cameras, background.data_ptr(), images, gradients,
-                                      first.data_ptr(), pairs.data_ptr(), g_background.data_ptr(), self.threads)
+        core.composite_dense_backward(
+            self.native,
+            self.bins,
+            cameras,
+            background.data_ptr(),
+            images,
+            gradients,
+            first.data_ptr(),
+            pairs.data_ptr(),
+            g_background.data_ptr(),
+            self.threads,
+        )
         out, native = self.scene.gradients()
         g_cameras = self.scene.new(self.images, 4, 4, zero=True)
-        core.project_dense_backward(self.scene.native(), cameras, self.native, first.data_ptr(), pairs.data_ptr(),
-                                    native, g_cameras.data_ptr(), self.threads)
+        core.project_dense_backward(
+            self.scene.native(),
+            cameras,
+            self.native,
+            first.data_ptr(),
+            pairs.data_ptr(),
+            native,
+            g_cameras.data_ptr(),
+            self.threads,
+        )
         return out, g_background, g_cameras
 
-    def lens_backward(self, rig: Any, lens: Any, background: Tensor, image: Tensor,
-                      g_image: Tensor) -> tuple[list[Tensor], Tensor]:
+    def lens_backward(
+        self, rig: Any, lens: Any, background: Tensor, image: Tensor, g_image: Tensor
+    ) -> tuple[list[Tensor], Tensor]:
         """Gradients of the five fields, and of the background in parts [parts, 3]."""
         core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
-        core.composite_lens_backward(self.native, self.bins, lens, background.data_ptr(), image.data_ptr(),
-                                     g_image.data_ptr(), first.data_ptr(), pairs.data_ptr(), g_background.data_ptr(),
-                                     self.threads)
+        core.composite_lens_backward(
+            self.native,
+            self.bins,
+            lens,
+            background.data_ptr(),
+            image.data_ptr(),
+            g_image.data_ptr(),
+            first.data_ptr(),
+            pairs.data_ptr(),
+            g_background.data_ptr(),
+            self.threads,
+        )
         out, native = self.scene.gradients()
-        core.project_lens_backward(self.scene.native(), rig, lens, self.native, first.data_ptr(), pairs.data_ptr(),
-                                   native, self.threads)
+        core.project_lens_backward(
+            self.scene.native(), rig, lens, self.native, first.data_ptr(), pairs.data_ptr(), native, self.threads
+        )
         return out, g_background
 
     def _gradient_buffers(self) -> tuple[Tensor, Tensor, Tensor]:

@@ -17,8 +17,19 @@ from lightfield_gs.workspace import Scene, State, Stats
 class CudaWorkspace:
     """Splats, keys and tile lists of one render; every buffer from torch's allocator, all work on its stream."""
 
-    def __init__(self, scene: Scene, images: int, width: int, height: int, colour_order: int, stats: Stats, lens: bool,
-                 state: State | None = None, tile: Any = None, compensated: bool = False):
+    def __init__(
+        self,
+        scene: Scene,
+        images: int,
+        width: int,
+        height: int,
+        colour_order: int,
+        stats: Stats,
+        lens: bool,
+        state: State | None = None,
+        tile: Any = None,
+        compensated: bool = False,
+    ):
         """compensated: of an anti-aliased light field, whose opacities change over the rig."""
         n, self.scene, self.images, self.stats, self.items = scene.count, scene, images, stats, images * scene.count
         self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
@@ -33,8 +44,15 @@ class CudaWorkspace:
             self._use_lists(lists)
         self.orders = scene.new(images, n if lens else 0, dtype=torch.int32)
         self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if compensated else None
-        self.native = scene.core.Splats(images, n, colour_order, self.splats.data_ptr(), self.colours.data_ptr(),
-                                        self.orders.data_ptr(), self.compensations.data_ptr() if compensated else 0)
+        self.native = scene.core.Splats(
+            images,
+            n,
+            colour_order,
+            self.splats.data_ptr(),
+            self.colours.data_ptr(),
+            self.orders.data_ptr(),
+            self.compensations.data_ptr() if compensated else 0,
+        )
 
     def _use_lists(self, lists: Tensor, unsorted: Tensor | None = None) -> None:
         """Bytes: range of each tile [tiles, 2] int64, of slots of each splat [I, N, 2] int32, then slots and splats of
@@ -45,13 +63,15 @@ class CudaWorkspace:
         self.ranges, sorted_slots = lists.data_ptr(), lists.data_ptr() + self.lists_bytes
         self.slot_ranges = self.ranges + self.ranges_bytes
         tiles, sorted_tiles, slots, slot_splats = (
-            0 if unsorted is None else unsorted.data_ptr() + 4 * self.count * row for row in range(4))
-        self.pairs = _core.cuda.Pairs(self.count, tiles, sorted_tiles, slots, sorted_slots, slot_splats,
-                                      sorted_slots + 4 * self.count)
+            0 if unsorted is None else unsorted.data_ptr() + 4 * self.count * row for row in range(4)
+        )
+        self.pairs = _core.cuda.Pairs(
+            self.count, tiles, sorted_tiles, slots, sorted_slots, slot_splats, sorted_slots + 4 * self.count
+        )
 
     def tile_ranges(self) -> Tensor:
         """[tiles, 2] int64, of each tile's pairs among the sorted ones."""
-        return self.lists[:self.ranges_bytes].view(torch.int64).view(-1, 2)
+        return self.lists[: self.ranges_bytes].view(torch.int64).view(-1, 2)
 
     def state(self) -> State:
         return State(self.splats, self.colours, self.lists)
@@ -62,8 +82,16 @@ class CudaWorkspace:
     def project_lens(self, rig: Any, lens: Any, quality: Quality) -> float:
         """The largest estimated error of a colour polynomial."""
         error = self.scene.new(1, zero=True)
-        _core.cuda.project_lens(self.scene.native(), rig, lens, quality.colour_error, self.native,
-                                self.keys.data_ptr(), error.data_ptr(), self.stream)
+        _core.cuda.project_lens(
+            self.scene.native(),
+            rig,
+            lens,
+            quality.colour_error,
+            self.native,
+            self.keys.data_ptr(),
+            error.data_ptr(),
+            self.stream,
+        )
         return float(error) if self.scene.degree > 0 else 0.0
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
@@ -75,15 +103,30 @@ class CudaWorkspace:
         with self.stats.stage("bin"):
             counts, pairs = scene.new(items, dtype=torch.int32), scene.new(1, dtype=torch.int64, zero=True)
             total = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
-            cuda.bin_count(self.native, self.image, counts.data_ptr(), pairs.data_ptr(), total.data_ptr(),
-                           total.numel(), self.stream)
+            cuda.bin_count(
+                self.native,
+                self.image,
+                counts.data_ptr(),
+                pairs.data_ptr(),
+                total.data_ptr(),
+                total.numel(),
+                self.stream,
+            )
             pairs, counted = pairs.to("cpu", non_blocking=True), torch.cuda.Event()
             counted.record()
         with self.stats.stage("order"):
             sorted_keys, indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
             temporary = scene.new(cuda.order_bytes(items), dtype=torch.uint8)
-            cuda.order(items, self.images, self.keys.data_ptr(), sorted_keys.data_ptr(), indices.data_ptr(),
-                       temporary.data_ptr(), temporary.numel(), self.stream)
+            cuda.order(
+                items,
+                self.images,
+                self.keys.data_ptr(),
+                sorted_keys.data_ptr(),
+                indices.data_ptr(),
+                temporary.data_ptr(),
+                temporary.numel(),
+                self.stream,
+            )
         with self.stats.stage("bin"):
             counted.synchronize()
             self.pair_count = count = int(pairs)
@@ -94,50 +137,106 @@ class CudaWorkspace:
             ends = scene.new(items, dtype=torch.int64)
             unsorted = scene.new(4, count, dtype=torch.int32)
             self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), unsorted)
-            self.lists[:self.ranges_bytes].zero_()
-            cuda.bin_fill(self.native, self.image, indices.data_ptr(), counts.data_ptr(), ends.data_ptr(), self.pairs,
-                          self.ranges, self.slot_ranges, scratch.data_ptr(), scratch.numel(), self.stream)
+            self.lists[: self.ranges_bytes].zero_()
+            cuda.bin_fill(
+                self.native,
+                self.image,
+                indices.data_ptr(),
+                counts.data_ptr(),
+                ends.data_ptr(),
+                self.pairs,
+                self.ranges,
+                self.slot_ranges,
+                scratch.data_ptr(),
+                scratch.numel(),
+                self.stream,
+            )
         self.stats.pairs += count
         if self.stats.device is not None:  # reading the count back waits
             self.stats.images += self.images
             self.stats.gaussians_drawn += int((self.keys != -1).sum())
-        self.stats.add_buffers(self.splats, self.colours, self.orders, self.keys, sorted_keys, indices, temporary,
-                               counts, ends, total, unsorted, self.lists, scratch)
+        self.stats.add_buffers(
+            self.splats,
+            self.colours,
+            self.orders,
+            self.keys,
+            sorted_keys,
+            indices,
+            temporary,
+            counts,
+            ends,
+            total,
+            unsorted,
+            self.lists,
+            scratch,
+        )
         return True
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
-        _core.cuda.composite_dense(self.native, self.image, self.ranges, self.pairs, background.data_ptr(), out,
-                                   self.stream)
+        _core.cuda.composite_dense(
+            self.native, self.image, self.ranges, self.pairs, background.data_ptr(), out, self.stream
+        )
 
     def composite_lens(self, lens: Any, _: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], float32. Images of bytes are frames (frame_cuda)."""
-        _core.cuda.composite_lens(self.native, self.image, self.ranges, self.pairs, lens, background.data_ptr(),
-                                  out.data_ptr(), self.stream)
+        _core.cuda.composite_lens(
+            self.native, self.image, self.ranges, self.pairs, lens, background.data_ptr(), out.data_ptr(), self.stream
+        )
 
-    def dense_backward(self, cameras: Any, background: Tensor, images: Any,
-                       gradients: Any) -> tuple[list[Tensor], Tensor, Tensor]:
+    def dense_backward(
+        self, cameras: Any, background: Tensor, images: Any, gradients: Any
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
         """Gradients of the five fields, of the background in parts [I * parts, 3], and of the cameras [I, 4, 4]."""
         scene, cuda = self.scene, _core.cuda
         slots = scene.new(self.count, cuda.DENSE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
-        cuda.composite_dense_backward(self.native, self.image, self.ranges, self.pairs, images, gradients,
-                                      slots.data_ptr(), g_background.data_ptr(), self.stream)
+        cuda.composite_dense_backward(
+            self.native,
+            self.image,
+            self.ranges,
+            self.pairs,
+            images,
+            gradients,
+            slots.data_ptr(),
+            g_background.data_ptr(),
+            self.stream,
+        )
         out, native = scene.gradients()
         views = scene.new(self.images, cuda.view_blocks(scene.count), 3, 4)
-        cuda.project_dense_backward(scene.native(), cameras, self.native, self.slot_ranges, slots.data_ptr(), native,
-                                    views.data_ptr(), self.stream)
+        cuda.project_dense_backward(
+            scene.native(),
+            cameras,
+            self.native,
+            self.slot_ranges,
+            slots.data_ptr(),
+            native,
+            views.data_ptr(),
+            self.stream,
+        )
         return out, g_background, functional.pad(views.sum(1), (0, 0, 0, 1))
 
-    def lens_backward(self, rig: Any, lens: Any, background: Tensor, image: Tensor,
-                      g_image: Tensor) -> tuple[list[Tensor], Tensor]:
+    def lens_backward(
+        self, rig: Any, lens: Any, background: Tensor, image: Tensor, g_image: Tensor
+    ) -> tuple[list[Tensor], Tensor]:
         """Gradients of the five fields, and of the background in parts [parts, 3]."""
         scene, cuda = self.scene, _core.cuda
         sharp = 0 if self.compensations is None else _core.COMPENSATION_FIELDS
         slots = scene.new(self.count, cuda.LENS_SUMS + 3 * self.colours.shape[2] + sharp)
         g_background = scene.new(self.image.tiles(), 3)
-        cuda.composite_lens_backward(self.native, self.image, self.ranges, self.pairs, lens, image.data_ptr(),
-                                     g_image.data_ptr(), slots.data_ptr(), g_background.data_ptr(), self.stream)
+        cuda.composite_lens_backward(
+            self.native,
+            self.image,
+            self.ranges,
+            self.pairs,
+            lens,
+            image.data_ptr(),
+            g_image.data_ptr(),
+            slots.data_ptr(),
+            g_background.data_ptr(),
+            self.stream,
+        )
         out, native = scene.gradients()
-        cuda.project_lens_backward(scene.native(), rig, self.native, self.slot_ranges, slots.data_ptr(), native,
-                                   self.stream)
+        cuda.project_lens_backward(
+            scene.native(), rig, self.native, self.slot_ranges, slots.data_ptr(), native, self.stream
+        )
         return out, g_background

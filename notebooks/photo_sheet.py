@@ -2,6 +2,7 @@
 
 A row per photo: the photo, then what an eye at each angle sees through the lenses of the encoded 8K image.
 """
+
 from __future__ import annotations
 
 import argparse
@@ -47,8 +48,13 @@ def main() -> None:
     parser.add_argument("-o", "--output", required=True, help="the sheet, in any format that Pillow writes")
     parser.add_argument("--panel", default="65in-8k-96v", help="name or file (default: %(default)s)")
     parser.add_argument("--device-serial", help="which display, where a Looking Glass .json has several")
-    parser.add_argument("--angles", type=float, nargs="+", default=[-15.0, 0.0, 15.0],
-                        help="of the eyes, degrees from the panel's axis, right positive (default: -15 0 15)")
+    parser.add_argument(
+        "--angles",
+        type=float,
+        nargs="+",
+        default=[-15.0, 0.0, 15.0],
+        help="of the eyes, degrees from the panel's axis, right positive (default: -15 0 15)",
+    )
     options = parser.parse_args()
     panel = Panel.load(options.panel, serial=options.device_serial)
     encoder = PhotoEncoder(SplatterNet.from_pretrained(), panel)
@@ -62,8 +68,10 @@ def main() -> None:
             eye = (panel.viewing_distance_mm * math.tan(math.radians(angle)), 0.0, panel.viewing_distance_mm)
             seen.append(to_integers(simulate(image, panel, eye), 8))
         height = fitting(seen, shape)
-        tiles = [tile(on_white(photo), photo.shape[1] / photo.shape[0]),
-                 *(tile(picture, shape, height) for picture in seen)]
+        tiles = [
+            tile(on_white(photo), photo.shape[1] / photo.shape[0]),
+            *(tile(picture, shape, height) for picture in seen),
+        ]
         for column, picture in enumerate(tiles):
             sheet.paste(picture, (column * TILE_PX, row * TILE_PX))
     sheet.save(options.output, quality=93, method=6)

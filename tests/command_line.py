@@ -6,15 +6,29 @@ from lightfield_gs import cli
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 
-PANEL = Panel(width_px=96, height_px=60, views=12, line_number=9.848282191911, slant_tan=1 / 6, phase=-3.5, cone_deg=30,
-              viewing_distance_mm=600, pixel_pitch_mm=0.3, name="small")
+PANEL = Panel(
+    width_px=96,
+    height_px=60,
+    views=12,
+    line_number=9.848282191911,
+    slant_tan=1 / 6,
+    phase=-3.5,
+    cone_deg=30,
+    viewing_distance_mm=600,
+    pixel_pitch_mm=0.3,
+    name="small",
+)
 
 
 def scene(count=60, seed=0) -> Gaussians:
     r = torch.Generator().manual_seed(seed)
-    return Gaussians(torch.rand(count, 3, generator=r) - 0.5, torch.randn(count, 4, generator=r),
-                     torch.rand(count, 3, generator=r) * 0.05 + 0.02, torch.rand(count, generator=r) * 0.8 + 0.1,
-                     torch.randn(count, 4, 3, generator=r) * 0.4)
+    return Gaussians(
+        torch.rand(count, 3, generator=r) - 0.5,
+        torch.randn(count, 4, generator=r),
+        torch.rand(count, 3, generator=r) * 0.05 + 0.02,
+        torch.rand(count, generator=r) * 0.8 + 0.1,
+        torch.randn(count, 4, 3, generator=r) * 0.4,
+    )
 
 
 def run(capsys, line: str) -> str:

@@ -8,6 +8,7 @@ SRGB_RED, SRGB_GREEN, SRGB_BLUE = (0.4361, 0.2225, 0.0139), (0.3851, 0.7169, 0.0
 
 def matrix_profile(red: tuple, green: tuple, blue: tuple, gamma: float = 2.2, name: str = "test") -> bytes:
     """A display profile with these columns to XYZ and this gamma."""
+
     def fixed(*values: float) -> bytes:
         return struct.pack(f">{len(values)}i", *(round(65536 * value) for value in values))
 

@@ -6,10 +6,14 @@ import torch
 from lightfield_gs import Panel
 from lightfield_gs.models import ModelConfig, SplatterNet
 
-PANEL = Panel(width_px=397, height_px=231, views=24, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2,
-              cone_deg=40.0)
-TINY = {"image_size_px": 32, "features": 16, "unet": {"base_channels": 8, "multipliers": [1, 2], "blocks": 1,
-                                                      "attention_px": [16], "heads": 2}}
+PANEL = Panel(
+    width_px=397, height_px=231, views=24, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2, cone_deg=40.0
+)
+TINY = {
+    "image_size_px": 32,
+    "features": 16,
+    "unet": {"base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [16], "heads": 2},
+}
 
 
 def tiny_net() -> SplatterNet:

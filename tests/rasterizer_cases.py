@@ -15,8 +15,16 @@ from lightfield_gs.reference_blend import ALPHA_MIN, Projection, Samples, Scene
 from lightfield_gs.rig import Rig
 
 
-def random_scene(count: int, degree: int = 0, seed: int = 0, *, depth: float = 2.0, extent: float = 0.6,
-                 size: float = 0.08, dtype: torch.dtype = torch.float64) -> Gaussians:
+def random_scene(
+    count: int,
+    degree: int = 0,
+    seed: int = 0,
+    *,
+    depth: float = 2.0,
+    extent: float = 0.6,
+    size: float = 0.08,
+    dtype: torch.dtype = torch.float64,
+) -> Gaussians:
     """`count` Gaussians in a box of half width `extent` at `depth`, flat to round, of any rotation."""
     random = np.random.default_rng(seed)
     means = random.uniform(-extent, extent, (count, 3)) + [0, 0, depth]
@@ -35,8 +43,9 @@ def stacked(scenes: list[Gaussians]) -> Gaussians:
 def turned_pose(yaw: float, pitch: float, centre: tuple[float, float, float] = (0, 0, 2)) -> np.ndarray:
     """World-to-camera matrix of a camera that keeps `centre` 2 before it, turned by angles in radians."""
     a, b = pitch, yaw
-    rotation = (np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
-                @ np.array([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]]))
+    rotation = np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]]) @ np.array(
+        [[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]]
+    )
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, np.array([0, 0, 2]) - rotation @ centre
     return matrix
@@ -51,12 +60,20 @@ def dense_views(batch: int, views: int, width: int, height: int) -> tuple[torch.
         intrinsics.append(camera)
         limits.append([*frustum_limits(*camera, width, height).tolist(), 0.0])
     shape = (batch, views)
-    return tuple(torch.tensor(np.array(rows)).reshape(*shape, *np.shape(rows)[1:])
-                 for rows in (poses, intrinsics, limits))
+    return tuple(
+        torch.tensor(np.array(rows)).reshape(*shape, *np.shape(rows)[1:]) for rows in (poses, intrinsics, limits)
+    )
 
 
-BASE_PANEL = dict(width_px=110, height_px=46, views=96, line_number=9.848282191911, slant_tan=1 / 6,
-                  phase=-2161.204484657574, cone_deg=40.0)
+BASE_PANEL = dict(
+    width_px=110,
+    height_px=46,
+    views=96,
+    line_number=9.848282191911,
+    slant_tan=1 / 6,
+    phase=-2161.204484657574,
+    cone_deg=40.0,
+)
 # As a 16-inch Looking Glass of the third generation has them
 CELLS = (((-0.31, 0.25), (0.28, 0.25), (0.0, -0.25)), ((-0.31, -0.25), (0.28, -0.25), (0.0, 0.25)))
 MIRRORED = (((-1 / 3, 0.0), (0.0, 0.0), (1 / 3, 0.0)), ((1 / 3, 0.1), (0.0, 0.0), (-1 / 3, 0.0)))
@@ -137,8 +154,9 @@ def _alphas(scene: Gaussians, panel: Panel, fan: Rig) -> tuple[torch.Tensor, tor
     samples = Samples(*(torch.as_tensor(a, dtype=torch.float64) for a in (columns + 0.5, rows + 0.5, offsets)))
     projection = Projection(Scene.of(scene), reference.rig_eye(panel, fan))
     sample, gaussian = projection.pairs(samples)
-    alpha = projection.alpha(gaussian, samples=Samples(samples.columns[sample], samples.rows[sample],
-                                                       samples.offsets[sample]))
+    alpha = projection.alpha(
+        gaussian, samples=Samples(samples.columns[sample], samples.rows[sample], samples.offsets[sample])
+    )
     reaches = alpha >= ALPHA_MIN * (1 - 1e-6)
     return alpha[reaches], sample[reaches], len(rows)
 

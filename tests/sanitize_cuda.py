@@ -46,8 +46,9 @@ LEAST_VERSION = (2026, 4)  # earlier ones forget what kernels store that they ar
 
 
 # A line that begins a report, and the indented ones below it
-REPORT = re.compile(r"^={9} (?! |COMPUTE-SANITIZER|.*SUMMARY|Target application returned)(.+(?:\n={9}  .*)*)",
-                    re.MULTILINE)
+REPORT = re.compile(
+    r"^={9} (?! |COMPUTE-SANITIZER|.*SUMMARY|Target application returned)(.+(?:\n={9}  .*)*)", re.MULTILINE
+)
 KERNEL = re.compile(r"\bat (.+?)\+0x")
 
 
@@ -111,8 +112,13 @@ def left(tests: list[str], folder: Path) -> dict[str, str]:
 def collected(expression: str) -> list[str]:
     """The tests that -k EXPRESSION chooses; exits where there are none."""
     files = [path for path in sorted(TESTS.glob("test_cuda*.py")) if path.name != "test_cuda_on_cpu.py"]
-    listed = subprocess.run([sys.executable, "-m", "pytest", "--collect-only", "-q", "-k", expression, *files],
-                            cwd=TESTS.parent, capture_output=True, text=True, check=False)
+    listed = subprocess.run(
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", "-k", expression, *files],
+        cwd=TESTS.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     found = [line for line in listed.stdout.splitlines() if "::" in line]
     if listed.returncode or not found:
         sys.exit(f"sanitize_cuda: no tests: they need a GPU and a build with LFGS_CUDA=ON\n{listed.stdout[-2000:]}")
@@ -132,16 +138,20 @@ def compute_sanitizer() -> str:
     """Its path: on the PATH, or from the package index. Exits where there is none that is new enough."""
     package = importlib.util.find_spec("nvidia")
     folders = package.submodule_search_locations if package else []
-    paths = [shutil.which("compute-sanitizer"), *(path for folder in folders
-                                                  for path in Path(folder).glob("cu*/bin/compute-sanitizer"))]
+    paths = [
+        shutil.which("compute-sanitizer"),
+        *(path for folder in folders for path in Path(folder).glob("cu*/bin/compute-sanitizer")),
+    ]
     versions = []
     for path in filter(None, paths):
         said = subprocess.run([path, "--version"], capture_output=True, text=True, check=False).stdout
         versions += re.findall(r"Version (\d+)\.(\d+)", said)
         if versions and tuple(map(int, versions[-1])) >= LEAST_VERSION:
             return str(path)
-    sys.exit(f"sanitize_cuda: needs compute-sanitizer {'.'.join(map(str, LEAST_VERSION))} or newer, found "
-             f"{', '.join(map('.'.join, versions)) or 'none'}: pip install nvidia-cuda-sanitizer-api")
+    sys.exit(
+        f"sanitize_cuda: needs compute-sanitizer {'.'.join(map(str, LEAST_VERSION))} or newer, found "
+        f"{', '.join(map('.'.join, versions)) or 'none'}: pip install nvidia-cuda-sanitizer-api"
+    )
 
 
 def start(sanitizer: str, tool: str, log: Log, tests: list[str]) -> subprocess.Popen:
@@ -156,9 +166,30 @@ def start(sanitizer: str, tool: str, log: Log, tests: list[str]) -> subprocess.P
         variables["PYTORCH_NO_CUDA_MEMORY_CACHING"] = "1"
     with log.tests.open("w") as out:
         return subprocess.Popen(
-            [sanitizer, "--tool", tool, "--show-backtrace", "device", "--print-limit", "0", "--log-file", str(log.tool),
-             *options, sys.executable, "-m", "pytest", "-v", "--tb=short", *tests],
-            cwd=TESTS.parent, env=os.environ | variables, stdout=out, stderr=subprocess.STDOUT, start_new_session=True)
+            [
+                sanitizer,
+                "--tool",
+                tool,
+                "--show-backtrace",
+                "device",
+                "--print-limit",
+                "0",
+                "--log-file",
+                str(log.tool),
+                *options,
+                sys.executable,
+                "-m",
+                "pytest",
+                "-v",
+                "--tb=short",
+                *tests,
+            ],
+            cwd=TESTS.parent,
+            env=os.environ | variables,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
 
 
 def stop(process: subprocess.Popen) -> None:
@@ -202,8 +233,12 @@ def run(sanitizer: str, tool: str, groups: list[list[str]], folder: Path, proces
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tool", choices=OPTIONS)
-    parser.add_argument("--processes", type=int, default=max(1, 3 * os.cpu_count() // 4),
-                        help="side by side on the GPU (default: three for four cores)")
+    parser.add_argument(
+        "--processes",
+        type=int,
+        default=max(1, 3 * os.cpu_count() // 4),
+        help="side by side on the GPU (default: three for four cores)",
+    )
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop what runs after so many")
     options = parser.parse_args(arguments)
 
@@ -219,8 +254,10 @@ def main(arguments: list[str] | None = None) -> int:
     wrong = left(tests, folder)
     for test, outcome in wrong.items():
         print(f"{outcome} {test}")
-    print(f"{options.tool}: {len(tests) - len(wrong)} of {len(tests)} tests passed, {reports.total()} reports; logs in "
-          f"{folder}")
+    print(
+        f"{options.tool}: {len(tests) - len(wrong)} of {len(tests)} tests passed, {reports.total()} reports; logs in "
+        f"{folder}"
+    )
     return int(bool(wrong or reports))
 
 

@@ -37,6 +37,7 @@ def oracle(gaussians: Gaussians, cameras: Cameras, table: np.ndarray, background
     margins = np.ones(table.shape)
     for view in np.unique(table[table >= 0]):
         where = np.nonzero(table == view)
-        image[where], margins[where] = reference.pixel_colours(gaussians, cameras, int(view), *where,
-                                                               background=background, return_margin=True)
+        image[where], margins[where] = reference.pixel_colours(
+            gaussians, cameras, int(view), *where, background=background, return_margin=True
+        )
     return image, margins

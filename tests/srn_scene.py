@@ -1,4 +1,5 @@
 """A small synthetic object on disk, in SRN layout."""
+
 from pathlib import Path
 
 import numpy as np

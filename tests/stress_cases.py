@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 import torch
-from rasterizer_cases import random_scene, rig
 from rasterizer_cases import panel as panel_of
+from rasterizer_cases import random_scene, rig
 
 from lightfield_gs import Gaussians, Panel, Rig, _core, build_info
 
@@ -67,22 +67,26 @@ class Case:
 def _all(name: str, value: float | list[float]) -> Change:
     def change(scene: Gaussians) -> None:
         scene.fields()[name][:] = torch.tensor(value, dtype=scene.dtype)
+
     return change
 
 
 def _times(name: str, factor: float | list[float]) -> Change:
     def change(scene: Gaussians) -> None:
         scene.fields()[name].mul_(torch.tensor(factor, dtype=scene.dtype))
+
     return change
 
 
 def _depths(*depths: float) -> Change:
     """Gaussians at these view-space depths by turns, small enough not to reach the camera's plane."""
+
     def change(scene: Gaussians) -> None:
         axis = torch.arange(scene.count) % len(depths)
         scene.means[:, 2] = torch.tensor(depths, dtype=scene.dtype)[axis]
         scene.means[:, :2] *= scene.means[:, 2:].abs() / 2
         scene.scales.mul_(scene.means[:, 2:].abs().clamp_min(1e-3) / 2)
+
     return change
 
 
@@ -105,10 +109,12 @@ def _needles(scene: Gaussians) -> None:
 
 def _blades(length: float) -> Change:
     """Lines across the picture at every angle: the low pass alone makes them wide, and the 2D covariance regular."""
+
     def change(scene: Gaussians) -> None:
         scene.scales[:] = torch.tensor([length, 1e-8 * length, 1e-8 * length])
         angle = torch.linspace(0, math.pi, scene.count)
         scene.quaternions[:] = torch.stack([(angle / 2).cos(), 0 * angle, 0 * angle, (angle / 2).sin()], 1)
+
     return change
 
 
@@ -123,14 +129,22 @@ def _sh_extremes(scene: Gaussians) -> None:
 
 
 CASES = {
-    **{f"scales {s:g}": Case(_all("scales", s), no_rotation=True, single_cuda=POLYNOMIALS if s == 1 else 0)
-       for s in (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6)},
-    **{f"ratio 1e8 at {s:g}": Case(_all("scales", [s, s * 1e-4, s * 1e-8]), gradient=1e-4 if s < 1e6 else 2e-3,
-                                 single_cuda=POLYNOMIALS if s in (1.0, 1e2) else 0)
-       for s in (1e-3, 1.0, 1e2, 1e6)},
+    **{
+        f"scales {s:g}": Case(_all("scales", s), no_rotation=True, single_cuda=POLYNOMIALS if s == 1 else 0)
+        for s in (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6)
+    },
+    **{
+        f"ratio 1e8 at {s:g}": Case(
+            _all("scales", [s, s * 1e-4, s * 1e-8]),
+            gradient=1e-4 if s < 1e6 else 2e-3,
+            single_cuda=POLYNOMIALS if s in (1.0, 1e2) else 0,
+        )
+        for s in (1e-3, 1.0, 1e2, 1e6)
+    },
     "ratio 1e8 the other way": Case(_all("scales", [1e-10, 1e-2, 1e-6]), single_cuda=POLYNOMIALS),
-    **{f"quaternions times {s:g}": Case(_times("quaternions", s))
-       for s in (1e-38, 1e-30, 1e-18, 1e-6, 1e6, 1e18, 1e37)},
+    **{
+        f"quaternions times {s:g}": Case(_times("quaternions", s)) for s in (1e-38, 1e-30, 1e-18, 1e-6, 1e6, 1e18, 1e37)
+    },
     **{f"opacity {o:g}": Case(_all("opacities", o)) for o in (0.0, 1e-45, 1e-38, 1 / 255, 0.0040, 0.99, 1.0)},
     "at the near plane": Case(_depths(0.0099999, 0.01, 0.0100001, 0.011)),
     "behind": Case(_depths(-1e6, -2.0, -0.01, -1e-30, 0.0)),
@@ -139,22 +153,34 @@ CASES = {
     "means at 1e6 aside": Case(_far_origin),
     "means at 1e6 before": Case(_far_depth),
     "needles end-on": Case(_needles),
-    **{f"blades of {length:g}": Case(_blades(length), gradient=1e-4 if length < 1e6 else 0.5,
-                                         single_cuda=POLYNOMIALS if length < 1e6 else 0,
-                                         gradient_cuda=5e-3 if length == 30 else 0)
-       for length in (1.0, 30.0, 1e3, 1e6)},
+    **{
+        f"blades of {length:g}": Case(
+            _blades(length),
+            gradient=1e-4 if length < 1e6 else 0.5,
+            single_cuda=POLYNOMIALS if length < 1e6 else 0,
+            gradient_cuda=5e-3 if length == 30 else 0,
+        )
+        for length in (1.0, 30.0, 1e3, 1e6)
+    },
     "one that covers the panel": Case(_covering, count=1, no_rotation=True),
     "forty that cover the panel": Case(_covering, no_rotation=True),
     "single": Case(lambda scene: None, count=1),
     "none": Case(lambda scene: None, count=0),
     **{f"{n} views": Case(lambda scene: None, panel=dict(views=n)) for n in (1, 2, 96, 1000, 65536)},
-    **{f"line number {p:g}": Case(lambda scene: None, panel=dict(line_number=p, phase=0.2537 * p))
-       for p in (1e-3, 0.3, 0.999, 1.0, 2.999, 3.0, 63.0, 63.001, 1e4, 123456.7, 1e6)},
-    **{f"slant {a} degrees": Case(lambda scene: None, panel=dict(slant_tan=math.tan(math.radians(a))))
-       for a in (-84, -60, -45, 45, 60, 84)},
-    **{f"panel {w} x {h}": Case(lambda scene: None, panel=dict(width_px=w, height_px=h),
-                                  single_cuda=POLYNOMIALS if h == 1500 else 0)
-       for w, h in ((1, 1), (2, 1), (1, 2), (17, 16), (16, 17), (4096, 1), (1, 1500))},
+    **{
+        f"line number {p:g}": Case(lambda scene: None, panel=dict(line_number=p, phase=0.2537 * p))
+        for p in (1e-3, 0.3, 0.999, 1.0, 2.999, 3.0, 63.0, 63.001, 1e4, 123456.7, 1e6)
+    },
+    **{
+        f"slant {a} degrees": Case(lambda scene: None, panel=dict(slant_tan=math.tan(math.radians(a))))
+        for a in (-84, -60, -45, 45, 60, 84)
+    },
+    **{
+        f"panel {w} x {h}": Case(
+            lambda scene: None, panel=dict(width_px=w, height_px=h), single_cuda=POLYNOMIALS if h == 1500 else 0
+        )
+        for w, h in ((1, 1), (2, 1), (1, 2), (17, 16), (16, 17), (4096, 1), (1, 1500))
+    },
     **{f"cone {c:g} degrees": Case(lambda scene: None, panel=dict(cone_deg=c)) for c in (1e-6, 150.0, 179.9)},
 }
 

@@ -5,16 +5,29 @@ import torch
 
 from lightfield_gs import Gaussians, Panel
 
-PANEL = Panel(width_px=160, height_px=80, views=8, line_number=9.8, slant_tan=0.1, cone_deg=20, viewing_distance_mm=600,
-              pixel_pitch_mm=1.8)
+PANEL = Panel(
+    width_px=160,
+    height_px=80,
+    views=8,
+    line_number=9.8,
+    slant_tan=0.1,
+    cone_deg=20,
+    viewing_distance_mm=600,
+    pixel_pitch_mm=1.8,
+)
 UPRIGHT = np.eye(4)
 
 
 def blobs(places, size=0.02) -> Gaussians:
     means = torch.tensor(np.asarray(places), dtype=torch.float32)
     count = len(means)
-    return Gaussians(means, torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1), torch.full((count, 3), size),
-                     torch.full((count,), 0.9), torch.zeros(count, 1, 3))
+    return Gaussians(
+        means,
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
+        torch.full((count, 3), size),
+        torch.full((count,), 0.9),
+        torch.zeros(count, 1, 3),
+    )
 
 
 def joined(*scenes: Gaussians) -> Gaussians:

@@ -36,18 +36,23 @@ def psnr(image: torch.Tensor | np.ndarray, want: np.ndarray) -> float:
 
 def oracle(scene: Gaussians, shown, fan, **options) -> tuple[np.ndarray, np.ndarray]:
     size = shown.height_px, shown.width_px, 3
-    colours, margins = reference.subpixel_colours(scene, shown, fan, *all_subpixels(shown), background=BACKGROUND,
-                                                  antialiased=True, return_margin=True, **options)
+    colours, margins = reference.subpixel_colours(
+        scene, shown, fan, *all_subpixels(shown), background=BACKGROUND, antialiased=True, return_margin=True, **options
+    )
     return colours.reshape(size), margins.reshape(size)
 
 
 def test_the_oracle_keeps_the_light_of_a_ball_smaller_than_a_pixel():
     shown, sigma, depth = panel(views=1, width_px=64, height_px=64, cone_deg=1.0), 0.004, 2.0
     fan = rig(shown)
-    ball = Gaussians(*(torch.tensor(field, dtype=torch.float64) for field in (
-        [[0, 0, depth]], [[1.0, 0, 0, 0]], [[sigma] * 3], [0.9], [[[-0.5 / 0.28209479177387814] * 3]])))
+    ball = Gaussians(
+        *(
+            torch.tensor(field, dtype=torch.float64)
+            for field in ([[0, 0, depth]], [[1.0, 0, 0, 0]], [[sigma] * 3], [0.9], [[[-0.5 / 0.28209479177387814] * 3]])
+        )
+    )
     (fx, fy), blur = fan.focal_px, 0.3
-    xx, yy = (fx / depth * sigma)**2, (fy / depth * sigma)**2
+    xx, yy = (fx / depth * sigma) ** 2, (fy / depth * sigma) ** 2
     dark = 1 - reference.subpixel_colours(ball, shown, fan, *all_subpixels(shown), antialiased=True)
     peak = 0.9 * math.sqrt(xx * yy / ((xx + blur) * (yy + blur))) * math.exp(-0.125 / (xx + blur) - 0.125 / (yy + blur))
     assert dark.max() == pytest.approx(peak, rel=1e-9)
@@ -69,8 +74,18 @@ def test_every_subpixel_is_that_of_the_oracle(shape, views):
     assert psnr(without, want) < 45
 
 
-@pytest.mark.parametrize("name", ["very wide cone", "leaning the other way, BGR", "narrower than a pixel", "one view",
-                                  "lenses as wide as the panel", "cells", "cells of narrow lenses"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "very wide cone",
+        "leaning the other way, BGR",
+        "narrower than a pixel",
+        "one view",
+        "lenses as wide as the panel",
+        "cells",
+        "cells of narrow lenses",
+    ],
+)
 def test_unusual_panels_and_harmonics(name):
     shown, scene = panel(name), fine_scene(degree=2)
     fan = rig(shown, -0.2, 0.1)
@@ -86,8 +101,10 @@ def test_unusual_panels_and_harmonics(name):
 def test_qualities_keep_what_they_promise(quality):
     shown, scene = panel(width_px=200, height_px=120), fine_scene().to(torch.float32)
     fan = rig(shown)
-    exact, found = (encode(scene, shown, fan, background=BACKGROUND, antialiased=True, quality=q).numpy() / 255
-                    for q in ("exact", quality))
+    exact, found = (
+        encode(scene, shown, fan, background=BACKGROUND, antialiased=True, quality=q).numpy() / 255
+        for q in ("exact", quality)
+    )
     assert psnr(found, exact) > {"high": 50, "fast": 40, "draft": 33}[quality]
 
 
@@ -131,14 +148,17 @@ def test_gradients_are_those_of_the_oracle(sensor, shape):
     scene = fine_scene(shape, 60, degree=1)
     if sensor == "dense":
         moving, fixed = dense_inputs(scene, 50, 40)
-        got, want = (lambda *m: torch.ops.lightfield_gs.render_dense(*m, *fixed),
-                     lambda *m: reference.dense_torch(*m, *fixed))
+        got, want = (
+            lambda *m: torch.ops.lightfield_gs.render_dense(*m, *fixed),
+            lambda *m: reference.dense_torch(*m, *fixed),
+        )
     else:
         moving, fixed = lens_inputs(scene, width_px=50, height_px=40, cone_deg=12.0)
         shown = panel(width_px=50, height_px=40, cone_deg=12.0)
-        got, want = (lambda *m: [torch.ops.lightfield_gs.render_lens(*m, *fixed)],
-                     lambda *m: [reference.lens_torch(*m, shown, rig(shown, 0.1, -0.15), continuous=True,
-                                                      antialiased=True)])
+        got, want = (
+            lambda *m: [torch.ops.lightfield_gs.render_lens(*m, *fixed)],
+            lambda *m: [reference.lens_torch(*m, shown, rig(shown, 0.1, -0.15), continuous=True, antialiased=True)],
+        )
     results = []
     for draw in (got, want):
         outputs, random = draw(*moving), torch.Generator().manual_seed(7)
@@ -187,8 +207,23 @@ def test_the_option_is_true_or_false():
 
 def test_a_3d_filter_is_part_of_its_gaussians(folder, capsys):
     """As Mip-Splatting stores it: wider by the filter, fainter by as much."""
-    names = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
-             "rot_2", "rot_3", "filter_3D")
+    names = (
+        "x",
+        "y",
+        "z",
+        "f_dc_0",
+        "f_dc_1",
+        "f_dc_2",
+        "opacity",
+        "scale_0",
+        "scale_1",
+        "scale_2",
+        "rot_0",
+        "rot_1",
+        "rot_2",
+        "rot_3",
+        "filter_3D",
+    )
     rows = np.zeros((2, len(names)), "<f4")
     rows[:, 2], rows[:, 6], rows[:, 10] = 2, (0, 3), 1
     rows[:, 7:10], rows[:, 14] = np.log([[0.03, 0.4, 0.01], [1, 2, 3]]), (0.04, 0)

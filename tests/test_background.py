@@ -1,4 +1,5 @@
 """What is object in pictures without alpha: by their background, which is decided once for all views of an object."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -6,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from srn_scene import write_object
 
 from lightfield_gs.errors import InputError
-from srn_scene import write_object
 from training.data import validate
 from training.data.images import find_cutout, read_view
 from training.data.objects import read_object
@@ -48,8 +49,9 @@ def test_nothing_is_eaten_from_bodies_of_nearly_the_backgrounds_colour(tmp_path,
     ring = _disc(40, 55, 26) & ~_disc(40, 55, 25)
     sign = -1 if max(colour) > 128 else 1
     fading = (np.array(colour) + sign * np.linspace(12, 1, SIDE).round()[:, None, None]).astype(np.uint8)
-    picture = _painted(colour, (ring, np.array(colour) + sign * 3), (body, (200, 40, 60)), (hole, colour),
-                       (pale, fading))
+    picture = _painted(
+        colour, (ring, np.array(colour) + sign * 3), (body, (200, 40, 60)), (hole, colour), (pale, fading)
+    )
     views = _views(tmp_path / "a", [picture] * 3)
     alpha = read_view(views, 0)[..., 3]
     np.testing.assert_array_equal(alpha == 255, body & ~hole | pale)
@@ -59,7 +61,7 @@ def test_nothing_is_eaten_from_bodies_of_nearly_the_backgrounds_colour(tmp_path,
 
 def test_outlines_are_parted_into_object_and_background(tmp_path):
     """Of an antialiased render: its true opacity and colour, and over white the picture that it was."""
-    rows, columns = (np.mgrid[:8 * SIDE, :8 * SIDE] + 0.5) / 8
+    rows, columns = (np.mgrid[: 8 * SIDE, : 8 * SIDE] + 0.5) / 8
     fine = np.hypot(columns - 50, rows - 45) < 30
     coverage = fine.reshape(SIDE, 8, SIDE, 8).mean((1, 3))
     colour = np.array([180.0, 40, 90])

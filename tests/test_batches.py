@@ -1,13 +1,14 @@
 """What a training step sees: sampling, crops, cameras, augmentation."""
+
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from srn_scene import FOCAL, look_at
 
 from lightfield_gs import InputError
 from lightfield_gs.models.crop import Square, crop_resize
-from srn_scene import FOCAL, look_at
 from training.data.batches import Batch, make_batch
 from training.data.cache import load_set
 from training.data.images import read_view
@@ -51,7 +52,7 @@ def test_sampler_depends_on_seed_and_step_alone():
 def test_each_epoch_visits_every_object_once():
     sampler = ViewSampler([fan()] * 10, 30, 12, 1, seed=1)
     visited = [choice.object_index for step in range(6) for choice in sampler.draw(step, 5 * step, 5)]
-    epochs = [visited[start:start + 10] for start in (0, 10, 20)]
+    epochs = [visited[start : start + 10] for start in (0, 10, 20)]
     assert all(sorted(epoch) == list(range(10)) for epoch in epochs)
     assert epochs[0] != epochs[1]
 
@@ -136,8 +137,10 @@ def _frame(folder: Path, planner: BatchPlanner, row: int) -> torch.Tensor:
     return torch.from_numpy(read_view(views, row % 4)).permute(2, 0, 1)
 
 
-@pytest.mark.parametrize("source_px, target_px, zoom", [
-    (8, 8, (0.6, 1.3)), (32, 32, (0.6, 1.3)), (16, 16, (1.5, 3.0)), (70, 70, (0.3, 0.5)), (32, 12, (0.6, 1.3))])
+@pytest.mark.parametrize(
+    "source_px, target_px, zoom",
+    [(8, 8, (0.6, 1.3)), (32, 32, (0.6, 1.3)), (16, 16, (1.5, 3.0)), (70, 70, (0.3, 0.5)), (32, 12, (0.6, 1.3))],
+)
 def test_crops_are_those_of_photos(small_set, source_px, target_px, zoom):
     """The batch of a plan against crop_resize on whole frames, one by one, flipped where the plan says so; every view
     has a camera of its own."""

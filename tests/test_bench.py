@@ -20,10 +20,33 @@ from lightfield_gs.panel import Panel
 from lightfield_gs.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.rendering import render
 
-KEYS = {"scene", "gaussians", "sh_degree", "panel", "cone", "cone_deg", "method", "device", "ms_median", "ms_min",
-        "ms_max", "runs", "stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes",
-        "memory_bytes", "memory_bytes_unchunked", "memory_budget", "peak_bytes", "psnr_db", "max_error_255",
-        "share_over_1"}
+KEYS = {
+    "scene",
+    "gaussians",
+    "sh_degree",
+    "panel",
+    "cone",
+    "cone_deg",
+    "method",
+    "device",
+    "ms_median",
+    "ms_min",
+    "ms_max",
+    "runs",
+    "stages_ms",
+    "kernel",
+    "pairs",
+    "evaluations_per_subpixel",
+    "colour_error",
+    "work_bytes",
+    "memory_bytes",
+    "memory_bytes_unchunked",
+    "memory_budget",
+    "peak_bytes",
+    "psnr_db",
+    "max_error_255",
+    "share_over_1",
+}
 STAGES = {"plan", "project", "order", "bin", "composite"}
 
 
@@ -40,16 +63,33 @@ def test_scenes_are_those_of_other_programs_bit_for_bit(shared_dir, kind, size, 
     others = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(others)
     theirs, ours = getattr(others, kind)(size, seed), getattr(scenes, kind)(size, seed)
-    for their_name, our_name in (("means", "means"), ("quats", "quaternions"), ("scales", "scales"),
-                                 ("opacities", "opacities")):
+    for their_name, our_name in (
+        ("means", "means"),
+        ("quats", "quaternions"),
+        ("scales", "scales"),
+        ("opacities", "opacities"),
+    ):
         np.testing.assert_array_equal(theirs[their_name], ours.fields()[our_name].numpy())
     colours = 0.5 + 0.28209479177387814 * ours.sh[:, 0].double().numpy()
     np.testing.assert_allclose(theirs["colors"], colours, atol=2e-7)
     assert others.ZERO_DEPTH == scenes.ZERO_DEPTH
 
 
-@pytest.mark.parametrize("name", ["sheet", "sheet:", "sheet:0", "sheet:-4", "sheet:1e3", "cloud:nan", "cube:4", "scene",
-                                  "sheet:99999999999", "no-such.ply"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "sheet",
+        "sheet:",
+        "sheet:0",
+        "sheet:-4",
+        "sheet:1e3",
+        "cloud:nan",
+        "cube:4",
+        "scene",
+        "sheet:99999999999",
+        "no-such.ply",
+    ],
+)
 def test_unknown_scenes_are_named(name):
     with pytest.raises(InputError):
         scenes.load_scene(name)
@@ -138,9 +178,24 @@ def test_images_are_compared_as_numbers_not_as_bytes():
 def test_rows_have_the_keys_and_the_images_are_right(tmp_path, capsys):
     small = Panel(width_px=192, height_px=96, views=12, line_number=6.3, slant_tan=0.2, name="small")
     small.to_yaml(tmp_path / "small.yaml")
-    code = command.run(arguments("--scene", "sheet:24,cloud:500", "--panel", str(tmp_path / "small.yaml"), "--cone",
-                               "narrow,40", "--methods", "direct,classic", "--repeats", "2", "--sh-degree", "0,2",
-                               "--json", str(tmp_path / "rows.json")))
+    code = command.run(
+        arguments(
+            "--scene",
+            "sheet:24,cloud:500",
+            "--panel",
+            str(tmp_path / "small.yaml"),
+            "--cone",
+            "narrow,40",
+            "--methods",
+            "direct,classic",
+            "--repeats",
+            "2",
+            "--sh-degree",
+            "0,2",
+            "--json",
+            str(tmp_path / "rows.json"),
+        )
+    )
     assert code == 0
     result = json.loads((tmp_path / "rows.json").read_text())
     rows, comparisons = result["rows"], result["comparisons"]
@@ -155,7 +210,8 @@ def test_rows_have_the_keys_and_the_images_are_right(tmp_path, capsys):
         assert row["pairs"] > 0 and row["evaluations_per_subpixel"] > 0 and row["work_bytes"] > 0
         assert row["psnr_db"] >= 70 and row["max_error_255"] <= 2
     assert [(pair["scene"], pair["cone"], pair["sh_degree"]) for pair in comparisons] == [
-        (row["scene"], row["cone"], row["sh_degree"]) for row in rows[::2]]
+        (row["scene"], row["cone"], row["sh_degree"]) for row in rows[::2]
+    ]
     assert all(pair["subpixels"] == 192 * 96 * 3 and pair["max_difference_255"] <= 1 for pair in comparisons)
     assert [cost["sh_degrees"] for cost in result["harmonics"]] == [[0, 2]] * 8
     assert result["machine"]["torch"] == torch.__version__ and result["peers"] == {}
@@ -168,17 +224,34 @@ def test_cost_of_harmonics_is_within_one_scene_cone_and_method():
     def row(cone, degree, ms, method="direct"):
         return {"scene": "sheet:4", "cone": cone, "method": method, "sh_degree": degree, "ms_median": ms}
 
-    costs = command.harmonics_cost([row(5, 3, 12.0), row(5, 0, 10.0), row(40, 0, 4.0), row(40, 1, 5.0),
-                                  row(5, 3, 7.0, "classic")])
+    costs = command.harmonics_cost(
+        [row(5, 3, 12.0), row(5, 0, 10.0), row(40, 0, 4.0), row(40, 1, 5.0), row(5, 3, 7.0, "classic")]
+    )
     assert [(cost["cone"], cost["sh_degrees"], cost["times_as_long"]) for cost in costs] == [
-        (5, [0, 3], 1.2), (40, [0, 1], 1.25)]
+        (5, [0, 3], 1.2),
+        (40, [0, 1], 1.25),
+    ]
 
 
 def test_paper_prints_a_line_for_each_scene_and_keeps_the_numbers(tmp_path, capsys):
     Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
     path = tmp_path / "paper.json"
-    assert command.run(arguments("paper", "--scene", "sheet:8,cloud:100", "--panel", str(tmp_path / "small.yaml"),
-                               "--repeats", "1", "--json", str(path))) == 0
+    assert (
+        command.run(
+            arguments(
+                "paper",
+                "--scene",
+                "sheet:8,cloud:100",
+                "--panel",
+                str(tmp_path / "small.yaml"),
+                "--repeats",
+                "1",
+                "--json",
+                str(path),
+            )
+        )
+        == 0
+    )
     rows = json.loads(path.read_text())["rows"]
     expected = itertools.product(("sheet:8", "cloud:100"), ("classic", "sorted", "direct"))
     assert [(row["scene"], row["method"]) for row in rows] == list(expected)
@@ -189,12 +262,31 @@ def test_paper_prints_a_line_for_each_scene_and_keeps_the_numbers(tmp_path, caps
 
 def test_paper_tables_hold_ratios_and_memory():
     def row(method, ms, memory=None, unchunked=None):
-        return {"scene": "sheet:8", "gaussians": 64, "cone": "panel", "cone_deg": 40.0, "sh_degree": 0, "ms_median": ms,
-                "method": method, "work_bytes": 3_000_000, "memory_bytes": memory, "memory_bytes_unchunked": unchunked}
+        return {
+            "scene": "sheet:8",
+            "gaussians": 64,
+            "cone": "panel",
+            "cone_deg": 40.0,
+            "sh_degree": 0,
+            "ms_median": ms,
+            "method": method,
+            "work_bytes": 3_000_000,
+            "memory_bytes": memory,
+            "memory_bytes_unchunked": unchunked,
+        }
 
-    shown = paper.tables([row("classic", 100.0), row("direct", 5.0), row(
-        "sorted", 40.0, {"geometry": 1_000_000, "image": 0, "binning": 2_500_000},
-        {"geometry": 9_000_000, "image": 0, "binning": 20_000_000})]).splitlines()
+    shown = paper.tables(
+        [
+            row("classic", 100.0),
+            row("direct", 5.0),
+            row(
+                "sorted",
+                40.0,
+                {"geometry": 1_000_000, "image": 0, "binning": 2_500_000},
+                {"geometry": 9_000_000, "image": 0, "binning": 20_000_000},
+            ),
+        ]
+    ).splitlines()
     times = shown[2].split()
     assert times[:8] == ["sheet:8", "64", "40", "100", "5.000", "40.00", "20.0", "2.5"]
     memory = shown[-5]
@@ -206,8 +298,25 @@ def test_a_memory_budget_is_kept_by_sorted(tmp_path):
     small = Panel(width_px=192, height_px=96, views=12, line_number=6.3, slant_tan=0.2, name="small")
     small.to_yaml(tmp_path / "small.yaml")
     path = tmp_path / "rows.json"
-    assert command.run(arguments("--scene", "sheet:24", "--panel", str(tmp_path / "small.yaml"), "--methods",
-                               "sorted,direct", "--repeats", "1", "--memory-budget", "0.5MB", "--json", str(path))) == 0
+    assert (
+        command.run(
+            arguments(
+                "--scene",
+                "sheet:24",
+                "--panel",
+                str(tmp_path / "small.yaml"),
+                "--methods",
+                "sorted,direct",
+                "--repeats",
+                "1",
+                "--memory-budget",
+                "0.5MB",
+                "--json",
+                str(path),
+            )
+        )
+        == 0
+    )
     ours, direct = json.loads(path.read_text())["rows"]
     assert ours["memory_budget"] == 500_000 and direct["memory_budget"] is None
     assert sum(ours["memory_bytes"].values()) <= 500_000 < sum(ours["memory_bytes_unchunked"].values())
@@ -235,10 +344,12 @@ def test_a_training_step_gives_every_field_its_gradient():
 
 def test_training_step_names_how_many_times_as_fast_ours_is():
     row = {"device": "cuda", "card": "card", "objects": 32, "views": 4, "size_px": 128, "gaussians": 16384}
-    shown = training.table([row | {"program": training.OURS, "ms_forward": 1.0, "ms_backward": 1.5,
-                                         "ms_total": 2.5},
-                                  row | {"program": "gsplat 9", "ms_forward": 4.0, "ms_backward": 6.0,
-                                         "ms_total": 10.0}]).splitlines()
+    shown = training.table(
+        [
+            row | {"program": training.OURS, "ms_forward": 1.0, "ms_backward": 1.5, "ms_total": 2.5},
+            row | {"program": "gsplat 9", "ms_forward": 4.0, "ms_backward": 6.0, "ms_total": 10.0},
+        ]
+    ).splitlines()
     assert shown[1].startswith("gsplat 9: 32 objects") and "both 10.00 ms" in shown[1] and len(shown) == 3
     assert shown[2] == "ours is 4.0 times as fast as gsplat 9 forward + backward, 4.0 times forward"
 
@@ -246,8 +357,24 @@ def test_training_step_names_how_many_times_as_fast_ours_is():
 def test_photo_rows(tmp_path, capsys):
     Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
     path = tmp_path / "photo.json"
-    assert command.run(arguments("photo", "--panel", str(tmp_path / "small.yaml"), "--threads", "1,2", "--model",
-                                 "default", "--repeats", "1", "--json", str(path))) == 0
+    assert (
+        command.run(
+            arguments(
+                "photo",
+                "--panel",
+                str(tmp_path / "small.yaml"),
+                "--threads",
+                "1,2",
+                "--model",
+                "default",
+                "--repeats",
+                "1",
+                "--json",
+                str(path),
+            )
+        )
+        == 0
+    )
     rows = json.loads(path.read_text())["rows"]
     assert [row["threads"] for row in rows] == [1, 2] and rows[0]["model"] == "default"
     for row in rows:
@@ -263,14 +390,36 @@ def test_pareto_rows_table_and_plot(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("lightfield_gs.bench.pareto.oracle_samples", partial(oracle.oracle_samples, count=500))
     Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
     path, picture = tmp_path / "pareto.json", tmp_path / "pareto.png"
-    assert command.run(arguments("pareto", "--scene", "sheet:16,cloud:100", "--photo", str(photo.EXAMPLE), "--cone",
-                                 "40", "--panel", str(tmp_path / "small.yaml"), "--repeats", "1", "--threads", "1",
-                                 "--json", str(path), "--plot", str(picture))) == 0
+    assert (
+        command.run(
+            arguments(
+                "pareto",
+                "--scene",
+                "sheet:16,cloud:100",
+                "--photo",
+                str(photo.EXAMPLE),
+                "--cone",
+                "40",
+                "--panel",
+                str(tmp_path / "small.yaml"),
+                "--repeats",
+                "1",
+                "--threads",
+                "1",
+                "--json",
+                str(path),
+                "--plot",
+                str(picture),
+            )
+        )
+        == 0
+    )
     rows, chosen = json.loads(path.read_text())["rows"], list(pareto.settings())
     assert [(row["scene"], row["setting"]) for row in rows] == list(
-        itertools.product(("sheet:16", "cloud:100", photo.EXAMPLE.name), chosen))
+        itertools.product(("sheet:16", "cloud:100", photo.EXAMPLE.name), chosen)
+    )
     assert chosen[0] == "exact" and {row["setting"] for row in rows if row["named"]} == set(QUALITIES)
-    for first in rows[::len(chosen)]:
+    for first in rows[:: len(chosen)]:
         assert first["times_as_fast"] == 1 and first["psnr_db"] >= 70 and first["max_error_255"] <= 2
     assert all(row["times_as_fast"] > 0 and row["psnr_db"] > 10 and row["runs"] == 1 for row in rows)
     with Image.open(picture) as shown:
@@ -289,33 +438,73 @@ def test_pareto_front_is_what_nothing_beats():
 
 def test_every_knob_stands_alone_and_is_left_out_once():
     chosen = pareto.settings()
-    alone = [name for name, (quality, _) in chosen.items() if sum(
-        getattr(quality, knob) != getattr(EXACT, knob) for knob in pareto.KNOBS) == 1]
+    alone = [
+        name
+        for name, (quality, _) in chosen.items()
+        if sum(getattr(quality, knob) != getattr(EXACT, knob) for knob in pareto.KNOBS) == 1
+    ]
     pruned = {name: setting for name, setting in chosen.items() if setting.pruned}
-    rough = {quality for quality, _ in chosen.values()
-             if quality.opacity_cut in pareto.CUTS and not quality.lattice_error}
+    rough = {
+        quality for quality, _ in chosen.values() if quality.opacity_cut in pareto.CUTS and not quality.lattice_error
+    }
     assert {setting.quality for setting in pruned.values()} == {EXACT, QUALITIES["fast"], *rough}
     assert len(pruned) == len(pareto.PRUNED) * (2 + len(pareto.CUTS)) and len(rough) == len(pareto.CUTS)
     assert {name.split()[0] for name in alone} == {field.name for field in fields(Quality)}
 
 
-@pytest.mark.parametrize("words", ["pareto --methods direct", "pareto --plot rows.txt", "--plot rows.png",
-                                   "pareto --photo none.png", "pareto --threads 1,2", "pareto --model default",
-                                   "skips --threads 1,2", "skips --methods direct", "skips --photo a.png",
-                                   "skips --plot rows.png",
-                                   "--photo a.png", "--model default", "photo --photo none.png", "photo --model none",
-                                   "photo --cone 5", "photo --scene sheet:4",
-                                   "--methods direct,fast", "--cone broad", "--cone 5,0", "--cone narrow,",
-                                   "--sh-degree 4", "--sh-degree 0,x", "--methods direct,gsplat-classic", "--methods=",
-                                   "--cone 0", "--repeats 0", "--device gpu", "--threads x", "--panel no-such-panel",
-                                   "--scene cube:4", "--memory-budget 1MB", "--memory-budget lots",
-                                   "training-step --memory-budget 1MB", "training-step --scene sheet:4",
-                                   "training-step --sh-degree 3", "--oracle-samples 0",
-                                   "photo --oracle-samples 9", "--json /no/such/folder/rows.json",
-                                   "--threads 1,2", "--scene sheet:8,no-such.ply", "--cone 5,200", "--cone 5,180",
-                                   "--cone nan", "paper --scene sheet:8,cloud:x", "pareto --scene sheet:8,no-such.ply",
-                                   "pareto --scene sheet:8 --cone 5,200", "skips --scene sheet:8,no-such.ply",
-                                   "skips --scene sheet:8 --cone 5,200"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "pareto --methods direct",
+        "pareto --plot rows.txt",
+        "--plot rows.png",
+        "pareto --photo none.png",
+        "pareto --threads 1,2",
+        "pareto --model default",
+        "skips --threads 1,2",
+        "skips --methods direct",
+        "skips --photo a.png",
+        "skips --plot rows.png",
+        "--photo a.png",
+        "--model default",
+        "photo --photo none.png",
+        "photo --model none",
+        "photo --cone 5",
+        "photo --scene sheet:4",
+        "--methods direct,fast",
+        "--cone broad",
+        "--cone 5,0",
+        "--cone narrow,",
+        "--sh-degree 4",
+        "--sh-degree 0,x",
+        "--methods direct,gsplat-classic",
+        "--methods=",
+        "--cone 0",
+        "--repeats 0",
+        "--device gpu",
+        "--threads x",
+        "--panel no-such-panel",
+        "--scene cube:4",
+        "--memory-budget 1MB",
+        "--memory-budget lots",
+        "training-step --memory-budget 1MB",
+        "training-step --scene sheet:4",
+        "training-step --sh-degree 3",
+        "--oracle-samples 0",
+        "photo --oracle-samples 9",
+        "--json /no/such/folder/rows.json",
+        "--threads 1,2",
+        "--scene sheet:8,no-such.ply",
+        "--cone 5,200",
+        "--cone 5,180",
+        "--cone nan",
+        "paper --scene sheet:8,cloud:x",
+        "pareto --scene sheet:8,no-such.ply",
+        "pareto --scene sheet:8 --cone 5,200",
+        "skips --scene sheet:8,no-such.ply",
+        "skips --scene sheet:8 --cone 5,200",
+    ],
+)
 def test_bad_arguments_are_refused_before_any_work(words, monkeypatch):
     monkeypatch.setattr(scenes, "_MAKERS", {"sheet": None, "cloud": None})
     with pytest.raises(InputError) as error:

@@ -17,8 +17,9 @@ from lightfield_gs.rendering import render
 PANEL = Panel(width_px=96, height_px=48, views=7, line_number=6.3, slant_tan=0.2, phase=1.5, subpixel_order="BGR")
 
 
-def stand_in(means, quats, scales, opacities, colors, viewmats, Ks, width, height, *, sh_degree, backgrounds, packed,
-             **options):
+def stand_in(
+    means, quats, scales, opacities, colors, viewmats, Ks, width, height, *, sh_degree, backgrounds, packed, **options
+):
     """gsplat.rasterization as its documentation describes it, drawn by ours; colours [..., N, 3] or harmonics."""
     assert options == {"rasterize_mode": "classic", "eps2d": 0.3, "near_plane": 0.01, "radius_clip": 0.0}
     assert packed is False and bool((backgrounds == 1).all()) and backgrounds.shape == viewmats.shape[:-2] + (3,)

@@ -13,10 +13,21 @@ from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 
 PANEL = Panel(width_px=192, height_px=96, views=6, line_number=6.3, slant_tan=0.2, cone_deg=20)
 # How far the pictures may be apart, in 1/255; the others skip what shows
-MOST = {"culling": 0, "harmonics cut per Gaussian": 1, "reuse, nothing new": 0, "reuse, other colours": 0,
-        "reuse, zero plane moved": 0, "reuse, all new": 1, "empty tiles": 1}
-SPARED = {"nothing new": "project, order, bin, composite", "other colours": "order, bin", "zero plane moved": "order",
-          "all new": "no stage"}
+MOST = {
+    "culling": 0,
+    "harmonics cut per Gaussian": 1,
+    "reuse, nothing new": 0,
+    "reuse, other colours": 0,
+    "reuse, zero plane moved": 0,
+    "reuse, all new": 1,
+    "empty tiles": 1,
+}
+SPARED = {
+    "nothing new": "project, order, bin, composite",
+    "other colours": "order, bin",
+    "zero plane moved": "order",
+    "all new": "no stage",
+}
 
 
 @pytest.fixture(scope="module", params=[0, 2])
@@ -59,9 +70,28 @@ def test_rows_and_table(tmp_path, capsys):
     parser, path = argparse.ArgumentParser(), tmp_path / "skips.json"
     command.add_arguments(parser)
     threads = torch.get_num_threads()
-    assert command.run(parser.parse_args(["skips", "--scene", "sheet:16,cloud:100", "--panel",
-                                          str(tmp_path / "small.yaml"), "--cone", "5,20", "--repeats", "1",
-                                          "--threads", "1", "--json", str(path)])) == 0
+    assert (
+        command.run(
+            parser.parse_args(
+                [
+                    "skips",
+                    "--scene",
+                    "sheet:16,cloud:100",
+                    "--panel",
+                    str(tmp_path / "small.yaml"),
+                    "--cone",
+                    "5,20",
+                    "--repeats",
+                    "1",
+                    "--threads",
+                    "1",
+                    "--json",
+                    str(path),
+                ]
+            )
+        )
+        == 0
+    )
     rows, shown = json.loads(path.read_text())["rows"], capsys.readouterr().out
     names = list(dict.fromkeys(row["skip"] for row in rows))
     assert len(rows) == 4 * len(names) == 4 * 13 and torch.get_num_threads() == threads

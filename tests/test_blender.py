@@ -1,4 +1,5 @@
 """Cameras for own meshes, the file that carries them to Blender, and what Blender makes of it where there is one."""
+
 import ast
 import importlib.util
 import json
@@ -108,11 +109,20 @@ def test_plan_with_images_is_an_object(tmp_path, plan_file):
     np.testing.assert_allclose(views.camera_to_world[:, :3, :3], wanted[:, :3, :3], atol=1e-12)
 
 
-@pytest.mark.parametrize("options, complaint", [
-    ("--panel 65in", "unknown name"), ("--cone-margin 9", "cone-margin"), ("--columns 0", "columns"),
-    ("--size 3", "size"),
-    ("--focal 1.5", "focal.*whole object"), ("--elevation 84", "elevation"), ("--elevation nan", "elevation"),
-    ("--rig none.yaml", "none.yaml"), ("--rows 1000000000", "rows")])
+@pytest.mark.parametrize(
+    "options, complaint",
+    [
+        ("--panel 65in", "unknown name"),
+        ("--cone-margin 9", "cone-margin"),
+        ("--columns 0", "columns"),
+        ("--size 3", "size"),
+        ("--focal 1.5", "focal.*whole object"),
+        ("--elevation 84", "elevation"),
+        ("--elevation nan", "elevation"),
+        ("--rig none.yaml", "none.yaml"),
+        ("--rows 1000000000", "rows"),
+    ],
+)
 def test_plan_refuses_what_makes_no_views(tmp_path, capsys, options, complaint):
     assert main([*options.split(), "-o", str(tmp_path / "cone.json")]) == 2
     error = capsys.readouterr().err
@@ -141,21 +151,29 @@ def test_lens_and_unit_box():
     assert render.lens_mm({"w": 72, "fl_x": 100}) == pytest.approx(50)  # on a sensor 36 mm wide
     scale, translation = render.unit_box([(1, 2, 3), (3, 2, 3), (2, 5, 9)])
     assert scale == pytest.approx(1 / 7)
-    np.testing.assert_allclose(np.array([[1, 2, 3], [3, 5, 9]]) * scale + translation, np.array([[-1], [1]])
-                               * [1 / 7, 1.5 / 7, 3 / 7])
+    np.testing.assert_allclose(
+        np.array([[1, 2, 3], [3, 5, 9]]) * scale + translation, np.array([[-1], [1]]) * [1 / 7, 1.5 / 7, 3 / 7]
+    )
     with pytest.raises(render.PlanError, match="extent"):
         render.unit_box([(1, 1, 1), (1, 1, 1)])
 
 
-@pytest.mark.parametrize("change, complaint", [
-    (lambda p: p.pop("w"), "expected w, h, fl_x"), (lambda p: p.update(cx=3), "nothing else"),
-    (lambda p: p.update(h=64.5), "h: expected a whole number"), (lambda p: p.update(fl_x=-1), "fl_x"),
-    (lambda p: p.update(frames=[]), "frames"), (lambda p: p["frames"].append(3), r"frames\[3\].file_path"),
-    (lambda p: p["frames"][1].update(file_path="../x.png"), r"frames\[1\].file_path.*within"),
-    (lambda p: p["frames"][1].update(transform_matrix=np.diag([-1, 1, 1, 1]).tolist()), "right-handed"),
-    (lambda p: p["frames"][1].update(transform_matrix=np.diag([2, 2, 2, 1]).tolist()), "right-handed"),
-    (lambda p: p["frames"][1].update(transform_matrix=[[1, 2], [3]]), "4 rows of 4"),
-    (lambda p: p["frames"][1].update(transform_matrix=np.eye(4).tolist()[:3] + [["a"] * 4]), "4 rows of 4")])
+@pytest.mark.parametrize(
+    "change, complaint",
+    [
+        (lambda p: p.pop("w"), "expected w, h, fl_x"),
+        (lambda p: p.update(cx=3), "nothing else"),
+        (lambda p: p.update(h=64.5), "h: expected a whole number"),
+        (lambda p: p.update(fl_x=-1), "fl_x"),
+        (lambda p: p.update(frames=[]), "frames"),
+        (lambda p: p["frames"].append(3), r"frames\[3\].file_path"),
+        (lambda p: p["frames"][1].update(file_path="../x.png"), r"frames\[1\].file_path.*within"),
+        (lambda p: p["frames"][1].update(transform_matrix=np.diag([-1, 1, 1, 1]).tolist()), "right-handed"),
+        (lambda p: p["frames"][1].update(transform_matrix=np.diag([2, 2, 2, 1]).tolist()), "right-handed"),
+        (lambda p: p["frames"][1].update(transform_matrix=[[1, 2], [3]]), "4 rows of 4"),
+        (lambda p: p["frames"][1].update(transform_matrix=np.eye(4).tolist()[:3] + [["a"] * 4]), "4 rows of 4"),
+    ],
+)
 def test_script_names_what_is_wrong_with_a_plan(plan_file, change, complaint):
     plan = json.loads(plan_file.read_text())
     change(plan)
@@ -172,6 +190,7 @@ def test_script_says_what_is_missing_without_blender(plan_file, capsys):
 
 
 # With Blender
+
 
 def _blender() -> list[str]:
     """Command that runs the script in Blender; skips the test where there is none."""
@@ -196,16 +215,25 @@ def _write_boxes(path: Path) -> None:
         lines += ["usemtl m" + str(index), *("v {} {} {}".format(*row) for row in corners + centre)]
         lines += ["f {} {} {} {}".format(*row) for row in sides + 8 * index]
     path.write_text("\n".join(lines) + "\n")
-    path.with_suffix(".mtl").write_text("".join(f"newmtl m{index}\nKd {colour}\n"
-                                                for index, colour in enumerate(colours.values())))
+    path.with_suffix(".mtl").write_text(
+        "".join(f"newmtl m{index}\nKd {colour}\n" for index, colour in enumerate(colours.values()))
+    )
 
 
 @pytest.mark.slow
 def test_blender_renders_what_the_cameras_see(tmp_path, plan_file):
     """Each coloured box appears where the reader's cameras project it; a set that is there is left alone."""
     _write_boxes(tmp_path / "boxes.obj")
-    command = [*_blender(), "--plan", str(plan_file), "--output", str(tmp_path / "set"), "--samples", "8",
-               str(tmp_path / "boxes.obj")]
+    command = [
+        *_blender(),
+        "--plan",
+        str(plan_file),
+        "--output",
+        str(tmp_path / "set"),
+        "--samples",
+        "8",
+        str(tmp_path / "boxes.obj"),
+    ]
     subprocess.run(command, check=True, capture_output=True)
     assert [path.name for path in (tmp_path / "set").iterdir()] == ["boxes"]
     assert list(problems(find_objects(tmp_path / "set"))) == []

@@ -28,6 +28,7 @@ def test_cuda_architectures_are_numbers():
 @needs_cuda
 @pytest.mark.skipif(shutil.which("cuobjdump") is None, reason="needs cuobjdump, of the CUDA toolkit")
 def test_cuda_architectures_are_those_of_the_machine_code():
-    listed = subprocess.run(["cuobjdump", "--list-elf", "--list-ptx", _core.__file__], capture_output=True, text=True,
-                            check=True).stdout
+    listed = subprocess.run(
+        ["cuobjdump", "--list-elf", "--list-ptx", _core.__file__], capture_output=True, text=True, check=True
+    ).stdout
     assert {int(number) for number in re.findall(r"sm_(\d+)", listed)} == set(build_info()["cuda_architectures"])

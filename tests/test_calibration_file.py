@@ -13,22 +13,52 @@ from lightfield_gs.io.calibration_file import find_calibration
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
 
-FLAT = {"configVersion": "3.0", "serial": "LKG-A", "pitch": 47.0, "slope": -5.5, "center": 0.1, "viewCone": 42,
-        "invView": 1, "DPI": 338.0, "screenW": 256, "screenH": 160, "flipSubp": 0, "subpixelCells": []}
-WRAPPED = {key: value if key in ("configVersion", "serial", "subpixelCells") else {"value": value}
-           for key, value in FLAT.items()}
+FLAT = {
+    "configVersion": "3.0",
+    "serial": "LKG-A",
+    "pitch": 47.0,
+    "slope": -5.5,
+    "center": 0.1,
+    "viewCone": 42,
+    "invView": 1,
+    "DPI": 338.0,
+    "screenW": 256,
+    "screenH": 160,
+    "flipSubp": 0,
+    "subpixelCells": [],
+}
+WRAPPED = {
+    key: value if key in ("configVersion", "serial", "subpixelCells") else {"value": value}
+    for key, value in FLAT.items()
+}
 STRINGS = {key: {"value": str(value["value"])} if isinstance(value, dict) else value for key, value in WRAPPED.items()}
 OTHER = {**WRAPPED, "serial": "LKG-B", "pitch": {"value": 52.0}}
 DISPLAYS = {  # each holds WRAPPED and OTHER, as one program or another stores them
     "list": [WRAPPED, OTHER],
-    "service": {"devices": [{"hwid": "LKG-A", "calibration": WRAPPED, "defaultQuilt": {"tileX": 8}},
-                            {"hwid": "LKG-B", "calibration": OTHER}], "error": 0},
+    "service": {
+        "devices": [
+            {"hwid": "LKG-A", "calibration": WRAPPED, "defaultQuilt": {"tileX": 8}},
+            {"hwid": "LKG-B", "calibration": OTHER},
+        ],
+        "error": 0,
+    },
     "by number": {"devices": {"0": {"calibration": WRAPPED}, "1": {"calibration": OTHER}, "2": {"calibration": {}}}},
-    "strings": {"payload": {"name": "devices", "value": {
-        str(number): {"name": str(number), "value": {
-            "hwid": {"type": "string", "value": serial},
-            "calibration": {"type": "string", "value": json.dumps({**data, "serial": ""}) if data else ""}}}
-        for number, (serial, data) in enumerate({"LKG-A": WRAPPED, "LKG-B": OTHER, "a monitor": None}.items())}}}}
+    "strings": {
+        "payload": {
+            "name": "devices",
+            "value": {
+                str(number): {
+                    "name": str(number),
+                    "value": {
+                        "hwid": {"type": "string", "value": serial},
+                        "calibration": {"type": "string", "value": json.dumps({**data, "serial": ""}) if data else ""},
+                    },
+                }
+                for number, (serial, data) in enumerate({"LKG-A": WRAPPED, "LKG-B": OTHER, "a monitor": None}.items())
+            },
+        }
+    },
+}
 
 
 def test_a_calibration_reads_the_same_however_it_is_written():
@@ -55,12 +85,23 @@ def test_what_is_no_number_stays_as_it_is():
     assert flat["configVersion"] == "3.0" and flat["screenW"] == 256
 
 
-@pytest.mark.parametrize("text, hint", [("47,0", "write it with a point"), ("", "got ''"), ("wide", "got 'wide'"),
-                                        ("nan", "got 'nan'"), ("1_0", "got '1_0'"), ("4 7", "got '4 7'")])
+@pytest.mark.parametrize(
+    "text, hint",
+    [
+        ("47,0", "write it with a point"),
+        ("", "got ''"),
+        ("wide", "got 'wide'"),
+        ("nan", "got 'nan'"),
+        ("1_0", "got '1_0'"),
+        ("4 7", "got '4 7'"),
+    ],
+)
 def test_strings_that_are_no_numbers_are_refused_by_name(tmp_path, text, hint):
     path = tmp_path / "visual.json"
-    for change, key in (({"pitch": {"value": text}}, "pitch"),
-                        ({"subpixelCells": [{}, {"GOffsetY": text}]}, r"subpixelCells\[1\]: GOffsetY")):
+    for change, key in (
+        ({"pitch": {"value": text}}, "pitch"),
+        ({"subpixelCells": [{}, {"GOffsetY": text}]}, r"subpixelCells\[1\]: GOffsetY"),
+    ):
         path.write_text(json.dumps({"calibration": {**WRAPPED, **change}}))
         with pytest.raises(InputError, match=f"visual.json: calibration: {key} must be a number, .*{hint}"):
             Panel.load(path)
@@ -96,8 +137,15 @@ def test_what_holds_no_calibration_is_refused():
             find_calibration(data, "here")
 
 
-@pytest.mark.parametrize("change, said", [({"viewCone": 0}, "is 0"), ({"viewCone": {"value": "0.0"}}, "is 0"),
-                                          ({"viewCone": None}, "is not given"), ({}, "is not given")])
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"viewCone": 0}, "is 0"),
+        ({"viewCone": {"value": "0.0"}}, "is 0"),
+        ({"viewCone": None}, "is not given"),
+        ({}, "is not given"),
+    ],
+)
 def test_without_a_cone_the_default_is_taken_and_said(tmp_path, change, said):
     without = {key: value for key, value in FLAT.items() if key != "viewCone"}
     with pytest.warns(Assumption, match=f"cone of 40 degrees, Looking Glass calibration: viewCone {said}"):
@@ -114,9 +162,11 @@ def test_the_command_line_chooses_a_display_and_says_what_was_assumed(folder, ca
     lens = run(capsys, "info two.json --device-serial LKG-B")
     assert f"line_number: {Panel.from_looking_glass(OTHER).line_number}" in lens
     assert json.dumps(Panel.from_looking_glass(OTHER).to_dict()) in run(capsys, "info o.png")
-    for line, words in (("encode s.ply -o o.png --panel p.yaml --device-serial A", "p.yaml' is none; leave it out"),
-                        ("info p.yaml --device-serial A", "p.yaml is none"),
-                        ("simulate o.png --eye 0,0,1 -o e.png --device-serial A", "--device-serial .* a --panel")):
+    for line, words in (
+        ("encode s.ply -o o.png --panel p.yaml --device-serial A", "p.yaml' is none; leave it out"),
+        ("info p.yaml --device-serial A", "p.yaml is none"),
+        ("simulate o.png --eye 0,0,1 -o e.png --device-serial A", "--device-serial .* a --panel"),
+    ):
         assert re.search(words, complaint(capsys, line))
     (folder / "cone.json").write_text(json.dumps({**FLAT, "viewCone": 0}))
     for _ in range(2):  # a warning of Python's own would come once

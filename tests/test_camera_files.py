@@ -22,16 +22,28 @@ def inria(**changes) -> list[dict]:
     entries = []
     for index, pose in enumerate(POSES):
         to_world = np.linalg.inv(pose)
-        entries.append({"id": index, "img_name": f"0000{index}", "width": 40, "height": 30,
-                        "position": to_world[:3, 3].tolist(), "rotation": to_world[:3, :3].tolist(), "fx": 44.0,
-                        "fy": 45.0, **changes})
+        entries.append(
+            {
+                "id": index,
+                "img_name": f"0000{index}",
+                "width": 40,
+                "height": 30,
+                "position": to_world[:3, 3].tolist(),
+                "rotation": to_world[:3, :3].tolist(),
+                "fx": 44.0,
+                "fy": 45.0,
+                **changes,
+            }
+        )
     return entries
 
 
 def transforms(**changes) -> dict:
     """The poses as NeRF's Blender script writes them, and Instant NGP's."""
-    frames = [{"file_path": f"./{index}", "transform_matrix": (np.linalg.inv(pose) @ np.diag([1, -1, -1, 1])).tolist()}
-              for index, pose in enumerate(POSES)]
+    frames = [
+        {"file_path": f"./{index}", "transform_matrix": (np.linalg.inv(pose) @ np.diag([1, -1, -1, 1])).tolist()}
+        for index, pose in enumerate(POSES)
+    ]
     return {"w": 40, "h": 30, "fl_x": 44.0, "fl_y": 45.0, "frames": frames, **changes}
 
 
@@ -42,16 +54,23 @@ def written(folder, data, name="c.json"):
 
 def expected() -> Cameras:
     count = len(POSES)
-    return Cameras(torch.tensor(np.stack(POSES)), torch.tensor([[44.0, 45.0]] * count, dtype=torch.float64),
-                   torch.tensor([[20.0, 15.0]] * count, dtype=torch.float64), 40, 30)
+    return Cameras(
+        torch.tensor(np.stack(POSES)),
+        torch.tensor([[44.0, 45.0]] * count, dtype=torch.float64),
+        torch.tensor([[20.0, 15.0]] * count, dtype=torch.float64),
+        40,
+        30,
+    )
 
 
 def test_every_kind_gives_the_same_pictures(tmp_path):
     scene, want = random_scene(30, 1, seed=4), expected()
     k = torch.tensor([[44.0, 0, 20], [0, 45, 15], [0, 0, 1]], dtype=torch.float64).expand(2, 3, 3)
-    for cameras in (Cameras.from_inria(written(tmp_path, inria())),
-                    Cameras.from_transforms(written(tmp_path, transforms())),
-                    Cameras(want.world_to_camera, k, width_px=40, height_px=30)):
+    for cameras in (
+        Cameras.from_inria(written(tmp_path, inria())),
+        Cameras.from_transforms(written(tmp_path, transforms())),
+        Cameras(want.world_to_camera, k, width_px=40, height_px=30),
+    ):
         assert (cameras.width_px, cameras.height_px) == (40, 30)
         torch.testing.assert_close(render(scene, cameras), render(scene, want), atol=1e-9, rtol=0)
     assert Cameras.from_inria(written(tmp_path, inria()), 1).count == 1
@@ -87,15 +106,29 @@ def test_the_image_fits_the_panel_and_the_principal_point_stays(tmp_path):
     assert focal == pytest.approx((44 * scale, 45 * scale)) and centre == pytest.approx((100 + scale, 50))
 
 
-@pytest.mark.parametrize("data, words", [
-    (inria(fx=None), r"\[0\].fx"), (inria(position=[0, 1]), r"\[0\].position"), (inria(width=0), r"\[0\].width"),
-    (inria(rotation=np.diag([1, 1, -1]).tolist()), r"\[0\].rotation.*mirroring"), (inria(fy="44"), r"\[0\].fy"),
-    (inria(position=[0, 1, math.inf]), "position.*finite"), ([], "no cameras"), ([3], r"\[0\]: expected an object"),
-    (transforms(frames=3), "frames"), (transforms(frames=[]), "no cameras"), (transforms(fl_x=-1), "fl_x"),
-    (transforms(frames=[{"transform_matrix": [[1, 2], [3]]}]), r"frames\[0\].transform_matrix"),
-    (transforms(frames=[{}]), r"frames\[0\].transform_matrix"), (transforms(camera_model="OPENCV_FISHEYE"), "pinhole"),
-    (transforms(w=None), r"frames\[0\].w"), ({"cameras": 3}, "frames"), (3, "frames"),
-    ({"world_to_camera": 3}, "--cameras")])
+@pytest.mark.parametrize(
+    "data, words",
+    [
+        (inria(fx=None), r"\[0\].fx"),
+        (inria(position=[0, 1]), r"\[0\].position"),
+        (inria(width=0), r"\[0\].width"),
+        (inria(rotation=np.diag([1, 1, -1]).tolist()), r"\[0\].rotation.*mirroring"),
+        (inria(fy="44"), r"\[0\].fy"),
+        (inria(position=[0, 1, math.inf]), "position.*finite"),
+        ([], "no cameras"),
+        ([3], r"\[0\]: expected an object"),
+        (transforms(frames=3), "frames"),
+        (transforms(frames=[]), "no cameras"),
+        (transforms(fl_x=-1), "fl_x"),
+        (transforms(frames=[{"transform_matrix": [[1, 2], [3]]}]), r"frames\[0\].transform_matrix"),
+        (transforms(frames=[{}]), r"frames\[0\].transform_matrix"),
+        (transforms(camera_model="OPENCV_FISHEYE"), "pinhole"),
+        (transforms(w=None), r"frames\[0\].w"),
+        ({"cameras": 3}, "frames"),
+        (3, "frames"),
+        ({"world_to_camera": 3}, "--cameras"),
+    ],
+)
 def test_what_is_wrong_is_named(tmp_path, data, words):
     with pytest.raises(InputError, match="c.json.*" + words):
         read_camera_file(written(tmp_path, data))
@@ -105,9 +138,12 @@ def test_files_of_the_other_option_are_told_apart(tmp_path):
     for data in (inria(), transforms()):
         with pytest.raises(InputError, match=r"c.json.*--camera FILE"):
             read_cameras(written(tmp_path, data), PANEL)
-    for call, data, words in ((Cameras.from_inria, transforms(), "list"), (Cameras.from_transforms, inria(), "frames"),
-                              (Cameras.from_transforms, transforms(k1=0.1), "distortion"),
-                              (Cameras.from_inria, [*inria()[:1], *inria(width=41)[1:]], "2 sizes")):
+    for call, data, words in (
+        (Cameras.from_inria, transforms(), "list"),
+        (Cameras.from_transforms, inria(), "frames"),
+        (Cameras.from_transforms, transforms(k1=0.1), "distortion"),
+        (Cameras.from_inria, [*inria()[:1], *inria(width=41)[1:]], "2 sizes"),
+    ):
         with pytest.raises(InputError, match="c.json.*" + words):
             call(written(tmp_path, data))
     with pytest.raises(InputError, match="index must be 0..1"):

@@ -20,6 +20,7 @@ from lightfield_gs.rig import Rig
 
 # encode
 
+
 def test_encode_writes_the_image_and_says_what_it_took(folder, capsys):
     out = run(capsys, "encode s.ply -o o.png --panel p.yaml")
     assert out.splitlines()[0] == "o.png: 96 x 60, 12 views, 60 Gaussians"
@@ -35,8 +36,13 @@ def test_encode_prints_what_was_skipped(folder, capsys):
     assert plain.splitlines()[2:] == shown[-1:] and shown[-1].startswith("axes: -y is up (assumed: ")
     assert shown[2].startswith("pairs of tile and Gaussian: ")
     assert re.fullmatch(r"of 60 Gaussians not drawn: \d+ behind, \d+ faint, \d+ pruned, \d+ outside", shown[3])
-    for start in ("colours by polynomial order", "tiles: ", "lattices: 0 good enough", "sub-pixels that ended early: ",
-                  "evaluations per sub-pixel: "):
+    for start in (
+        "colours by polynomial order",
+        "tiles: ",
+        "lattices: 0 good enough",
+        "sub-pixels that ended early: ",
+        "evaluations per sub-pixel: ",
+    ):
         assert any(line.startswith(start) for line in shown)
     sorted_lines = run(capsys, "encode s.ply -o o.png --panel p.yaml --method sorted --stats").splitlines()
     assert [line.split(":")[0] for line in sorted_lines[2:-1]] == [shown[2].split(":")[0], "evaluations per sub-pixel"]
@@ -56,8 +62,12 @@ def test_encode_is_the_library_call(folder, capsys):
 def test_bit_depths_agree(folder, capsys):
     run(capsys, "encode s.ply -o f.exr --panel p.yaml")
     exact = read_image("f.exr").astype(np.float64).clip(0, 1)
-    for arguments, name, levels in (("", "a.png", 255), ("--bit-depth 16", "b.png", 65535), ("", "a.tif", 255),
-                                    ("--bit-depth 16 --compression small", "b.tiff", 65535)):
+    for arguments, name, levels in (
+        ("", "a.png", 255),
+        ("--bit-depth 16", "b.png", 65535),
+        ("", "a.tif", 255),
+        ("--bit-depth 16 --compression small", "b.tiff", 65535),
+    ):
         run(capsys, f"encode s.ply -o {name} --panel p.yaml {arguments}")
         stored = read_image(name, as_stored=True)
         assert stored.dtype.itemsize == (1 if levels == 255 else 2)
@@ -87,14 +97,18 @@ def cameras_json(path, cameras, **changes):
 
 
 def test_sorted_takes_cameras_a_view_map_and_a_budget(folder, capsys):
-    from lightfield_gs.rendering import encode
     from sorted_cases import random_map, toe_in
+
+    from lightfield_gs.rendering import encode
 
     cameras, table = toe_in(PANEL, 7), random_map(PANEL, 7, 1)
     cameras_json(folder / "c.json", cameras)
     np.save("m.npy", table)
-    run(capsys, "encode s.ply -o o.exr --panel p.yaml --method sorted --cameras c.json --view-map m.npy "
-                "--memory-budget 500KB --device cpu")
+    run(
+        capsys,
+        "encode s.ply -o o.exr --panel p.yaml --method sorted --cameras c.json --view-map m.npy "
+        "--memory-budget 500KB --device cpu",
+    )
     expected = encode(Gaussians.load("s.ply"), PANEL, None, "sorted", cameras=cameras, view_map=table, output="float32")
     assert np.array_equal(read_image("o.exr"), expected.numpy())
     metadata = read_info("o.exr").metadata
@@ -106,15 +120,23 @@ def test_sorted_takes_cameras_a_view_map_and_a_budget(folder, capsys):
     assert (folder / "v/views.png").exists()
 
 
-@pytest.mark.parametrize("change, words", [
-    ({"focal_px": None}, "focal_px.*\\[N, 2\\]"), ({"focal_px": [[1, 2], [3]]}, "focal_px.*lengths"),
-    ({"focal_px": [["1", "2"]] * 12}, "focal_px"), ({"focal_px": [[0, 5]] * 12}, "focal_px must be > 0"),
-    ({"principal_point_px": [[1, 2]] * 11}, "same number"), ({"focal_px": [[10**400, 1]] * 12}, "focal_px"),
-    ({"principal_point_px": [[1, float("nan")]] * 12}, "finite"),
-    ({"principal_point_px": [[True, False]] * 12}, "principal_point_px"),
-    ({"world_to_camera": [[[2.0, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]] * 12}, "rotation"),
-    ({"world_to_camera": [[[1e300] * 4] * 4] * 12}, "rotation"), ({"world_to_camera": []}, r"got float64 \[0\]"),
-    ({"fx": 1}, "unknown key 'fx'")])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"focal_px": None}, "focal_px.*\\[N, 2\\]"),
+        ({"focal_px": [[1, 2], [3]]}, "focal_px.*lengths"),
+        ({"focal_px": [["1", "2"]] * 12}, "focal_px"),
+        ({"focal_px": [[0, 5]] * 12}, "focal_px must be > 0"),
+        ({"principal_point_px": [[1, 2]] * 11}, "same number"),
+        ({"focal_px": [[10**400, 1]] * 12}, "focal_px"),
+        ({"principal_point_px": [[1, float("nan")]] * 12}, "finite"),
+        ({"principal_point_px": [[True, False]] * 12}, "principal_point_px"),
+        ({"world_to_camera": [[[2.0, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]] * 12}, "rotation"),
+        ({"world_to_camera": [[[1e300] * 4] * 4] * 12}, "rotation"),
+        ({"world_to_camera": []}, r"got float64 \[0\]"),
+        ({"fx": 1}, "unknown key 'fx'"),
+    ],
+)
 def test_cameras_that_make_no_sense(folder, capsys, change, words):
     from sorted_cases import toe_in
 
@@ -152,8 +174,12 @@ def test_metadata(folder, capsys):
     fields = Gaussians.load("s.ply").fields().values()
     digest = hashlib.sha256(b"".join(tensor.numpy().astype("<f4").tobytes() for tensor in fields)).hexdigest()
     assert json.loads(metadata["scene"]) == {"gaussians": 60, "sh_degree": 1, "sha256": digest}
-    assert json.loads(metadata["encoding"]) == {"method": "direct", "views": "integer", "background": [1, 0, 0],
-                                                "quality": "exact"}
+    assert json.loads(metadata["encoding"]) == {
+        "method": "direct",
+        "views": "integer",
+        "background": [1, 0, 0],
+        "quality": "exact",
+    }
     assert json.loads(metadata["versions"])["torch"].startswith("2.")
     out = run(capsys, "info o.png")
     assert "image: 96 x 60, 3 channels, uint8" in out and digest in out
@@ -187,15 +213,21 @@ def test_depth_is_not_inside_out(folder, capsys, invert):
     panel = Panel(**{**PANEL.to_dict(), "width_px": 480, "height_px": 240, "invert_views": invert})
     panel.to_yaml("q.yaml")
     colours = torch.tensor([[[1.0, -1, -1]], [[-1, -1, 1]]]) * 0.5 / 0.28209479177387814
-    dots = Gaussians(torch.tensor([[0, -0.15, 0.6], [0, 0.15, 1.6]]), torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1),
-                     torch.tensor([[0.03], [0.08]]).repeat(1, 3), torch.tensor([0.99, 0.99]), colours)
+    dots = Gaussians(
+        torch.tensor([[0, -0.15, 0.6], [0, 0.15, 1.6]]),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1),
+        torch.tensor([[0.03], [0.08]]).repeat(1, 3),
+        torch.tensor([0.99, 0.99]),
+        colours,
+    )
     dots.save("d.ply")
     Rig(np.eye(4), (480, 480), (240, 120), 1.0).to_yaml("r.yaml")
     run(capsys, "encode d.ply -o o.png --panel q.yaml --rig r.yaml --preview v --background 0,0,0")
     for side, x_mm in (("left", -60), ("right", 60)):
         run(capsys, f"simulate o.png --eye {x_mm},0,600 -o {side}.png")
-    seen = {side: [columns_of(read_image(f"{side}.png")[..., channel]) for channel in (0, 2)]
-            for side in ("left", "right")}
+    seen = {
+        side: [columns_of(read_image(f"{side}.png")[..., channel]) for channel in (0, 2)] for side in ("left", "right")
+    }
     shift = [right - left for left, right in zip(seen["left"], seen["right"])]
     assert shift[0] < -0.02 and shift[1] > 0.02
     sheet = read_image("v/views.png").reshape(3, 240, 4, 480, 3)
@@ -214,7 +246,7 @@ def test_photo_keeps_its_place_and_colours(folder, capsys, background):
     photo = np.full((160, 200, 4), (200, 210, 190, 0), np.uint8)
     colours = {(0, 0): (200, 20, 20), (0, 1): (20, 160, 20), (1, 0): (20, 20, 200), (1, 1): (190, 180, 20)}
     for (row, column), colour in colours.items():
-        photo[40 + 40 * row:80 + 40 * row, 60 + 40 * column:100 + 40 * column] = *colour, 255
+        photo[40 + 40 * row : 80 + 40 * row, 60 + 40 * column : 100 + 40 * column] = *colour, 255
     write_image("photo.png", photo if background == "alpha" else photo[..., :3])
     write_image("mask.png", photo[..., 3:])
     option = "--mask mask.png" if background == "mask" else ""
@@ -235,14 +267,16 @@ def columns_of(picture: np.ndarray) -> float:
 
 # info, simulate, help
 
+
 def test_info(folder, capsys):
     assert "gaussians: 60\nsh_degree: 1\n" in run(capsys, "info s.ply")
     assert "line_number: 9.848282191911\n" in run(capsys, "info p.yaml")
     assert "views: 96\n" in run(capsys, "info 65in-8k-96v")
     Rig(np.eye(4), (96, 96), (48, 30), 2.0).to_yaml("r.yaml")
     assert "zero_depth: 2.0\n" in run(capsys, "info r.yaml")
-    (folder / "visual.json").write_text(json.dumps({"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136,
-                                                    "screenW": 7680, "screenH": 4320}))
+    (folder / "visual.json").write_text(
+        json.dumps({"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136, "screenW": 7680, "screenH": 4320})
+    )
     assert "height_px: 4320\n" in run(capsys, "info visual.json")
 
 
@@ -269,11 +303,19 @@ def test_simulate(folder, capsys):
     assert np.array_equal(read_image("e.exr"), simulate(image, PANEL, (-31.5, 10, 600)))
 
 
-@pytest.mark.parametrize("eye, words", [
-    ("0.06,0,0.6", "the eye is 0.6 mm from the panel, which is made for 600 mm: views repeat or mix"),
-    ("0,0,7000", "made for 600 mm"), ("1e6,0,600", "90 degrees aside, the panel's viewing cone ends at 15"),
-    ("0,1e6,600", "89.8 degrees"), ("-170,0,600", "15.8 degrees aside"), ("150,0,600", None), ("40,240,600", None),
-    ("0,0,61", None)])
+@pytest.mark.parametrize(
+    "eye, words",
+    [
+        ("0.06,0,0.6", "the eye is 0.6 mm from the panel, which is made for 600 mm: views repeat or mix"),
+        ("0,0,7000", "made for 600 mm"),
+        ("1e6,0,600", "90 degrees aside, the panel's viewing cone ends at 15"),
+        ("0,1e6,600", "89.8 degrees"),
+        ("-170,0,600", "15.8 degrees aside"),
+        ("150,0,600", None),
+        ("40,240,600", None),
+        ("0,0,61", None),
+    ],
+)
 def test_an_eye_where_hardly_any_is_gets_a_note(folder, capsys, eye, words):
     write_image("o.png", np.zeros((60, 96, 3), np.uint8))
     assert cli.main(f"simulate o.png --panel p.yaml --eye {eye} -o e.png".split()) == 0
@@ -285,8 +327,9 @@ def test_an_eye_where_hardly_any_is_gets_a_note(folder, capsys, eye, words):
 
 
 def test_viewing_distance_of_a_looking_glass(folder, capsys):
-    (folder / "visual.json").write_text(json.dumps({"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136,
-                                                    "screenW": 96, "screenH": 60}))
+    (folder / "visual.json").write_text(
+        json.dumps({"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136, "screenW": 96, "screenH": 60})
+    )
     run(capsys, "encode s.ply -o o.png --panel visual.json")
     assert "give --viewing-distance MM" in complaint(capsys, "simulate o.png --eye 0,0,500 -o e.png")
     run(capsys, "simulate o.png --eye 31.5,0,500 --viewing-distance 500 -o e.png")
@@ -301,8 +344,10 @@ def test_viewing_distance_of_a_looking_glass(folder, capsys):
 
 
 def test_help_says_units_and_is_quick():
-    code = "import sys; from lightfield_gs import cli\ntry: cli.main(sys.argv[1:])\n" \
-           "except SystemExit: pass\nprint([m for m in ('OpenImageIO', 'yaml', 'safetensors') if m in sys.modules])"
+    code = (
+        "import sys; from lightfield_gs import cli\ntry: cli.main(sys.argv[1:])\n"
+        "except SystemExit: pass\nprint([m for m in ('OpenImageIO', 'yaml', 'safetensors') if m in sys.modules])"
+    )
     for command, words in (("--help", "encode"), ("encode --help", "0..1"), ("simulate --help", "in mm")):
         arguments = [sys.executable, "-c", code, *command.split()]
         done = subprocess.run(arguments, capture_output=True, text=True, check=True)

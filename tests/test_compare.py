@@ -1,4 +1,5 @@
 """The comparison of arms: equal sources, the whole command, resuming, and its report."""
+
 import json
 import os
 from dataclasses import replace
@@ -8,10 +9,11 @@ import pytest
 import torch
 import yaml
 from PIL import Image
+from srn_scene import look_at, write_object
+from training_runs import losses, run_config
 
 from lightfield_gs import InputError
 from lightfield_gs.paths import config_path
-from srn_scene import look_at, write_object
 from training import compare, compare_report, loop
 from training.compare import read_experiment
 from training.config import Stage, TrainingConfig
@@ -20,7 +22,6 @@ from training.data.plan import Augmentation
 from training.data.sampler import has_neighbour
 from training.distributed import Team
 from training.loop import make_planner
-from training_runs import losses, run_config
 
 CONE = ((0, 0), (-8, 0), (8, 0), (22, 3), (29, 3), (-29, -4))
 SPHERE = ((100, 20), (190, -30), (260, 50), (30, 0))
@@ -44,11 +45,24 @@ def folder(tmp_path_factory):
 
 def arguments(folder, name="runs", **changes) -> list[str]:
     """Arguments of a comparison that takes seconds."""
-    config = run_config(folder, name, **{
-        "data": ["set"], "data_root": str(folder), "neighbour_deg": 10.0, "scored": {"near": "val"},
-        "stages": [{"steps": 4, "image_size_px": 16, "objects": 2}], "checkpoint_every": 2, "threads": 1,
-        "arms": {"constrained": {}, "sphere": SPHERE_ARM, "cone_10": {"cone_margin": 0.5}},
-        "validation": "val", "validate_every": 2, "validation_objects": 1} | changes)
+    config = run_config(
+        folder,
+        name,
+        **{
+            "data": ["set"],
+            "data_root": str(folder),
+            "neighbour_deg": 10.0,
+            "scored": {"near": "val"},
+            "stages": [{"steps": 4, "image_size_px": 16, "objects": 2}],
+            "checkpoint_every": 2,
+            "threads": 1,
+            "arms": {"constrained": {}, "sphere": SPHERE_ARM, "cone_10": {"cone_margin": 0.5}},
+            "validation": "val",
+            "validate_every": 2,
+            "validation_objects": 1,
+        }
+        | changes,
+    )
     return ["--config", str(config)]
 
 
@@ -98,7 +112,8 @@ def test_the_whole_command(folder, capsys, monkeypatch):
     command = arguments(folder)
     assert compare.main([*command, "--arm", "sphere"]) == 0
     assert "constrained: targets within 30 degrees of azimuth and 12 of elevation of the source; not finished" in (
-        capsys.readouterr().out)
+        capsys.readouterr().out
+    )
     first = losses(folder / "runs/sphere")
     scored = (folder / "runs/sphere/final_scores.json").read_bytes()
     assert compare.main(command) == 0
@@ -118,8 +133,9 @@ def test_the_whole_command(folder, capsys, monkeypatch):
     assert compare.main([*command, "--report-only"]) == 0
     assert json.loads((folder / "runs/report.json").read_text()) == report
     scored = []
-    monkeypatch.setattr(compare_report, "score_folder", lambda net, data, **_: scored.append(data) or report["scores"][
-        "sphere"]["near"])
+    monkeypatch.setattr(
+        compare_report, "score_folder", lambda net, data, **_: scored.append(data) or report["scores"]["sphere"]["near"]
+    )
     os.utime(folder / "val/object-7/rgb/000000.png")  # a picture is written anew
     assert compare.main([*command, "--report-only"]) == 0
     assert scored == [folder / "val"] * 3
@@ -151,36 +167,54 @@ def test_an_arm_goes_on_where_it_broke_off(folder, monkeypatch):
 
 def _report(psnr_db: float, ssim: float, *of_objects: float) -> dict:
     """What score_folder might return: 10 dB more for the source, a decibel less from bin to bin."""
+
     def row(psnr_db: float) -> dict:
-        return {"views": 2, "psnr_db": psnr_db, "ssim": ssim, "copy_psnr_db": 20.25, "copy_ssim": 0.85,
-                "card_psnr_db": 19.5, "card_ssim": 0.845}
-    return row(psnr_db - 0.5) | {"source": row(psnr_db + 10), "bins": [
-        {"angle_deg": angle} | row(psnr_db - step) for step, angle in enumerate((5, 10))],
-        "object_psnr_db": {str(number): psnr for number, psnr in enumerate(of_objects)}}
+        return {
+            "views": 2,
+            "psnr_db": psnr_db,
+            "ssim": ssim,
+            "copy_psnr_db": 20.25,
+            "copy_ssim": 0.85,
+            "card_psnr_db": 19.5,
+            "card_ssim": 0.845,
+        }
+
+    return row(psnr_db - 0.5) | {
+        "source": row(psnr_db + 10),
+        "bins": [{"angle_deg": angle} | row(psnr_db - step) for step, angle in enumerate((5, 10))],
+        "object_psnr_db": {str(number): psnr for number, psnr in enumerate(of_objects)},
+    }
 
 
 def test_report_of_known_numbers():
     run = TrainingConfig("out", ["data"], [Stage(10, 16, 4)])
     scores = {"narrow": {"near": _report(28.0, 0.95, 27, 28, 29)}, "round": {"near": _report(27.25, 0.94, 27, 27, 27)}}
     (lead,) = compare_report.leads(scores).values()
-    assert {label: (row["psnr_db"], pytest.approx(row["ssim"])) for label, row in lead["near"].items()} == {
-        label: (0.75, 0.01) for label in ("source", "5 deg", "10 deg", "all")}
+    assert {
+        label: (row["psnr_db"], pytest.approx(row["ssim"])) for label, row in lead["near"].items()
+    } == dict.fromkeys(("source", "5 deg", "10 deg", "all"), (0.75, 0.01))
     lines = compare_report.to_markdown({"narrow": run, "round": run, "late": run}, scores).splitlines()
     assert "| source | 2 | 38.00 / 0.950 | 37.25 / 0.940 | 20.25 / 0.850 | 19.50 / 0.845 |" in lines
     assert "| 10 deg | 2 | 27.00 / 0.950 | 26.25 / 0.940 | 20.25 / 0.850 | 19.50 / 0.845 |" in lines
-    assert lead["near"]["all"]["psnr_standard_error"] == pytest.approx(1 / 3 ** 0.5)  # of 0, 1 and 2
+    assert lead["near"]["all"]["psnr_standard_error"] == pytest.approx(1 / 3**0.5)  # of 0, 1 and 2
     assert "| angle | narrow - round |" in lines and lines.count("| all | +0.75 +- 0.58 / +0.010 |") == 1
     assert any("10 steps, 40 samples of 4 views" in line for line in lines)
     assert [line.endswith("not finished") for line in lines if line.startswith("- ")] == [False, False, True]
 
 
-@pytest.mark.parametrize("changes, more, message", [
-    ({}, ["--arm", "square"], "--arm square: expected one of constrained, sphere, cone_10"),
-    ({}, ["--neighbour_deg", "11"], "cone_10: its targets lie within 10 degrees"),
-    ({"arms": {"a": {"steps": 3}}}, [], "steps"), ({"arms": {}}, [], "at least one"),
-    ({"arms": {"../a": {}}}, [], "letters"), ({}, ["--report-only"], "no finished arm"),
-    ({"arms": {"a": {"target_data": ["val"]}}}, [], "3 are missing: object-0"),
-    ({"arms": {"a": {"target_data": ["set", "set"]}}}, [], "a folder for each of the 1 of data, got 2")])
+@pytest.mark.parametrize(
+    "changes, more, message",
+    [
+        ({}, ["--arm", "square"], "--arm square: expected one of constrained, sphere, cone_10"),
+        ({}, ["--neighbour_deg", "11"], "cone_10: its targets lie within 10 degrees"),
+        ({"arms": {"a": {"steps": 3}}}, [], "steps"),
+        ({"arms": {}}, [], "at least one"),
+        ({"arms": {"../a": {}}}, [], "letters"),
+        ({}, ["--report-only"], "no finished arm"),
+        ({"arms": {"a": {"target_data": ["val"]}}}, [], "3 are missing: object-0"),
+        ({"arms": {"a": {"target_data": ["set", "set"]}}}, [], "a folder for each of the 1 of data, got 2"),
+    ],
+)
 def test_bad_comparisons_are_refused_in_one_line(folder, capsys, changes, more, message):
     assert compare.main([*arguments(folder, "unused", **changes), *more]) == 2
     error = capsys.readouterr().err
@@ -198,7 +232,8 @@ def test_shipped_comparisons_can_be_read(name):
     path = config_path("training", name)
     experiment, _ = read_experiment(["--config", str(path), "--model", "original", "--data_root", "elsewhere"])
     assert {"constrained": 30, "sphere": 180}.items() <= {
-        arm: run.azimuth_deg for arm, run in experiment.runs.items()}.items()
+        arm: run.azimuth_deg for arm, run in experiment.runs.items()
+    }.items()
     assert all(run.model == "original" for run in experiment.runs.values())
     assert experiment.runs["sphere"].target_data == ["elsewhere/train_sphere"]
     assert "arms" in yaml.safe_load(path.read_text())

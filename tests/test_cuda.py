@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import pytest
 import torch
-
-from cuda_on_cpu.cases import (BACKGROUND, HALF_FRAMES, HALF_MEAN_SQUARE, HALF_MOST, HALF_QUALITY, LATTICE_FRAMES,
-                               crowd, half_frame, lattice_frame)
+from cuda_on_cpu.cases import (
+    BACKGROUND,
+    HALF_FRAMES,
+    HALF_MEAN_SQUARE,
+    HALF_MOST,
+    HALF_QUALITY,
+    LATTICE_FRAMES,
+    crowd,
+    half_frame,
+    lattice_frame,
+)
 from cuda_on_cpu.cases import rig_of as rig
 from rasterizer_cases import CELLS, MIRRORED
 
@@ -17,15 +25,26 @@ from lightfield_gs.quality import QUALITIES
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
 
-LENS = dict(width_px=397, height_px=131, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576,
-            cone_deg=40.0)
-PANELS = {"default": {},
-          "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
-          "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6),
-          "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0),
-          "cells": dict(line_number=19.17, slant_tan=0.1455, subpixel_cells=CELLS, cell_pattern=2),
-          "cells of four rows": dict(subpixel_cells=CELLS + CELLS[::-1], cell_pattern=3, cell_rows="top"),
-          "cells that exchange colours": dict(subpixel_cells=MIRRORED, cell_pattern=1, slant_tan=-0.18)}
+LENS = dict(
+    width_px=397,
+    height_px=131,
+    views=96,
+    line_number=9.848282191911,
+    slant_tan=1 / 6,
+    phase=-2161.2044846576,
+    cone_deg=40.0,
+)
+PANELS = {
+    "default": {},
+    "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
+    "inverted": dict(invert_views=True),
+    "narrow lenses": dict(views=9, line_number=2.6),
+    "one view": dict(views=1),
+    "narrow cone": dict(cone_deg=4.0),
+    "cells": dict(line_number=19.17, slant_tan=0.1455, subpixel_cells=CELLS, cell_pattern=2),
+    "cells of four rows": dict(subpixel_cells=CELLS + CELLS[::-1], cell_pattern=3, cell_rows="top"),
+    "cells that exchange colours": dict(subpixel_cells=MIRRORED, cell_pattern=1, slant_tan=-0.18),
+}
 
 
 def with_harmonics(scene: Gaussians, degree: int) -> Gaussians:
@@ -152,8 +171,9 @@ def test_a_frame_is_pruned_as_on_the_cpu(scene, kernel, monkeypatch):
     panel, stats = Panel(**LENS), ({}, {})
     scene.scales.mul_(0.4)
     options = dict(quality=Quality(contribution_cut=0.4), output="float32")
-    expected, found = (encode(s, panel, rig(panel), stats=counted, **options)
-                       for s, counted in zip((scene, on_gpu(scene)), stats))
+    expected, found = (
+        encode(s, panel, rig(panel), stats=counted, **options) for s, counted in zip((scene, on_gpu(scene)), stats)
+    )
     pruned = [counted["skipped"]["gaussians"]["pruned"] for counted in stats]
     assert 0 < pruned[0] == pruned[1] < scene.count
     assert far_apart(expected, found) <= 3
@@ -190,9 +210,15 @@ def test_more_pairs_than_31_bits_number(monkeypatch):
     means = torch.zeros(count, 3)
     means[:, 2] = torch.linspace(1.9, 2.1, count)
     random = torch.Generator().manual_seed(3)
-    scene = on_gpu(Gaussians(means, torch.tensor([1.0, 0, 0, 0]).expand(count, 4).contiguous(),
-                             torch.full((count, 3), 1.0), torch.full((count,), 0.5),
-                             torch.rand(count, 1, 3, generator=random)))
+    scene = on_gpu(
+        Gaussians(
+            means,
+            torch.tensor([1.0, 0, 0, 0]).expand(count, 4).contiguous(),
+            torch.full((count, 3), 1.0),
+            torch.full((count,), 0.5),
+            torch.rand(count, 1, 3, generator=random),
+        )
+    )
     stats = {}
     found = encode(scene, panel, rig(panel), stats=stats)
     assert stats["pairs"] > 2**31
@@ -221,8 +247,10 @@ def test_an_encode_can_be_captured_once_its_kind_is_known(scene):
 
 
 def test_an_image_to_draw_over_begins_at_an_even_address(scene):
-    panel, buffer = Panel(**LENS), torch.empty(1 + 3 * LENS["width_px"] * LENS["height_px"], dtype=torch.uint8,
-                                               device="cuda")
+    panel, buffer = (
+        Panel(**LENS),
+        torch.empty(1 + 3 * LENS["width_px"] * LENS["height_px"], dtype=torch.uint8, device="cuda"),
+    )
     with pytest.raises(InputError, match="even address"):
         encode(on_gpu(scene), panel, rig(panel), out=buffer[1:].view(panel.height_px, panel.width_px, 3))
 
@@ -230,8 +258,9 @@ def test_an_image_to_draw_over_begins_at_an_even_address(scene):
 def test_images_are_those_of_the_cpu(scene):
     panel = Panel(**LENS)
     cameras = rig(panel).cameras(panel, range(0, 96, 19))
-    expected, found = (render(s, cameras, background=BACKGROUND, alpha=True, depth=True)
-                       for s in (scene, on_gpu(scene)))
+    expected, found = (
+        render(s, cameras, background=BACKGROUND, alpha=True, depth=True) for s in (scene, on_gpu(scene))
+    )
     for a, b in zip(expected, found):
         assert far_apart(a, b) <= 5
 
@@ -264,8 +293,9 @@ def gradients(scene: Gaussians, views: int, device: str) -> list[torch.Tensor]:
     leaves = [t.to(device=device, dtype=dtype)[None].requires_grad_() for t in scene.fields().values()]
     background = torch.full((1, views, 3), 0.3, device=device, dtype=dtype, requires_grad=True)
     poses = cameras.world_to_camera[None].clone().requires_grad_()
-    outputs = torch.ops.lightfield_gs.render_dense(*leaves, background, poses, cameras.intrinsics()[None],
-                                                   cameras.limits()[None], panel.width_px, panel.height_px)
+    outputs = torch.ops.lightfield_gs.render_dense(
+        *leaves, background, poses, cameras.intrinsics()[None], cameras.limits()[None], panel.width_px, panel.height_px
+    )
     random = torch.Generator().manual_seed(5)
     loss = sum((out * torch.randn(out.shape, generator=random).to(out)).sum() for out in outputs)
     return list(torch.autograd.grad(loss, [*leaves, background, poses]))

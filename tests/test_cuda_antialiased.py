@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-
 from cuda_on_cpu import cases
 from rasterizer_cases import MIRRORED
 from test_cuda import BACKGROUND, LENS, PANELS, far_apart, most_apart, on_gpu, rig
@@ -21,9 +20,10 @@ def test_every_method_draws_what_the_cpu_does(degree, panel, views):
     options = dict(views=views, background=BACKGROUND, antialiased=True)
     # Of sub-pixels in other places there are too many continuous views to draw one after the other
     for method in ("direct",) if panel.subpixel_cells == MIRRORED and views == "continuous" else ("direct", "sorted"):
-        expected, found = (encode(s, panel, rig(panel), method, output="float32", **options)
-                           for s in (scene, on_gpu(scene)))
-        assert far_apart(expected, found) <= 1 and ((found.cpu() - expected)**2).mean() < 1e-8
+        expected, found = (
+            encode(s, panel, rig(panel), method, output="float32", **options) for s in (scene, on_gpu(scene))
+        )
+        assert far_apart(expected, found) <= 1 and ((found.cpu() - expected) ** 2).mean() < 1e-8
     bytes_ = encode(on_gpu(scene), panel, rig(panel), **options)
     assert most_apart(bytes_, encode(scene, panel, rig(panel), **options).cuda()) <= 1
 
@@ -33,10 +33,22 @@ def test_frames_keep_80_db_and_say_which_kernel_drew_them(quality):
     scene, panel, stats = cases.fine(1), Panel(**LENS), {}
     random = np.random.default_rng(1)
     where = [random.integers(0, size, 4000) for size in (panel.height_px, panel.width_px, 3)]
-    image = encode(on_gpu(scene), panel, rig(panel), background=BACKGROUND, output="float32", quality=quality,
-                   antialiased=True, stats=stats).cpu().numpy()
+    image = (
+        encode(
+            on_gpu(scene),
+            panel,
+            rig(panel),
+            background=BACKGROUND,
+            output="float32",
+            quality=quality,
+            antialiased=True,
+            stats=stats,
+        )
+        .cpu()
+        .numpy()
+    )
     want = reference.subpixel_colours(scene, panel, rig(panel), *where, background=BACKGROUND, antialiased=True)
-    assert ((image[tuple(where)] - want)**2).mean() < {"exact": 1e-8, "fast": 1e-4}[quality]
+    assert ((image[tuple(where)] - want) ** 2).mean() < {"exact": 1e-8, "fast": 1e-4}[quality]
     assert stats["kernel"] in ("pixel-quadratic", "pixel-quadratic-small", "ordinal")
 
 
@@ -48,7 +60,7 @@ def test_an_encoder_a_view_and_pruning_do_the_same():
         assert torch.equal(encoder(there), encode(there, panel, rig(panel), antialiased=True))
     cameras = rig(panel).cameras(panel, [0, 95])
     views = [render(s, cameras, antialiased=True).cpu() for s in (scene, there)]
-    assert ((views[0] - views[1])**2).mean() < 1e-8
+    assert ((views[0] - views[1]) ** 2).mean() < 1e-8
     counts = [prune(s, panel, rig(panel), 1e-3, antialiased=True).count for s in (scene, there)]
     assert abs(counts[0] - counts[1]) <= 0.01 * scene.count
 

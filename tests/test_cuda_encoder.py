@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-
 from test_cuda import BACKGROUND, LENS, most_apart, on_gpu, rig, scene_of
 
 from lightfield_gs import Encoder, Gaussians, Panel, encode, frame_cuda

@@ -11,8 +11,13 @@ from lightfield_gs import Rig, _core, framing
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
 
-SCENES = {"thing": thing(), "floaters": joined(thing(), floaters(45, 3, 20)), "room": joined(room(), thing(count=500)),
-          "sky": joined(thing(), blobs(100 * directions(2000, 4), 5.0)), "shell": room()}
+SCENES = {
+    "thing": thing(),
+    "floaters": joined(thing(), floaters(45, 3, 20)),
+    "room": joined(room(), thing(count=500)),
+    "sky": joined(thing(), blobs(100 * directions(2000, 4), 5.0)),
+    "shell": room(),
+}
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -29,8 +34,10 @@ def test_a_scene_is_framed_as_on_the_cpu(name, pose):
 
 def test_the_zero_plane_of_a_given_camera_is_that_of_the_cpu():
     scene = thing((0, 0, 3))
-    depths = [framing.look_from(scene.to(device), PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0)).zero_depth
-              for device in ("cpu", "cuda")]
+    depths = [
+        framing.look_from(scene.to(device), PANEL, UPRIGHT, (80.0, 80.0), (80.0, 40.0)).zero_depth
+        for device in ("cpu", "cuda")
+    ]
     assert depths[1] == pytest.approx(depths[0], rel=0.01)
 
 

@@ -30,9 +30,33 @@ pybind11 = pytest.importorskip("pybind11")
 pytestmark = pytest.mark.slow
 
 
-DRAWN = ("pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal", "shapes", "chosen", "widest",
-         "half", "settings", "parabolas", "lattice", "words", "half empty", "harmonics", "opaque", "crowd", "pruned",
-         "recoloured", "dense", "sorted", "gradients", "norms", "antialiased", "antialiased gradients")
+DRAWN = (
+    "pixel",
+    "pixel-quadratic",
+    "pixel-small",
+    "pixel-quadratic-small",
+    "ordinal",
+    "shapes",
+    "chosen",
+    "widest",
+    "half",
+    "settings",
+    "parabolas",
+    "lattice",
+    "words",
+    "half empty",
+    "harmonics",
+    "opaque",
+    "crowd",
+    "pruned",
+    "recoloured",
+    "dense",
+    "sorted",
+    "gradients",
+    "norms",
+    "antialiased",
+    "antialiased gradients",
+)
 
 
 class Drawings:
@@ -58,20 +82,38 @@ class Drawings:
 def drawn(tmp_path_factory) -> Iterator[Drawings]:
     """By the native module with emulated CUDA stages."""
     out = tmp_path_factory.mktemp("cuda_on_cpu")
-    built = subprocess.run([sys.executable, FOLDER / "build.py", CSRC, out, pybind11.get_include()], check=True,
-                           capture_output=True, text=True)
+    built = subprocess.run(
+        [sys.executable, FOLDER / "build.py", CSRC, out, pybind11.get_include()],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
     drawings = Drawings(built.stdout.strip(), out)
     yield drawings
     drawings.pool.shutdown(cancel_futures=True)
 
 
-@pytest.mark.parametrize("kernel, mean_square", [("pixel", 1e-7), ("pixel-quadratic", 1e-8), ("pixel-small", 1e-7),
-                                                 ("pixel-quadratic-small", 1e-8), ("ordinal", 1e-8)])
+@pytest.mark.parametrize(
+    "kernel, mean_square",
+    [
+        ("pixel", 1e-7),
+        ("pixel-quadratic", 1e-8),
+        ("pixel-small", 1e-7),
+        ("pixel-quadratic-small", 1e-8),
+        ("ordinal", 1e-8),
+    ],
+)
 def test_frames_are_those_of_the_cpu(drawn, kernel, mean_square):
     for (name, degree, views), found in zip(cases.frames_of(kernel), drawn(kernel), strict=True):
         panel = cases.panel_of(name)
-        expected = encode(cases.scene_of(degree), panel, cases.rig_of(panel), views=views, background=cases.BACKGROUND,
-                          output="float32")
+        expected = encode(
+            cases.scene_of(degree),
+            panel,
+            cases.rig_of(panel),
+            views=views,
+            background=cases.BACKGROUND,
+            output="float32",
+        )
         error = (found["image"] - expected).abs()
         assert found["kernel"] == kernel and (error > 1 / 255).sum() <= 1, name
         assert (error**2).mean() < mean_square, (name, degree, views)
@@ -161,15 +203,16 @@ def test_bytes_of_a_lattice_are_its_colours_rounded_where_four_are_stored_at_a_t
         assert floats["lattice_tiles"] >= 2 and floats["lattice_tiles"] == bytes_["lattice_tiles"]
         assert ((255 * floats["image"].clamp(0, 1)).round() - bytes_["image"]).abs().sum() <= 3
         expected = encode(*cases.lattice_frame(changes, 0), background=cases.BACKGROUND, output="float32")
-        assert ((floats["image"].clamp(0, 1) - expected.clamp(0, 1))**2).mean() < 1e-4  # 40 dB
+        assert ((floats["image"].clamp(0, 1) - expected.clamp(0, 1)) ** 2).mean() < 1e-4  # 40 dB
 
 
 def test_tiles_with_nothing_in_them_are_background(drawn):
     frames = iter(drawn("half empty"))
     for kernel, quality, views, changes in cases.LATTICE_FRAMES:
         scene, panel, rig = cases.half_empty(changes)
-        expected = encode(scene, panel, rig, views=views, background=cases.BACKGROUND, output="float32",
-                          quality=quality)
+        expected = encode(
+            scene, panel, rig, views=views, background=cases.BACKGROUND, output="float32", quality=quality
+        )
         floats, bytes_ = next(frames), next(frames)
         right, background = slice(120, None), torch.tensor(cases.BACKGROUND)
         assert (floats["image"][:, right] - background).abs().max() < 1e-3, kernel
@@ -187,8 +230,9 @@ def test_where_no_lattice_fits_few_are_tried(lattice_frames):
     assert small["tried_tiles"] == small["refused_tiles"] == small["lattice_tiles"] == 0  # all at once
     cut = cases.WIDE_QUALITY.opacity_cut
     for frame, (scene, panel, rig) in ((rough, cases.speckled()), (small, cases.wide_rig())):
-        exact = encode(scene, panel, rig, background=cases.BACKGROUND, quality=Quality(opacity_cut=cut),
-                       output="float32")
+        exact = encode(
+            scene, panel, rig, background=cases.BACKGROUND, quality=Quality(opacity_cut=cut), output="float32"
+        )
         error = (frame["image"] - exact).abs()
         assert (error**2).mean() < 1e-7 and error.max() <= cut  # what an alpha on the cut adds or leaves
 
@@ -237,10 +281,19 @@ def test_a_lattice_is_within_its_bound_of_the_oracle(lattice_frames):
 def test_a_frame_is_pruned_as_on_the_cpu(drawn):
     found, panel, stats = drawn("pruned"), cases.panel_of("default"), {}
     scene = cases.scene_of(3)
-    expected = encode(scene, panel, cases.rig_of(panel), background=cases.BACKGROUND, output="float32",
-                      quality=cases.PRUNING, stats=stats)
+    expected = encode(
+        scene,
+        panel,
+        cases.rig_of(panel),
+        background=cases.BACKGROUND,
+        output="float32",
+        quality=cases.PRUNING,
+        stats=stats,
+    )
     assert 0 < found["pruned"] == stats["skipped"]["gaussians"]["pruned"] < scene.count
-    assert found["drawn"] == scene.count - stats["gaussians_culled"] and ((found["image"] - expected)**2).mean() < 1e-7
+    assert (
+        found["drawn"] == scene.count - stats["gaussians_culled"] and ((found["image"] - expected) ** 2).mean() < 1e-7
+    )
 
 
 def test_a_frame_takes_other_colours_into_the_lists_it_has(drawn):
@@ -278,13 +331,14 @@ def test_antialiased_frames_are_those_of_the_oracle(drawn):
     for (kernel, name, degree, views, quality), found in zip(cases.ANTIALIASED, drawn("antialiased"), strict=True):
         panel, scene = cases.panel_of(name), cases.fine(degree)
         rig, where = cases.rig_of(panel), [axis.ravel() for axis in np.indices(found["image"].shape)]
-        expected = reference.subpixel_colours(scene, panel, rig, *where, continuous=views == "continuous",
-                                              background=cases.BACKGROUND, antialiased=True)
+        expected = reference.subpixel_colours(
+            scene, panel, rig, *where, continuous=views == "continuous", background=cases.BACKGROUND, antialiased=True
+        )
         error = np.abs(found["image"].numpy().ravel() - expected)
         assert found["kernel"] == kernel or kernel is None and found["kernel"].startswith("pixel-quadratic")
         assert (error**2).mean() < (1e-8 if quality == "exact" else 5e-4), name
         plain = encode(scene, panel, rig, views=views, background=cases.BACKGROUND, output="float32")
-        assert ((plain.numpy().ravel() - expected)**2).mean() > 1e-3
+        assert ((plain.numpy().ravel() - expected) ** 2).mean() > 1e-3
 
 
 def test_antialiased_images_and_gradients_are_those_of_float64(drawn):

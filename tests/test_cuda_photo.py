@@ -76,9 +76,15 @@ def test_the_host_waits_once():
     assert len([w for w in caught if "synchroniz" in str(w.message)]) == 1
 
 
-@pytest.mark.parametrize("rgba, word", [
-    (np.zeros((8, 8, 3), np.float32), "H,W,4"), (np.zeros((8, 8, 4), np.float32), "mask"),
-    (np.full((8, 8, 4), 2, np.float32), "0..1"), (np.full((8, 8, 4), np.nan, np.float32), "0..1")])
+@pytest.mark.parametrize(
+    "rgba, word",
+    [
+        (np.zeros((8, 8, 3), np.float32), "H,W,4"),
+        (np.zeros((8, 8, 4), np.float32), "mask"),
+        (np.full((8, 8, 4), 2, np.float32), "0..1"),
+        (np.full((8, 8, 4), np.nan, np.float32), "0..1"),
+    ],
+)
 def test_what_is_no_photo_is_refused_and_the_next_is_drawn(rgba, word):
     encoder = PhotoEncoder(tiny_net().cuda(), PANEL)
     for _ in range(2):

@@ -23,8 +23,9 @@ BACKGROUND = (0.1, 0.6, 0.3)
 
 
 def sorted_image(scene, shown, cameras=None, table=None, rig=None, output="float32", **options):
-    return encode(scene, shown, rig, "sorted", cameras=cameras, view_map=table, background=BACKGROUND, output=output,
-                  **options)
+    return encode(
+        scene, shown, rig, "sorted", cameras=cameras, view_map=table, background=BACKGROUND, output=output, **options
+    )
 
 
 def far_apart(a: torch.Tensor, b: torch.Tensor) -> int:
@@ -58,8 +59,18 @@ def test_gaussians_that_are_hard(kind):
 
 
 @pytest.mark.parametrize("views", ["integer", "continuous"])
-@pytest.mark.parametrize("name", ["default lens", "leaning the other way, BGR", "inverted", "one view", "one pixel",
-                                  "narrower than a pixel", "lenses as wide as the panel"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "default lens",
+        "leaning the other way, BGR",
+        "inverted",
+        "one view",
+        "one pixel",
+        "narrower than a pixel",
+        "lenses as wide as the panel",
+    ],
+)
 def test_the_rig_and_the_lens_of_a_panel(name, views):
     shown, scene = panel(name), sheet(48, 11)
     expected, found = (sorted_image(s, shown, rig=rig(shown, 0.1), views=views) for s in (scene, scene.to("cuda")))
@@ -145,7 +156,8 @@ def test_a_plan_for_the_cpu_is_refused(scene):
 
 def test_more_pairs_than_a_chunk_may_have_are_estimated(scene):
     shown = panel(width_px=160, height_px=70, views=8)
-    stages = _CudaStages(WorkScene(*(t[None] for t in scene.to("cuda").fields().values())),
-                         SortedPlan(shown, device="cuda"))
+    stages = _CudaStages(
+        WorkScene(*(t[None] for t in scene.to("cuda").fields().values())), SortedPlan(shown, device="cuda")
+    )
     few, many = (stages.binning_bytes(8, (pairs, 0)) for pairs in (1 << 31, 1 << 33))
     assert 3.9 * few < many < 4.1 * few

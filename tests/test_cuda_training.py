@@ -1,9 +1,11 @@
 """Training on CUDA against training on the CPU: the same samples, nearly the same losses. Needs a GPU."""
+
 import json
 import time
 
 import pytest
 import torch
+from training_runs import losses, run_config
 
 from lightfield_gs import _core
 from training.data.batches import make_batch
@@ -12,7 +14,6 @@ from training.loop import make_planner, train
 from training.profile import profile
 from training.train import read_config
 from training.trainer import Trainer
-from training_runs import losses, run_config
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
@@ -59,8 +60,9 @@ def test_procedural_objects_are_those_of_the_cpu(small_set, compiled):
 
 
 def test_a_run_takes_the_steps_of_the_cpu(small_set):
-    on_cpu, on_gpu = (_trained(small_set, f"float32-{device}", device=device, bfloat16=False)
-                      for device in ("cpu", "cuda"))
+    on_cpu, on_gpu = (
+        _trained(small_set, f"float32-{device}", device=device, bfloat16=False) for device in ("cpu", "cuda")
+    )
     assert len(on_gpu) == 6
     assert on_gpu[0] == pytest.approx(on_cpu[0], rel=1e-3, abs=1e-6)
     for expected, found in zip(on_cpu, on_gpu):  # Adam makes whole steps of noise about zero gradients
@@ -111,7 +113,15 @@ def test_a_profile_times_the_device(small_set):
         began = time.perf_counter()
         parts = profile(_config(small_set, "unused", device="cuda", compile=flag, stages=stages), steps=10, warm_up=6)
         seconds = time.perf_counter() - began
-        assert [part.part for part in parts] == ["batch", "network", "rasterizer", "loss", "loss backward",
-                                                 "rasterizer backward", "network backward", "update"]
+        assert [part.part for part in parts] == [
+            "batch",
+            "network",
+            "rasterizer",
+            "loss",
+            "loss backward",
+            "rasterizer backward",
+            "network backward",
+            "update",
+        ]
         assert all(part.device_ms > 0 and part.host_ms > 0 for part in parts)
         assert sum(part.device_ms for part in parts) < 1e3 * seconds

@@ -22,6 +22,7 @@ Z = np.array([[0.5, 1.0, 2.0], [4.0, 1.5, 0.8]])
 
 # Numbers and what they mean
 
+
 def test_millimetres(tmp_path):
     stored = np.round(Z * 1000).astype(np.uint16)
     stored[0, 0] = 0
@@ -67,16 +68,27 @@ def test_what_is_infinitely_far_is_far_or_left_out_as_asked(tmp_path):
     assert np.isnan(read_depth(path, "disparity", limits=(2, 6), invalid="hole")).tolist() == [[True, False, False]]
 
 
-@pytest.mark.parametrize("array, options, words", [
-    (np.ones((2, 3), np.uint16), {}, "whole numbers.*--depth-range"),
-    (np.ones((2, 3, 1)), {}, r"expected numbers \[H, W\]"),
-    (np.ones((2, 3), bool), {}, "bool"), (np.ones((2, 3), complex), {}, "complex"), (np.ones((0, 3)), {}, "0, 3"),
-    (np.zeros((2, 3)), {}, "there is none"), (np.full((2, 3), np.nan), {"limits": (1, 2)}, "there is none"),
-    (np.ones((2, 3)), {"limits": (2, 1)}, "near < far"), (np.ones((2, 3)), {"limits": (0, 1)}, "> 0"),
-    (np.ones((2, 3)), {"limits": (1, np.inf)}, "> 0"), (np.ones((2, 3)), {"scale": 0}, "> 0"),
-    (np.ones((2, 3)), {"scale": float("nan")}, "> 0"), (np.full((2, 3), 1.5), {"limits": (1, 2)}, "0..1, got 1.5..1.5"),
-    (np.ones((2, 3), np.int32), {"limits": (1, 2)}, "uint8, uint16"),
-    (np.ones((2, 3)), {"limits": (1, 2), "scale": 1}, "not both"), (np.ones((2, 3)), {"kind": "height"}, "disparity")])
+@pytest.mark.parametrize(
+    "array, options, words",
+    [
+        (np.ones((2, 3), np.uint16), {}, "whole numbers.*--depth-range"),
+        (np.ones((2, 3, 1)), {}, r"expected numbers \[H, W\]"),
+        (np.ones((2, 3), bool), {}, "bool"),
+        (np.ones((2, 3), complex), {}, "complex"),
+        (np.ones((0, 3)), {}, "0, 3"),
+        (np.zeros((2, 3)), {}, "there is none"),
+        (np.full((2, 3), np.nan), {"limits": (1, 2)}, "there is none"),
+        (np.ones((2, 3)), {"limits": (2, 1)}, "near < far"),
+        (np.ones((2, 3)), {"limits": (0, 1)}, "> 0"),
+        (np.ones((2, 3)), {"limits": (1, np.inf)}, "> 0"),
+        (np.ones((2, 3)), {"scale": 0}, "> 0"),
+        (np.ones((2, 3)), {"scale": float("nan")}, "> 0"),
+        (np.full((2, 3), 1.5), {"limits": (1, 2)}, "0..1, got 1.5..1.5"),
+        (np.ones((2, 3), np.int32), {"limits": (1, 2)}, "uint8, uint16"),
+        (np.ones((2, 3)), {"limits": (1, 2), "scale": 1}, "not both"),
+        (np.ones((2, 3)), {"kind": "height"}, "disparity"),
+    ],
+)
 def test_numbers_that_make_no_depth(tmp_path, array, options, words):
     np.save(tmp_path / "a.npy", array)
     with pytest.raises(lf.InputError, match=words) as caught:
@@ -100,8 +112,11 @@ def test_maps_that_are_almost_grey(tmp_path):
 
 def test_an_archive_of_arrays(tmp_path):
     path = tmp_path / "a.npz"
-    for names, kind in (({"depth": Z, "focallength_px": np.array(50.0), "canonical": np.ones((2, 3))}, None),
-                        ({"x": Z.T.copy().T}, None), ({"disparity": 1 / Z, "other": Z}, "disparity")):
+    for names, kind in (
+        ({"depth": Z, "focallength_px": np.array(50.0), "canonical": np.ones((2, 3))}, None),
+        ({"x": Z.T.copy().T}, None),
+        ({"disparity": 1 / Z, "other": Z}, "disparity"),
+    ):
         np.savez_compressed(path, **names)
         numbers = read_numbers(path)
         assert numbers.kind == kind and numbers.focal_px == (50 if "depth" in names else None)
@@ -131,13 +146,19 @@ def test_files_that_are_no_depth_map(tmp_path):
     write_image(tmp_path / "colour.png", np.arange(12, dtype=np.uint8).reshape(2, 2, 3))
     (tmp_path / "text.png").write_text("hello")
     (tmp_path / "text.npy").write_text("hello")
-    for name, words in (("colour.png", "in colour"), ("text.png", "not an image"), ("text.npy", "not a .npy"),
-                        ("no.npy", "cannot read"), ("no.png", "cannot read")):
+    for name, words in (
+        ("colour.png", "in colour"),
+        ("text.png", "not an image"),
+        ("text.npy", "not a .npy"),
+        ("no.npy", "cannot read"),
+        ("no.png", "cannot read"),
+    ):
         with pytest.raises(lf.InputError, match=f"{name}.*{words}|{words}.*{name}"):
             read_depth(tmp_path / name, limits=(1, 2))
 
 
 # The command
+
 
 def write_scene() -> np.ndarray:
     """photo.png and depth.exr of the known scene; the photo."""
@@ -150,8 +171,11 @@ def write_scene() -> np.ndarray:
 def test_encode_of_a_photo_with_depth_is_the_library_call(folder, capsys):
     photo = write_scene()
     depth = read_image("depth.exr")[..., 0]
-    out = run(capsys, "encode photo.png --depth depth.exr --intrinsics 50,50,30,20 -o o.exr --panel p.yaml "
-                      "--device cpu --save-rig r.yaml --save-gaussians g.ply")
+    out = run(
+        capsys,
+        "encode photo.png --depth depth.exr --intrinsics 50,50,30,20 -o o.exr --panel p.yaml "
+        "--device cpu --save-rig r.yaml --save-gaussians g.ply",
+    )
     gaussians = lf.from_depth(photo, depth, (50, 50), (30, 20))
     rig = lf.Rig.frame(gaussians, PANEL, np.eye(4))
     expected = lf.encode(gaussians, PANEL, rig, output="float32").numpy()
@@ -166,10 +190,14 @@ def test_every_way_to_say_the_depth(folder, capsys):
     depth = read_image("depth.exr")[..., 0].astype(np.float64)
     write_image("mm.png", np.round(depth * 1000).astype(np.uint16)[..., None])
     write_image("near.png", np.round((1 / depth - 1 / 6) / (1 - 1 / 6) * 65535).astype(np.uint16)[..., None])
-    for number, options in enumerate(("depth.exr", "mm.png --depth-scale 0.001",
-                                      "near.png --depth-kind disparity --depth-range 1,6")):
-        run(capsys, f"encode photo.png -o {number}.png --panel p.yaml --fov 70 --save-gaussians {number}.ply --depth "
-                    + options)
+    for number, options in enumerate(
+        ("depth.exr", "mm.png --depth-scale 0.001", "near.png --depth-kind disparity --depth-range 1,6")
+    ):
+        run(
+            capsys,
+            f"encode photo.png -o {number}.png --panel p.yaml --fov 70 --save-gaussians {number}.ply --depth "
+            + options,
+        )
     scenes = [lf.Gaussians.load(f"{number}.ply") for number in range(3)]
     for other in scenes[1:]:
         assert torch.allclose(scenes[0].means[:2400], other.means[:2400], atol=2e-3)
@@ -187,29 +215,34 @@ def test_a_mask_cuts_the_scene(folder, capsys):
     assert means[:, 0].div(means[:, 2]).abs().max() < 10 / 52  # the middle 20 of 60 columns, 60 degrees wide
 
 
-@pytest.mark.parametrize("line, words", [
-    ("encode photo.png --depth mm.png", "whole numbers"),
-    ("encode photo.png --depth small.npy", "size 60 x 40, got 7 x 5"),
-    ("encode s.ply --depth depth.exr", "--depth is for photos"),
-    ("encode s.ply --remove-background", "--remove-background is for photos"),
-    ("encode photo.png --depth-range 1,2", "no --depth"), ("encode photo.png --fov 50", "no --depth"),
-    ("encode photo.png --depth depth.exr --checkpoint c.safetensors", "does without"),
-    ("encode photo.png --depth depth.exr --fov 0", "between 0 and 180"),
-    ("encode photo.png --depth depth.exr --fov 50 --intrinsics 1,1,1,1", "place of --fov"),
-    ("encode photo.png --depth depth.exr --intrinsics -1,1,1,1", "--intrinsics: .* > 0 px"),
-    ("encode photo.png --depth mm.png --depth-scale 1 --depth-range 1,2", "place of --depth-range"),
-    ("encode photo.png --depth mm.png --depth-range 2,1", "near < far"),
-    ("encode photo.png --depth mm.png --depth-range 2", "2 numbers"),
-    ("encode photo.png --depth photo.png", "in colour"),
-    ("encode photo.png --depth depth.exr --intrinsics 50,50,100,20", "principal point 100,20 is outside"),
-    ("encode photo.png --depth depth.exr --intrinsics 0.8,0.8,0.5,0.5", "--intrinsics: .* 176.9 degrees .* --fov"),
-    ("encode photo.png --depth depth.exr --rgbd left", "--rgbd takes the place of --depth"),
-    ("encode photo.png --map-orientation stored", "file of its own, and there is none"),
-    ("encode photo.png --depth-invalid far", "no --depth"),
-    ("encode photo.png --rgbd right", "photo.png: its right half is in colour"),
-    ("encode odd.png --rgbd top", "odd.png: expected two halves of one size, its height is 5"),
-    ("encode photo.png --depth depth.exr --depth-kind height", "invalid choice"),
-    ("encode photo.png --mask mm.png --remove-background", "leave out one")])
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ("encode photo.png --depth mm.png", "whole numbers"),
+        ("encode photo.png --depth small.npy", "size 60 x 40, got 7 x 5"),
+        ("encode s.ply --depth depth.exr", "--depth is for photos"),
+        ("encode s.ply --remove-background", "--remove-background is for photos"),
+        ("encode photo.png --depth-range 1,2", "no --depth"),
+        ("encode photo.png --fov 50", "no --depth"),
+        ("encode photo.png --depth depth.exr --checkpoint c.safetensors", "does without"),
+        ("encode photo.png --depth depth.exr --fov 0", "between 0 and 180"),
+        ("encode photo.png --depth depth.exr --fov 50 --intrinsics 1,1,1,1", "place of --fov"),
+        ("encode photo.png --depth depth.exr --intrinsics -1,1,1,1", "--intrinsics: .* > 0 px"),
+        ("encode photo.png --depth mm.png --depth-scale 1 --depth-range 1,2", "place of --depth-range"),
+        ("encode photo.png --depth mm.png --depth-range 2,1", "near < far"),
+        ("encode photo.png --depth mm.png --depth-range 2", "2 numbers"),
+        ("encode photo.png --depth photo.png", "in colour"),
+        ("encode photo.png --depth depth.exr --intrinsics 50,50,100,20", "principal point 100,20 is outside"),
+        ("encode photo.png --depth depth.exr --intrinsics 0.8,0.8,0.5,0.5", "--intrinsics: .* 176.9 degrees .* --fov"),
+        ("encode photo.png --depth depth.exr --rgbd left", "--rgbd takes the place of --depth"),
+        ("encode photo.png --map-orientation stored", "file of its own, and there is none"),
+        ("encode photo.png --depth-invalid far", "no --depth"),
+        ("encode photo.png --rgbd right", "photo.png: its right half is in colour"),
+        ("encode odd.png --rgbd top", "odd.png: expected two halves of one size, its height is 5"),
+        ("encode photo.png --depth depth.exr --depth-kind height", "invalid choice"),
+        ("encode photo.png --mask mm.png --remove-background", "leave out one"),
+    ],
+)
 def test_complaints(folder, capsys, line, words):
     write_scene()
     write_image("mm.png", np.full((40, 60, 1), 1000, np.uint16))
@@ -226,8 +259,10 @@ def test_a_command_says_what_it_took_the_photo_for(folder, capsys):
     np.savez("d.npz", depth=depth, focallength_px=np.float32(50))
     out = run(capsys, "encode photo.png --depth d.npz -o o.png --panel p.yaml --save-gaussians g.ply").splitlines()[0]
     near, far = np.nanmin(depth), depth[np.isfinite(depth)].max()
-    assert out == (f"photo.png: 60 x 40, whole picture, depth by d.npz: distance as z {near:.4g}..{far:.4g}, 1.2% "
-                   f"infinitely far (put at {2 * far:.4g}), 0.5% not measured, focal length 50 px, of d.npz")
+    assert out == (
+        f"photo.png: 60 x 40, whole picture, depth by d.npz: distance as z {near:.4g}..{far:.4g}, 1.2% "
+        f"infinitely far (put at {2 * far:.4g}), 0.5% not measured, focal length 50 px, of d.npz"
+    )
     means = lf.Gaussians.load("g.ply").means
     assert float(means[0, 2]) == pytest.approx(2 * far, rel=1e-5)
     assert float(means[0, 0] / means[0, 2]) == pytest.approx(-29.5 / 50, rel=1e-5)

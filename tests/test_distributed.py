@@ -1,4 +1,5 @@
 """Several processes train as one does."""
+
 import json
 from pathlib import Path
 
@@ -30,8 +31,14 @@ TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two C
 def test_two_processes_take_the_steps_of_one(small_set, device):
     """torchrun with two processes against one, same samples: losses and weights but for rounding."""
     # Roughness is a ratio of sums within an example.
-    changes = STEPS | {"device": device, "loss": {"roughness": 0.02}, "checkpoint_every": 100,
-                       "validation": str(small_set / "set"), "validate_every": 2, "validation_objects": 1}
+    changes = STEPS | {
+        "device": device,
+        "loss": {"roughness": 0.02},
+        "checkpoint_every": 100,
+        "validation": str(small_set / "set"),
+        "validate_every": 2,
+        "validation_objects": 1,
+    }
     running = []
     for processes in (1, 2):
         output = small_set / f"{device}-{processes}"
@@ -58,8 +65,10 @@ def test_one_process_resumes_the_checkpoint_of_two(small_set, tmp_path):
     """Two processes break off after the checkpoint of their second step; against one that was left alone."""
     program = tmp_path / "breaking_off.py"
     program.write_text(BREAKING_OFF)
-    whole, shared = (run_config(small_set, name, dropout=0.0, checkpoint_every=2, threads=1, **STEPS)
-                     for name in ("whole-run", "shared-run"))
+    whole, shared = (
+        run_config(small_set, name, dropout=0.0, checkpoint_every=2, threads=1, **STEPS)
+        for name in ("whole-run", "shared-run")
+    )
     running = [start(whole), start(shared, 2, [str(program)])]
     printed = [process.communicate(timeout=240)[0] for process in running]
     assert running[0].returncode == 0, printed[0]

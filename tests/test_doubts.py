@@ -22,10 +22,16 @@ def notes(capsys, line: str) -> list[str]:
     return output.err.splitlines()
 
 
-@pytest.mark.parametrize("change, words", [
-    (dict(slant_tan=9.46), "leans the lenses by 84 degrees; .* write its tangent, 0.166625"),
-    (dict(slant_tan=-9.46), "tangent, -0.166625"), (dict(cone_deg=0.7), "in radians, write 40.107"),
-    (dict(viewing_distance_mm=0.6), "in metres, write 600"), (dict(pixel_pitch_mm=190), "hardly the width of a pixel")])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (dict(slant_tan=9.46), "leans the lenses by 84 degrees; .* write its tangent, 0.166625"),
+        (dict(slant_tan=-9.46), "tangent, -0.166625"),
+        (dict(cone_deg=0.7), "in radians, write 40.107"),
+        (dict(viewing_distance_mm=0.6), "in metres, write 600"),
+        (dict(pixel_pitch_mm=190), "hardly the width of a pixel"),
+    ],
+)
 def test_numbers_in_other_units_are_doubted(change, words):
     (doubt,) = doubts_of_units(replace(PANEL, **change))
     assert re.search(words, doubt)
@@ -41,8 +47,11 @@ def test_commands_doubt_the_units_of_a_panel(folder, capsys):
 @pytest.mark.parametrize("ratio", [0.5, 1, 1.5, 2])
 def test_a_rig_of_a_panel_of_another_size_is_doubted(folder, capsys, ratio):
     rig = Rig.frame(scene(), PANEL)
-    scaled = replace(rig, focal_px=tuple(ratio * part for part in rig.focal_px),
-                     principal_point_px=tuple(ratio * part for part in rig.principal_point_px))
+    scaled = replace(
+        rig,
+        focal_px=tuple(ratio * part for part in rig.focal_px),
+        principal_point_px=tuple(ratio * part for part in rig.principal_point_px),
+    )
     scaled.to_yaml("r.yaml")
     for line in ("encode s.ply -o o.png", "prune s.ply -o l.ply --contribution-cut 0"):
         said = [words for words in notes(capsys, f"{line} --panel p.yaml --rig r.yaml") if "principal point" in words]
@@ -52,9 +61,15 @@ def test_a_rig_of_a_panel_of_another_size_is_doubted(folder, capsys, ratio):
 def test_cameras_of_a_panel_of_another_size_are_doubted(folder, capsys):
     cameras = Rig.frame(scene(), PANEL).cameras(PANEL)
     for ratio in (1, 2):
-        (folder / "c.json").write_text(json.dumps({
-            "world_to_camera": cameras.world_to_camera.tolist(), "focal_px": (ratio * cameras.focal_px).tolist(),
-            "principal_point_px": (ratio * cameras.principal_point_px).tolist()}))
+        (folder / "c.json").write_text(
+            json.dumps(
+                {
+                    "world_to_camera": cameras.world_to_camera.tolist(),
+                    "focal_px": (ratio * cameras.focal_px).tolist(),
+                    "principal_point_px": (ratio * cameras.principal_point_px).tolist(),
+                }
+            )
+        )
         said = notes(capsys, "encode s.ply -o o.png --panel p.yaml --method sorted --cameras c.json")
         assert [words.split(" (")[0] for words in said] == ["note: c.json: its principal point"] * (ratio == 2)
 
@@ -70,7 +85,8 @@ def test_cameras_in_the_order_of_a_quilt_are_doubted(folder, capsys, invert):
         said = notes(capsys, "encode s.ply -o o.png --panel p.yaml --method sorted --cameras c.json")
         eye, side = ("left", "right") if invert else ("right", "left")
         assert [words.split(": depth")[0] for words in said] == (step < 0) * [
-            f"note: c.json: view 0 of panel small goes to the {eye}-most eye, and camera 0 stands on the {side}"]
+            f"note: c.json: view 0 of panel small goes to the {eye}-most eye, and camera 0 stands on the {side}"
+        ]
 
 
 @pytest.mark.parametrize("method", ["direct", "sorted", "classic"])

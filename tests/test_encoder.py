@@ -76,12 +76,21 @@ def altered_rig(viewer):
 
 ALL, LISTS = set(STAGES), {"order", "bin"}
 # What is changed, and the stages that are spared then
-CHANGES = [(with_numpy, LISTS), (strong_harmonics, LISTS), (no_harmonics, LISTS), (past_autograd, set()),
-           (nearer, set()), (other_tensors, {"project", *LISTS}), (fewer, set()),
-           (other_background, {"project", *LISTS}), (turned, set()), (altered_rig, {"order"}),
-           (lambda viewer: viewer.scene.scales.mul_(0.7), {"order"}),
-           (lambda viewer: viewer.scene.opacities.mul_(0.7), {"order"}),
-           (lambda viewer: viewer.move_zero_plane(2.2), {"order"})]
+CHANGES = [
+    (with_numpy, LISTS),
+    (strong_harmonics, LISTS),
+    (no_harmonics, LISTS),
+    (past_autograd, set()),
+    (nearer, set()),
+    (other_tensors, {"project", *LISTS}),
+    (fewer, set()),
+    (other_background, {"project", *LISTS}),
+    (turned, set()),
+    (altered_rig, {"order"}),
+    (lambda viewer: viewer.scene.scales.mul_(0.7), {"order"}),
+    (lambda viewer: viewer.scene.opacities.mul_(0.7), {"order"}),
+    (lambda viewer: viewer.move_zero_plane(2.2), {"order"}),
+]
 
 
 @pytest.mark.parametrize("output", ["float32", "float64"])
@@ -133,8 +142,10 @@ def test_bad_values_are_refused_and_forgotten():
         viewer.encoder(viewer.scene)
 
 
-@pytest.mark.parametrize("name, value", [("panel", panel(views=9)), ("views", "continuous"), ("output", "uint8"),
-                                         ("quality", "fast"), ("versioned", True)])
+@pytest.mark.parametrize(
+    "name, value",
+    [("panel", panel(views=9)), ("views", "continuous"), ("output", "uint8"), ("quality", "fast"), ("versioned", True)],
+)
 def test_what_frames_are_kept_for_cannot_be_set(name, value):
     encoder = Viewer().encoder
     before = getattr(encoder, name)
@@ -154,4 +165,5 @@ def test_counters_have_lines():
     viewer = Viewer()
     viewer.draw()
     assert skips.lines(viewer.encoder.stats, viewer.scene.count) == [
-        "of 2 frames drawn without a stage anew: project 1, order 1, bin 1, composite 0"]
+        "of 2 frames drawn without a stage anew: project 1, order 1, bin 1, composite 0"
+    ]

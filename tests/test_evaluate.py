@@ -1,15 +1,16 @@
 """Scoring a network: conventions, bins, the copy baseline and the command."""
+
 import json
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from srn_scene import HEIGHT, WIDTH, look_at, write_object
+from test_model import TINY
 
 from lightfield_gs import Gaussians, InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
-from srn_scene import HEIGHT, WIDTH, look_at, write_object
-from test_model import TINY
 from training import evaluate
 from training.data.objects import read_object
 from training.data.plan import relative_cameras
@@ -36,8 +37,13 @@ def _scene() -> Gaussians:
     count = 40
     means = 0.15 * torch.randn(count, 3, generator=rng) + torch.tensor([0, 0, 1.3])
     scales = 0.03 + 0.02 * torch.rand(count, 3, generator=rng)
-    return Gaussians(means, torch.randn(count, 4, generator=rng), scales, torch.full((count,), 0.9),
-                     torch.randn(count, 1, 3, generator=rng))
+    return Gaussians(
+        means,
+        torch.randn(count, 4, generator=rng),
+        scales,
+        torch.full((count,), 0.9),
+        torch.randn(count, 1, 3, generator=rng),
+    )
 
 
 @pytest.mark.parametrize("fineness", [1, 2])
@@ -49,14 +55,14 @@ def test_the_true_scene_scores_as_well_as_8_bits_allow(tmp_path, fineness):
     intrinsics = fineness * torch.tensor([[140.0, 140.0, 64.0, 48.0]]).expand(len(ANGLES), 4)
     batched = Gaussians(*(field[None] for field in scene.fields().values()))
     black = torch.zeros(1, len(ANGLES), 3)
-    images, alpha = render_views(batched, world_to_camera[None], intrinsics[None], 128 * fineness, 96 * fineness,
-                                 black)
+    images, alpha = render_views(batched, world_to_camera[None], intrinsics[None], 128 * fineness, 96 * fineness, black)
     straight = images[0].permute(0, 2, 3, 1) / alpha[0, ..., None].clamp_min(1e-6)
     pixels = (torch.cat([straight, alpha[0, ..., None]], -1).clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     for index, picture in enumerate(pixels):
         Image.fromarray(picture).save(tmp_path / f"a/rgb/{index:06d}.png")
-    (tmp_path / "a/intrinsics.txt").write_text(f"{140 * fineness} {64 * fineness} {48 * fineness} 0\n0 0 0\n1\n"
-                                               f"{96 * fineness} {128 * fineness}\n")
+    (tmp_path / "a/intrinsics.txt").write_text(
+        f"{140 * fineness} {64 * fineness} {48 * fineness} 0\n0 0 0\n1\n{96 * fineness} {128 * fineness}\n"
+    )
     report = score_folder(KnownScene(scene), tmp_path, supersampling=fineness)
     assert report["psnr_db"] > 50 and report["ssim"] > 0.999 and report["source"]["psnr_db"] > 50
     assert report["copy_psnr_db"] < 30
@@ -106,8 +112,14 @@ def test_objects_that_cannot_be_scored_are_left_out_and_named(tmp_path, capsys):
     Image.new("RGBA", (WIDTH, HEIGHT)).save(tmp_path / "set/white/rgb/000001.png")
     report = score_folder(net, tmp_path / "set")
     assert list(report.pop("skipped")) == ["single", "white"] and alone.pop("skipped") == {} and report == alone
-    arguments = ["--data", str(tmp_path / "set"), "--checkpoint", str(tmp_path / "net.safetensors"),
-                 "--json", str(tmp_path / "scores.json")]
+    arguments = [
+        "--data",
+        str(tmp_path / "set"),
+        "--checkpoint",
+        str(tmp_path / "net.safetensors"),
+        "--json",
+        str(tmp_path / "scores.json"),
+    ]
     assert evaluate.main(arguments) == 0
     printed = capsys.readouterr()
     notes = [line for line in printed.err.splitlines() if line.startswith("note: skipped ")]
@@ -127,8 +139,14 @@ def test_scores_from_afar_are_doubted(tmp_path, capsys):
             pose = np.loadtxt(path).reshape(4, 4)
             pose[:3, 3] *= scale
             np.savetxt(path, pose.reshape(1, 16))
-    arguments = ["--data", str(tmp_path / "set"), "--checkpoint", str(tmp_path / "net.safetensors"),
-                 "--json", str(tmp_path / "scores.json")]
+    arguments = [
+        "--data",
+        str(tmp_path / "set"),
+        "--checkpoint",
+        str(tmp_path / "net.safetensors"),
+        "--json",
+        str(tmp_path / "scores.json"),
+    ]
     assert evaluate.main(arguments) == 0
     assert "note: 1 objects may be scored in vain, such as far: the cameras stand 2.60" in capsys.readouterr().err
 
@@ -184,8 +202,16 @@ def test_azimuths_of_known_cameras():
 def test_command_writes_scores_and_pictures(tmp_path, capsys):
     write_object(tmp_path / "set/a", angles=ANGLES)
     SplatterNet(ModelConfig.from_dict(TINY)).save(tmp_path / "net.safetensors")
-    arguments = ["--data", str(tmp_path / "set"), "--checkpoint", str(tmp_path / "net.safetensors"),
-                 "--save-renders", str(tmp_path / "renders"), "--json", str(tmp_path / "scores.json")]
+    arguments = [
+        "--data",
+        str(tmp_path / "set"),
+        "--checkpoint",
+        str(tmp_path / "net.safetensors"),
+        "--save-renders",
+        str(tmp_path / "renders"),
+        "--json",
+        str(tmp_path / "scores.json"),
+    ]
     assert evaluate.main(arguments) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
     metrics = {"psnr_db", "ssim", "copy_psnr_db", "copy_ssim", "card_psnr_db", "card_ssim"}
@@ -202,14 +228,22 @@ def test_objects_of_one_name_have_pictures_of_their_own(tmp_path):
     net, renders = SplatterNet(ModelConfig.from_dict(TINY)).eval(), tmp_path / "renders"
     score_folder(net, tmp_path / "set", save_renders=renders)
     assert {path.relative_to(renders).as_posix() for path in renders.rglob("*.png")} == {
-        "cars/001.png", "chairs/001.png", "one.png"}
+        "cars/001.png",
+        "chairs/001.png",
+        "one.png",
+    }
     score_folder(net, tmp_path / "set/one", save_renders=tmp_path / "single")
     assert (tmp_path / "single/one.png").exists()
 
 
-@pytest.mark.parametrize("arguments, word", [
-    (["--data", "{tmp}/none"], "no such folder"), (["--data", "{tmp}"], "no object"),
-    (["--data", "{tmp}", "--checkpoint", "{tmp}/none.safetensors"], "no such checkpoint")])
+@pytest.mark.parametrize(
+    "arguments, word",
+    [
+        (["--data", "{tmp}/none"], "no such folder"),
+        (["--data", "{tmp}"], "no object"),
+        (["--data", "{tmp}", "--checkpoint", "{tmp}/none.safetensors"], "no such checkpoint"),
+    ],
+)
 def test_command_reports_bad_input_in_one_line(tmp_path, capsys, arguments, word):
     if "--checkpoint" not in arguments:
         SplatterNet(ModelConfig.from_dict(TINY)).save(tmp_path / "net.safetensors")

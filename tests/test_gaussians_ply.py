@@ -14,15 +14,50 @@ from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.ply import write_ply
 from lightfield_gs.io.scene_file import read_scene
 
-NAMES = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
-         "rot_0", "rot_1", "rot_2", "rot_3"]
-VALUES = {"x": 1.5, "y": -2.0, "z": 3.25, "f_dc_0": 0.1, "f_dc_1": 0.2, "f_dc_2": 0.3, "opacity": 0.0,
-          "scale_0": math.log(0.5), "scale_1": math.log(0.25), "scale_2": 0.0,
-          "rot_0": 0.5, "rot_1": -0.5, "rot_2": 0.25, "rot_3": 1.0}
+NAMES = [
+    "x",
+    "y",
+    "z",
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
+    "opacity",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+    "rot_0",
+    "rot_1",
+    "rot_2",
+    "rot_3",
+]
+VALUES = {
+    "x": 1.5,
+    "y": -2.0,
+    "z": 3.25,
+    "f_dc_0": 0.1,
+    "f_dc_1": 0.2,
+    "f_dc_2": 0.3,
+    "opacity": 0.0,
+    "scale_0": math.log(0.5),
+    "scale_1": math.log(0.25),
+    "scale_2": 0.0,
+    "rot_0": 0.5,
+    "rot_1": -0.5,
+    "rot_2": 0.25,
+    "rot_3": 1.0,
+}
 
 
-def write(path, names=NAMES, rows=(VALUES,), count=None, kind="float", extra="", tail=b"",
-          first="ply\nformat binary_little_endian 1.0\n"):
+def write(
+    path,
+    names=NAMES,
+    rows=(VALUES,),
+    count=None,
+    kind="float",
+    extra="",
+    tail=b"",
+    first="ply\nformat binary_little_endian 1.0\n",
+):
     """A .ply written by hand, one row a Gaussian."""
     code = {"float": "f", "double": "d"}[kind]
     header = first + f"element vertex {len(rows) if count is None else count}\n"
@@ -34,9 +69,13 @@ def write(path, names=NAMES, rows=(VALUES,), count=None, kind="float", extra="",
 
 def random_gaussians(count=20, degree=3, seed=0) -> Gaussians:
     r = torch.Generator().manual_seed(seed)
-    return Gaussians(torch.randn(count, 3, generator=r), torch.randn(count, 4, generator=r),
-                     torch.rand(count, 3, generator=r) + 1e-3, torch.rand(count, generator=r) * 0.99 + 0.005,
-                     torch.randn(count, (degree + 1) ** 2, 3, generator=r))
+    return Gaussians(
+        torch.randn(count, 3, generator=r),
+        torch.randn(count, 4, generator=r),
+        torch.rand(count, 3, generator=r) + 1e-3,
+        torch.rand(count, generator=r) * 0.99 + 0.005,
+        torch.randn(count, (degree + 1) ** 2, 3, generator=r),
+    )
 
 
 @pytest.mark.parametrize("kind", ["float", "double"])
@@ -59,15 +98,23 @@ def test_rest_is_channel_by_channel(tmp_path):
 
 
 def test_other_elements_and_properties_are_ignored(tmp_path):
-    first = ("ply\r\nformat binary_little_endian 1.0\r\ncomment made by hand\r\nelement thing 2\r\n"
-             "property uchar a\r\nproperty short b\r\n")
+    first = (
+        "ply\r\nformat binary_little_endian 1.0\r\ncomment made by hand\r\nelement thing 2\r\n"
+        "property uchar a\r\nproperty short b\r\n"
+    )
     names = ["nx", *NAMES, "extra"]
     row = {**VALUES, "nx": math.nan, "extra": math.inf}
-    path = write(tmp_path / "a.ply", names, [row], first=first, tail=b"\x02\1\0\0\0\2\0\0\0",
-                 extra="property uchar red\nelement face 1\nproperty list uchar int v\n")
+    path = write(
+        tmp_path / "a.ply",
+        names,
+        [row],
+        first=first,
+        tail=b"\x02\1\0\0\0\2\0\0\0",
+        extra="property uchar red\nelement face 1\nproperty list uchar int v\n",
+    )
     text = path.read_bytes()
     cut = text.index(b"end_header\n") + 11
-    path.write_bytes(text[:cut] + bytes(6) + text[cut:cut + 64] + b"\xff" + text[cut + 64:])
+    path.write_bytes(text[:cut] + bytes(6) + text[cut : cut + 64] + b"\xff" + text[cut + 64 :])
     assert Gaussians.load(path).means.tolist() == [[1.5, -2.0, 3.25]]
 
 
@@ -142,8 +189,10 @@ def test_lying_files_of_other_formats(shared_dir):
 
 
 def test_comments_and_small_elements_are_kept(tmp_path):
-    first = ("ply\nformat binary_little_endian 1.0\ncomment  by M\u00fcller\u2028& end_header\n"
-             "obj_info Vertical Axis: z\nelement face 2\nproperty list uchar int v\nproperty uchar flag\n")
+    first = (
+        "ply\nformat binary_little_endian 1.0\ncomment  by M\u00fcller\u2028& end_header\n"
+        "obj_info Vertical Axis: z\nelement face 2\nproperty list uchar int v\nproperty uchar flag\n"
+    )
     extra = "element size 2\nproperty uint px\nelement big 16385\nproperty int v\n"
     path = write(tmp_path / "a.ply", first=first, extra=extra, tail=struct.pack("<2I", 640, 480) + bytes(65540) + b"\n")
     data = path.read_bytes()
@@ -181,16 +230,22 @@ BAD_HEADERS = {
     "other file": (dict(first="PNG\n"), "does not begin"),
     "missing": (dict(names=NAMES[:-2]), "missing rot_2, rot_3"),
     "odd rest": (dict(extra="property float f_rest_0\n", tail=bytes(4)), "1 properties f_rest"),
-    "gap in rest": (dict(extra="".join(f"property float f_rest_{i}\n" for i in range(1, 10)), tail=bytes(36)),
-                    "f_rest"),
+    "gap in rest": (
+        dict(extra="".join(f"property float f_rest_{i}\n" for i in range(1, 10)), tail=bytes(36)),
+        "f_rest",
+    ),
     "twice": (dict(names=NAMES + ["x"]), "twice"),
     "unknown type": (dict(extra="property quad q\n"), "header line"),
     "stray line": (dict(extra="hello\n"), "header line"),
     "list in vertex": (dict(extra="property list uchar int v\n"), "list"),
-    "lists before": (dict(first="ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uchar int v\n"),
-                     "cut or its header"),
-    "huge element before": (dict(first="ply\nformat binary_little_endian 1.0\nelement a 99999999999\nproperty int v\n"),
-                            "cut or its header"),
+    "lists before": (
+        dict(first="ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uchar int v\n"),
+        "cut or its header",
+    ),
+    "huge element before": (
+        dict(first="ply\nformat binary_little_endian 1.0\nelement a 99999999999\nproperty int v\n"),
+        "cut or its header",
+    ),
     "mesh": (dict(names=["x", "y", "z"]), "missing f_dc_0"),
 }
 
@@ -215,16 +270,17 @@ def test_values_that_have_no_meaning_are_named(tmp_path, name, value):
 
 
 def test_overflow_and_zero_rotation(tmp_path):
-    for change, words in (({"scale_1": 200.0}, "scale_1 of Gaussian 0"),
-                          (dict.fromkeys(NAMES[-4:], 0.0), "all zero")):
+    for change, words in (({"scale_1": 200.0}, "scale_1 of Gaussian 0"), (dict.fromkeys(NAMES[-4:], 0.0), "all zero")):
         with pytest.raises(InputError, match=words):
             Gaussians.load(write(tmp_path / "a.ply", rows=[{**VALUES, **change}]))
     with pytest.raises(InputError, match="x of Gaussian 0"):  # too large for float32
         Gaussians.load(write(tmp_path / "a.ply", rows=[{**VALUES, "x": 1e300}], kind="double"))
 
 
-@pytest.mark.parametrize("data", [b"", b"ply\n", b"ply\nformat binary_little_endian 1.0\nelement vertex 1\n" * 2000,
-                                  b"ply\n\xff\xfe\nend_header\n"])
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"ply\n", b"ply\nformat binary_little_endian 1.0\nelement vertex 1\n" * 2000, b"ply\n\xff\xfe\nend_header\n"],
+)
 def test_damaged_headers(tmp_path, data):
     path = tmp_path / "a.ply"
     path.write_bytes(data)
@@ -243,7 +299,7 @@ def test_damage_is_never_anything_but_an_input_error(tmp_path_factory, data):
     text = bytearray(path.read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
-    path.write_bytes(text[:data.draw(st.integers(0, len(text)))] if data.draw(st.booleans()) else text)
+    path.write_bytes(text[: data.draw(st.integers(0, len(text)))] if data.draw(st.booleans()) else text)
     try:
         Gaussians.load(path).validate()
     except InputError as error:
@@ -251,6 +307,7 @@ def test_damage_is_never_anything_but_an_input_error(tmp_path_factory, data):
 
 
 # Writing
+
 
 def test_nothing_half_written(tmp_path):
     scene = random_gaussians()
@@ -268,10 +325,18 @@ def test_nothing_half_written(tmp_path):
 
 # The dataclass
 
-@pytest.mark.parametrize("field, index, value, words", [
-    ("means", (4, 1), math.nan, r"means\[4, 1\].*finite"), ("sh", (2, 3, 0), math.inf, r"sh\[2, 3, 0\]"),
-    ("scales", (1, 2), -1.0, r"scales\[1, 2\].*> 0"), ("opacities", (7,), 1.5, r"opacities\[7\].*0..1"),
-    ("opacities", (7,), -0.1, r"opacities\[7\]"), ("quaternions", (9,), 0.0, r"quaternions\[9\].*zero")])
+
+@pytest.mark.parametrize(
+    "field, index, value, words",
+    [
+        ("means", (4, 1), math.nan, r"means\[4, 1\].*finite"),
+        ("sh", (2, 3, 0), math.inf, r"sh\[2, 3, 0\]"),
+        ("scales", (1, 2), -1.0, r"scales\[1, 2\].*> 0"),
+        ("opacities", (7,), 1.5, r"opacities\[7\].*0..1"),
+        ("opacities", (7,), -0.1, r"opacities\[7\]"),
+        ("quaternions", (9,), 0.0, r"quaternions\[9\].*zero"),
+    ],
+)
 def test_validate_names_the_first_bad_index(field, index, value, words):
     scene = random_gaussians()
     getattr(scene, field)[index] = value
@@ -279,14 +344,21 @@ def test_validate_names_the_first_bad_index(field, index, value, words):
         scene.validate()
 
 
-@pytest.mark.parametrize("change, words", [
-    (dict(means=torch.zeros(20)), "means: expected shape"), (dict(means=torch.zeros(20, 4)), "means: expected shape"),
-    (dict(quaternions=torch.zeros(19, 4)), "quaternions: expected shape"),
-    (dict(opacities=torch.zeros(20, 1)), "opacities"),
-    (dict(sh=torch.zeros(20, 3)), "sh"), (dict(sh=torch.zeros(20, 5, 3)), "1, 4, 9 or 16"),
-    (dict(scales=torch.ones(20, 3, dtype=torch.float64)), "scales: expected torch.float32"),
-    (dict(means=torch.zeros(20, 3, dtype=torch.int32)), "float32 or float64"),
-    (dict(sh=np.zeros((20, 1, 3))), "torch.Tensor"), (dict(scales=torch.ones(20, 3, device="meta")), "on cpu")])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (dict(means=torch.zeros(20)), "means: expected shape"),
+        (dict(means=torch.zeros(20, 4)), "means: expected shape"),
+        (dict(quaternions=torch.zeros(19, 4)), "quaternions: expected shape"),
+        (dict(opacities=torch.zeros(20, 1)), "opacities"),
+        (dict(sh=torch.zeros(20, 3)), "sh"),
+        (dict(sh=torch.zeros(20, 5, 3)), "1, 4, 9 or 16"),
+        (dict(scales=torch.ones(20, 3, dtype=torch.float64)), "scales: expected torch.float32"),
+        (dict(means=torch.zeros(20, 3, dtype=torch.int32)), "float32 or float64"),
+        (dict(sh=np.zeros((20, 1, 3))), "torch.Tensor"),
+        (dict(scales=torch.ones(20, 3, device="meta")), "on cpu"),
+    ],
+)
 def test_validate_layout(change, words):
     with pytest.raises(InputError, match=words):
         Gaussians(**{**random_gaussians().fields(), **change}).validate()

@@ -21,6 +21,7 @@ def background_of(*shape, dtype=torch.float64):
 
 # ---- ordinary images
 
+
 def dense_inputs(batch, views, count, degree, width, height, dtype=torch.float64, **scene):
     scenes = stacked([random_scene(count, degree, seed=10 + b, dtype=dtype, **scene) for b in range(batch)])
     pose, camera, limits = (view.to(dtype) for view in dense_views(batch, views, width, height))
@@ -41,8 +42,10 @@ def test_dense_gradcheck_of_every_output(degree):
 @pytest.mark.parametrize("size", [(37, 21), (18, 50)])
 def test_dense_gradcheck_over_tiles_scenes_and_cameras(size):
     moving, fixed = dense_inputs(2, 2, 5, 1, *size)
-    weights = [torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-               for shape in ((2, 2, size[1], size[0], 3), (2, 2, size[1], size[0]), (2, 2, size[1], size[0]))]
+    weights = [
+        torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+        for shape in ((2, 2, size[1], size[0], 3), (2, 2, size[1], size[0]), (2, 2, size[1], size[0]))
+    ]
 
     def projected(*m):
         return torch.stack([(out * weight).sum() for out, weight in zip(dense(*m, *fixed), weights)])
@@ -56,8 +59,9 @@ def test_dense_gradcheck_where_the_jacobian_is_clamped():
     slope = position[:, :2] / position[:, 2:]
     low, high = limits[0, 0, [0, 2]], limits[0, 0, [1, 3]]
     assert ((slope < low) | (slope > high)).any() and ((slope > low) & (slope < high)).any()
-    assert torch.autograd.gradcheck(lambda *m: dense(*m, camera, limits, width, height), moving, eps=1e-6, atol=1e-5,
-                                    rtol=1e-5)
+    assert torch.autograd.gradcheck(
+        lambda *m: dense(*m, camera, limits, width, height), moving, eps=1e-6, atol=1e-5, rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize("kind", ["plain", "opaque", "dark", "clamped"])
@@ -71,18 +75,22 @@ def test_dense_gradients_are_those_of_the_oracle(kind):
             moving[2] *= 3
         if kind == "dark":  # colours clamped at zero
             moving[4][:, :, 0] -= 1.5
-    got, want = (torch.autograd.grad(loss(function(*moving, *fixed)), moving)
-                 for function in (dense, reference.dense_torch))
+    got, want = (
+        torch.autograd.grad(loss(function(*moving, *fixed)), moving) for function in (dense, reference.dense_torch)
+    )
     for name, have, true in zip((*GAUSSIANS, "background", "world_to_camera"), got, want):
         assert true.abs().max() > 0, name
-        torch.testing.assert_close(have, true, rtol=1e-6, atol=1e-8 * float(true.abs().max()),
-                                   msg=lambda text: f"{name}: {text}")
+        torch.testing.assert_close(
+            have, true, rtol=1e-6, atol=1e-8 * float(true.abs().max()), msg=lambda text: f"{name}: {text}"
+        )
 
 
 def loss(outputs):
     """A number in which every pixel counts, each differently."""
-    return sum((output * torch.linspace(-1, 2, output.numel(), dtype=output.dtype).view_as(output)).sin().sum()
-               for output in outputs)
+    return sum(
+        (output * torch.linspace(-1, 2, output.numel(), dtype=output.dtype).view_as(output)).sin().sum()
+        for output in outputs
+    )
 
 
 def test_float32_gradients_are_near_the_exact_ones():
@@ -138,13 +146,18 @@ def test_dense_op_is_registered_as_torch_wants_it(dtype):
 def test_a_state_of_another_render_is_refused():
     moving, fixed = dense_inputs(1, 2, 5, 1, 12, 9)
     *images, splats, colours, lists = torch.ops.lightfield_gs.render_dense_with_state(*moving, *fixed)
-    for state in [(splats[:1], colours, lists), (splats, colours[:1], lists), (splats, colours, lists[:8]),
-                  (splats, colours, lists.int())]:
+    for state in [
+        (splats[:1], colours, lists),
+        (splats, colours[:1], lists),
+        (splats, colours, lists[:8]),
+        (splats, colours, lists.int()),
+    ]:
         with pytest.raises(InputError, match="state"):
             torch.ops.lightfield_gs.render_dense_backward(*moving, *fixed, *images, *state, *images)
 
 
 # ---- light-field images
+
 
 def lens_inputs(name, count, degree, *, continuous=False, dtype=torch.float64, scene=None, **changes):
     shown = panel(name, **changes)
@@ -168,8 +181,9 @@ def test_lens_gradcheck_of_every_subpixel(degree, continuous):
     assert torch.autograd.gradcheck(lambda *m: lens(*m, *fixed), moving, eps=1e-6, atol=1e-6, rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["leaning the other way, BGR", "inverted", "narrower than a pixel", "wide lenses",
-                                  "one view"])
+@pytest.mark.parametrize(
+    "name", ["leaning the other way, BGR", "inverted", "narrower than a pixel", "wide lenses", "one view"]
+)
 def test_lens_gradcheck_on_unusual_panels(name):
     moving, fixed, _ = lens_inputs(name, 3, 1, **SMALL)
     assert torch.autograd.gradcheck(lambda *m: lens(*m, *fixed), moving, eps=1e-6, atol=1e-6, rtol=1e-5)
@@ -179,13 +193,15 @@ def test_lens_gradcheck_on_unusual_panels(name):
 def test_lens_gradcheck_over_tiles(size):
     moving, fixed, _ = lens_inputs("default lens", 6, 1, width_px=size[0], height_px=size[1])
     weight = torch.randn(size[1], size[0], 3, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-    assert torch.autograd.gradcheck(lambda *m: (lens(*m, *fixed) * weight).sum(), moving, eps=1e-6, atol=1e-5,
-                                    rtol=1e-5)
+    assert torch.autograd.gradcheck(
+        lambda *m: (lens(*m, *fixed) * weight).sum(), moving, eps=1e-6, atol=1e-5, rtol=1e-5
+    )
 
 
 def test_lens_gradcheck_where_the_jacobian_is_clamped():
-    moving, fixed, _ = lens_inputs("default lens", 6, 1, scene=dict(extent=2.5, size=0.6), cone_deg=20.0, width_px=10,
-                                   height_px=8)
+    moving, fixed, _ = lens_inputs(
+        "default lens", 6, 1, scene=dict(extent=2.5, size=0.6), cone_deg=20.0, width_px=10, height_px=8
+    )
     assert torch.autograd.gradcheck(lambda *m: lens(*m, *fixed), moving, eps=1e-6, atol=1e-5, rtol=1e-5)
 
 
@@ -194,8 +210,9 @@ def test_lens_gradcheck_where_the_jacobian_is_clamped():
 def test_lens_gradients_are_those_of_the_oracle(kind, continuous):
     scene = dict(extent=3.0, size=0.4) if kind == "clamped" else None
     # A narrow cone, where the polynomial of the colours is exact but for rounding.
-    moving, fixed, (shown, fan) = lens_inputs("default lens", 60, 3, continuous=continuous, scene=scene, width_px=50,
-                                              height_px=40, cone_deg=12.0)
+    moving, fixed, (shown, fan) = lens_inputs(
+        "default lens", 60, 3, continuous=continuous, scene=scene, width_px=50, height_px=40, cone_deg=12.0
+    )
     with torch.no_grad():
         if kind == "opaque":
             moving[3][:] = 1
@@ -206,8 +223,9 @@ def test_lens_gradients_are_those_of_the_oracle(kind, continuous):
     want = torch.autograd.grad(loss([reference.lens_torch(*moving, shown, fan, continuous=continuous)]), moving)
     for name, have, true in zip((*GAUSSIANS, "background"), got, want):
         assert true.abs().max() > 0, name
-        torch.testing.assert_close(have, true, rtol=1e-5, atol=1e-6 * float(true.abs().max()),
-                                   msg=lambda text: f"{name}: {text}")
+        torch.testing.assert_close(
+            have, true, rtol=1e-5, atol=1e-6 * float(true.abs().max()), msg=lambda text: f"{name}: {text}"
+        )
 
 
 def test_lens_float32_gradients_are_near_the_exact_ones():

@@ -27,8 +27,18 @@ def pattern(dtype: str, channels: int = 3) -> np.ndarray:
 
 # Writing and reading
 
-@pytest.mark.parametrize("suffix, dtype", [(".png", "uint8"), (".png", "uint16"), (".tif", "uint8"),
-                                           (".tiff", "uint16"), (".tif", "float32"), (".exr", "float32")])
+
+@pytest.mark.parametrize(
+    "suffix, dtype",
+    [
+        (".png", "uint8"),
+        (".png", "uint16"),
+        (".tif", "uint8"),
+        (".tiff", "uint16"),
+        (".tif", "float32"),
+        (".exr", "float32"),
+    ],
+)
 @pytest.mark.parametrize("channels", [1, 3, 4])
 @pytest.mark.parametrize("compression", ["fast", "small"])
 def test_round_trip_is_exact(tmp_path, suffix, dtype, channels, compression):
@@ -100,12 +110,21 @@ def test_exif_orientation(tmp_path):
         assert pixels[corner].min() > 0.9 and pixels.mean() < 0.1
 
 
-@pytest.mark.parametrize("path, array, words", [
-    ("a.jpg", pattern("uint8"), "extension"), ("a", pattern("uint8"), "extension"),
-    ("none/a.png", pattern("uint8"), "no folder"), (".", pattern("uint8"), "folder"),
-    ("a.png", pattern("float32"), "takes uint8"), ("a.exr", pattern("uint8"), "takes float32"),
-    ("a.png", pattern("uint8", 2), "H, W"), ("a.png", pattern("uint8")[0], "H, W"),
-    ("a.png", pattern("uint8")[:0], "H, W"), ("a.png", np.zeros((1, 70000, 1), np.uint8), "H, W")])
+@pytest.mark.parametrize(
+    "path, array, words",
+    [
+        ("a.jpg", pattern("uint8"), "extension"),
+        ("a", pattern("uint8"), "extension"),
+        ("none/a.png", pattern("uint8"), "no folder"),
+        (".", pattern("uint8"), "folder"),
+        ("a.png", pattern("float32"), "takes uint8"),
+        ("a.exr", pattern("uint8"), "takes float32"),
+        ("a.png", pattern("uint8", 2), "H, W"),
+        ("a.png", pattern("uint8")[0], "H, W"),
+        ("a.png", pattern("uint8")[:0], "H, W"),
+        ("a.png", np.zeros((1, 70000, 1), np.uint8), "H, W"),
+    ],
+)
 def test_writing_is_refused_and_leaves_nothing(tmp_path, path, array, words):
     with pytest.raises(InputError, match=words):
         write_image(tmp_path / path, array)
@@ -122,14 +141,27 @@ def test_failure_keeps_the_old_file(tmp_path, monkeypatch):
 
 def huge_png(width: int, height: int) -> bytes:
     """A PNG of a few bytes whose header promises any size."""
+
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
     header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
 
 
-@pytest.mark.parametrize("data", [b"", b"not an image", b"\x89PNG\r\n\x1a\n", huge_png(60000, 60000), huge_png(0, 5),
-                                  huge_png(10**6, 1), huge_png(8, 8), b"\xff\xd8\xff\xe0\0\0"])
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"not an image",
+        b"\x89PNG\r\n\x1a\n",
+        huge_png(60000, 60000),
+        huge_png(0, 5),
+        huge_png(10**6, 1),
+        huge_png(8, 8),
+        b"\xff\xd8\xff\xe0\0\0",
+    ],
+)
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".exr"])
 def test_what_is_no_image(tmp_path, data, suffix, capfd):
     path = tmp_path / f"a{suffix}"
@@ -169,7 +201,7 @@ def test_cut_and_damaged_images(tmp_path, capfd):
     for name in ("a.png", "a.jpg", "a.webp", "a.tif"):
         path = tmp_path / name
         noise.save(path)
-        path.write_bytes(path.read_bytes()[:-len(path.read_bytes()) // 2])
+        path.write_bytes(path.read_bytes()[: -len(path.read_bytes()) // 2])
         with pytest.raises(InputError):
             read_image(path)
     assert capfd.readouterr().err == ""
@@ -187,6 +219,7 @@ def test_to_integers():
 
 
 # Photos
+
 
 def disc(height=120, width=160, ring=False) -> tuple[np.ndarray, np.ndarray]:
     """A red disc or ring on a noisy grey background, and its true mask."""
@@ -225,9 +258,11 @@ def test_busy_background_names_the_ways_out(tmp_path):
 
 def test_why_nothing_is_cut_out(tmp_path):
     grey, opaque, clear = np.full((50, 50, 3), 0.5), np.ones((50, 50, 1)), np.zeros((50, 50, 1))
-    for name, pixels, words in (("grey", grey, "plain and nothing stands out from it; give RGBA"),
-                                ("full", np.concatenate([grey, opaque], 2), "plain and nothing stands out"),
-                                ("clear", np.concatenate([grey, clear], 2), "its alpha is .nearly. empty")):
+    for name, pixels, words in (
+        ("grey", grey, "plain and nothing stands out from it; give RGBA"),
+        ("full", np.concatenate([grey, opaque], 2), "plain and nothing stands out"),
+        ("clear", np.concatenate([grey, clear], 2), "its alpha is .nearly. empty"),
+    ):
         save(tmp_path / f"{name}.png", pixels)
         with pytest.raises(InputError, match=f"{name}.png: .*{words}"):
             load_photo(tmp_path / f"{name}.png")
@@ -257,7 +292,7 @@ def test_channels_of_all_sorts(tmp_path, mode):
     elif mode == "1":
         picture = rgba.getchannel("A").convert("1")
     else:
-        picture = (rgba if mode in ("LA", "RGBA") else rgba.convert("RGB"))
+        picture = rgba if mode in ("LA", "RGBA") else rgba.convert("RGB")
         picture = picture.quantize(16, dither=0) if mode == "P" else picture.convert(mode)
     path = tmp_path / ("a.tif" if mode == "CMYK" else "a.png")
     picture.save(path)

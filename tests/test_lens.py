@@ -17,8 +17,9 @@ VIEWS = ("integer", "continuous")
 
 
 def oracle(gaussians, panel, rig, continuous=False, background=BACKGROUND):
-    colours, margins = reference.subpixel_colours(gaussians, panel, rig, *all_subpixels(panel), continuous=continuous,
-                                                  background=background, return_margin=True)
+    colours, margins = reference.subpixel_colours(
+        gaussians, panel, rig, *all_subpixels(panel), continuous=continuous, background=background, return_margin=True
+    )
     shape = panel.height_px, panel.width_px, 3
     return colours.reshape(shape), margins.reshape(shape)
 
@@ -87,8 +88,9 @@ def test_direct_and_classic_give_the_same_picture(scene, cone):
     shown = panel(width_px=480, height_px=240, cone_deg=cone)
     gaussians = sheet(64) if scene == "sheet" else cloud(8000)
     fan = rig(shown)
-    direct, classic = (encode(gaussians, shown, fan, method, output="float32").numpy()
-                       for method in ("direct", "classic"))
+    direct, classic = (
+        encode(gaussians, shown, fan, method, output="float32").numpy() for method in ("direct", "classic")
+    )
     off = np.argwhere(np.abs(direct - classic) > 1 / 255)
     if len(off):
         _, margin = reference.subpixel_colours(gaussians, shown, fan, *off.T, return_margin=True)
@@ -107,8 +109,9 @@ def test_short_cuts_for_narrow_cones_do_not_show(scene, cone):
 
 def test_direct_and_classic_give_the_same_harmonics():
     shown, gaussians = panel("very wide cone"), random_scene(50, 3, seed=9)
-    direct, classic = (encode(gaussians, shown, rig(shown), method, output="float64")
-                       for method in ("direct", "classic"))
+    direct, classic = (
+        encode(gaussians, shown, rig(shown), method, output="float64") for method in ("direct", "classic")
+    )
     assert (direct - classic).abs().max() < 1e-5
 
 
@@ -165,8 +168,9 @@ def test_one_gaussian(method, views):
 @pytest.mark.parametrize("method", METHODS)
 def test_same_bits_in_every_run_and_on_any_number_of_threads(method):
     shown, gaussians = panel(), cloud(3000)
-    images = [encode(gaussians, shown, rig(shown), method, output="float32", threads=threads)
-              for threads in (1, 2, 3, 2)]
+    images = [
+        encode(gaussians, shown, rig(shown), method, output="float32", threads=threads) for threads in (1, 2, 3, 2)
+    ]
     assert all(torch.equal(images[0], image) for image in images[1:])
 
 
@@ -184,8 +188,7 @@ def test_stats_tell_what_was_done(method):
     if method == "direct":
         assert 7 <= stats["gaussians_culled"] < 2000
         skipped = stats["skipped"]
-        assert skipped["gaussians"] == {"behind": 7, "faint": 0, "pruned": 0,
-                                        "outside": stats["gaussians_culled"] - 7}
+        assert skipped["gaussians"] == {"behind": 7, "faint": 0, "pruned": 0, "outside": stats["gaussians_culled"] - 7}
         assert skipped["colour_orders"] == [2000 - stats["gaussians_culled"]]
         assert skipped["tiles"]["drawn"] > 0 and skipped["lattices"] == {"fit": 0, "split": 0, "refused": 0}
 
@@ -208,10 +211,17 @@ def test_stats_count_the_sub_pixels_that_ended_early():
     assert ended > 100 and stats["skipped"]["samples_stopped"] == pytest.approx(ended, abs=2)
 
 
-@pytest.mark.parametrize("change, word", [
-    ({"method": "sorted-by-hand"}, "method"), ({"views": "some"}, "views"), ({"output": "int4"}, "output"),
-    ({"background": (1, 1)}, "background"), ({"background": (1, 1, float("nan"))}, "background"),
-    ({"threads": 0}, "threads")])
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"method": "sorted-by-hand"}, "method"),
+        ({"views": "some"}, "views"),
+        ({"output": "int4"}, "output"),
+        ({"background": (1, 1)}, "background"),
+        ({"background": (1, 1, float("nan"))}, "background"),
+        ({"threads": 0}, "threads"),
+    ],
+)
 def test_bad_options_are_named(change, word):
     shown = panel()
     options = {"method": "direct", **change}
@@ -220,8 +230,17 @@ def test_bad_options_are_named(change, word):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("field, value", [("means", float("nan")), ("scales", -1.0), ("opacities", float("inf")),
-                                          ("opacities", 1.5), ("quaternions", 0.0), ("sh", float("nan"))])
+@pytest.mark.parametrize(
+    "field, value",
+    [
+        ("means", float("nan")),
+        ("scales", -1.0),
+        ("opacities", float("inf")),
+        ("opacities", 1.5),
+        ("quaternions", 0.0),
+        ("sh", float("nan")),
+    ],
+)
 def test_bad_gaussians_are_named(field, value):
     scene, shown = random_scene(5), panel()
     scene.fields()[field][3] = value

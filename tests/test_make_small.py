@@ -1,4 +1,5 @@
 """The small set that is made by one command, and the configurations that take it."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -64,8 +65,11 @@ def test_the_same_set_every_time(small, tmp_path, capsys):
     assert main(["--output", str(tmp_path / "again"), "--objects", "1"]) == 0
     files = [sorted(path.relative_to(root) for path in root.rglob("*")) for root in (small, tmp_path / "again")]
     assert files[0] == files[1] and len(files[0]) > 60
-    assert all((small / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
-               for name in files[0] if (small / name).is_file())
+    assert all(
+        (small / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+        for name in files[0]
+        if (small / name).is_file()
+    )
     assert sum((small / name).stat().st_size for name in files[0] if (small / name).is_file()) < 300_000
     assert main(["--output", str(tmp_path / "again")]) == 2
     assert "exists: remove it" in capsys.readouterr().err
@@ -76,8 +80,10 @@ def test_nothing_is_left_of_a_set_that_cannot_be_finished(tmp_path, monkeypatch)
     def fail(*_: object, **__: object) -> None:
         raise InputError("full")
 
-    monkeypatch.setattr("training.data.make_small.draw_frames", lambda plan, _: torch.zeros(
-        1, plan.world_to_camera.shape[1], 4, SIZE_PX, SIZE_PX))
+    monkeypatch.setattr(
+        "training.data.make_small.draw_frames",
+        lambda plan, _: torch.zeros(1, plan.world_to_camera.shape[1], 4, SIZE_PX, SIZE_PX),
+    )
     monkeypatch.setattr("training.data.make_small.write_image", fail)
     with pytest.raises(InputError, match="full"):
         make_small(tmp_path / "set", 1, 1)

@@ -1,4 +1,5 @@
 """The network: its size, its untrained state, cropping, checkpoints and prediction from photos."""
+
 import subprocess
 import sys
 
@@ -16,8 +17,11 @@ from lightfield_gs.models.crop import Square, crop_resize, object_square
 from lightfield_gs.models.initializer import describe_pixels
 from lightfield_gs.models.splatter_net import PRETRAINED
 
-TINY = {"image_size_px": 32, "features": 16, "unet": {"base_channels": 8, "multipliers": [1, 2], "blocks": 1,
-                                                      "attention_px": [16], "heads": 2}}
+TINY = {
+    "image_size_px": 32,
+    "features": 16,
+    "unet": {"base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [16], "heads": 2},
+}
 
 
 def tiny_net(**changes) -> SplatterNet:
@@ -29,7 +33,7 @@ def disc(size: int = 32, colour=(0.9, 0.3, 0.1)) -> torch.Tensor:
     """Premultiplied RGBA [1,4,size,size] of a disc whose colour varies."""
     grid = (torch.arange(size) + 0.5) / size
     y, x = torch.meshgrid(grid, grid, indexing="ij")
-    alpha = (((x - 0.5) ** 2 + (y - 0.5) ** 2) < 0.36 ** 2).float()
+    alpha = (((x - 0.5) ** 2 + (y - 0.5) ** 2) < 0.36**2).float()
     return torch.stack([*(alpha * value * (0.6 + 0.4 * x) for value in colour), alpha])[None]
 
 
@@ -37,9 +41,10 @@ def central_intrinsics(size: int = 32) -> torch.Tensor:
     return torch.tensor([[1.4 * size, 1.4 * size, size / 2, size / 2]])
 
 
-@pytest.mark.parametrize("name, millions, tolerance",
-                         [("default", 6.6, 0.05), ("small", 6.5, 0.05), ("full-resolution", 6.5, 0.05),
-                          ("original", 56.4, 0.02)])
+@pytest.mark.parametrize(
+    "name, millions, tolerance",
+    [("default", 6.6, 0.05), ("small", 6.5, 0.05), ("full-resolution", 6.5, 0.05), ("original", 56.4, 0.02)],
+)
 def test_parameter_count(name, millions, tolerance):
     with torch.device("meta"):
         net = SplatterNet(ModelConfig.from_yaml(name))
@@ -92,8 +97,11 @@ def test_any_prediction_is_a_valid_scene_with_ordered_layers(seed, scale):
     assert depth.min() > 0.749 and depth.max() < 1.851
 
 
-@pytest.mark.parametrize("changes", [{"sh_degree": 3}, {"patch_px": 2}, {"composer": "absolute", "layers": 1}],
-                         ids=["harmonics", "patches", "absolute"])
+@pytest.mark.parametrize(
+    "changes",
+    [{"sh_degree": 3}, {"patch_px": 2}, {"composer": "absolute", "layers": 1}],
+    ids=["harmonics", "patches", "absolute"],
+)
 def test_symmetric_network_sees_the_mirror_image_in_a_mirror(changes):
     net = tiny_net(symmetric=True, **changes)
     torch.nn.init.normal_(net.head.weight, std=0.1)
@@ -185,6 +193,7 @@ def test_damaged_checkpoint_is_an_input_error(tmp_path, content):
 
 def test_missing_cut_or_foreign_checkpoint_is_an_input_error(tmp_path):
     from safetensors.torch import save_file
+
     with pytest.raises(InputError, match="no such"):
         SplatterNet.from_pretrained(tmp_path / "none.safetensors")
     for metadata in (None, {"lightfield_gs.model_config": "[" * 6000}):
@@ -197,14 +206,24 @@ def test_missing_cut_or_foreign_checkpoint_is_an_input_error(tmp_path):
         SplatterNet.from_pretrained(tmp_path / "cut.safetensors")
 
 
-@pytest.mark.parametrize("change, word", [({"layers": 0}, "layers"), ({"sh_degree": 4}, "sh_degree"),
-                                          ({"colour": 1}, "colour"), ({"image_size_px": 30}, "image_size_px"),
-                                          ({"near": 2.0}, "base_depth"),
-                                          ({"unet": {"heads": 3}}, "heads"), ({"unet": {"blocks": "two"}}, "blocks"),
-                                          ({"unet": 5}, "unet"), ({"layers": True}, "layers"),
-                                          ({"unet": {"base_channels": 1 << 40}}, "base_channels"),
-                                          ({"unet": {"base_channels": 3, "heads": 1}}, "base_channels"),
-                                          ({"near": "0.5"}, "near"), ({"composer": "sum"}, "composer")])
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"layers": 0}, "layers"),
+        ({"sh_degree": 4}, "sh_degree"),
+        ({"colour": 1}, "colour"),
+        ({"image_size_px": 30}, "image_size_px"),
+        ({"near": 2.0}, "base_depth"),
+        ({"unet": {"heads": 3}}, "heads"),
+        ({"unet": {"blocks": "two"}}, "blocks"),
+        ({"unet": 5}, "unet"),
+        ({"layers": True}, "layers"),
+        ({"unet": {"base_channels": 1 << 40}}, "base_channels"),
+        ({"unet": {"base_channels": 3, "heads": 1}}, "base_channels"),
+        ({"near": "0.5"}, "near"),
+        ({"composer": "sum"}, "composer"),
+    ],
+)
 def test_bad_configuration_names_the_field(change, word):
     with pytest.raises(InputError, match=word):
         ModelConfig.from_dict(change)
@@ -213,7 +232,7 @@ def test_bad_configuration_names_the_field(change, word):
 @pytest.mark.parametrize("shape", [(40, 90, 4), (21, 15, 4), (300, 200, 4)])
 def test_predict_takes_any_photo(shape):
     photo = np.zeros(shape, np.float32)
-    photo[shape[0] // 4:, shape[1] // 3:] = (0.2, 0.7, 0.4, 1)
+    photo[shape[0] // 4 :, shape[1] // 3 :] = (0.2, 0.7, 0.4, 1)
     gaussians = tiny_net().predict(photo).validate()
     assert gaussians.means.dim() == 2 and gaussians.count > 0
     assert 0.75 < gaussians.means[:, 2].median() < 1.85
@@ -221,10 +240,17 @@ def test_predict_takes_any_photo(shape):
     assert gaussians.means[:, :2].mean(0).abs().max() < 0.05
 
 
-@pytest.mark.parametrize("photo, word", [
-    (np.zeros((8, 8, 3), np.float32), "H,W,4"), (np.zeros((8, 8, 4), np.uint16), "65535"),
-    (np.full((8, 8, 4), 2, np.float32), "0..1"), (np.zeros((8, 8, 4), np.float32), "mask"),
-    (np.full((8, 8, 4), np.nan, np.float32), "finite"), (np.zeros((0, 8, 4), np.float32), "H,W,4")])
+@pytest.mark.parametrize(
+    "photo, word",
+    [
+        (np.zeros((8, 8, 3), np.float32), "H,W,4"),
+        (np.zeros((8, 8, 4), np.uint16), "65535"),
+        (np.full((8, 8, 4), 2, np.float32), "0..1"),
+        (np.zeros((8, 8, 4), np.float32), "mask"),
+        (np.full((8, 8, 4), np.nan, np.float32), "finite"),
+        (np.zeros((0, 8, 4), np.float32), "H,W,4"),
+    ],
+)
 def test_predict_refuses_what_is_no_photo(photo, word):
     with pytest.raises(InputError, match=word):
         tiny_net().predict(photo)
@@ -240,7 +266,9 @@ def test_pretrained_checkpoint_is_small_and_works():
 
 
 def test_package_import_leaves_network_and_training_tools_out():
-    code = ("import sys, lightfield_gs; left_out = 'lightfield_gs.models', 'training', 'jsonargparse', 'tensorboard', "
-            "'safetensors'; print([m for m in left_out if m in sys.modules])")
+    code = (
+        "import sys, lightfield_gs; left_out = 'lightfield_gs.models', 'training', 'jsonargparse', 'tensorboard', "
+        "'safetensors'; print([m for m in left_out if m in sys.modules])"
+    )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"

@@ -14,8 +14,16 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
 from lightfield_gs.paths import config_names
 
-TOY = dict(width_px=8, height_px=7, views=8, lens_pitch_mm=0.60, slant_tan=1 / 6, viewing_distance_mm=1000,
-           lens_gap_mm=2, pixel_pitch_mm=3 * 0.06)
+TOY = dict(
+    width_px=8,
+    height_px=7,
+    views=8,
+    lens_pitch_mm=0.60,
+    slant_tan=1 / 6,
+    viewing_distance_mm=1000,
+    lens_gap_mm=2,
+    pixel_pitch_mm=3 * 0.06,
+)
 TEMPLATE = {"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136, "screenW": 7680, "screenH": 4320}
 
 
@@ -36,8 +44,16 @@ def test_toy_lens():
     assert views[6, :3].tolist() == [[2, 3, 3], [4, 5, 6], [7, 7, 0]]
 
 
-@pytest.mark.parametrize("index, printed", [((0, 3, 1), "7.875401"), ((0, 3, 2), "0.662941"), ((1, 0, 0), "0.393770"),
-                                            ((2, 1, 0), "3.150160"), ((6, 7, 2), "4.476042")])
+@pytest.mark.parametrize(
+    "index, printed",
+    [
+        ((0, 3, 1), "7.875401"),
+        ((0, 3, 2), "0.662941"),
+        ((1, 0, 0), "0.393770"),
+        ((2, 1, 0), "3.150160"),
+        ((6, 7, 2), "4.476042"),
+    ],
+)
 def test_toy_lens_continuous(index, printed):
     assert f"{Panel.from_physical(**TOY).view_map(continuous=True)[index]:.6f}" == printed
 
@@ -52,22 +68,40 @@ def test_looking_glass_template(tmp_path):
     assert f"{panel.phase:.12f}" == "-2161.204484657574"
     assert panel.pixel_pitch_mm == 25.4 / 136
     x = panel.view_map(continuous=True)
-    for (col, row), printed in {(0, 0): "43.18984 33.44195 23.69405", (1, 0): "13.94616 4.19827 90.45037",
-                                (0, 1): "38.31589 28.56800 18.82011",
-                                (3840, 2160): "3.73937 89.99148 80.24358"}.items():
+    for (col, row), printed in {
+        (0, 0): "43.18984 33.44195 23.69405",
+        (1, 0): "13.94616 4.19827 90.45037",
+        (0, 1): "38.31589 28.56800 18.82011",
+        (3840, 2160): "3.73937 89.99148 80.24358",
+    }.items():
         assert " ".join(f"{96 - value:.5f}" for value in x[row, col]) == printed
 
 
-CELLS = [{f"{colour}Offset{axis}": value for colour, place in zip("RGB", cell) for axis, value in zip("XY", place)}
-         for cell in rasterizer_cases.CELLS]
-THIRD = {"pitch": 44.750583, "slope": -6.874566, "center": 0.169358, "DPI": 283, "screenW": 3840, "screenH": 2160,
-         "CellPatternMode": 2, "subpixelCells": CELLS}
+CELLS = [
+    {f"{colour}Offset{axis}": value for colour, place in zip("RGB", cell) for axis, value in zip("XY", place)}
+    for cell in rasterizer_cases.CELLS
+]
+THIRD = {
+    "pitch": 44.750583,
+    "slope": -6.874566,
+    "center": 0.169358,
+    "DPI": 283,
+    "screenW": 3840,
+    "screenH": 2160,
+    "CellPatternMode": 2,
+    "subpixelCells": CELLS,
+}
 
 
 def test_looking_glass_of_the_third_generation():
     lkg = 47 - Panel.from_looking_glass(THIRD, views=48).view_map()
-    for (col, row), printed in {(0, 0): [14, 10, 11], (1, 0): [6, 1, 4], (0, 1): [13, 8, 10], (1, 1): [5, 0, 3],
-                                (100, 50): [24, 20, 21]}.items():
+    for (col, row), printed in {
+        (0, 0): [14, 10, 11],
+        (1, 0): [6, 1, 4],
+        (0, 1): [13, 8, 10],
+        (1, 1): [5, 0, 3],
+        (100, 50): [24, 20, 21],
+    }.items():
         assert lkg[row, col].tolist() == printed
 
 
@@ -77,8 +111,12 @@ def looking_glass_views(calibration, cell, views, col, row, channel):
     w, h, sign = c["screenW"], c["screenH"], -1 if c.get("flipImageX") else 1
     u, v, tilt = (col + 0.5) / w, (h - row - 0.5) / h, sign * h / (w * c["slope"])
     if calibration.get("subpixelCells"):
-        cells = np.array([[[one[f"{colour}Offset{axis}"] for axis in "XY"] for colour in "RGB"]
-                          for one in calibration["subpixelCells"]])
+        cells = np.array(
+            [
+                [[one[f"{colour}Offset{axis}"] for axis in "XY"] for colour in "RGB"]
+                for one in calibration["subpixelCells"]
+            ]
+        )
         x, y = cells[cell, channel].T
         u, v = u + x / w, v + y / h
     else:
@@ -87,13 +125,20 @@ def looking_glass_views(calibration, cell, views, col, row, channel):
     return views * (1 - (a - np.floor(a)))
 
 
-@pytest.mark.parametrize("change, cell", [
-    ({}, lambda x, y: x % 2), ({"CellPatternMode": 0}, lambda x, y: 0 * x),
-    ({"CellPatternMode": 1}, lambda x, y: (x + y) % 2), ({"CellPatternMode": 4}, lambda x, y: y % 2),
-    ({"CellPatternMode": 3, "subpixelCells": CELLS + CELLS[::-1]}, lambda x, y: (y + 2 * (x % 2)) % 4),
-    ({"flipImageX": 1}, lambda x, y: x % 2), ({"subpixelCells": [], "CellPatternMode": 0}, None),
-    ({"subpixelCells": [], "CellPatternMode": 0, "flipImageX": 1}, None),
-    ({"subpixelCells": [], "CellPatternMode": 0, "flipImageX": 1, "flipSubp": 1}, None)])
+@pytest.mark.parametrize(
+    "change, cell",
+    [
+        ({}, lambda x, y: x % 2),
+        ({"CellPatternMode": 0}, lambda x, y: 0 * x),
+        ({"CellPatternMode": 1}, lambda x, y: (x + y) % 2),
+        ({"CellPatternMode": 4}, lambda x, y: y % 2),
+        ({"CellPatternMode": 3, "subpixelCells": CELLS + CELLS[::-1]}, lambda x, y: (y + 2 * (x % 2)) % 4),
+        ({"flipImageX": 1}, lambda x, y: x % 2),
+        ({"subpixelCells": [], "CellPatternMode": 0}, None),
+        ({"subpixelCells": [], "CellPatternMode": 0, "flipImageX": 1}, None),
+        ({"subpixelCells": [], "CellPatternMode": 0, "flipImageX": 1, "flipSubp": 1}, None),
+    ],
+)
 def test_looking_glass_formula(change, cell):
     calibration = {**THIRD, **change}
     panel = Panel.from_looking_glass(calibration, views=48)
@@ -107,8 +152,9 @@ def test_looking_glass_formula(change, cell):
 
 def test_a_mirrored_looking_glass_may_gain_half_a_lens():
     mirrored = {**TEMPLATE, "flipImageX": 1}
-    plain, moved = (Panel.from_looking_glass(mirrored, flip_center=by).view_map(continuous=True)[0, 0, 0]
-                    for by in (0, 0.5))
+    plain, moved = (
+        Panel.from_looking_glass(mirrored, flip_center=by).view_map(continuous=True)[0, 0, 0] for by in (0, 0.5)
+    )
     assert (moved - plain) % 96 == pytest.approx(48)
 
 
@@ -125,15 +171,23 @@ def test_looking_glass_options_and_errors():
     panel = Panel.from_looking_glass(options, views=48)
     assert (panel.views, panel.cone_deg, panel.subpixel_order, panel.invert_views) == (48, 54, "BGR", False)
     assert Panel.from_looking_glass({**TEMPLATE, "invView": 0}).invert_views
-    for change, word in (({"pitch": "x"}, "pitch"), ({"DPI": 0}, "DPI"), ({"slope": 0}, "slope"),
-                         ({"flipImageY": 1}, "flipImageY"), ({"fringe": 0.5}, "fringe"),
-                         ({"verticalAngle": 1.57}, "verticalAngle"), ({"center": math.nan}, "center"),
-                         ({"CellPatternMode": 7}, "CellPatternMode 7 is not known"),
-                         ({"CellPatternMode": 2}, "no subpixelCells"), ({"subpixelCells": [{}]}, "missing ROffsetX"),
-                         ({"subpixelCells": "none"}, "must be a list"), ({"subpixelCells": [3]}, "must be an object"),
-                         ({"subpixelCells": CELLS, "CellPatternMode": 3}, "needs 4"),
-                         ({"subpixelCells": CELLS, "flipSubp": 1}, "flipSubp"),
-                         ({"screenW": 0}, "width_px")):
+    for change, word in (
+        ({"pitch": "x"}, "pitch"),
+        ({"DPI": 0}, "DPI"),
+        ({"slope": 0}, "slope"),
+        ({"flipImageY": 1}, "flipImageY"),
+        ({"fringe": 0.5}, "fringe"),
+        ({"verticalAngle": 1.57}, "verticalAngle"),
+        ({"center": math.nan}, "center"),
+        ({"CellPatternMode": 7}, "CellPatternMode 7 is not known"),
+        ({"CellPatternMode": 2}, "no subpixelCells"),
+        ({"subpixelCells": [{}]}, "missing ROffsetX"),
+        ({"subpixelCells": "none"}, "must be a list"),
+        ({"subpixelCells": [3]}, "must be an object"),
+        ({"subpixelCells": CELLS, "CellPatternMode": 3}, "needs 4"),
+        ({"subpixelCells": CELLS, "flipSubp": 1}, "flipSubp"),
+        ({"screenW": 0}, "width_px"),
+    ):
         with pytest.raises(InputError, match=word):
             Panel.from_looking_glass({**TEMPLATE, **change})
     with pytest.raises(InputError, match="missing pitch"):
@@ -147,13 +201,18 @@ def test_default_panel_is_the_template_lens():
     assert panel.pixel_pitch_mm == 25.4 / 136 and panel.viewing_distance_mm == 2000
 
 
-@pytest.mark.parametrize("name, measures", [
-    ("4k-71v", dict(lens_pitch_mm=0.48, lens_gap_mm=0.55, viewing_distance_mm=600, pixel_pitch_mm=0.09)),
-    ("toy-8v", dict(lens_pitch_mm=0.6, lens_gap_mm=2, viewing_distance_mm=1000, pixel_pitch_mm=0.18))])
+@pytest.mark.parametrize(
+    "name, measures",
+    [
+        ("4k-71v", dict(lens_pitch_mm=0.48, lens_gap_mm=0.55, viewing_distance_mm=600, pixel_pitch_mm=0.09)),
+        ("toy-8v", dict(lens_pitch_mm=0.6, lens_gap_mm=2, viewing_distance_mm=1000, pixel_pitch_mm=0.18)),
+    ],
+)
 def test_profile_follows_from_its_measures(name, measures):
     panel = Panel.load(name)
-    made = Panel.from_physical(width_px=panel.width_px, height_px=panel.height_px, views=panel.views, slant_tan=1 / 6,
-                               name=name, **measures)
+    made = Panel.from_physical(
+        width_px=panel.width_px, height_px=panel.height_px, views=panel.views, slant_tan=1 / 6, name=name, **measures
+    )
     assert panel == made
 
 
@@ -163,10 +222,15 @@ def test_all_profiles_load():
 
 
 PANELS = st.builds(
-    Panel, width_px=st.integers(1, 40), height_px=st.integers(1, 40), views=st.integers(1, 200),
-    line_number=st.one_of(st.floats(0.5, 60), st.integers(1, 20).map(float)), slant_tan=st.floats(-1, 1),
+    Panel,
+    width_px=st.integers(1, 40),
+    height_px=st.integers(1, 40),
+    views=st.integers(1, 200),
+    line_number=st.one_of(st.floats(0.5, 60), st.integers(1, 20).map(float)),
+    slant_tan=st.floats(-1, 1),
     phase=st.one_of(st.floats(-1e5, 1e5), st.integers(-100, 100).map(float)),
-    subpixel_order=st.sampled_from(["RGB", "BGR"]))
+    subpixel_order=st.sampled_from(["RGB", "BGR"]),
+)
 
 
 @settings(max_examples=150, deadline=None)
@@ -216,8 +280,18 @@ def test_bgr_mirrors_the_places():
 
 
 def test_yaml_round_trip(tmp_path):
-    panel = Panel(width_px=123, height_px=45, views=6, line_number=1e-3 / 3 + 7, slant_tan=-1e-05, phase=-1 / 3e7,
-                  subpixel_order="BGR", invert_views=True, cone_deg=1 / 3, name="odd one")
+    panel = Panel(
+        width_px=123,
+        height_px=45,
+        views=6,
+        line_number=1e-3 / 3 + 7,
+        slant_tan=-1e-05,
+        phase=-1 / 3e7,
+        subpixel_order="BGR",
+        invert_views=True,
+        cone_deg=1 / 3,
+        name="odd one",
+    )
     panel.to_yaml(tmp_path / "p.yaml")
     assert Panel.load(tmp_path / "p.yaml") == panel
 
@@ -229,22 +303,40 @@ def test_yaml_without_the_optional_fields(tmp_path):
     assert panel.viewing_distance_mm is None and panel.name == "small" and panel.subpixel_order == "RGB"
 
 
-@pytest.mark.parametrize("change, words", [
-    (dict(width_px=0), "width_px"), (dict(width_px=70000), "width_px"), (dict(height_px=-3), "height_px"),
-    (dict(height_px=1.5), "whole number"), (dict(views=0), "views"), (dict(views=math.nan), "views"),
-    (dict(views=math.inf), "views"), (dict(views=True), "views"),
-    (dict(line_number=0), "line_number"), (dict(line_number=-9.8), "line_number"),
-    (dict(line_number=math.nan), "line_number"), (dict(line_number=math.inf), "line_number"),
-    (dict(line_number="wide"), "line_number"), (dict(line_number=None), "line_number"),
-    (dict(slant_tan=99), "slant_tan"), (dict(phase=math.nan), "phase"), (dict(cone_deg=0), "cone_deg"),
-    (dict(cone_deg=180), "cone_deg"), (dict(subpixel_order="GRB"), "subpixel_order"),
-    (dict(invert_views="no"), "invert_views"), (dict(viewing_distance_mm=0), "viewing_distance_mm"),
-    (dict(pixel_pitch_mm=-1), "pixel_pitch_mm"), (dict(cell_pattern=1), "without subpixel_cells"),
-    (dict(subpixel_cells=[[0, 1, 2]]), "subpixel_cells"), (dict(subpixel_cells="RGB"), "subpixel_cells"),
-    (dict(subpixel_cells=rasterizer_cases.CELLS, cell_pattern=5), "cell_pattern"),
-    (dict(subpixel_cells=rasterizer_cases.CELLS, cell_rule="apple"), "cell_rule"),
-    (dict(subpixel_cells=rasterizer_cases.CELLS, cell_rows=0), "cell_rows"),
-    (dict(subpixel_cells=rasterizer_cases.CELLS, subpixel_order="BGR"), "subpixel_order")])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (dict(width_px=0), "width_px"),
+        (dict(width_px=70000), "width_px"),
+        (dict(height_px=-3), "height_px"),
+        (dict(height_px=1.5), "whole number"),
+        (dict(views=0), "views"),
+        (dict(views=math.nan), "views"),
+        (dict(views=math.inf), "views"),
+        (dict(views=True), "views"),
+        (dict(line_number=0), "line_number"),
+        (dict(line_number=-9.8), "line_number"),
+        (dict(line_number=math.nan), "line_number"),
+        (dict(line_number=math.inf), "line_number"),
+        (dict(line_number="wide"), "line_number"),
+        (dict(line_number=None), "line_number"),
+        (dict(slant_tan=99), "slant_tan"),
+        (dict(phase=math.nan), "phase"),
+        (dict(cone_deg=0), "cone_deg"),
+        (dict(cone_deg=180), "cone_deg"),
+        (dict(subpixel_order="GRB"), "subpixel_order"),
+        (dict(invert_views="no"), "invert_views"),
+        (dict(viewing_distance_mm=0), "viewing_distance_mm"),
+        (dict(pixel_pitch_mm=-1), "pixel_pitch_mm"),
+        (dict(cell_pattern=1), "without subpixel_cells"),
+        (dict(subpixel_cells=[[0, 1, 2]]), "subpixel_cells"),
+        (dict(subpixel_cells="RGB"), "subpixel_cells"),
+        (dict(subpixel_cells=rasterizer_cases.CELLS, cell_pattern=5), "cell_pattern"),
+        (dict(subpixel_cells=rasterizer_cases.CELLS, cell_rule="apple"), "cell_rule"),
+        (dict(subpixel_cells=rasterizer_cases.CELLS, cell_rows=0), "cell_rows"),
+        (dict(subpixel_cells=rasterizer_cases.CELLS, subpixel_order="BGR"), "subpixel_order"),
+    ],
+)
 def test_nonsense_is_refused(change, words):
     good = dict(width_px=8, height_px=7, views=8, line_number=10.0, slant_tan=0.1)
     with pytest.raises(InputError, match=words) as caught:
@@ -252,12 +344,21 @@ def test_nonsense_is_refused(change, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text, words", [
-    ("width: 3\n", "did you mean 'width_px'"), ("[1, 2]\n", "mapping"), ("a: [", "not YAML"), ("", "mapping"),
-    ("width_px: 3\nheight_px: 2\nviews: 4\nslant_tan: 0\n", "missing line_number"),
-    ("width_px: 3\nheight_px: 2\nviews: 4\nviews: 5\nline_number: 5\nslant_tan: 0\n", "'views' twice"),
-    ("width_px: 010\n", "'010' is a different number"), ("width_px: 1:30\n", "'1:30' is a"),
-    ("line_number: 1_0.5\n", "'1_0.5' is a"), ("width_px: &a [1]\nheight_px: *a\n", "aliases")])
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("width: 3\n", "did you mean 'width_px'"),
+        ("[1, 2]\n", "mapping"),
+        ("a: [", "not YAML"),
+        ("", "mapping"),
+        ("width_px: 3\nheight_px: 2\nviews: 4\nslant_tan: 0\n", "missing line_number"),
+        ("width_px: 3\nheight_px: 2\nviews: 4\nviews: 5\nline_number: 5\nslant_tan: 0\n", "'views' twice"),
+        ("width_px: 010\n", "'010' is a different number"),
+        ("width_px: 1:30\n", "'1:30' is a"),
+        ("line_number: 1_0.5\n", "'1_0.5' is a"),
+        ("width_px: &a [1]\nheight_px: *a\n", "aliases"),
+    ],
+)
 def test_bad_yaml(tmp_path, text, words):
     path = tmp_path / "p.yaml"
     path.write_text(text)

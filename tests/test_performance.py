@@ -27,12 +27,18 @@ TARGET = "SSE4"
 COUNTERS = ("pairs", "evaluations", "work_bytes", "gaussians_culled")
 MORE, LESS = 1.02, 0.9  # compilers round differently; what does with much less wants its figures renewed
 SLOWER, ATTEMPTS = 1.5, 3  # of ratios of times; with more runs by turns each time
-FRAMES = {f"{scene} {cone} degrees {method}": (scene, cone, method)
-          for scene in ("sheet:96", "cloud:20000") for cone in (5.0, 40.0) for method in ("direct", "sorted")}
+FRAMES = {
+    f"{scene} {cone} degrees {method}": (scene, cone, method)
+    for scene in ("sheet:96", "cloud:20000")
+    for cone in (5.0, 40.0)
+    for method in ("direct", "sorted")
+}
 PANEL = Panel(width_px=640, height_px=320, views=96, line_number=9.848282191911, slant_tan=1 / 6, cone_deg=40.0)
 
-pytestmark = pytest.mark.skipif(platform.machine() != "x86_64" or TARGET not in build_info()["simd_targets"],
-                                reason=f"figures are of the {TARGET} code")
+pytestmark = pytest.mark.skipif(
+    platform.machine() != "x86_64" or TARGET not in build_info()["simd_targets"],
+    reason=f"figures are of the {TARGET} code",
+)
 
 
 def draw(scene, cone, method, **options):
@@ -60,11 +66,15 @@ def training_step():
 # How many times as long the second takes as the first
 RATIOS = {
     "classic / direct, narrow": (lambda: draw("sheet:96", 5.0, "direct"), lambda: draw("sheet:96", 5.0, "classic")),
-    "classic / direct, wide": (lambda: draw("cloud:20000", 40.0, "direct"),
-                               lambda: draw("cloud:20000", 40.0, "classic")),
+    "classic / direct, wide": (
+        lambda: draw("cloud:20000", 40.0, "direct"),
+        lambda: draw("cloud:20000", 40.0, "classic"),
+    ),
     "classic / sorted": (lambda: draw("sheet:96", 40.0, "sorted"), lambda: draw("sheet:96", 40.0, "classic")),
-    "exact / direct": (lambda: draw("sheet:96", 40.0, "direct"),
-                       lambda: draw("sheet:96", 40.0, "direct", output="float64")),
+    "exact / direct": (
+        lambda: draw("sheet:96", 40.0, "direct"),
+        lambda: draw("sheet:96", 40.0, "direct", output="float64"),
+    ),
     "classic / training step": (training_step, lambda: draw("sheet:96", 5.0, "classic")),
 }
 
@@ -104,6 +114,8 @@ def test_no_method_has_become_slower_beside_another(name):
 if __name__ == "__main__":
     if sys.argv[1:] != ["--renew"]:
         sys.exit(__doc__)
-    figures = {"counters": {frame: counted(frame) for frame in FRAMES},
-               "ratios": {name: round(ratio(name), 2) for name in RATIOS}}
+    figures = {
+        "counters": {frame: counted(frame) for frame in FRAMES},
+        "ratios": {name: round(ratio(name), 2) for name in RATIOS},
+    }
     STORED.write_text(json.dumps(figures, indent=1) + "\n")

@@ -19,8 +19,7 @@ from lightfield_gs.preview import to_integers
 SWAPPED = matrix_profile(SRGB_GREEN, SRGB_RED, SRGB_BLUE, name="swapped")
 
 
-@pytest.mark.parametrize("suffix, options", [("png", {}), ("jpg", {}), ("tif", {}),
-                                             ("webp", {"lossless": True})])
+@pytest.mark.parametrize("suffix, options", [("png", {}), ("jpg", {}), ("tif", {}), ("webp", {"lossless": True})])
 def test_an_embedded_profile_is_honoured(tmp_path, suffix, options):
     found = photo(save(tmp_path / f"a.{suffix}", picture(colour=(0.8, 0.3, 0.1)), icc_profile=SWAPPED, **options))
     assert np.abs(found.pixels[130, 170, :3] / 255 - [0.3, 0.8, 0.1])[:2].max() < 0.02
@@ -44,8 +43,11 @@ def chunk(kind: bytes, data: bytes) -> bytes:
 def test_a_png_without_a_profile_has_its_gamma_or_a_note(tmp_path):
     stored = save(tmp_path / "a.png", picture(colour=(0.5, 0.1, 0.1))).read_bytes()
     p3 = struct.pack(">8I", 31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000)
-    for extra, word in ((chunk(b"gAMA", struct.pack(">I", 100000)), ""), (chunk(b"cHRM", p3), "other primary colours"),
-                        (chunk(b"cICP", bytes([9, 16, 0, 1])), "CICP 9/16")):
+    for extra, word in (
+        (chunk(b"gAMA", struct.pack(">I", 100000)), ""),
+        (chunk(b"cHRM", p3), "other primary colours"),
+        (chunk(b"cICP", bytes([9, 16, 0, 1])), "CICP 9/16"),
+    ):
         (tmp_path / "a.png").write_bytes(stored[:33] + extra + stored[33:])
         found = photo(tmp_path / "a.png")
         assert [word in note for note in found.notes] == ([True] if word else [])
@@ -84,6 +86,7 @@ def test_linear_files_are_encoded_as_a_photo_is(tmp_path):
 
 
 # AVIF and HEIC
+
 
 @pytest.mark.skipif(not features.check("avif"), reason="this Pillow reads no AVIF")
 def test_avif_is_read_upright(tmp_path):

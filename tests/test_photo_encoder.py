@@ -11,8 +11,13 @@ from photo_cases import PANEL, photo, psnr_db, tiny_net
 
 from lightfield_gs import InputError, PhotoEncoder, Rig, encode
 from lightfield_gs.models import SplatterNet
-from lightfield_gs.models.crop import (crop_resize, crop_resize_on_device, has_object, object_square,
-                                       object_square_on_device)
+from lightfield_gs.models.crop import (
+    crop_resize,
+    crop_resize_on_device,
+    has_object,
+    object_square,
+    object_square_on_device,
+)
 from lightfield_gs.models.splatter_net import PRETRAINED
 
 
@@ -57,9 +62,15 @@ def test_what_is_not_seen_does_not_move_the_rig():
     assert (images[0] - images[1]).abs().max() <= 1
 
 
-@pytest.mark.parametrize("rgba, word", [
-    (np.zeros((8, 8, 3), np.float32), "H,W,4"), (np.zeros((8, 8, 4), np.int32), "65535"),
-    (np.zeros((8, 8, 4), np.uint8), "mask"), (np.full((8, 8, 4), np.nan, np.float32), "finite")])
+@pytest.mark.parametrize(
+    "rgba, word",
+    [
+        (np.zeros((8, 8, 3), np.float32), "H,W,4"),
+        (np.zeros((8, 8, 4), np.int32), "65535"),
+        (np.zeros((8, 8, 4), np.uint8), "mask"),
+        (np.full((8, 8, 4), np.nan, np.float32), "finite"),
+    ],
+)
 def test_what_is_no_photo_is_refused_and_the_next_is_drawn(rgba, word):
     encoder = PhotoEncoder(tiny_net(), PANEL)
     with pytest.raises(InputError, match=word):
@@ -85,8 +96,9 @@ def test_the_crop_on_a_device_is_that_of_the_host(height, width, seed):
     assert has_object(image[3])
     square, there = object_square(image[3]), object_square_on_device(image[3])
     assert square == type(square)(int(there.left), int(there.top), int(there.side))
-    torch.testing.assert_close(crop_resize_on_device(image, there, 32), crop_resize(image, square, 32),
-                               atol=2e-5, rtol=0)
+    torch.testing.assert_close(
+        crop_resize_on_device(image, there, 32), crop_resize(image, square, 32), atol=2e-5, rtol=0
+    )
 
 
 @pytest.mark.skipif(not PRETRAINED.exists(), reason="this checkout has no trained checkpoint")

@@ -1,4 +1,5 @@
 """Faults of photographs on input pictures, and errors of poses."""
+
 import numpy as np
 import torch
 
@@ -36,8 +37,8 @@ def test_blur_has_the_width_that_it_says():
         found = photographed(point, _faults(2, blur=deviation))[1]
         place = torch.arange(33) - 16.0
         torch.testing.assert_close(found.sum((1, 2)), torch.ones(4), atol=1e-4, rtol=0)
-        variance = (found[3].sum(0) * place ** 2).sum()
-        assert abs(float(variance) - deviation ** 2) < 0.05
+        variance = (found[3].sum(0) * place**2).sum()
+        assert abs(float(variance) - deviation**2) < 0.05
 
 
 def test_noise_has_the_strength_that_it_says_and_stays_on_the_object():
@@ -89,6 +90,6 @@ def test_pose_errors_turn_the_other_cameras_a_little(small_set):
     exact, wrong = (_planner(small_set, pose_error_deg=limit).plan(1, 8, 8, 16).world_to_camera for limit in (0.0, 0.5))
     assert torch.equal(exact[:, 0], wrong[:, 0])
     turn = (wrong @ torch.linalg.inv(exact))[:, 1:]
-    angle = torch.rad2deg(torch.linalg.matrix_norm(turn[..., :3, :3] - torch.eye(3)) / 2 ** 0.5)
-    assert 0.05 < angle.max() < 0.5 * 3 ** 0.5 + 1e-3
+    angle = torch.rad2deg(torch.linalg.matrix_norm(turn[..., :3, :3] - torch.eye(3)) / 2**0.5)
+    assert 0.05 < angle.max() < 0.5 * 3**0.5 + 1e-3
     torch.testing.assert_close(turn[..., :3, 3], torch.zeros(*turn.shape[:2], 3), atol=1e-5, rtol=0)  # about themselves

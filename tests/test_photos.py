@@ -17,11 +17,13 @@ from lightfield_gs.io.pieces import Pieces
 from lightfield_gs.models.crop import Square, object_square
 from lightfield_gs.preview import to_integers
 
+
 def square_of(path) -> Square:
     return object_square(torch.from_numpy(load_photo(path)[..., 3]))
 
 
 # The object, and what lies beside it
+
 
 def spoiled(what: str) -> np.ndarray:
     values = picture()
@@ -53,8 +55,10 @@ def test_pieces_of_the_object_stay(tmp_path):
     cut_out[10:13, 300:303, 3] = 1
     found = photo(save(tmp_path / "b.png", cut_out))
     assert np.array_equal(found.pixels[..., 3] > 0, mask)
-    assert found.said == [f"cut out by its alpha, fills {mask.mean():.1%} of the picture, 225 x 79 pixels, in 8 pieces "
-                          "(specks beside it left out: 1)"]
+    assert found.said == [
+        f"cut out by its alpha, fills {mask.mean():.1%} of the picture, 225 x 79 pixels, in 8 pieces "
+        "(specks beside it left out: 1)"
+    ]
 
 
 @pytest.mark.parametrize("diagonal", [False, True])
@@ -70,8 +74,12 @@ def test_pieces_are_connected_pixels(diagonal):
             grown[tuple(np.argwhere(left)[0])] = True
             for _ in range(flags.size):
                 padded = np.pad(grown, 1)
-                near = [padded[1 + y:14 + y, 1 + x:18 + x] for y in (-1, 0, 1) for x in (-1, 0, 1)
-                        if diagonal or y == 0 or x == 0]
+                near = [
+                    padded[1 + y : 14 + y, 1 + x : 18 + x]
+                    for y in (-1, 0, 1)
+                    for x in (-1, 0, 1)
+                    if diagonal or y == 0 or x == 0
+                ]
                 grown = np.any(near, 0) & flags
             index = next(i for i, mask in enumerate(masks) if np.array_equal(mask, grown))
             assert pieces.masses(values)[index] == pytest.approx(values[grown].sum())
@@ -111,12 +119,13 @@ def test_white_before_white_is_refused(tmp_path, what, suffix):
 
 
 def test_soft_shadows_are_no_part_of_the_object(tmp_path):
-    values = picture() - 0.25 * np.exp(-((ROWS - 190) / 15) ** 2 - ((COLUMNS - 210) / 60) ** 2)[..., None]
+    values = picture() - 0.25 * np.exp(-(((ROWS - 190) / 15) ** 2) - ((COLUMNS - 210) / 60) ** 2)[..., None]
     alpha = load_photo(save(tmp_path / "a.png", values.clip(0, 1)))[..., 3]
     assert alpha[THING].min() == 1 and alpha[:150][~THING[:150]].max() == 0
 
 
 # Masks, and how they lie
+
 
 def turned_photo(path, orientation=6, shape=(60, 80)) -> np.ndarray:
     """A photo whose stored pixels [H, W] are turned; where it shows what, as stored."""
@@ -159,16 +168,20 @@ def test_masks_of_few_levels(tmp_path):
 
 # The command
 
+
 def test_encode_says_what_it_took_the_photo_for(folder, capsys):
     tiny_net().save("n.safetensors")
     turned_photo(folder / "a.jpg")
     Image.fromarray((np.arange(60 * 80).reshape(60, 80) % 80 > 40).astype(np.uint8)).save("m.png")
     out = run(capsys, "encode a.jpg --mask m.png -o o.png --panel p.yaml --checkpoint n.safetensors").splitlines()
-    assert out[0] == ("a.jpg: 60 x 80, turned by its Exif orientation 6, m.png turned with it, a mask of 0 and 1, cut "
-                      "out by m.png, fills 48.8% of the picture, 60 x 39 pixels")
+    assert out[0] == (
+        "a.jpg: 60 x 80, turned by its Exif orientation 6, m.png turned with it, a mask of 0 and 1, cut "
+        "out by m.png, fills 48.8% of the picture, 60 x 39 pixels"
+    )
 
 
 # Large photos
+
 
 def test_strips_change_nothing(tmp_path, monkeypatch):
     """What keeps 50 megapixels small: the same, a few rows at a time."""

@@ -1,4 +1,5 @@
 """Sets as people have them: Exif orientations, masks, file names of other systems, lens distortion, contact sheets."""
+
 from __future__ import annotations
 
 import shutil
@@ -7,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from srn_scene import FOCAL, HEIGHT, WIDTH, write_object
+from transforms_scene import CAMERA, edit, write_transforms
 
 from lightfield_gs.errors import InputError
-from srn_scene import FOCAL, HEIGHT, WIDTH, write_object
 from training.data.images import find_cutout, read_view
 from training.data.lens import COEFFICIENTS, distorted, share_beyond
 from training.data.objects import read_object
 from training.data.validate import main, problems
-from transforms_scene import CAMERA, edit, write_transforms
 
 ORIENTATION = 0x0112
 
@@ -43,18 +44,21 @@ def test_poses_are_of_the_pixels_as_stored(tmp_path, camera, capsys):
 def test_cameras_of_the_turned_pictures_are_refused(tmp_path):
     _write_set(tmp_path / "a", 8, {**CAMERA, "w": HEIGHT, "h": WIDTH, "cx": 24, "cy": 32})
     for line in problems([tmp_path / "a/transforms.json"]):
-        assert all(word in line for word in ("transforms.json: w, h", "48 x 64", "64 x 48", "Exif orientation 8",
-                                             "auto-orient"))
+        assert all(
+            word in line
+            for word in ("transforms.json: w, h", "48 x 64", "64 x 48", "Exif orientation 8", "auto-orient")
+        )
 
 
 def _mask(index: int, scale: int = 255) -> np.ndarray:
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
-    mask[10:30, 10 + index:40] = scale
+    mask[10:30, 10 + index : 40] = scale
     return mask
 
 
-@pytest.mark.parametrize("name", ["masks/{stem}.png", "masks/{stem}.png.png", "masks/transforms/{stem}.PNG",
-                                  "m/{stem}.png"])
+@pytest.mark.parametrize(
+    "name", ["masks/{stem}.png", "masks/{stem}.png.png", "masks/transforms/{stem}.PNG", "m/{stem}.png"]
+)
 def test_masks_are_used(tmp_path, name):
     """Those that the file names, or else those in masks/; of values 0 and 1 too, and as stored like the images."""
     pictures = _write_set(tmp_path / "a", 6)
@@ -65,8 +69,10 @@ def test_masks_are_used(tmp_path, name):
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(_mask(index, 255 if index % 2 else 1)).save(path, exif=exif)
     if name.startswith("m/"):
-        edit(tmp_path / "a/transforms.json", lambda data: [
-            frame.update(mask_path=f".\\m\\{index:06d}") for index, frame in enumerate(data["frames"])])
+        edit(
+            tmp_path / "a/transforms.json",
+            lambda data: [frame.update(mask_path=f".\\m\\{index:06d}") for index, frame in enumerate(data["frames"])],
+        )
     views = read_object(tmp_path / "a/transforms.json")
     assert find_cutout(views).by == "masks"
     for index, picture in enumerate(pictures):
@@ -97,8 +103,10 @@ def test_names_of_other_systems(tmp_path):
     for path in list((tmp_path / "a/Images").iterdir()):
         path.rename(path.with_suffix(".PNG"))
     names = [".\\images\\000000.png", "images\\000001", "./Images/000002", "Images/000003.png"]
-    edit(tmp_path / "a/transforms.json", lambda data: [
-        frame.update(file_path=name) for frame, name in zip(data["frames"], names)])
+    edit(
+        tmp_path / "a/transforms.json",
+        lambda data: [frame.update(file_path=name) for frame, name in zip(data["frames"], names)],
+    )
     file = tmp_path / "a/transforms.json"
     file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
     views = read_object(file)
@@ -115,10 +123,12 @@ LENS = dict(zip(COEFFICIENTS, (-0.21, 0.05, -0.02, 0.01, 0.004, -0.006)))
 def test_lens_model_is_the_formula():
     """Term by term, in Python's own numbers."""
     for x, y in ((0.3, -0.2), (-0.45, 0.1), (0.0, 0.6)):
-        r2 = x ** 2 + y ** 2
-        radial = 1 + LENS["k1"] * r2 + LENS["k2"] * r2 ** 2 + LENS["k3"] * r2 ** 3 + LENS["k4"] * r2 ** 4
-        expected = (x * radial + 2 * LENS["p1"] * x * y + LENS["p2"] * (r2 + 2 * x ** 2),
-                    y * radial + LENS["p1"] * (r2 + 2 * y ** 2) + 2 * LENS["p2"] * x * y)
+        r2 = x**2 + y**2
+        radial = 1 + LENS["k1"] * r2 + LENS["k2"] * r2**2 + LENS["k3"] * r2**3 + LENS["k4"] * r2**4
+        expected = (
+            x * radial + 2 * LENS["p1"] * x * y + LENS["p2"] * (r2 + 2 * x**2),
+            y * radial + LENS["p1"] * (r2 + 2 * y**2) + 2 * LENS["p2"] * x * y,
+        )
         np.testing.assert_allclose(distorted(np.array([x, y]), np.array([*LENS.values()])), expected, rtol=1e-14)
 
 
@@ -167,7 +177,7 @@ def test_how_much_of_a_picture_is_beyond_the_undistorted_one():
     assert share_beyond(intrinsics, none, 64, 48) == 0
     k1 = np.array([-0.3, 0, 0, 0, 0, 0])
     # In the middle of each side the frame ends at r (1 + k1 r^2) of the stored picture, in corners at less.
-    sides = [r * (1 - 0.3 * r ** 2) / r for r in (32 / 70, 24 / 70)]
+    sides = [r * (1 - 0.3 * r**2) / r for r in (32 / 70, 24 / 70)]
     assert 1 - sides[0] * sides[1] < share_beyond(intrinsics, k1, 64, 48) < 0.25
 
 
@@ -187,7 +197,7 @@ def test_contact_sheet_shows_what_is_left_out(tmp_path, capsys):
     row, scale = 96 + 14 + 4, 2
     for column in range(4):
         top, left = row + 14, 4 + column * 132
-        thumb = pixels[top:top + 96:scale, left:left + 128:scale]
+        thumb = pixels[top : top + 96 : scale, left : left + 128 : scale]
         frame = read_view(views, column)
         np.testing.assert_array_equal(thumb[frame[..., 3] == 255], frame[frame[..., 3] == 255][:, :3])
         outside = thumb[frame[..., 3] == 0]

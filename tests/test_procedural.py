@@ -1,11 +1,13 @@
 """Procedural objects: pictures that are true to their geometry, and the same whatever process draws them."""
+
 import dataclasses
 
 import numpy as np
 import pytest
 import torch
 
-from training.data import plan as plan_module, procedural
+from training.data import plan as plan_module
+from training.data import procedural
 from training.data.batches import make_batch
 from training.data.cache import load_set
 from training.data.plan import Augmentation, BatchPlanner, made_up
@@ -13,7 +15,7 @@ from training.data.procedural import draw_pictures, steps_of_block
 from training.data.procedural_plan import CELLS, DISTANCE, NUMBERS, ProceduralPlan, draw_objects, orbit
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
-from training.data.superquadrics import SHAPE, lies_inside, lengths, profile_points, section_points
+from training.data.superquadrics import SHAPE, lengths, lies_inside, profile_points, section_points
 
 CONE_DEG = (30.0, 12.0)
 
@@ -27,15 +29,22 @@ def _plan(count: int, sizes: tuple[int, int] = (32, 32), views: int = 3, seed: i
 def _random_parts(count: int) -> dict[str, torch.Tensor]:
     """Numbers of SHAPE, but for the placement, of parts of all kinds."""
     u = torch.from_numpy(np.random.default_rng(1).random((8, count)))
-    return {"half": (0.05 + 0.3 * u[:3]).T, "hole": torch.where(u[3] < 0.4, 0.5 + u[3], 0.0), "profile": 1.2 + 9 * u[4],
-            "section": 1.2 + 7 * u[5], "taper": 0.8 * (2 * u[6] - 1), "wave": 0.1 * u[7], "waves": 1 + 6 * u[0],
-            "bend": 0.3 * u[1]}
+    return {
+        "half": (0.05 + 0.3 * u[:3]).T,
+        "hole": torch.where(u[3] < 0.4, 0.5 + u[3], 0.0),
+        "profile": 1.2 + 9 * u[4],
+        "section": 1.2 + 7 * u[5],
+        "taper": 0.8 * (2 * u[6] - 1),
+        "wave": 0.1 * u[7],
+        "waves": 1 + 6 * u[0],
+        "bend": 0.3 * u[1],
+    }
 
 
 def _field(part: dict[str, torch.Tensor], points: torch.Tensor) -> torch.Tensor:
     """Barr's inside-outside function with his taper and bend undone: 1 on the surface."""
     x, y, z = (points / part["half"]).unbind(-1)
-    x = x - part["bend"] * (z ** 2 - 0.5) / part["half"][..., 0]
+    x = x - part["bend"] * (z**2 - 0.5) / part["half"][..., 0]
     growth = 1 + part["taper"] * z + part["wave"] * torch.cos(part["waves"] * z)
     section = ((x / growth).abs() ** part["section"] + (y / growth).abs() ** part["section"]) ** (1 / part["section"])
     ring = ((section - part["hole"]) / (1 - part["hole"])).abs()
@@ -80,20 +89,38 @@ def _ball(centre: tuple[float, float, float], radius: float, plan: ProceduralPla
     """The plan with its first object replaced by a ball, all others left out."""
     side, number = 60, torch.arange(60)
     part = {name: torch.zeros(()) for name in SHAPE} | {
-        "half": torch.full((3,), radius), "profile": torch.tensor(2.0), "section": torch.tensor(2.0)}
+        "half": torch.full((3,), radius),
+        "profile": torch.tensor(2.0),
+        "section": torch.tensor(2.0),
+    }
 
     def curve(points):
         before, middle, after = (points(part, (number + place) / side) for place in (0, 0.5, 1))
         return torch.cat([middle, after - before], -1)
 
     numbers = {name: [0.0] * count for name, count in {**SHAPE, **CELLS}.items()} | {
-        "matrix": torch.eye(3).flatten().tolist(), "centre": centre, "half": [radius] * 3, "profile": [2.0],
-        "section": [2.0], "sense": [1.0], "columns": [float(side)]}
+        "matrix": torch.eye(3).flatten().tolist(),
+        "centre": centre,
+        "half": [radius] * 3,
+        "profile": [2.0],
+        "section": [2.0],
+        "sense": [1.0],
+        "columns": [float(side)],
+    }
     rows = [torch.tensor([sum((list(numbers[name]) for name in layout), [])])[None] for layout in (SHAPE, CELLS)]
-    one = {field.name: value[:1] for field in dataclasses.fields(plan)
-           if isinstance(value := getattr(plan, field.name), torch.Tensor)}
-    one |= {"ends": torch.tensor([[side * side]]), "shapes": rows[0], "cells": rows[1], "looks": plan.looks[:1, :1],
-            "profiles": curve(profile_points), "sections": curve(section_points)}
+    one = {
+        field.name: value[:1]
+        for field in dataclasses.fields(plan)
+        if isinstance(value := getattr(plan, field.name), torch.Tensor)
+    }
+    one |= {
+        "ends": torch.tensor([[side * side]]),
+        "shapes": rows[0],
+        "cells": rows[1],
+        "looks": plan.looks[:1, :1],
+        "profiles": curve(profile_points),
+        "sections": curve(section_points),
+    }
     return dataclasses.replace(plan, surfels=side * side, **one)
 
 
@@ -143,8 +170,11 @@ def test_unseen_surfels_make_no_difference(monkeypatch):
     kept = procedural._visible(surfels, plan)
     assert kept["filled"].sum() < 0.8 * plan.ends[:, -1].sum()
     real = surfels["part"] < plan.ends.shape[1]
-    everything = {name: torch.where(real[..., None], values, values[:, :1])  # spare ones repeat the first
-                  for name, values in surfels.items() if name != "part"}
+    everything = {
+        name: torch.where(real[..., None], values, values[:, :1])  # spare ones repeat the first
+        for name, values in surfels.items()
+        if name != "part"
+    }
     everything |= {"part": torch.where(real, surfels["part"], 0), "filled": real.float()}
     monkeypatch.setattr(procedural, "_visible", lambda *_: everything)
     assert (draw_pictures(plan)[0] - expected).abs().mean() < 0.01
@@ -192,8 +222,9 @@ def test_shares_make_up_the_whole_step(small_set, share):
 
 
 def test_stored_views_stay_the_same_beside_procedural_objects(small_set):
-    alone, beside = (make_batch(_planner(small_set, share).plan(3, 12, 4, 16), _planner(small_set, 0).views)
-                     for share in (0.0, 0.5))
+    alone, beside = (
+        make_batch(_planner(small_set, share).plan(3, 12, 4, 16), _planner(small_set, 0).views) for share in (0.0, 0.5)
+    )
     torch.testing.assert_close(beside.source[:2], alone.source[np.flatnonzero(~made_up(4, 0.5))])
 
 
@@ -216,8 +247,10 @@ def test_objects_of_several_steps_are_drawn_at_once(small_set, monkeypatch):
     batches = [make_batch(plan, planner.views) for plan in plans]
     assert drawn == [2 * steps, 2 * steps]
     monkeypatch.setattr(plan_module, "steps_of_block", lambda objects: 1)
-    alone = [make_batch(_planner(small_set, 0.5).plan(step, count * step, count, 16), planner.views)
-             for step in range(steps - 2, steps + 1)]
+    alone = [
+        make_batch(_planner(small_set, 0.5).plan(step, count * step, count, 16), planner.views)
+        for step in range(steps - 2, steps + 1)
+    ]
     assert drawn[2:] == [2, 2, 2]
     for found, expected in zip(batches, alone):
         for a, b in zip(vars(found).values(), vars(expected).values()):
@@ -233,7 +266,9 @@ def test_compiled_objects_are_the_same_and_compiled_once(small_set):
     torch.compiler.reset()
     with torch._dynamo.config.patch(error_on_recompile=True):
         for step in (0, steps_of_block(2), 2 * steps_of_block(2)):
-            expected, found = (make_batch(planner.plan(step, 4 * step, 4, 16), planner.views, compiled)
-                               for planner, compiled in ((_planner(small_set, 0.5), flag) for flag in (False, True)))
+            expected, found = (
+                make_batch(planner.plan(step, 4 * step, 4, 16), planner.views, compiled)
+                for planner, compiled in ((_planner(small_set, 0.5), flag) for flag in (False, True))
+            )
             for a, b in zip(vars(found).values(), vars(expected).values()):
                 assert (a - b).abs().mean() < 1e-4  # a surfel at the border of seen and unseen may fall to either side

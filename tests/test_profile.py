@@ -1,12 +1,13 @@
 """The parts of a training step and their times."""
+
 import time
 
 import pytest
 import torch
+from training_runs import run_config
 
 from training import profile
 from training.marks import PartTime, StepMarks
-from training_runs import run_config
 
 PARTS = ["batch", "network", "rasterizer", "loss", "loss backward", "rasterizer backward", "network backward", "update"]
 

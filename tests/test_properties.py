@@ -22,15 +22,21 @@ def real(low, high):
 @st.composite
 def scenes(draw, least=0):
     """Of any size, degree, place and shape; some behind, some with a field at an end of its range."""
-    scene = random_scene(draw(st.integers(least, 30)), draw(st.integers(0, 3)), draw(st.integers(0, 10**6)),
-                         depth=draw(real(-1, 6)), extent=draw(real(1e-6, 3)), size=10**draw(real(-6, 1)),
-                         dtype=torch.float32)
+    scene = random_scene(
+        draw(st.integers(least, 30)),
+        draw(st.integers(0, 3)),
+        draw(st.integers(0, 10**6)),
+        depth=draw(real(-1, 6)),
+        extent=draw(real(1e-6, 3)),
+        size=10 ** draw(real(-6, 1)),
+        dtype=torch.float32,
+    )
     if draw(st.booleans()):
         scene.opacities[:] = draw(st.sampled_from([0.0, 1e-30, 1 / 255, 0.99, 1.0]))
     if draw(st.booleans()):
-        scene.scales[:, draw(st.integers(0, 2))] *= 10**draw(real(-6, 2))
+        scene.scales[:, draw(st.integers(0, 2))] *= 10 ** draw(real(-6, 2))
     if draw(st.booleans()):
-        scene.quaternions *= 10**draw(real(-15, 15))
+        scene.quaternions *= 10 ** draw(real(-15, 15))
     return scene
 
 
@@ -38,18 +44,34 @@ def scenes(draw, least=0):
 def panels(draw, **changes):
     slant = draw(st.one_of(st.just(0.0), real(-3, 3)))
     line_number = draw(st.one_of(real(0.5, 60), real(1e-2, 1e4)))
-    return Panel(**{**dict(
-        width_px=draw(st.integers(1, 40)), height_px=draw(st.integers(1, 30)), views=draw(st.integers(1, 300)),
-        line_number=line_number, slant_tan=slant, phase=draw(real(-1e4, 1e4)), cone_deg=draw(real(0.1, 120)),
-        subpixel_order=draw(st.sampled_from(["RGB", "BGR"])), invert_views=draw(st.booleans())), **changes})
+    return Panel(
+        **{
+            **dict(
+                width_px=draw(st.integers(1, 40)),
+                height_px=draw(st.integers(1, 30)),
+                views=draw(st.integers(1, 300)),
+                line_number=line_number,
+                slant_tan=slant,
+                phase=draw(real(-1e4, 1e4)),
+                cone_deg=draw(real(0.1, 120)),
+                subpixel_order=draw(st.sampled_from(["RGB", "BGR"])),
+                invert_views=draw(st.booleans()),
+            ),
+            **changes,
+        }
+    )
 
 
 @st.composite
 def rigs(draw, shown):
     focal = draw(real(0.3, 4)) * max(shown.width_px, shown.height_px)
-    return Rig(turned_pose(draw(real(-3, 3)), draw(real(-1, 1))), (focal, focal * draw(real(0.5, 2))),
-               (shown.width_px * draw(real(-0.5, 1.5)), shown.height_px * draw(real(-0.5, 1.5))), draw(real(0.1, 10)),
-               draw(st.none() | real(0.1, 120)))
+    return Rig(
+        turned_pose(draw(real(-3, 3)), draw(real(-1, 1))),
+        (focal, focal * draw(real(0.5, 2))),
+        (shown.width_px * draw(real(-0.5, 1.5)), shown.height_px * draw(real(-0.5, 1.5))),
+        draw(real(0.1, 10)),
+        draw(st.none() | real(0.1, 120)),
+    )
 
 
 backgrounds = st.tuples(real(0, 1), real(0, 1), real(0, 1))
@@ -66,8 +88,15 @@ def compare(found, want, margin, bound, settled):
 def test_encode(data):
     scene, shown, background = data.draw(scenes()), data.draw(panels()), data.draw(backgrounds)
     fan, views = data.draw(rigs(shown)), data.draw(st.sampled_from(["integer", "continuous"]))
-    want, margin = reference.subpixel_colours(scene, shown, fan, *all_subpixels(shown), background=background,
-                                              continuous=views == "continuous", return_margin=True)
+    want, margin = reference.subpixel_colours(
+        scene,
+        shown,
+        fan,
+        *all_subpixels(shown),
+        background=background,
+        continuous=views == "continuous",
+        return_margin=True,
+    )
     shared = dict(views=views, background=background)
     # The colours of direct are polynomials over the rig, whose error it estimates
     exact = encode(scene, shown, fan, output="float64", stats=(stats := {}), **shared)
@@ -89,8 +118,9 @@ def test_render_and_interlace(data):
     cameras = data.draw(rigs(shown)).cameras(shown)
     image, alpha, depth = render(scene.to(torch.float64), cameras, background=background, alpha=True, depth=True)
     for camera in range(3):
-        want, margin = reference.pixel_colours(scene, cameras, camera, *all_subpixels(shown), background=background,
-                                               return_margin=True)
+        want, margin = reference.pixel_colours(
+            scene, cameras, camera, *all_subpixels(shown), background=background, return_margin=True
+        )
         compare(image[camera].ravel(), want, margin, EXACT, CERTAIN)
     assert torch.isfinite(depth).all() and ((0 <= alpha) & (alpha <= 1)).all()
     seen = depth[alpha > 1e-6]
@@ -105,8 +135,15 @@ def test_render_and_interlace(data):
 @TRIED
 @given(data=st.data())
 def test_a_picture_through_the_lenses_lies_within_its_colours(data):
-    shown = data.draw(panels(width_px=60, height_px=40, line_number=data.draw(real(1.5, 10)),
-                             viewing_distance_mm=data.draw(real(100, 5000)), pixel_pitch_mm=data.draw(real(0.02, 0.5))))
+    shown = data.draw(
+        panels(
+            width_px=60,
+            height_px=40,
+            line_number=data.draw(real(1.5, 10)),
+            viewing_distance_mm=data.draw(real(100, 5000)),
+            pixel_pitch_mm=data.draw(real(0.02, 0.5)),
+        )
+    )
     colours = np.random.default_rng(data.draw(st.integers(0, 99))).integers(0, 256, (40, 60, 3), dtype=np.uint8)
     eye = [data.draw(real(-500, 500)), data.draw(real(-500, 500)), data.draw(real(50, 5000))]
     spread = data.draw(real(0.2, 5))
@@ -156,7 +193,7 @@ def test_gaussians_survive_their_file(data, tmp_path_factory):
 @given(data=st.data())
 def test_a_depth_map_becomes_gaussians_at_its_points(data):
     height, width, seed = data.draw(st.integers(1, 24)), data.draw(st.integers(1, 24)), data.draw(st.integers(0, 10**6))
-    random, far = np.random.default_rng(seed), 10**data.draw(real(-6, 6))
+    random, far = np.random.default_rng(seed), 10 ** data.draw(real(-6, 6))
     image = random.uniform(0, 1, (height, width, data.draw(st.sampled_from([3, 4])))).astype(np.float32)
     depth = (far * random.choice([1.0, 1.1, 5.0, 0.0], (height, width), p=[0.5, 0.3, 0.1, 0.1])).astype(np.float32)
     depth[0, 0], image[0, 0] = far, 1

@@ -68,17 +68,24 @@ def test_the_command_is_the_library_call(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     scene, shown = cloud(2000), panel(width_px=160, height_px=80)
     scene.save("scene.ply"), shown.to_yaml("panel.yaml")
-    assert cli.main("prune scene.ply -o less.ply --panel panel.yaml --contribution-cut 0.01 --save-rig r.yaml "
-                    "--device cpu".split()) == 0
+    assert (
+        cli.main(
+            "prune scene.ply -o less.ply --panel panel.yaml --contribution-cut 0.01 --save-rig r.yaml "
+            "--device cpu".split()
+        )
+        == 0
+    )
     stored = Gaussians.load("scene.ply")
     fan = Rig.from_yaml("r.yaml")
     expected = prune(stored, shown, fan, 0.01)
     assert torch.equal(Gaussians.load("less.ply").means, expected.means) and 0 < expected.count < 2000
     assert f"{expected.count} of 2000 Gaussians" in capsys.readouterr().out
-    for line, words in (("prune scene.ply -o less.png", "ends in .ply"), ("prune no.ply -o a.ply", "no.ply"),
-                        ("prune scene.ply -o a.ply --contribution-cut 2", "0..1"),
-                        ("prune scene.ply -o a.ply --panel panel.yaml --contribution-cut 1 --save-rig a.yaml",
-                         "nothing would be left")):
+    for line, words in (
+        ("prune scene.ply -o less.png", "ends in .ply"),
+        ("prune no.ply -o a.ply", "no.ply"),
+        ("prune scene.ply -o a.ply --contribution-cut 2", "0..1"),
+        ("prune scene.ply -o a.ply --panel panel.yaml --contribution-cut 1 --save-rig a.yaml", "nothing would be left"),
+    ):
         assert cli.main(line.split()) == 2 and words in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["less.ply", "panel.yaml", "r.yaml", "scene.ply"]
     assert np.allclose(fan.world_to_camera, Rig.frame(stored, shown).world_to_camera)

@@ -19,9 +19,13 @@ from lightfield_gs.rig import Rig
 
 
 def fields(count=3, dtype=torch.float32) -> dict[str, Tensor]:
-    return {"means": torch.ones(count, 3, dtype=dtype), "quaternions": torch.ones(count, 4, dtype=dtype),
-            "scales": torch.ones(count, 3, dtype=dtype), "opacities": torch.ones(count, dtype=dtype),
-            "sh": torch.zeros(count, 4, 3, dtype=dtype)}
+    return {
+        "means": torch.ones(count, 3, dtype=dtype),
+        "quaternions": torch.ones(count, 4, dtype=dtype),
+        "scales": torch.ones(count, 3, dtype=dtype),
+        "opacities": torch.ones(count, dtype=dtype),
+        "sh": torch.zeros(count, 4, 3, dtype=dtype),
+    }
 
 
 def test_the_package_says_that_it_is_typed():
@@ -42,20 +46,32 @@ def test_python_m_is_the_command_line():
 
 
 def test_options_are_words_that_checkers_know():
-    for call, named in ((encode, {"method": options.Method, "views": options.Views, "output": options.Output}),
-                        (Encoder.__init__, {"views": options.Views, "output": options.Output}),
-                        (PhotoEncoder.__init__, {"views": options.Views, "output": options.Output}),
-                        (Panel, {"subpixel_order": options.SubpixelOrder, "cell_rule": options.CellRule,
-                                 "cell_rows": options.CellRows})):
+    for call, named in (
+        (encode, {"method": options.Method, "views": options.Views, "output": options.Output}),
+        (Encoder.__init__, {"views": options.Views, "output": options.Output}),
+        (PhotoEncoder.__init__, {"views": options.Views, "output": options.Output}),
+        (
+            Panel,
+            {"subpixel_order": options.SubpixelOrder, "cell_rule": options.CellRule, "cell_rows": options.CellRows},
+        ),
+    ):
         hints = typing.get_type_hints(call)
         assert {name: hints[name] for name in named} == named
     assert typing.get_type_hints(encode)["quality"] == options.QualityName | Quality
     assert tuple(QUALITIES) == options.QUALITY_NAMES and tuple(images._SETTINGS) == options.COMPRESSIONS
 
 
-@pytest.mark.parametrize("option, words", [
-    ("method", options.METHODS), ("views", options.VIEWS), ("quality", options.QUALITY_NAMES),
-    ("compression", options.COMPRESSIONS), ("device", options.DEVICES), ("depth-kind", options.DEPTH_KINDS)])
+@pytest.mark.parametrize(
+    "option, words",
+    [
+        ("method", options.METHODS),
+        ("views", options.VIEWS),
+        ("quality", options.QUALITY_NAMES),
+        ("compression", options.COMPRESSIONS),
+        ("device", options.DEVICES),
+        ("depth-kind", options.DEPTH_KINDS),
+    ],
+)
 def test_the_command_line_takes_the_same_words(option, words):
     for word in words:
         args = build_parser().parse_args(["encode", "s.ply", "-o", "o.png", f"--{option}", word])
@@ -75,7 +91,7 @@ def test_what_render_returns_is_known_before_it_runs():
     for alpha in (False, True):
         for depth in (False, True):
             made = render(scene, cameras, alpha=alpha, depth=depth)
-            kinds = (type(made) if isinstance(made, Tensor) else tuple[tuple(map(type, made))])
+            kinds = type(made) if isinstance(made, Tensor) else tuple[tuple(map(type, made))]
             assert declared.pop((typing.Literal[alpha], typing.Literal[depth])) == kinds
     assert declared == {(bool, bool): Tensor | tuple[Tensor, ...]}
 

@@ -14,16 +14,33 @@ from lightfield_gs.quality import QUALITIES
 from lightfield_gs.reference_blend import ALPHA_MIN
 
 FLOAT_ERROR = 2e-4  # of exact float32 frames, and more where a sample sits on a threshold
-LENSES = ["default lens", "narrow cone", "leaning the other way, BGR", "narrower than a sub-pixel", "one view",
-          "one row", "one column", "one pixel", "inverted"]
+LENSES = [
+    "default lens",
+    "narrow cone",
+    "leaning the other way, BGR",
+    "narrower than a sub-pixel",
+    "one view",
+    "one row",
+    "one column",
+    "one pixel",
+    "inverted",
+]
 
 
 def errors(scene, shown, fan, quality, views="integer", **stats) -> tuple[np.ndarray, np.ndarray]:
     """|image - oracle| and the oracle's margins, of every sub-pixel."""
-    image = encode(scene, shown, fan, quality=quality, views=views, background=(0.1, 0.5, 0.9), output="float32",
-                   **stats)
-    colours, margins = reference.subpixel_colours(scene, shown, fan, *all_subpixels(shown), background=(0.1, 0.5, 0.9),
-                                                  continuous=views == "continuous", return_margin=True)
+    image = encode(
+        scene, shown, fan, quality=quality, views=views, background=(0.1, 0.5, 0.9), output="float32", **stats
+    )
+    colours, margins = reference.subpixel_colours(
+        scene,
+        shown,
+        fan,
+        *all_subpixels(shown),
+        background=(0.1, 0.5, 0.9),
+        continuous=views == "continuous",
+        return_margin=True,
+    )
     return np.abs(image.numpy().ravel() - colours), margins
 
 
@@ -45,8 +62,20 @@ def test_contribution_cut(name, other):
     cut = 2.2 * 320 / pixels  # for each 2.2 pixels; a speck is one of a variance of 0.3 px^2
     scene = Gaussians(*(torch.cat(pair).float() for pair in zip(specks.fields().values(), large.fields().values())))
     stats = {}
-    images = [encode(scene, shown, fan, quality=Quality(**other, **knob), background=(0.1, 0.5, 0.9), output="float32",
-                     stats=stats).numpy().ravel() for knob in ({}, dict(contribution_cut=cut))]
+    images = [
+        encode(
+            scene,
+            shown,
+            fan,
+            quality=Quality(**other, **knob),
+            background=(0.1, 0.5, 0.9),
+            output="float32",
+            stats=stats,
+        )
+        .numpy()
+        .ravel()
+        for knob in ({}, dict(contribution_cut=cut))
+    ]
     error, allowed = np.abs(images[1] - images[0]), alphas(specks, shown, fan)
     raised = other.get("opacity_cut", ALPHA_MIN) - ALPHA_MIN
     assert np.all(error <= allowed + raised * reached(specks, shown, fan) + FLOAT_ERROR)
@@ -72,8 +101,10 @@ def test_an_opacity_cut_keeps_the_integral_of_alpha(lattice_error):
     shown = replace(panel("default lens"), width_px=400, height_px=200, cone_deg=1.0)
     scene = random_scene(1, seed=1, extent=0.05, size=0.15, dtype=torch.float32)
     scene.opacities[:] = 0.4
-    sums = [float((1 - encode(scene, shown, rig(shown), output="float32", background=(1, 1, 1), quality=quality)).sum())
-            for quality in (Quality(), Quality(opacity_cut=0.1, lattice_error=lattice_error))]
+    sums = [
+        float((1 - encode(scene, shown, rig(shown), output="float32", background=(1, 1, 1), quality=quality)).sum())
+        for quality in (Quality(), Quality(opacity_cut=0.1, lattice_error=lattice_error))
+    ]
     assert abs(sums[0]) > 100 and sums[1] == pytest.approx(sums[0], rel=0.01)
 
 
@@ -99,8 +130,12 @@ def test_transmittance_stop(name):
 
 def test_colour_error():
     shown, scene = panel("default lens"), random_scene(60, degree=3, size=0.1, dtype=torch.float32)
-    worst = [np.max(np.where(margins > 1e-3, error, 0)) for error, margins in (
-        errors(scene, shown, rig(shown), Quality(colour_error=allowed)) for allowed in (5e-5, 1e-2, 0.1))]
+    worst = [
+        np.max(np.where(margins > 1e-3, error, 0))
+        for error, margins in (
+            errors(scene, shown, rig(shown), Quality(colour_error=allowed)) for allowed in (5e-5, 1e-2, 0.1)
+        )
+    ]
     assert worst[0] < FLOAT_ERROR and worst[1] <= 1e-2 + FLOAT_ERROR and 0.01 < worst[2] <= 0.1 + FLOAT_ERROR
 
 
@@ -115,10 +150,13 @@ def faint_scene() -> Gaussians:
     return scene
 
 
-EVALUATED = {"small": lambda: random_scene(300, size=0.02, dtype=torch.float32),
-             "deep": lambda: random_scene(200, size=0.2, dtype=torch.float32),
-             "opaque": lambda: replace(random_scene(60, size=0.1, dtype=torch.float32), opacities=torch.ones(60)),
-             "harmonics": lambda: random_scene(60, degree=3, size=0.1, dtype=torch.float32), "faint": faint_scene}
+EVALUATED = {
+    "small": lambda: random_scene(300, size=0.02, dtype=torch.float32),
+    "deep": lambda: random_scene(200, size=0.2, dtype=torch.float32),
+    "opaque": lambda: replace(random_scene(60, size=0.1, dtype=torch.float32), opacities=torch.ones(60)),
+    "harmonics": lambda: random_scene(60, degree=3, size=0.1, dtype=torch.float32),
+    "faint": faint_scene,
+}
 
 
 @pytest.mark.parametrize("name,views", [*((name, "integer") for name in LENSES), ("default lens", "continuous")])
@@ -158,8 +196,11 @@ def part_of_panel(cone: float, **changes) -> tuple[Panel, object]:
 
 @pytest.mark.parametrize("allowed", [0.02, 0.06])
 @pytest.mark.parametrize("cone", [5.0, 40.0])
-@pytest.mark.parametrize("make", [lambda: sheet(128), lambda: sheet(512), lambda: cloud(20_000)],
-                         ids=["sheet:128", "sheet:512", "cloud:20000"])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: sheet(128), lambda: sheet(512), lambda: cloud(20_000)],
+    ids=["sheet:128", "sheet:512", "cloud:20000"],
+)
 def test_lattice(make, cone, allowed):
     scene, (shown, fan) = make(), part_of_panel(cone)
     random = np.random.default_rng(5)
@@ -183,8 +224,10 @@ def test_a_lattice_that_would_be_endlessly_fine_is_refused(allowed):
     parts = [random_scene(20, size=0.3, dtype=torch.float32), random_scene(300, size=1e-3, dtype=torch.float32)]
     scene = Gaussians(*(torch.cat(pair) for pair in zip(*(part.fields().values() for part in parts))))
     shown, stats = panel("default lens"), {}
-    images = [encode(scene, shown, rig(shown), quality=quality, output="float32", stats=stats).clamp(0, 1)
-              for quality in (Quality(), Quality(lattice_error=allowed))]
+    images = [
+        encode(scene, shown, rig(shown), quality=quality, output="float32", stats=stats).clamp(0, 1)
+        for quality in (Quality(), Quality(lattice_error=allowed))
+    ]
     assert stats["skipped"]["lattices"]["refused"] > 0 and (images[0] - images[1]).abs().max() < FLOAT_ERROR
 
 
@@ -220,9 +263,19 @@ def test_nothing_to_draw(name):
     assert (image == torch.tensor([255, 0, 128], dtype=torch.uint8)).all()
 
 
-@pytest.mark.parametrize("bad", [dict(opacity_cut=0.001), dict(opacity_cut=float("nan")), dict(transmittance_stop=0.9),
-                                 dict(transmittance_stop=True), dict(colour_error=-1), dict(lattice_error="coarse"),
-                                 dict(contribution_cut=2), dict(evaluation_error=-1)])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        dict(opacity_cut=0.001),
+        dict(opacity_cut=float("nan")),
+        dict(transmittance_stop=0.9),
+        dict(transmittance_stop=True),
+        dict(colour_error=-1),
+        dict(lattice_error="coarse"),
+        dict(contribution_cut=2),
+        dict(evaluation_error=-1),
+    ],
+)
 def test_numbers_out_of_range_are_refused(bad):
     with pytest.raises(InputError, match=next(iter(bad))):
         Quality(**bad)

@@ -48,8 +48,9 @@ def test_float32_images_of_many_gaussians(kind):
     random = np.random.default_rng(3)
     rows, columns, channels = (random.integers(0, size, 4000) for size in (height, width, 3))
     for view in range(2):
-        want, margin = reference.pixel_colours(gaussians, cameras, view, rows, columns, channels,
-                                               background=(0.3, 0.6, 0.9), return_margin=True)
+        want, margin = reference.pixel_colours(
+            gaussians, cameras, view, rows, columns, channels, background=(0.3, 0.6, 0.9), return_margin=True
+        )
         error = np.abs(image[view].numpy()[rows, columns, channels] - want)
         assert error[margin > SETTLED].max() < 4e-4 and np.sqrt(np.mean(error**2)) < 1e-4
 
@@ -59,13 +60,19 @@ def test_float32_images_of_many_gaussians(kind):
 def test_gaussians_that_are_hard(kind, dtype, atol, margin):
     scene = hard_scene(kind, 60, seed=5)
     width, height = 70, 50
-    camera = Cameras(torch.eye(4, dtype=torch.float64)[None], torch.tensor([[60.0, 70.0]], dtype=torch.float64),
-                     torch.tensor([[30.0, 27.0]], dtype=torch.float64), width, height)
+    camera = Cameras(
+        torch.eye(4, dtype=torch.float64)[None],
+        torch.tensor([[60.0, 70.0]], dtype=torch.float64),
+        torch.tensor([[30.0, 27.0]], dtype=torch.float64),
+        width,
+        height,
+    )
     image = render(scene.to(dtype), camera, background=(0.2, 0.4, 0.6))[0].double().numpy()
     rows, columns, channels = (index.ravel() for index in np.indices((height, width, 3)))
     # Rounded first, so that equal depths stay equal and near planes stay where they are.
-    want, near = reference.pixel_colours(scene.to(dtype), camera, 0, rows, columns, channels,
-                                         background=(0.2, 0.4, 0.6), return_margin=True)
+    want, near = reference.pixel_colours(
+        scene.to(dtype), camera, 0, rows, columns, channels, background=(0.2, 0.4, 0.6), return_margin=True
+    )
     assert np.abs(image.ravel() - want)[near > margin].max() < atol
 
 
@@ -142,23 +149,37 @@ def test_moving_camera_and_scene_together_changes_nothing():
     # Degree 0: harmonics belong to world axes.
     scene = random_scene(60, 0, 9)
     pose = torch.from_numpy(turned_pose(0.3, -0.2))
-    camera = dict(focal_px=torch.tensor([[60.0, 65.0]], dtype=torch.float64), width_px=50, height_px=40,
-                  principal_point_px=torch.tensor([[24.0, 21.0]], dtype=torch.float64))
+    camera = dict(
+        focal_px=torch.tensor([[60.0, 65.0]], dtype=torch.float64),
+        width_px=50,
+        height_px=40,
+        principal_point_px=torch.tensor([[24.0, 21.0]], dtype=torch.float64),
+    )
     seen = render(scene, Cameras(pose[None], **camera))
     moved = Gaussians(scene.means @ pose[:3, :3].T + pose[:3, 3], *list(scene.fields().values())[1:])
-    half = [torch.tensor([np.cos(angle / 2), *(np.sin(angle / 2) * np.array(axis))]) for angle, axis in
-            ((-0.2, (1, 0, 0)), (0.3, (0, 1, 0)))]
+    half = [
+        torch.tensor([np.cos(angle / 2), *(np.sin(angle / 2) * np.array(axis))])
+        for angle, axis in ((-0.2, (1, 0, 0)), (0.3, (0, 1, 0)))
+    ]
     turn = product(half[0], half[1])
     moved.quaternions = product(turn.expand(60, 4), scene.quaternions)
-    torch.testing.assert_close(render(moved, Cameras(torch.eye(4, dtype=torch.float64)[None], **camera)), seen,
-                               rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        render(moved, Cameras(torch.eye(4, dtype=torch.float64)[None], **camera)), seen, rtol=0, atol=1e-12
+    )
 
 
 def product(a, b):
     w, x, y, z = a.unbind(-1)
     i, j, k, m = b.unbind(-1)
-    return torch.stack([w * i - x * j - y * k - z * m, w * j + x * i + y * m - z * k,
-                        w * k - x * m + y * i + z * j, w * m + x * k - y * j + z * i], -1)
+    return torch.stack(
+        [
+            w * i - x * j - y * k - z * m,
+            w * j + x * i + y * m - z * k,
+            w * k - x * m + y * i + z * j,
+            w * m + x * k - y * j + z * i,
+        ],
+        -1,
+    )
 
 
 def arguments(dtype=torch.float32):
@@ -205,7 +226,12 @@ def test_tensors_need_not_be_contiguous():
 def test_render_names_bad_cameras():
     scene = random_scene(5)
     pose, camera, _ = (view[0] for view in dense_views(1, 2, 8, 6))
-    for pose_, focal, width in ((pose[:, :3], camera[:, :2], 8), (pose, -camera[:, :2], 8), (pose, camera[:, :1], 8),
-                                (pose * float("nan"), camera[:, :2], 8), (pose, camera[:, :2], 0)):
+    for pose_, focal, width in (
+        (pose[:, :3], camera[:, :2], 8),
+        (pose, -camera[:, :2], 8),
+        (pose, camera[:, :1], 8),
+        (pose * float("nan"), camera[:, :2], 8),
+        (pose, camera[:, :2], 0),
+    ):
         with pytest.raises(InputError):
             render(scene, Cameras(pose_, focal, camera[:, 2:], width, 6))

@@ -23,8 +23,13 @@ def balls(*rows) -> Gaussians:
     """Round grey Gaussians: rows of x, y, z, standard deviation, opacity, colour."""
     table = torch.tensor(rows, dtype=torch.float64)
     sh = ((table[:, 5] - 0.5) / SH_CONSTANT)[:, None, None].expand(-1, 1, 3)
-    return Gaussians(table[:, :3], torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64).expand(len(rows), 4),
-                     table[:, 3:4].expand(-1, 3), table[:, 4], sh)
+    return Gaussians(
+        table[:, :3],
+        torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64).expand(len(rows), 4),
+        table[:, 3:4].expand(-1, 3),
+        table[:, 4],
+        sh,
+    )
 
 
 def at(gaussians, row, column, channel=0, **options):
@@ -62,9 +67,16 @@ def test_alpha_is_at_most_099():
     assert at(balls((0, 0, 2, 1e4, 1.0, 0)), 20, 20) == pytest.approx(0.01, abs=1e-9)
 
 
-@pytest.mark.parametrize("row, drawn", [((0, 0, 0.0099, 0.5, 0.9, 0), False), ((0, 0, 0.0101, 0.5, 0.9, 0), True),
-                                        ((0, 0, 2, 50, 0.0039, 0), False), ((0, 0, 2, 50, 0.004, 0), True),
-                                        ((0, 0, -2, 0.5, 0.9, 0), False)])
+@pytest.mark.parametrize(
+    "row, drawn",
+    [
+        ((0, 0, 0.0099, 0.5, 0.9, 0), False),
+        ((0, 0, 0.0101, 0.5, 0.9, 0), True),
+        ((0, 0, 2, 50, 0.0039, 0), False),
+        ((0, 0, 2, 50, 0.004, 0), True),
+        ((0, 0, -2, 0.5, 0.9, 0), False),
+    ],
+)
 def test_what_is_too_near_or_too_faint_is_not_drawn(row, drawn):
     assert (at(balls(row), 25, 30) < 1) == drawn
 
@@ -76,8 +88,9 @@ def test_equal_depths_keep_their_order():
 
 def test_margin_tells_how_near_a_threshold_is():
     for opacity, margin in ((1.01 / 255, 0.01), (0.5, 0.1)):
-        _, found = reference.subpixel_colours(balls((0, 0, 2, 1e4, opacity, 0)), PANEL, RIG, [25], [30], [0],
-                                              return_margin=True)
+        _, found = reference.subpixel_colours(
+            balls((0, 0, 2, 1e4, opacity, 0)), PANEL, RIG, [25], [30], [0], return_margin=True
+        )
         assert found[0] == pytest.approx(margin, abs=1e-4)
 
 
@@ -97,8 +110,13 @@ def test_harmonics_are_orthonormal():
 
 def test_footprint_is_the_jacobian_of_the_projection():
     torch.manual_seed(3)
-    scene = Scene(torch.tensor([[0.3, -0.2, 1.7]], dtype=torch.float64), torch.randn(1, 4, dtype=torch.float64),
-                            torch.rand(1, 3, dtype=torch.float64), torch.ones(1), torch.zeros(1, 1, 3))
+    scene = Scene(
+        torch.tensor([[0.3, -0.2, 1.7]], dtype=torch.float64),
+        torch.randn(1, 4, dtype=torch.float64),
+        torch.rand(1, 3, dtype=torch.float64),
+        torch.ones(1),
+        torch.zeros(1, 1, 3),
+    )
     eye = reference.rig_eye(PANEL, RIG)
     s = torch.tensor([0.21], dtype=torch.float64)
 
@@ -126,8 +144,9 @@ def test_jacobian_is_clamped_against_the_union_of_the_frusta():
 
 
 def test_lens_views_of_the_toy_panel():
-    toy = Panel(width_px=8, height_px=7, views=8, line_number=1.002 * 0.6 / (math.cos(math.atan(1 / 6)) * 0.06),
-                slant_tan=1 / 6)
+    toy = Panel(
+        width_px=8, height_px=7, views=8, line_number=1.002 * 0.6 / (math.cos(math.atan(1 / 6)) * 0.06), slant_tan=1 / 6
+    )
     rows, columns, channels = [0, 0, 1, 2, 6], [3, 3, 0, 1, 7], [1, 2, 0, 0, 2]
     x = reference.lens_views(toy, rows, columns, channels, continuous=True)
     np.testing.assert_allclose(x, [7.875401, 0.662941, 0.393770, 3.150160, 4.476042], atol=1e-6)
@@ -184,16 +203,29 @@ def test_agrees_with_the_acceptance_oracle(shared_dir, case, monkeypatch):
     import oracle
 
     kind, degree, changes, turn, continuous = CASES[case]
-    panel = dict(width_px=300, height_px=160, views=96, line_number=9.848282191911, slant_tan=1 / 6,
-                 phase=-2161.204484657574, subpixel_order="RGB", invert_views=False, cone_deg=40.0) | changes
+    panel = (
+        dict(
+            width_px=300,
+            height_px=160,
+            views=96,
+            line_number=9.848282191911,
+            slant_tan=1 / 6,
+            phase=-2161.204484657574,
+            subpixel_order="RGB",
+            invert_views=False,
+            cone_deg=40.0,
+        )
+        | changes
+    )
     gaussians = sheet(32, 4) if kind == "sheet" else cloud(1500, 4)
     torch.manual_seed(7)
     gaussians.sh = torch.cat([gaussians.sh, 0.2 * torch.randn(gaussians.count, (degree + 1) ** 2 - 1, 3)], 1)
     matrix = np.eye(4)
     if turn:
         a, b = turn
-        matrix[:3, :3] = (np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
-                          @ np.array([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]]))
+        matrix[:3, :3] = np.array(
+            [[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]]
+        ) @ np.array([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]])
         matrix[:3, 3] = [0, 0, 2] - matrix[:3, :3] @ [0, 0, 2]
     rig = Rig(matrix, (300, 310), (155, 71), 2.0)
 
@@ -205,8 +237,17 @@ def test_agrees_with_the_acceptance_oracle(shared_dir, case, monkeypatch):
     theirs = {name: field.double().numpy() for name, field in zip(names, gaussians.fields().values())}
     background = (0.9, 0.4, 0.1)
     want, edge = oracle.colours(theirs, rig.to_dict(), columns + 0.5, rows + 0.5, s, channels, background)
-    got, margin = reference.subpixel_colours(gaussians, Panel(**panel), rig, rows, columns, channels,
-                                             continuous=continuous, background=background, return_margin=True)
+    got, margin = reference.subpixel_colours(
+        gaussians,
+        Panel(**panel),
+        rig,
+        rows,
+        columns,
+        channels,
+        continuous=continuous,
+        background=background,
+        return_margin=True,
+    )
     np.testing.assert_allclose(got, want, atol=1e-12)
     # The other oracle does not look as far below the cut at 1/255, so that it may miss a near one.
     assert (margin <= np.minimum(edge, 0.1) + 1e-9).all()

@@ -21,13 +21,22 @@ def photo_and_depth() -> tuple[np.ndarray, np.ndarray]:
 
 def rotations(quaternions: torch.Tensor) -> torch.Tensor:
     w, x, y, z = quaternions.double().unbind(1)
-    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z),
-            1 - 2 * (x * x + z * z), 2 * (y * z - w * x), 2 * (x * z - w * y), 2 * (y * z + w * x),
-            1 - 2 * (x * x + y * y)]
+    rows = [
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
     return torch.stack(rows, 1).view(-1, 3, 3)
 
 
 # Against what the cameras beside the photo's see
+
 
 @pytest.mark.parametrize("offset", [0.0, 0.15, -0.4, 0.6])
 def test_views_from_the_side_are_those_of_the_scene(offset):
@@ -65,6 +74,7 @@ def test_the_hidden_layer_is_what_fills(monkeypatch):
 
 # Against geometry
 
+
 def test_a_gaussian_lies_in_the_surface_and_covers_its_pixel():
     """On the wall: thin along the true normal, and a circle of one pixel's spread in the photo's own camera."""
     image, depth = photo_and_depth()
@@ -83,8 +93,13 @@ def test_a_gaussian_lies_in_the_surface_and_covers_its_pixel():
     covariance = axes @ torch.diag_embed(scales**2) @ axes.mT
     x, y = (points[:, :2] / points[:, 2:]).T
     zero = torch.zeros_like(x)
-    jacobian = torch.stack([torch.stack([focal[0] / z, zero, -focal[0] * x / z], 1),
-                            torch.stack([zero, focal[1] / z, -focal[1] * y / z], 1)], 1)
+    jacobian = torch.stack(
+        [
+            torch.stack([focal[0] / z, zero, -focal[0] * x / z], 1),
+            torch.stack([zero, focal[1] / z, -focal[1] * y / z], 1),
+        ],
+        1,
+    )
     footprint = jacobian @ covariance @ jacobian.mT
     assert torch.allclose(footprint, 0.65**2 * torch.eye(2).double(), atol=0.06)
 
@@ -92,7 +107,7 @@ def test_a_gaussian_lies_in_the_surface_and_covers_its_pixel():
 def test_the_wall_faces_where_it_should():
     image, depth = photo_and_depth()
     gaussians = from_depth(image, depth, (FOCAL, FOCAL))
-    thin = rotations(gaussians.quaternions[:WIDTH * 20])[:, :, 2]
+    thin = rotations(gaussians.quaternions[: WIDTH * 20])[:, :, 2]
     assert (thin @ torch.from_numpy(WALL_NORMAL / np.linalg.norm(WALL_NORMAL))).abs().min() > 0.999
 
 
@@ -118,12 +133,13 @@ def test_the_far_side_goes_on_behind_the_near_one():
     assert set(more.columns.tolist()) == {39, 60} and set(more.colour_columns.tolist()) == {35, 64}
     covered = torch.zeros(100)
     for centre, width in zip(more.centres[more.rows == 0], more.widths[more.rows == 0]):
-        covered[int(centre - width / 2):int(centre + width / 2)] += 1
+        covered[int(centre - width / 2) : int(centre + width / 2)] += 1
     assert covered[:40].sum() == covered[60:].sum() == 0 and covered[40:60].min() == 1
     assert torch.equal(covered, covered.flip(0))
 
 
 # Input of all sorts
+
 
 def test_what_has_no_depth_or_opacity_is_left_out():
     depth = np.full((6, 8), 2.0)
@@ -163,15 +179,24 @@ def test_any_depth_map_gives_valid_gaussians(seed, height, width, exponent, roug
 GOOD = np.full((4, 5, 3), 0.5, np.float32)
 
 
-@pytest.mark.parametrize("image, depth, options, words", [
-    (GOOD[0], np.ones((4, 5)), {}, "photo.*H, W, 3"), (GOOD[..., :2], np.ones((4, 5)), {}, "photo"),
-    ((GOOD * 255).astype(np.uint8), np.ones((4, 5)), {}, "255"), (GOOD * 3, np.ones((4, 5)), {}, "0..1"),
-    (GOOD * np.nan, np.ones((4, 5)), {}, "finite"), (GOOD, np.ones((4, 5, 1)), {}, "depth.*H, W"),
-    (GOOD, np.ones((4, 5), np.uint16), {}, "floating point"), (GOOD, np.ones((5, 4)), {}, "size 5 x 4, got 4 x 5"),
-    (GOOD, np.zeros((4, 5)), {}, "no opaque pixel"), (GOOD, np.ones((4, 5)), {"focal_px": (1, 0)}, "> 0"),
-    (GOOD, np.ones((4, 5)), {"focal_px": 3}, "two numbers"),
-    (GOOD, np.ones((4, 5)), {"principal_point_px": (1, np.nan)}, "finite"),
-    (np.zeros((4097, 4096, 3), np.float32), np.ones((4, 5)), {}, "smaller")])
+@pytest.mark.parametrize(
+    "image, depth, options, words",
+    [
+        (GOOD[0], np.ones((4, 5)), {}, "photo.*H, W, 3"),
+        (GOOD[..., :2], np.ones((4, 5)), {}, "photo"),
+        ((GOOD * 255).astype(np.uint8), np.ones((4, 5)), {}, "255"),
+        (GOOD * 3, np.ones((4, 5)), {}, "0..1"),
+        (GOOD * np.nan, np.ones((4, 5)), {}, "finite"),
+        (GOOD, np.ones((4, 5, 1)), {}, "depth.*H, W"),
+        (GOOD, np.ones((4, 5), np.uint16), {}, "floating point"),
+        (GOOD, np.ones((5, 4)), {}, "size 5 x 4, got 4 x 5"),
+        (GOOD, np.zeros((4, 5)), {}, "no opaque pixel"),
+        (GOOD, np.ones((4, 5)), {"focal_px": (1, 0)}, "> 0"),
+        (GOOD, np.ones((4, 5)), {"focal_px": 3}, "two numbers"),
+        (GOOD, np.ones((4, 5)), {"principal_point_px": (1, np.nan)}, "finite"),
+        (np.zeros((4097, 4096, 3), np.float32), np.ones((4, 5)), {}, "smaller"),
+    ],
+)
 def test_what_is_no_photo_with_depth_is_refused(image, depth, options, words):
     with pytest.raises(lf.InputError, match=words):
         from_depth(image, depth, **options)

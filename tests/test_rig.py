@@ -11,20 +11,37 @@ from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
 
-PANEL = Panel(width_px=480, height_px=240, views=8, line_number=9.8, slant_tan=0.1, cone_deg=40,
-              viewing_distance_mm=1000, pixel_pitch_mm=0.18)
+PANEL = Panel(
+    width_px=480,
+    height_px=240,
+    views=8,
+    line_number=9.8,
+    slant_tan=0.1,
+    cone_deg=40,
+    viewing_distance_mm=1000,
+    pixel_pitch_mm=0.18,
+)
 
 
 def some_rig(**changes) -> Rig:
-    return Rig(**{**dict(world_to_camera=np.eye(4), focal_px=(480, 500), principal_point_px=(230, 110), zero_depth=2),
-                  **changes})
+    return Rig(
+        **{
+            **dict(world_to_camera=np.eye(4), focal_px=(480, 500), principal_point_px=(230, 110), zero_depth=2),
+            **changes,
+        }
+    )
 
 
 def scene(means, scales=0.01, opacities=0.9) -> Gaussians:
     means = torch.tensor(means, dtype=torch.float32)
     count = len(means)
-    return Gaussians(means, torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1), torch.full((count, 3), scales),
-                     torch.as_tensor(opacities, dtype=torch.float32).expand(count).clone(), torch.zeros(count, 1, 3))
+    return Gaussians(
+        means,
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
+        torch.full((count, 3), scales),
+        torch.as_tensor(opacities, dtype=torch.float32).expand(count).clone(),
+        torch.zeros(count, 1, 3),
+    )
 
 
 def project(rig: Rig, panel: Panel, point, s: float = 0.0) -> np.ndarray:
@@ -50,8 +67,13 @@ def test_jacobian_limits():
     rig = some_rig()
     widen = math.tan(math.radians(20))
     assert rig.jacobian_limits(PANEL) == pytest.approx(
-        (-230 / 480 - 0.15 - widen, 250 / 480 + 0.15 + widen, -110 / 500 - 0.15 * 240 / 500,
-         130 / 500 + 0.15 * 240 / 500))
+        (
+            -230 / 480 - 0.15 - widen,
+            250 / 480 + 0.15 + widen,
+            -110 / 500 - 0.15 * 240 / 500,
+            130 / 500 + 0.15 * 240 / 500,
+        )
+    )
 
 
 def test_cameras_share_the_zero_plane():
@@ -59,8 +81,9 @@ def test_cameras_share_the_zero_plane():
     rig = some_rig()
     cameras = rig.cameras(PANEL, [0, 3, 7])
     on_plane = np.array([0.3, -0.2, 2.0])
-    for number, matrix, focal, centre in zip([0, 3, 7], cameras.world_to_camera.numpy(), cameras.focal_px.numpy(),
-                                             cameras.principal_point_px.numpy()):
+    for number, matrix, focal, centre in zip(
+        [0, 3, 7], cameras.world_to_camera.numpy(), cameras.focal_px.numpy(), cameras.principal_point_px.numpy()
+    ):
         s = rig.offset(number + 0.5, PANEL)
         assert np.linalg.inv(matrix)[:3, 3] == pytest.approx([s, 0, 0])
         for point in (on_plane, np.array([0.1, 0.1, 3.0])):
@@ -88,16 +111,28 @@ def test_yaml_round_trip(tmp_path):
         assert again.to_dict() == rig.to_dict()
 
 
-@pytest.mark.parametrize("change, words", [
-    (dict(world_to_camera=[[1, 0], [0, 1]]), "4 rows"), (dict(world_to_camera="eye"), "4 rows"),
-    (dict(world_to_camera=np.full((4, 4), math.nan)), "finite"), (dict(world_to_camera=2 * np.eye(4)), "last row"),
-    (dict(world_to_camera=np.diag([2.0, 2, 2, 1])), "rotation"),
-    (dict(world_to_camera=np.diag([-1.0, 1, 1, 1])), "rotation"),
-    (dict(focal_px=(0, 1)), "focal_px"), (dict(focal_px=480), "two numbers"), (dict(focal_px=(1, "a")), "number"),
-    (dict(focal_px=(math.inf, 1)), "focal_px"), (dict(principal_point_px=(1, 2, 3)), "two numbers"),
-    (dict(principal_point_px=(math.nan, 2)), "principal_point_px"), (dict(zero_depth=0), "zero_depth"),
-    (dict(zero_depth=-2), "zero_depth"), (dict(zero_depth=None), "zero_depth"), (dict(cone_deg=180), "cone_deg"),
-    (dict(cone_deg=math.nan), "cone_deg")])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (dict(world_to_camera=[[1, 0], [0, 1]]), "4 rows"),
+        (dict(world_to_camera="eye"), "4 rows"),
+        (dict(world_to_camera=np.full((4, 4), math.nan)), "finite"),
+        (dict(world_to_camera=2 * np.eye(4)), "last row"),
+        (dict(world_to_camera=np.diag([2.0, 2, 2, 1])), "rotation"),
+        (dict(world_to_camera=np.diag([-1.0, 1, 1, 1])), "rotation"),
+        (dict(focal_px=(0, 1)), "focal_px"),
+        (dict(focal_px=480), "two numbers"),
+        (dict(focal_px=(1, "a")), "number"),
+        (dict(focal_px=(math.inf, 1)), "focal_px"),
+        (dict(principal_point_px=(1, 2, 3)), "two numbers"),
+        (dict(principal_point_px=(math.nan, 2)), "principal_point_px"),
+        (dict(zero_depth=0), "zero_depth"),
+        (dict(zero_depth=-2), "zero_depth"),
+        (dict(zero_depth=None), "zero_depth"),
+        (dict(cone_deg=180), "cone_deg"),
+        (dict(cone_deg=math.nan), "cone_deg"),
+    ],
+)
 def test_nonsense_is_refused(change, words):
     with pytest.raises(InputError, match=words):
         some_rig(**change)
@@ -151,8 +186,10 @@ def test_framing_is_the_same_without_what_is_never_drawn():
     """However much of it there is, and although haze is measured by what is usual."""
     places = np.concatenate([RNG.uniform(-1, 1, (500, 3)), RNG.uniform(-6, 6, (60, 3)), RNG.uniform(-6, 6, (4000, 3))])
     opacities = np.concatenate([np.full(500, 0.9), RNG.uniform(0.07, 0.1, 60), np.full(4000, 0.003)])
-    frames = [Rig.frame(scene((places[:count] + [0, 0, 7]).tolist(), opacities=opacities[:count]), PANEL)
-              for count in (560, 4560)]
+    frames = [
+        Rig.frame(scene((places[:count] + [0, 0, 7]).tolist(), opacities=opacities[:count]), PANEL)
+        for count in (560, 4560)
+    ]
     assert frames[0].to_dict() == frames[1].to_dict()
 
 

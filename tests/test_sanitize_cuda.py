@@ -69,8 +69,7 @@ def tool(tmp_path, monkeypatch, capsys):
     def run(name: str = "memcheck", *options: str, reports: str = "", wrong: str = "", crash: str = "", slow: str = ""):
         runs = tmp_path / "runs"
         runs.write_text("")
-        for key, value in {"REPORTS": reports, "WRONG": wrong, "CRASH": crash, "SLOW": slow,
-                           "RUNS": str(runs)}.items():
+        for key, value in {"REPORTS": reports, "WRONG": wrong, "CRASH": crash, "SLOW": slow, "RUNS": str(runs)}.items():
             monkeypatch.setenv(key, value)
         code = sanitize_cuda.main([name, "--processes", "2", *options])
         return code, capsys.readouterr().out, len(runs.read_text().split())
@@ -109,10 +108,15 @@ def test_a_crash_does_not_keep_the_tests_behind_it_from_running(tool):
     assert code == 1 and "NOT RUN tests/test_cuda_small.py::test_case[one]\n" in text and "11 of 12" in text
 
 
-@pytest.mark.parametrize("reports, line", [(OURS, "Invalid __global__ read of size 4 bytes in void lfgs::cuda::fill"),
-                                           (RACE, "Error: Race reported between Write access in lfgs::cuda::rank(int)"),
-                                           (CALL, "Program hit cudaErrorInvalidValue"),
-                                           (COPY, "Host API memory access error")])
+@pytest.mark.parametrize(
+    "reports, line",
+    [
+        (OURS, "Invalid __global__ read of size 4 bytes in void lfgs::cuda::fill"),
+        (RACE, "Error: Race reported between Write access in lfgs::cuda::rank(int)"),
+        (CALL, "Program hit cudaErrorInvalidValue"),
+        (COPY, "Host API memory access error"),
+    ],
+)
 def test_reports_fail(tool, reports, line):
     code, text, _ = tool(reports=reports)
     assert code == 1 and f"3 x {line}" in text and "12 of 12 tests passed, 3 reports;" in text
@@ -130,7 +134,8 @@ def test_torch_keeps_no_memory_but_where_a_test_needs_that(tool, tmp_path):
         ("initcheck", "tests/test_cuda_small.py", "test_drawn", "True", False),
         ("memcheck", "tests/test_cuda_photo.py", "test_drawn", "False", False),
         ("memcheck", "tests/test_cuda_small.py", "test_captured", "False", False),
-        ("memcheck", "tests/test_cuda_small.py", "test_drawn", "True", False)]
+        ("memcheck", "tests/test_cuda_small.py", "test_drawn", "True", False),
+    ]
 
 
 def runs_on(process: str) -> bool:
@@ -141,8 +146,9 @@ def runs_on(process: str) -> bool:
 
 
 def test_a_run_that_is_cut_off_ends_all_and_goes_on(tool, tmp_path, monkeypatch):
-    begun = SimpleNamespace(monotonic=lambda: len((tmp_path / "runs").read_text().split()), sleep=time.sleep,
-                            time_ns=time.time_ns)  # a second a test, however fast the machine
+    begun = SimpleNamespace(
+        monotonic=lambda: len((tmp_path / "runs").read_text().split()), sleep=time.sleep, time_ns=time.time_ns
+    )  # a second a test, however fast the machine
     monkeypatch.setattr(sanitize_cuda, "time", begun)
     code, text, _ = tool("memcheck", "--seconds", "8", slow="4")  # behind "one", of which the tool may have more to say
     assert code == 1 and all(f"NOT RUN tests/test_cuda_small.py::test_case[{case}]\n" in text for case in ("one", "4"))
@@ -168,7 +174,8 @@ def test_a_tool_of_the_package_index_is_taken_where_that_of_the_toolkit_is_too_o
     monkeypatch.syspath_prepend(tmp_path / "site")
     assert tool()[0] == 0
     assert {line.split()[1] for line in (tmp_path / "runs.called").read_text().splitlines()} == {
-        str(tmp_path / "site/nvidia/cu13/bin/compute-sanitizer")}
+        str(tmp_path / "site/nvidia/cu13/bin/compute-sanitizer")
+    }
 
 
 def test_no_tool_is_said(monkeypatch):

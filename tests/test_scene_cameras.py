@@ -24,9 +24,13 @@ def letter(up: str) -> Gaussians:
     flat = np.concatenate([random.uniform(*np.transpose(bar), (300, 2)) for bar in BARS])
     in_camera = np.stack([flat[:, 0], -flat[:, 1], random.normal(0, 0.01, len(flat))], 1)
     count = len(flat)
-    return Gaussians(torch.tensor(in_camera @ upright(up), dtype=torch.float32),
-                     torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1), torch.full((count, 3), 0.015),
-                     torch.full((count,), 0.95), torch.full((count, 1, 3), -1.0))
+    return Gaussians(
+        torch.tensor(in_camera @ upright(up), dtype=torch.float32),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
+        torch.full((count, 3), 0.015),
+        torch.full((count,), 0.95),
+        torch.full((count, 1, 3), -1.0),
+    )
 
 
 def picture(capsys, line: str) -> np.ndarray:
@@ -40,11 +44,22 @@ def psnr_db(a: np.ndarray, b: np.ndarray) -> float:
 
 # Axes
 
-@pytest.mark.parametrize("comments, axis", [
-    (["Vertical Axis: z"], "z"), (["vertical axis:  -Y "], "-y"), (["VERTICAL AXIS: +x"], "x"),
-    (["Vertical Axis: y"], "y"), (["Exported from Brush", "Vertical axis: y"], "-y"),
-    (["Exported from Brush", "Vertical axis: 0 -0.9 0.1"], "0 -0.9 0.1"), (["Vertical Axis: up"], None),
-    (["Vertical Axis: z", "Vertical Axis: x"], "x"), (["Vertical Axis: 0 0 0"], None), ([], None)])
+
+@pytest.mark.parametrize(
+    "comments, axis",
+    [
+        (["Vertical Axis: z"], "z"),
+        (["vertical axis:  -Y "], "-y"),
+        (["VERTICAL AXIS: +x"], "x"),
+        (["Vertical Axis: y"], "y"),
+        (["Exported from Brush", "Vertical axis: y"], "-y"),
+        (["Exported from Brush", "Vertical axis: 0 -0.9 0.1"], "0 -0.9 0.1"),
+        (["Vertical Axis: up"], None),
+        (["Vertical Axis: z", "Vertical Axis: x"], "x"),
+        (["Vertical Axis: 0 0 0"], None),
+        ([], None),
+    ],
+)
 def test_the_word_of_a_header(comments, axis):
     found = stated_up(comments)
     assert found is None if axis is None else found.axis == axis
@@ -108,11 +123,26 @@ def test_pruning_does_not_turn_the_scene(folder, capsys):
 
 # Cameras
 
+
 def cameras_json(path, poses=((0, 0, -3), (0.3, 0, -3))):
     """Cameras at these places that look along z, as Inria's program writes them."""
-    path.write_text(json.dumps([
-        {"id": i, "img_name": f"photo{i}", "width": 60, "height": 60, "position": place, "fx": 90.0, "fy": 90.0,
-         "rotation": np.eye(3).tolist()} for i, place in enumerate(poses)]))
+    path.write_text(
+        json.dumps(
+            [
+                {
+                    "id": i,
+                    "img_name": f"photo{i}",
+                    "width": 60,
+                    "height": 60,
+                    "position": place,
+                    "fx": 90.0,
+                    "fy": 90.0,
+                    "rotation": np.eye(3).tolist(),
+                }
+                for i, place in enumerate(poses)
+            ]
+        )
+    )
 
 
 def test_a_camera_of_a_file_is_the_centre_camera(folder, capsys):
@@ -144,13 +174,22 @@ def test_transforms_and_rigs_are_centre_cameras_too(folder, capsys):
     assert "its zero plane was placed anew" in out and np.array_equal(read_image("o.exr"), expected)
 
 
-@pytest.mark.parametrize("options, words", [
-    ("--camera no.json", "no.json"), ("--camera c.json:2", "c.json:2: expected an index of 0..1"),
-    ("--camera c.json --rig r.yaml", "takes the place of --rig"), ("--camera r.yaml:0", "leave out the index"),
-    ("--camera p.yaml", "p.yaml"), ("--rig c.json", "no rig; give it as --camera"), ("--camera bad.json", r"bad.json: \[0\].fx"),
-    ("--camera views.json", "give it as --cameras"), ("--method sorted --cameras c.json", "give it as --camera FILE"),
-    ("--method sorted --cameras views.json --camera c.json", "--camera is about a rig"),
-    ("--method sorted --cameras views.json --up z", "--up is about a rig")])
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ("--camera no.json", "no.json"),
+        ("--camera c.json:2", "c.json:2: expected an index of 0..1"),
+        ("--camera c.json --rig r.yaml", "takes the place of --rig"),
+        ("--camera r.yaml:0", "leave out the index"),
+        ("--camera p.yaml", "p.yaml"),
+        ("--rig c.json", "no rig; give it as --camera"),
+        ("--camera bad.json", r"bad.json: \[0\].fx"),
+        ("--camera views.json", "give it as --cameras"),
+        ("--method sorted --cameras c.json", "give it as --camera FILE"),
+        ("--method sorted --cameras views.json --camera c.json", "--camera is about a rig"),
+        ("--method sorted --cameras views.json --up z", "--up is about a rig"),
+    ],
+)
 def test_what_cannot_be_a_camera_is_refused(folder, capsys, options, words):
     cameras_json(folder / "c.json")
     Rig(np.eye(4), (1, 1), (0, 0), 1).to_yaml("r.yaml")
@@ -165,6 +204,7 @@ def test_photos_have_their_own_camera(folder, capsys):
 
 
 # What files bring along
+
 
 def with_elements(path: str, scene: Gaussians, **elements) -> None:
     """The scene with these elements of float numbers behind its vertices, as SHARP writes them."""
@@ -198,8 +238,11 @@ def test_the_camera_of_the_photo_is_the_centre_camera(folder, capsys):
     assert "camera: that of the photo, 600 x 500" in run(capsys, "info sharp.ply")
     out = run(capsys, "encode sharp.ply -o o.png --panel p.yaml --up -y --save-rig r.yaml")
     assert "axes: -y is up (--up)" in out and not np.allclose(Rig.from_yaml("r.yaml").world_to_camera, pose)
-    for name, numbers, words in (("extrinsic", np.zeros(16), "are no camera"), ("intrinsic", [1, 2], "9 finite"),
-                                 ("image_size", [0, np.nan], "2 finite")):
+    for name, numbers, words in (
+        ("extrinsic", np.zeros(16), "are no camera"),
+        ("intrinsic", [1, 2], "9 finite"),
+        ("image_size", [0, np.nan], "2 finite"),
+    ):
         with_elements("bad.ply", photo_scene(), **{**camera, name: numbers})
         error = complaint(capsys, "encode bad.ply -o o.png --panel p.yaml")
         assert words in error and "give --up, --camera or --rig" in error
@@ -234,8 +277,12 @@ def test_saved_gaussians_of_a_photo_give_the_same_picture(folder, capsys):
 
 def test_a_stored_framing_fits_other_panels_and_gives_way(folder, capsys):
     run(capsys, "encode s.ply -o a.png --panel p.yaml --save-rig a.yaml --save-gaussians g.ply")
-    text = (folder / "p.yaml").read_text().replace("width_px: 96", "width_px: 192").replace("height_px: 60",
-                                                                                            "height_px: 180")
+    text = (
+        (folder / "p.yaml")
+        .read_text()
+        .replace("width_px: 96", "width_px: 192")
+        .replace("height_px: 60", "height_px: 180")
+    )
     (folder / "q.yaml").write_text(text)
     out = run(capsys, "encode g.ply -o b.png --panel q.yaml --save-rig b.yaml")
     assert "made for 96 x 60" in out
@@ -269,6 +316,7 @@ def test_info_lists_the_cameras_of_a_file(folder, capsys):
 
 # info
 
+
 def test_info_shows_extent_and_ranges_with_enough_digits(folder, capsys):
     scene = letter("-y")
     scene.means += torch.tensor([5123.25, 4412.0, 0])
@@ -276,8 +324,9 @@ def test_info_shows_extent_and_ranges_with_enough_digits(folder, capsys):
     write_ply("f.ply", scene)
     facts = dict(line.split(": ", 1) for line in run(capsys, "info f.ply").splitlines())
     assert facts["opacity"] == "0.25 to 0.95" and facts["scale"] == "0.001 to 0.015"
-    lowest, highest = ([float(part) for part in facts[f"centres, {name}"].split(", ")]
-                       for name in ("lowest", "highest"))
+    lowest, highest = (
+        [float(part) for part in facts[f"centres, {name}"].split(", ")] for name in ("lowest", "highest")
+    )
     means = read_scene("f.ply").gaussians.means
     assert lowest == pytest.approx(means.amin(0).tolist(), abs=1e-4)
     assert highest == pytest.approx(means.amax(0).tolist(), abs=1e-4)

@@ -10,11 +10,26 @@ from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
 from lightfield_gs.simulate import simulate
 
-BASE = dict(width_px=600, height_px=300, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2,
-            cone_deg=40, viewing_distance_mm=2000, pixel_pitch_mm=0.19)
-KINDS = [{}, dict(slant_tan=-0.18, subpixel_order="BGR", phase=7.3), dict(slant_tan=0.0, line_number=16.01),
-         dict(cone_deg=15, line_number=4.2), dict(width_px=397, height_px=131),
-         dict(subpixel_cells=CELLS, cell_pattern=2, line_number=19.17), dict(subpixel_cells=CELLS, cell_pattern=1)]
+BASE = dict(
+    width_px=600,
+    height_px=300,
+    views=96,
+    line_number=9.848282191911,
+    slant_tan=1 / 6,
+    phase=-2161.2,
+    cone_deg=40,
+    viewing_distance_mm=2000,
+    pixel_pitch_mm=0.19,
+)
+KINDS = [
+    {},
+    dict(slant_tan=-0.18, subpixel_order="BGR", phase=7.3),
+    dict(slant_tan=0.0, line_number=16.01),
+    dict(cone_deg=15, line_number=4.2),
+    dict(width_px=397, height_px=131),
+    dict(subpixel_cells=CELLS, cell_pattern=2, line_number=19.17),
+    dict(subpixel_cells=CELLS, cell_pattern=1),
+]
 
 
 def views_seen(panel: Panel, eye, **options) -> np.ndarray:
@@ -54,15 +69,17 @@ def test_zones_repeat():
 @pytest.mark.parametrize("z", [1400.0, 3000.0])
 def test_nearer_or_farther_the_view_drifts_as_rays_demand(z, invert):
     """An eye at (0, 0, z) looks at a lens at X in the direction of an eye at the viewing distance L at X (1 - L/z)."""
-    panel = Panel(**{**BASE, "slant_tan": 0.0, "line_number": 9.85, "width_px": 3000, "height_px": 40,
-                     "invert_views": invert})
+    panel = Panel(
+        **{**BASE, "slant_tan": 0.0, "line_number": 9.85, "width_px": 3000, "height_px": 40, "invert_views": invert}
+    )
     seen = views_seen(panel, (0, 0, z))[1:-1].mean((0, 2))
     lenses_mm = (np.arange(len(seen)) + 0.5 - len(seen) / 2) * 3000 * 0.19 / len(seen)
     zone_mm = 2 * 2000 * math.tan(math.radians(20))
     expected = 96 * (0.5 - (-1 if invert else 1) * lenses_mm * (1 - 2000 / z) / zone_mm)
     kept = slice(20, -20)
     assert np.polyfit(lenses_mm[kept], seen[kept], 1)[0] == pytest.approx(
-        np.polyfit(lenses_mm[kept], expected[kept], 1)[0], rel=0.03)
+        np.polyfit(lenses_mm[kept], expected[kept], 1)[0], rel=0.03
+    )
     assert np.abs(seen - expected)[kept].mean() < 2
 
 
@@ -89,19 +106,29 @@ def test_crosstalk_mixes_views():
 def test_number_types_agree_and_white_is_white():
     panel = Panel(**BASE)
     values = np.random.default_rng(0).random((300, 600, 3))
-    pictures = [simulate(image, panel, (10, 0, 1900)) for image in
-                (values, (values * 255).round().astype(np.uint8), (values * 65535).round().astype(np.uint16))]
+    pictures = [
+        simulate(image, panel, (10, 0, 1900))
+        for image in (values, (values * 255).round().astype(np.uint8), (values * 65535).round().astype(np.uint16))
+    ]
     assert np.abs(pictures[0] - pictures[1]).max() < 0.003 and np.abs(pictures[0] - pictures[2]).max() < 1e-4
     assert simulate(np.ones((300, 600, 4), np.float32), panel, (0, 0, 700)) == pytest.approx(1)
 
 
-@pytest.mark.parametrize("image, change, eye, words", [
-    (np.zeros((10, 10, 3)), {}, (0, 0, 2000), "10 x 10"), (np.zeros((300, 600)), {}, (0, 0, 2000), "H, W, 3"),
-    (np.zeros((300, 600, 3), bool), {}, (0, 0, 2000), "bool"), (None, {}, (0, 0, 0), "above 0"),
-    (None, {}, (0, 0, -5), "above 0"), (None, {}, (0, math.nan, 5), "eye: y"), (None, {}, (0, 0), "three numbers"),
-    (None, dict(viewing_distance_mm=None), (0, 0, 9), "lacks viewing_distance_mm"),
-    (None, dict(pixel_pitch_mm=None), (0, 0, 9), "lacks pixel_pitch_mm"),
-    (None, dict(invert_views=True), (0, 0, 0.1), "lens gap")])
+@pytest.mark.parametrize(
+    "image, change, eye, words",
+    [
+        (np.zeros((10, 10, 3)), {}, (0, 0, 2000), "10 x 10"),
+        (np.zeros((300, 600)), {}, (0, 0, 2000), "H, W, 3"),
+        (np.zeros((300, 600, 3), bool), {}, (0, 0, 2000), "bool"),
+        (None, {}, (0, 0, 0), "above 0"),
+        (None, {}, (0, 0, -5), "above 0"),
+        (None, {}, (0, math.nan, 5), "eye: y"),
+        (None, {}, (0, 0), "three numbers"),
+        (None, dict(viewing_distance_mm=None), (0, 0, 9), "lacks viewing_distance_mm"),
+        (None, dict(pixel_pitch_mm=None), (0, 0, 9), "lacks pixel_pitch_mm"),
+        (None, dict(invert_views=True), (0, 0, 0.1), "lens gap"),
+    ],
+)
 def test_nonsense_is_refused(image, change, eye, words):
     with pytest.raises(InputError, match=words):
         simulate(np.zeros((300, 600, 3)) if image is None else image, Panel(**{**BASE, **change}), eye)

@@ -20,11 +20,13 @@ SETTLED = 2e-3  # samples whose decisions came nearer to a threshold than this m
 
 
 def sorted_image(scene, shown, cameras=None, table=None, rig=None, output="float64", **options):
-    return encode(scene, shown, rig, "sorted", cameras=cameras, view_map=table, background=BACKGROUND, output=output,
-                  **options)
+    return encode(
+        scene, shown, rig, "sorted", cameras=cameras, view_map=table, background=BACKGROUND, output=output, **options
+    )
 
 
 # Against the oracle
+
 
 @pytest.mark.parametrize("degree", [0, 3])
 @pytest.mark.parametrize("count, seed", [(1, 1), (9, 2), (150, 3)])
@@ -46,8 +48,9 @@ def test_unusual_panels_with_their_rig(name, views):
     shown, scene = panel(name), random_scene(40, 1, seed=len(name))
     fan = rig(shown, 0.1, -0.15, (0.53, 0.44))
     some = [index[::7] for index in all_subpixels(shown)]
-    want, margin = reference.subpixel_colours(scene, shown, fan, *some, background=BACKGROUND,
-                                              continuous=views == "continuous", return_margin=True)
+    want, margin = reference.subpixel_colours(
+        scene, shown, fan, *some, background=BACKGROUND, continuous=views == "continuous", return_margin=True
+    )
     exact = sorted_image(scene, shown, rig=fan, views=views).numpy().ravel()[::7]
     assert np.abs(exact - want)[margin > 1e-7].max() < 1e-7
 
@@ -105,6 +108,7 @@ def test_what_shows_nothing_is_background(output):
 
 # The plan
 
+
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
 @pytest.mark.parametrize("views, size", [(1, (33, 21)), (7, (70, 50)), (96, (640, 100)), (3000, (300, 70))])
 def test_lists_hold_every_subpixel_once_in_order(views, size, device):
@@ -114,16 +118,19 @@ def test_lists_hold_every_subpixel_once_in_order(views, size, device):
     starts, codes = plan.lists(0, plan.count, torch.device("cpu"), False, 2)
     codes = codes.numpy().view(np.uint16)
     height, width = plan.tile.height_px, plan.tile.width_px
-    assert height & (height - 1) == 0 and height * width <= 1 << 14 and plan.tiles == -(-size[0] // width) * -(
-        -size[1] // height)
+    assert (
+        height & (height - 1) == 0
+        and height * width <= 1 << 14
+        and plan.tiles == -(-size[0] // width) * -(-size[1] // height)
+    )
     assert np.array_equal(plan.shown, np.unique(table[table >= 0])) and plan.hidden == (table < 0).any()
     seen = np.full(table.shape, -1)
     bits = height.bit_length() - 1
     for index in range(plan.count * plan.tiles):
-        mine = codes[starts[index]:starts[index + 1]]
-        real = mine[mine != 0xffff].astype(int)
+        mine = codes[starts[index] : starts[index + 1]]
+        real = mine[mine != 0xFFFF].astype(int)
         assert len(mine) % BLOCK == 0 and len(mine) - len(real) < BLOCK and (np.diff(real) > 0).all()
-        assert (mine[:len(real)] != 0xffff).all()
+        assert (mine[: len(real)] != 0xFFFF).all()
         view, tile = divmod(index, plan.tiles)
         across = -(-size[0] // width)
         rows, columns = tile // across * height + (real >> 2 & (height - 1)), tile % across * width + (real >> bits + 2)
@@ -149,8 +156,8 @@ def test_part_of_a_plan_is_that_part():
     for first, last in ((0, 3), (7, 8), (5, 20)):
         some, of_them = plan.lists(first, last, torch.device("cpu"), False, 3)
         begin, end = first * plan.tiles, last * plan.tiles
-        assert torch.equal(some, starts[begin:end + 1] - starts[begin])
-        assert torch.equal(of_them, codes[starts[begin]:starts[end]])
+        assert torch.equal(some, starts[begin : end + 1] - starts[begin])
+        assert torch.equal(of_them, codes[starts[begin] : starts[end]])
         assert plan.bytes(first, last) == 8 * some.numel() + 2 * of_them.numel()
 
 
@@ -168,6 +175,7 @@ def test_a_plan_serves_many_images_and_survives_a_changed_map():
 
 
 # Memory
+
 
 def wide_case(degree=0):
     shown = panel(width_px=320, height_px=120)
@@ -204,11 +212,18 @@ def test_reported_memory_is_that_of_the_arrays():
 def test_numbers_may_be_those_of_numpy():
     shown, scene = panel(views=9), random_scene(40).to(torch.float32)
     cameras = toe_in(shown, 9)
-    same = Cameras(cameras.world_to_camera, cameras.focal_px, cameras.principal_point_px, np.int64(cameras.width_px),
-                   np.int32(cameras.height_px))
+    same = Cameras(
+        cameras.world_to_camera,
+        cameras.focal_px,
+        cameras.principal_point_px,
+        np.int64(cameras.width_px),
+        np.int32(cameras.height_px),
+    )
     assert type(same.width_px) is type(same.height_px) is int
-    images = [encode(scene, shown, None, "sorted", cameras=given, **options) for given, options in (
-        (cameras, {}), (same, dict(threads=np.int64(1), memory_budget=np.int64(10**8))))]
+    images = [
+        encode(scene, shown, None, "sorted", cameras=given, **options)
+        for given, options in ((cameras, {}), (same, dict(threads=np.int64(1), memory_budget=np.int64(10**8))))
+    ]
     assert torch.equal(*images)
 
 
@@ -250,8 +265,13 @@ def test_the_process_grows_by_no_more_than_the_budget(budget):
         pytest.skip("this system does not tell the peak of a process's memory")
     # Buffers then go back to the system when they are freed, and what stays is what is in use
     environment = {**os.environ, "MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
-    done = subprocess.run([sys.executable, "-c", RESIDENT, str(Path(__file__).parent), str(budget)],
-                          capture_output=True, text=True, check=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", RESIDENT, str(Path(__file__).parent), str(budget)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+    )
     assert budget / 3 <= int(done.stdout) <= budget
 
 
@@ -262,6 +282,7 @@ def test_same_bits_on_any_number_of_threads():
 
 
 # Bad input
+
 
 def refused(match, scene=None, shown=None, method="sorted", **options):
     shown = shown or panel(views=9)
@@ -282,11 +303,18 @@ def test_cameras_that_do_not_fit_are_named():
     refused("continuous", rig=rig(shown), view_map=random_map(shown, 9, 1), views="continuous")
 
 
-@pytest.mark.parametrize("change, words", [
-    (lambda t: t[:-1], r"int32 \[46, 110, 3\]"), (lambda t: t.astype(np.int64), "int64"),
-    (lambda t: t.astype(np.float32), "float32"), (lambda t: t[..., :2], r"\[46, 110, 2\]"),
-    (lambda t: np.where(t == 3, 9, t), r"0\.\.8"), (lambda t: np.where(t == 3, -2, t), "-2"),
-    (lambda t: torch.from_numpy(t).double(), "float64")])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda t: t[:-1], r"int32 \[46, 110, 3\]"),
+        (lambda t: t.astype(np.int64), "int64"),
+        (lambda t: t.astype(np.float32), "float32"),
+        (lambda t: t[..., :2], r"\[46, 110, 2\]"),
+        (lambda t: np.where(t == 3, 9, t), r"0\.\.8"),
+        (lambda t: np.where(t == 3, -2, t), "-2"),
+        (lambda t: torch.from_numpy(t).double(), "float64"),
+    ],
+)
 def test_maps_that_do_not_fit_are_named(change, words):
     table = random_map(panel(views=9), 9, 1)
     refused(words, cameras=toe_in(panel(views=9), 9), view_map=change(table))

@@ -1,13 +1,14 @@
 """The reader and validator of SRN-layout folders."""
+
 import tarfile
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image
-
 from faulty_set import assert_fault_is_named
+from PIL import Image
 from srn_scene import look_at, write_object
+
 from training.data.cache import load_set
 from training.data.images import read_view
 from training.data.objects import find_objects, read_object
@@ -136,7 +137,7 @@ def test_cache_holds_the_very_pixels(tmp_path):
             _, left, top, width, height = rectangle
             assert not window[height:].any() and not window[:, width:].any()
             redrawn = np.zeros_like(frame)
-            redrawn[top:top + height, left:left + width] = window[:height, :width]
+            redrawn[top : top + height, left : left + width] = window[:height, :width]
             np.testing.assert_array_equal(redrawn, frame)
     write_object(tmp_path / "set/c")  # a changed set is decoded anew
     assert len(load_set(tmp_path / "set", tmp_path / "cache", workers=1).objects) == 3

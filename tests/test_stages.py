@@ -34,8 +34,9 @@ class Stages:
         self.table = np.zeros((images, count, _core.SPLAT_FIELDS), self.dtype)
         self.colours = np.zeros((images, count, colour_order + 1, _core.COLOUR_STRIDE), self.dtype)
         self.orders = np.zeros((images, count), np.int32) if lens else None
-        self.splats = self.core.Splats(images, count, colour_order, address(self.table), address(self.colours),
-                                       address(self.orders))
+        self.splats = self.core.Splats(
+            images, count, colour_order, address(self.table), address(self.colours), address(self.orders)
+        )
 
     def field(self, name: str) -> np.ndarray:
         return self.table[..., FIELDS.index(name)]
@@ -53,11 +54,14 @@ class Stages:
     def project_lens(self, scene, shown, fan, continuous=False, tolerance=1e-4):
         self.lens = native_lens(shown, fan, continuous)
         (fx, fy), (cx, cy) = fan.focal_px, fan.principal_point_px
-        view = _core.Rig(world_to_camera=list(np.asarray(fan.world_to_camera).ravel()), intrinsics=[fx, fy, cx, cy],
-                         limits=[*reference.rig_eye(shown, fan).limits.tolist(), 0.0], zero_depth=fan.zero_depth,
-                         lens=self.lens)
-        return self.core.project_lens(self.gaussians(scene), view, self.lens, EXACT.native, tolerance, self.splats,
-                                      2)
+        view = _core.Rig(
+            world_to_camera=list(np.asarray(fan.world_to_camera).ravel()),
+            intrinsics=[fx, fy, cx, cy],
+            limits=[*reference.rig_eye(shown, fan).limits.tolist(), 0.0],
+            zero_depth=fan.zero_depth,
+            lens=self.lens,
+        )
+        return self.core.project_lens(self.gaussians(scene), view, self.lens, EXACT.native, tolerance, self.splats, 2)
 
     def order_and_bin(self, height):
         images, count, _ = self.table.shape
@@ -82,8 +86,9 @@ def test_lens_phase_is_that_of_the_panel(name):
     shown = panel(name)
     native, views = native_lens(shown, rig(shown)), shown.view_map()
     random = np.random.default_rng(1)
-    for row, column, channel in zip(random.integers(0, shown.height_px, 300), random.integers(0, shown.width_px, 300),
-                                    random.integers(0, 3, 300)):
+    for row, column, channel in zip(
+        random.integers(0, shown.height_px, 300), random.integers(0, shown.width_px, 300), random.integers(0, 3, 300)
+    ):
         assert native.view_at(row, native.subpixel_of(row, column, channel)) == views[row, column, channel]
 
 
@@ -104,8 +109,15 @@ def test_project_dense_gives_the_conditional_form(precision):
         u, row, xx, xy, yy = projected(projection, index, zero)
         drawn = stages.field("reach_y")[image] >= 0
         assert drawn.any()
-        expected = {"u0": u, "v0": row, "S0": (xx - xy**2 / yy) / HALF_LOG2E, "tau": HALF_LOG2E / yy, "c0": xy / yy,
-                    "log2_opacity": np.log2(scenes[b].opacities.numpy()), "depth": projection.position[:, 2].numpy()}
+        expected = {
+            "u0": u,
+            "v0": row,
+            "S0": (xx - xy**2 / yy) / HALF_LOG2E,
+            "tau": HALF_LOG2E / yy,
+            "c0": xy / yy,
+            "log2_opacity": np.log2(scenes[b].opacities.numpy()),
+            "depth": projection.position[:, 2].numpy(),
+        }
         for name, value in expected.items():
             scale = np.abs(value[drawn]).max()
             np.testing.assert_allclose(stages.field(name)[image][drawn], value[drawn], atol=tolerance * scale, rtol=0)
@@ -138,8 +150,11 @@ def test_project_lens_holds_for_all_offsets(name, precision, continuous):
         offset = torch.full((60,), s * reach, dtype=torch.float64)
         u, row, xx, xy, yy = projected(projection, index, offset)
         got = {name: stages.field(name)[0].astype(np.float64) for name in FIELDS}
-        pairs = {"mean": (got["u0"] + s * got["du"], u), "slope": (got["c0"] + s * got["c1"], xy / yy),
-                 "S": (got["S0"] + s * got["S1"] + s**2 * got["S2"], (xx - xy**2 / yy) / HALF_LOG2E)}
+        pairs = {
+            "mean": (got["u0"] + s * got["du"], u),
+            "slope": (got["c0"] + s * got["c1"], xy / yy),
+            "S": (got["S0"] + s * got["S1"] + s**2 * got["S2"], (xx - xy**2 / yy) / HALF_LOG2E),
+        }
         for have, want in pairs.values():
             np.testing.assert_allclose(have[drawn], want[drawn], atol=5 * tolerance * np.abs(want[drawn]).max(), rtol=0)
         colour = projection.colour(index, offset).numpy()
@@ -219,8 +234,10 @@ def test_bins_hold_who_touches_a_band_near_ones_first(precision, height):
     # Where the gradients of a splat's bands begin: splat after splat, as many places as it has bands.
     first = np.zeros((2, 300), np.int64)
     stages.core.first_pairs(stages.splats, height, stages.bins, address(first), 2)
-    times = [np.bincount(stages.members[stages.offsets[i * bands] : stages.offsets[(i + 1) * bands]], minlength=300)
-             for i in range(2)]
+    times = [
+        np.bincount(stages.members[stages.offsets[i * bands] : stages.offsets[(i + 1) * bands]], minlength=300)
+        for i in range(2)
+    ]
     np.testing.assert_array_equal(first.ravel(), np.cumsum(np.concatenate(times)) - np.concatenate(times))
 
 
@@ -230,8 +247,20 @@ def test_composite_dense_of_two_round_spots(precision):
     stages = Stages(precision, 1, 2)
     spots = ((11.3, 8.8, 9.0, 0.7, 2.0), (14.0, 10.1, 16.0, 0.9, 1.0))
     for index, (u, v, variance, opacity, depth) in enumerate(spots):
-        stages.table[0, index] = [u, 0, v, np.log2(opacity), variance / HALF_LOG2E, 0, 0, HALF_LOG2E / variance, 0, 0,
-                                  np.sqrt(2 * variance * np.log(255 * opacity)), depth]
+        stages.table[0, index] = [
+            u,
+            0,
+            v,
+            np.log2(opacity),
+            variance / HALF_LOG2E,
+            0,
+            0,
+            HALF_LOG2E / variance,
+            0,
+            0,
+            np.sqrt(2 * variance * np.log(255 * opacity)),
+            depth,
+        ]
     stages.colours[0, :, 0, :3] = [[1, 0, 0], [0, 1, 0.5]]
     stages.order_and_bin(height)
     background = np.array([0, 0.2, 1], stages.dtype)
@@ -239,8 +268,9 @@ def test_composite_dense_of_two_round_spots(precision):
     identity = [torch.eye(4)[None, None], torch.ones(1, 1, 4), torch.ones(1, 1, 5)]
     arrays = [np.ascontiguousarray(array.numpy(), stages.dtype) for array in identity]
     cameras = stages.core.Cameras(1, 1, width, height, *map(address, arrays))
-    counters = stages.core.composite_dense(stages.splats, stages.bins, cameras, address(background),
-                                           stages.core.DenseImages(*map(address, pictures)), 2)
+    counters = stages.core.composite_dense(
+        stages.splats, stages.bins, cameras, address(background), stages.core.DenseImages(*map(address, pictures)), 2
+    )
     row, column = np.mgrid[:height, :width] + 0.5
 
     def alpha(u, v, variance, opacity):

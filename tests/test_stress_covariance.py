@@ -9,15 +9,23 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import torch
 from rasterizer_cases import all_subpixels
 from stress_cases import BACKGROUND, CASES, EXACT
 
 from lightfield_gs import encode, reference
 from lightfield_gs.reference_blend import ALPHA_MAX, ALPHA_MIN, LOW_PASS_PX2
 
-EXTREMES = ["blades of 1", "blades of 1000", "blades of 1e+06", "needles end-on", "ratio 1e8 at 1",
-            "ratio 1e8 at 1e+06", "ratio 1e8 the other way", "scales 1e-12", "scales 1e+06"]
+EXTREMES = [
+    "blades of 1",
+    "blades of 1000",
+    "blades of 1e+06",
+    "needles end-on",
+    "ratio 1e8 at 1",
+    "ratio 1e8 at 1e+06",
+    "ratio 1e8 the other way",
+    "scales 1e-12",
+    "scales 1e+06",
+]
 
 
 def exact(values):
@@ -32,9 +40,11 @@ def product(a, b):
 def rotation(quaternion):
     """Of a quaternion of any length: its square divides, so that no root is taken."""
     w, x, y, z = quaternion
-    rows = [[w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z]]
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
     return [[entry / (w * w + x * x + y * y + z * z) for entry in row] for row in rows]
 
 
@@ -63,15 +73,16 @@ def test_one_gaussian_is_what_exact_arithmetic_makes_of_it(name):
     eye = reference.rig_eye(shown, fan)
     random, tried = np.random.default_rng(5), 0
     for index in (0, 7, 19, 26):
-        alone = type(scene)(*(field[index:index + 1].clone() for field in scene.fields().values()))
+        alone = type(scene)(*(field[index : index + 1].clone() for field in scene.fields().values()))
         alone.sh[:], alone.opacities[:] = 0, 0.9  # grey
         image = encode(alone, shown, fan, background=BACKGROUND, output="float64").numpy().ravel()
         rows, columns, channels = all_subpixels(shown)
         # Half of them where something is seen, half anywhere
         seen = np.flatnonzero(np.abs(image - np.tile(BACKGROUND, image.size // 3)) > 1e-6)
         chosen = np.concatenate([random.permutation(seen)[:12], random.integers(0, image.size, 12)])
-        offsets = reference.lens_offsets(shown, fan, reference.lens_views(shown, *(
-            part[chosen] for part in (rows, columns, channels))))
+        offsets = reference.lens_offsets(
+            shown, fan, reference.lens_views(shown, *(part[chosen] for part in (rows, columns, channels)))
+        )
         for at, offset in zip(chosen, offsets):
             power = exponent(alone, 0, eye, columns[at] + 0.5, rows[at] + 0.5, offset)
             alpha = min(0.9 * math.exp(-power / 2), ALPHA_MAX)

@@ -1,6 +1,6 @@
 """Ordinary images, their alpha, depth and gradients at the extremes of stress_cases, against the float64 oracle."""
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,15 +25,19 @@ def views(case):
     return fan.cameras(shown, [0, 11, 23])
 
 
-@lru_cache(maxsize=None)
+@cache
 def oracle(name):
     """Scene, cameras, images [3, H, W, 3] and their margins."""
     case = CASES[name]
     scene, cameras = case.scene(), views(case)
     rows, columns, channels = (index.ravel() for index in np.indices((cameras.height_px, cameras.width_px, 3)))
     with one_thread():
-        parts = [reference.pixel_colours(scene, cameras, camera, rows, columns, channels, background=BACKGROUND,
-                                         return_margin=True) for camera in range(3)]
+        parts = [
+            reference.pixel_colours(
+                scene, cameras, camera, rows, columns, channels, background=BACKGROUND, return_margin=True
+            )
+            for camera in range(3)
+        ]
     shape = (3, cameras.height_px, cameras.width_px, 3)
     return scene, cameras, *(np.stack(part).reshape(shape) for part in zip(*parts))
 
@@ -44,8 +48,11 @@ def test_images_are_those_of_the_oracle(name, device):
     exact = render(scene, cameras, background=BACKGROUND).numpy()
     assert np.isfinite(exact).all() and (margin > 1e-7).mean() > 0.99
     assert np.abs(exact - want)[margin > 1e-7].max() < EXACT
-    single = render(scene.to(device, torch.float32), cameras.to(device=device, dtype=torch.float32),
-                    background=BACKGROUND).cpu().numpy()
+    single = (
+        render(scene.to(device, torch.float32), cameras.to(device=device, dtype=torch.float32), background=BACKGROUND)
+        .cpu()
+        .numpy()
+    )
     assert np.isfinite(single).all() and (margin > SETTLED).mean() > 0.6
     assert np.abs(single - want)[margin > SETTLED].max() < CASES[name].single
 
@@ -62,7 +69,7 @@ def weighted_depth(image, alpha, depth):
     return image, alpha, depth * alpha  # what the oracle has: depth is divided by the coverage
 
 
-@lru_cache(maxsize=None)
+@cache
 def oracle_gradients(name):
     case = CASES[name].smaller()
     scene, cameras = case.scene(), views(case)
@@ -70,8 +77,9 @@ def oracle_gradients(name):
     background = torch.tensor(BACKGROUND, dtype=torch.float64).expand(1, 3, 3)
 
     def draw(g):
-        return reference.dense_torch(*stacked([g]).fields().values(), background, *each, cameras.width_px,
-                                     cameras.height_px)
+        return reference.dense_torch(
+            *stacked([g]).fields().values(), background, *each, cameras.width_px, cameras.height_px
+        )
 
     with one_thread():
         return case, cameras, gradients(draw, scene)

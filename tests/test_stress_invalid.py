@@ -13,8 +13,20 @@ from rasterizer_cases import CELLS
 from stress_cases import CASES
 
 import lightfield_gs as lf
-from lightfield_gs import (Cameras, Encoder, Gaussians, InputError, Panel, PhotoEncoder, Quality, Rig, SortedPlan,
-                           SplatterNet, encode, render)
+from lightfield_gs import (
+    Cameras,
+    Encoder,
+    Gaussians,
+    InputError,
+    Panel,
+    PhotoEncoder,
+    Quality,
+    Rig,
+    SortedPlan,
+    SplatterNet,
+    encode,
+    render,
+)
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
 
@@ -27,22 +39,64 @@ PHOTO, DEPTH = np.ones((3, 4, 4), np.float32), np.ones((3, 4), np.float32)
 
 # What every public name takes when all is well
 CALLS = {
-    "Cameras": (Cameras, {name: getattr(CAMERAS, name) for name in (
-        "world_to_camera", "focal_px", "principal_point_px", "width_px", "height_px", "jacobian_limits")}),
-    "Encoder": (Encoder, dict(panel=PANEL, rig=RIG, views="integer", background=(1, 1, 1), output="uint8",
-                              quality="fast", versioned=False)),
+    "Cameras": (
+        Cameras,
+        {
+            name: getattr(CAMERAS, name)
+            for name in (
+                "world_to_camera",
+                "focal_px",
+                "principal_point_px",
+                "width_px",
+                "height_px",
+                "jacobian_limits",
+            )
+        },
+    ),
+    "Encoder": (
+        Encoder,
+        dict(
+            panel=PANEL, rig=RIG, views="integer", background=(1, 1, 1), output="uint8", quality="fast", versioned=False
+        ),
+    ),
     "Encoder.__call__": (Encoder(PANEL, RIG), dict(gaussians=SCENE)),
     "Gaussians": (lambda **fields: Gaussians(**fields).validate(), SCENE.fields()),
     "Gaussians.load": (Gaussians.load, dict(path="nowhere.ply")),
     "Gaussians.save": (SCENE.save, dict(path="/nowhere/a.ply")),
-    "Panel": (Panel, {**PANEL.to_dict(), "viewing_distance_mm": 2000.0, "pixel_pitch_mm": 0.2,
-                      "subpixel_cells": CELLS, "cell_pattern": 2, "cell_rule": "unity",
-                      "cell_rows": "bottom"}),
-    "Panel.from_physical": (Panel.from_physical, dict(
-        width_px=2, height_px=1, views=8, lens_pitch_mm=0.6, slant_tan=1 / 6, viewing_distance_mm=1000, lens_gap_mm=2,
-        pixel_pitch_mm=0.18, phase=0.0, subpixel_order="RGB", invert_views=False, cone_deg=40, name="a")),
-    "Panel.from_looking_glass": (Panel.from_looking_glass, dict(
-        source={"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136, "screenW": 20, "screenH": 10}, views=9)),
+    "Panel": (
+        Panel,
+        {
+            **PANEL.to_dict(),
+            "viewing_distance_mm": 2000.0,
+            "pixel_pitch_mm": 0.2,
+            "subpixel_cells": CELLS,
+            "cell_pattern": 2,
+            "cell_rule": "unity",
+            "cell_rows": "bottom",
+        },
+    ),
+    "Panel.from_physical": (
+        Panel.from_physical,
+        dict(
+            width_px=2,
+            height_px=1,
+            views=8,
+            lens_pitch_mm=0.6,
+            slant_tan=1 / 6,
+            viewing_distance_mm=1000,
+            lens_gap_mm=2,
+            pixel_pitch_mm=0.18,
+            phase=0.0,
+            subpixel_order="RGB",
+            invert_views=False,
+            cone_deg=40,
+            name="a",
+        ),
+    ),
+    "Panel.from_looking_glass": (
+        Panel.from_looking_glass,
+        dict(source={"pitch": 42, "slope": -6, "center": 0.3, "DPI": 136, "screenW": 20, "screenH": 10}, views=9),
+    ),
     "Panel.load": (Panel.load, dict(source="65in-8k-96v")),
     "Rig": (Rig, dict(RIG.to_dict(), cone_deg=20.0)),
     "Rig.frame": (Rig.frame, dict(gaussians=SCENE, panel=PANEL, world_to_camera=np.eye(4))),
@@ -53,26 +107,81 @@ CALLS = {
     "SortedPlan": (SortedPlan, dict(panel=PANEL, view_map=PANEL.view_map(), views=PANEL.views, device="cpu")),
     "SplatterNet": (SplatterNet, dict(config=NET.config)),
     "SplatterNet.from_pretrained": (SplatterNet.from_pretrained, dict(path="nowhere.safetensors")),
-    "encode": (encode, dict(gaussians=SCENE, panel=PANEL, rig=RIG, method="direct", views="integer",
-                            background=(1, 1, 1), output="uint8", quality="high", threads=1, stats={})),
-    "encode sorted": (encode, dict(gaussians=SCENE, panel=PANEL, rig=None, method="sorted", cameras=CAMERAS,
-                                   view_map=PANEL.view_map(), memory_budget=1 << 24)),
+    "encode": (
+        encode,
+        dict(
+            gaussians=SCENE,
+            panel=PANEL,
+            rig=RIG,
+            method="direct",
+            views="integer",
+            background=(1, 1, 1),
+            output="uint8",
+            quality="high",
+            threads=1,
+            stats={},
+        ),
+    ),
+    "encode sorted": (
+        encode,
+        dict(
+            gaussians=SCENE,
+            panel=PANEL,
+            rig=None,
+            method="sorted",
+            cameras=CAMERAS,
+            view_map=PANEL.view_map(),
+            memory_budget=1 << 24,
+        ),
+    ),
     "from_depth": (lf.from_depth, dict(image=PHOTO, depth=DEPTH, focal_px=(4.0, 4.0), principal_point_px=(2.0, 1.5))),
     "interlace": (lf.interlace, dict(views=VIEWS, panel=PANEL)),
     "load_photo": (lf.load_photo, dict(path="nowhere.png", mask="nowhere.png", remove_background=False, whole=True)),
     "prune": (lf.prune, dict(gaussians=SCENE, panel=PANEL, rig=RIG, contribution_cut=0.01)),
-    "render": (render, dict(gaussians=SCENE, cameras=CAMERAS.to(torch.float32), background=(1, 1, 1), alpha=True,
-                            depth=True)),
+    "render": (
+        render,
+        dict(gaussians=SCENE, cameras=CAMERAS.to(torch.float32), background=(1, 1, 1), alpha=True, depth=True),
+    ),
 }
 FLOATS = st.floats(allow_nan=True, allow_infinity=True, width=64)
 JUNK = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.integers(-5, 5), FLOATS, st.text(max_size=5), st.binary(max_size=5),
-    st.lists(FLOATS, max_size=4), st.dictionaries(st.text(max_size=3), FLOATS, max_size=2), st.just(object()),
-    st.sampled_from([10**400, 1j, (), [[]], {}, float, SCENE, PANEL, RIG, CAMERAS, np.zeros(0), np.zeros((4, 4)),
-                     np.array([["a"]]), np.array([object()]), torch.zeros(()), torch.zeros(2, 3),
-                     torch.zeros(1, 1, 4, 4), torch.full((1, 3), math.nan), torch.zeros(1, 3, dtype=torch.int64),
-                     torch.zeros(3, device="meta"),
-                     torch.zeros(1, 3, dtype=torch.complex64), torch.zeros(1, 3).to_sparse()]))
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.integers(-5, 5),
+    FLOATS,
+    st.text(max_size=5),
+    st.binary(max_size=5),
+    st.lists(FLOATS, max_size=4),
+    st.dictionaries(st.text(max_size=3), FLOATS, max_size=2),
+    st.just(object()),
+    st.sampled_from(
+        [
+            10**400,
+            1j,
+            (),
+            [[]],
+            {},
+            float,
+            SCENE,
+            PANEL,
+            RIG,
+            CAMERAS,
+            np.zeros(0),
+            np.zeros((4, 4)),
+            np.array([["a"]]),
+            np.array([object()]),
+            torch.zeros(()),
+            torch.zeros(2, 3),
+            torch.zeros(1, 1, 4, 4),
+            torch.full((1, 3), math.nan),
+            torch.zeros(1, 3, dtype=torch.int64),
+            torch.zeros(3, device="meta"),
+            torch.zeros(1, 3, dtype=torch.complex64),
+            torch.zeros(1, 3).to_sparse(),
+        ]
+    ),
+)
 
 
 def outcome(call, arguments):
@@ -108,10 +217,14 @@ def test_junk_is_refused(name, data):
 def test_numbers_that_are_none_are_named_with_their_index(how, field, bad):
     scene = CASES["needles end-on"].scene().to(dtype=torch.float32)
     scene.fields()[field].view(40, -1)[17, -1] = bad
-    calls = {"render": lambda: render(scene, CAMERAS.to(torch.float32)), "frame": lambda: Rig.frame(scene, PANEL),
-             "save": lambda: scene.save("/nowhere/a.ply"), "high": lambda: encode(scene, PANEL, RIG, quality="high"),
-             "fast": lambda: encode(scene, PANEL, RIG, quality="fast"),
-             "encoder": lambda: Encoder(PANEL, RIG, quality="fast")(scene)}
+    calls = {
+        "render": lambda: render(scene, CAMERAS.to(torch.float32)),
+        "frame": lambda: Rig.frame(scene, PANEL),
+        "save": lambda: scene.save("/nowhere/a.ply"),
+        "high": lambda: encode(scene, PANEL, RIG, quality="high"),
+        "fast": lambda: encode(scene, PANEL, RIG, quality="fast"),
+        "encoder": lambda: Encoder(PANEL, RIG, quality="fast")(scene),
+    }
     with pytest.raises(InputError, match=rf"{field}\[17.*got -?(nan|inf)"):
         calls.get(how, lambda: encode(scene, PANEL, RIG, how))()
 

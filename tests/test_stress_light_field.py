@@ -1,13 +1,12 @@
 """The light field and its gradients at the extremes of stress_cases, against the float64 oracle, on every backend."""
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
 import torch
 from rasterizer_cases import all_subpixels, reached
-from stress_cases import (BACKENDS, BACKGROUND, CASES, EXACT, METHODS, SETTLED, check_gradients, one_thread,
-                          use_backend)
+from stress_cases import BACKENDS, BACKGROUND, CASES, EXACT, METHODS, SETTLED, check_gradients, one_thread, use_backend
 
 from lightfield_gs import Gaussians, encode, reference
 from lightfield_gs.quality import QUALITIES
@@ -19,14 +18,20 @@ def device(request):
         yield device
 
 
-@lru_cache(maxsize=None)
+@cache
 def oracle(name):
     """Scene, panel, rig, colours and margins of a case."""
     case = CASES[name]
     scene, (shown, fan) = case.scene(), case.view()
     with one_thread():
-        return scene, shown, fan, *reference.subpixel_colours(scene, shown, fan, *all_subpixels(shown),
-                                                              background=BACKGROUND, return_margin=True)
+        return (
+            scene,
+            shown,
+            fan,
+            *reference.subpixel_colours(
+                scene, shown, fan, *all_subpixels(shown), background=BACKGROUND, return_margin=True
+            ),
+        )
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -53,23 +58,25 @@ def test_the_other_methods_are_near_the_oracle(name, method, device):
     assert np.abs(image.numpy().ravel() - want)[margin > SETTLED].max() < CASES[name].single
 
 
-@lru_cache(maxsize=None)
+@cache
 def given_up(name, quality):
     """What a quality states as its bound for every sub-pixel of a case."""
     scene, shown, fan, *_ = oracle(name)
     with one_thread():
         cut = quality.opacity_cut * reached(scene, shown, fan)
     # A lattice is checked in the middle of its cells; elsewhere its error was never twice that
-    return (cut + quality.transmittance_stop + quality.colour_error + 2 * quality.lattice_error
-            + quality.evaluation_error)
+    return (
+        cut + quality.transmittance_stop + quality.colour_error + 2 * quality.lattice_error + quality.evaluation_error
+    )
 
 
 @pytest.mark.parametrize("quality", ["high", "fast", "draft"])
 @pytest.mark.parametrize("name", CASES)
 def test_no_quality_gives_up_more_than_it_states(name, quality, device):
     scene, shown, fan, want, margin = oracle(name)
-    image = encode(scene.to(device, torch.float32), shown, fan, background=BACKGROUND, output="float32",
-                   quality=quality).cpu()
+    image = encode(
+        scene.to(device, torch.float32), shown, fan, background=BACKGROUND, output="float32", quality=quality
+    ).cpu()
     assert torch.isfinite(image).all()
     error = np.abs(image.numpy().ravel() - want.clip(0, 1))
     bound = CASES[name].frame_bound(device) + given_up(name, QUALITIES[quality])
@@ -83,7 +90,7 @@ def gradients(draw, scene):
     return torch.autograd.grad((image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum(), leaves)
 
 
-@lru_cache(maxsize=None)
+@cache
 def oracle_gradients(name):
     case = CASES[name].smaller()
     scene, (shown, fan) = case.scene(), case.view()
@@ -96,7 +103,8 @@ def oracle_gradients(name):
 def test_gradients_are_finite_and_those_of_the_oracle(name, device):
     case, want = oracle_gradients(name)
     shown, fan = case.view()
-    single = gradients(lambda g: encode(g, shown, fan, background=BACKGROUND, output="float32"),
-                       case.scene().to(device, torch.float32))
+    single = gradients(
+        lambda g: encode(g, shown, fan, background=BACKGROUND, output="float32"), case.scene().to(device, torch.float32)
+    )
     double = gradients(lambda g: encode(g, shown, fan, background=BACKGROUND, output="float64"), case.scene())
     check_gradients(case, want, single, double)

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 import torch
-from rasterizer_cases import random_scene, rig
 from rasterizer_cases import panel as panel_of
+from rasterizer_cases import random_scene, rig
 from stress_cases import BACKGROUND
 
 from lightfield_gs import Gaussians, encode, reference
@@ -18,8 +18,13 @@ from lightfield_gs.reference_blend import LOW_PASS_PX2, Projection, Scene
 def on_one_pixel(count: int, opacity: float) -> Gaussians:
     """In one line of sight, smaller than a pixel, each of another grey, at eight depths without any order."""
     random = np.random.default_rng(3)
-    scene = Gaussians(torch.zeros(count, 3), torch.eye(4)[:1].repeat(count, 1), torch.full((count, 3), 1e-4),
-                      torch.full((count,), opacity), torch.zeros(count, 1, 3))
+    scene = Gaussians(
+        torch.zeros(count, 3),
+        torch.eye(4)[:1].repeat(count, 1),
+        torch.full((count, 3), 1e-4),
+        torch.full((count,), opacity),
+        torch.zeros(count, 1, 3),
+    )
     scene.means[:, 2] = torch.from_numpy(2 + 2.0**-22 * random.integers(0, 8, count))
     scene.sh[:, 0] = torch.from_numpy(random.uniform(-1, 1, (count, 1))).to(torch.float32)
     return scene

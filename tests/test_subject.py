@@ -42,9 +42,16 @@ def turned_room() -> np.ndarray:
     return matrix
 
 
-@pytest.mark.parametrize("walls, centre", [
-    (room(), (0, 0, 0)), (room(), (1.2, 0.6, -0.9)), (room(faces=(0, 1, 3, 4, 5)), (0, 0.2, 0)),
-    (room(half=(2.5, 2.5, 2.5), turn=turned_room()), (0, 0, 0))], ids=["middle", "aside", "no ceiling", "turned"])
+@pytest.mark.parametrize(
+    "walls, centre",
+    [
+        (room(), (0, 0, 0)),
+        (room(), (1.2, 0.6, -0.9)),
+        (room(faces=(0, 1, 3, 4, 5)), (0, 0.2, 0)),
+        (room(half=(2.5, 2.5, 2.5), turn=turned_room()), (0, 0, 0)),
+    ],
+    ids=["middle", "aside", "no ceiling", "turned"],
+)
 def test_an_object_in_a_room_is_framed_from_inside_the_room(walls, centre):
     notes = []
     rig = Rig.frame(joined(walls, thing(centre, 500)), PANEL, notes=notes)
@@ -78,11 +85,17 @@ def pole() -> Gaussians:
     return blobs(random.uniform(-1, 1, (60, 3)) * [0.02, 2, 0.02] + [0, 2.5, 0])
 
 
-@pytest.mark.parametrize("scene", [
-    joined(thing(), pole()), joined(thing((-4, 0, 0)), thing((4, 0, 1))),
-    joined(blobs(0.4 * directions(2000, 9) - [0, 1, 0]), blobs(directions(4000, 10) * [0.5, 0.7, 0.4])),
-    blobs(np.random.default_rng(12).uniform(-1, 1, (3000, 3)), 0.05),
-    blobs(np.random.default_rng(13).normal(size=(3000, 3)), 0.05)], ids=["pole", "two", "statue", "box", "cloud"])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        joined(thing(), pole()),
+        joined(thing((-4, 0, 0)), thing((4, 0, 1))),
+        joined(blobs(0.4 * directions(2000, 9) - [0, 1, 0]), blobs(directions(4000, 10) * [0.5, 0.7, 0.4])),
+        blobs(np.random.default_rng(12).uniform(-1, 1, (3000, 3)), 0.05),
+        blobs(np.random.default_rng(13).normal(size=(3000, 3)), 0.05),
+    ],
+    ids=["pole", "two", "statue", "box", "cloud"],
+)
 def test_objects_are_framed_whole_without_a_word(scene):
     notes = []
     rig = Rig.frame(scene, PANEL, notes=notes)
@@ -120,8 +133,10 @@ def test_with_a_pose_the_zero_plane_lies_in_the_subject():
 
 def test_what_hides_the_content_counts():
     content, rig = thing((0, 0, 3)), Rig(UPRIGHT, (150, 150), (80, 40), 3)
-    nothing, curtain = blobs([[0, 0, -5]]), blobs(np.random.default_rng(16).uniform(-1, 1, (4000, 3)) * [1, 1, 0]
-                                                  + [0, 0, 1.5], 0.05)
+    nothing, curtain = (
+        blobs([[0, 0, -5]]),
+        blobs(np.random.default_rng(16).uniform(-1, 1, (4000, 3)) * [1, 1, 0] + [0, 0, 1.5], 0.05),
+    )
     assert visible.share(content, nothing, PANEL, rig) > 0.95
     assert visible.share(content, curtain, PANEL, rig) < 0.05
 

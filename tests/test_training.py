@@ -1,4 +1,5 @@
 """Losses, schedule, and a training loop that resumes with the same numbers."""
+
 import dataclasses
 import json
 import math
@@ -11,12 +12,13 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from photo_cases import TINY, tiny_net
 from safetensors.torch import load_file
+from training_runs import losses, run_config, start
 
 from lightfield_gs import InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.paths import config_names, config_path
-from photo_cases import TINY, tiny_net
 from training import average, train
 from training.checkpoints import cut_log, load_checkpoint
 from training.config import OptimizerConfig, Stage, TrainingConfig
@@ -26,7 +28,6 @@ from training.losses import LossWeights, composite, roughness, total_loss, trans
 from training.metrics import psnr_db, ssim
 from training.schedule import WeightAverage, learning_rate
 from training.trainer import Trainer
-from training_runs import losses, run_config, start
 
 
 def test_psnr_of_a_constant_error():
@@ -44,12 +45,15 @@ def test_ssim_is_the_published_formula():
     padded = [np.pad(a, ((0, 0), (5, 5), (5, 5))) for a in (x, y)]
     total = []
     for c, i, j in np.ndindex(x.shape):
-        a, b = (p[c, i:i + 11, j:j + 11] for p in padded)
+        a, b = (p[c, i : i + 11, j : j + 11] for p in padded)
         mean_a, mean_b = (window * a).sum(), (window * b).sum()
-        var_a, var_b = (window * a * a).sum() - mean_a ** 2, (window * b * b).sum() - mean_b ** 2
+        var_a, var_b = (window * a * a).sum() - mean_a**2, (window * b * b).sum() - mean_b**2
         covariance = (window * a * b).sum() - mean_a * mean_b
-        total.append((2 * mean_a * mean_b + 1e-4) * (2 * covariance + 9e-4)
-                     / ((mean_a ** 2 + mean_b ** 2 + 1e-4) * (var_a + var_b + 9e-4)))
+        total.append(
+            (2 * mean_a * mean_b + 1e-4)
+            * (2 * covariance + 9e-4)
+            / ((mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4))
+        )
     assert float(ssim(torch.from_numpy(x), torch.from_numpy(y))) == pytest.approx(np.mean(total), abs=1e-12)
     assert float(ssim(torch.from_numpy(x).float(), torch.from_numpy(x).float())) == pytest.approx(1, abs=1e-5)
 
@@ -153,9 +157,15 @@ def test_log_is_cut_at_a_damaged_line(tmp_path, line):
     assert log.read_text() == '{"step": 0}\n'
 
 
-@pytest.mark.parametrize("error", [MemoryError(), PermissionError(13, "Permission denied"),
-                                   RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate"),
-                                   torch.OutOfMemoryError("CUDA out of memory.")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        PermissionError(13, "Permission denied"),
+        RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate"),
+        torch.OutOfMemoryError("CUDA out of memory."),
+    ],
+)
 def test_a_checkpoint_is_not_called_damaged_for_want_of_memory_or_rights(tmp_path, monkeypatch, error):
     """The message would have the user remove it."""
     monkeypatch.setattr(torch, "load", lambda *_, **__: (_ for _ in ()).throw(error))
@@ -182,8 +192,13 @@ def _finish(config: Path) -> None:
 
 def test_killed_run_resumes_to_the_same_losses(small_set):
     """kill -9 in the middle, resume, and compare with a run that was left alone: every digit of every step."""
-    validated = {"validation": str(small_set / "set"), "validate_every": 4, "validation_objects": 1,
-                 "threads": 1, "procedural": 0.5}
+    validated = {
+        "validation": str(small_set / "set"),
+        "validate_every": 4,
+        "validation_objects": 1,
+        "threads": 1,
+        "procedural": 0.5,
+    }
     whole, killed = (run_config(small_set, name, **validated) for name in ("whole", "killed"))
     _finish(whole)
     _interrupt(killed, small_set / "killed", signal.SIGKILL)
@@ -201,8 +216,9 @@ def test_killed_run_resumes_to_the_same_losses(small_set):
 
 def test_scores_that_a_run_owes_are_taken_when_it_goes_on(small_set):
     """A run killed after a checkpoint and before its scores; a line of a step that is taken again is dropped."""
-    config = run_config(small_set, "owing", validation=str(small_set / "set"), validate_every=6, validation_objects=1,
-                        threads=1)
+    config = run_config(
+        small_set, "owing", validation=str(small_set / "set"), validate_every=6, validation_objects=1, threads=1
+    )
     _finish(config)
     log = small_set / "owing/scores.jsonl"
     lines = log.read_text().splitlines(keepends=True)
@@ -226,9 +242,16 @@ def test_terminated_run_saves_its_last_step(small_set):
     assert process.returncode == 2 and "damaged checkpoint" in message and "Traceback" not in message
 
 
-@pytest.mark.parametrize("arguments, word", [(["--config", "none.yaml"], "none.yaml"), (["--seed", "x"], "seed"),
-                                             (["--steps", "5"], "steps"), (["--stages", "[{steps: 5}]"], "stages"),
-                                             (["--device", "gpu"], "device")])
+@pytest.mark.parametrize(
+    "arguments, word",
+    [
+        (["--config", "none.yaml"], "none.yaml"),
+        (["--seed", "x"], "seed"),
+        (["--steps", "5"], "steps"),
+        (["--stages", "[{steps: 5}]"], "stages"),
+        (["--device", "gpu"], "device"),
+    ],
+)
 def test_bad_arguments_are_reported_in_one_line(small_set, capsys, arguments, word):
     assert train.main(["--config", str(run_config(small_set, "unused")), *arguments]) == 2
     error = capsys.readouterr().err
@@ -242,14 +265,23 @@ def test_help_says_what_every_field_is(capsys):
     with pytest.raises(SystemExit):
         train.main(["--help"])
     said = " ".join(capsys.readouterr().out.split())
-    for words in ("the panel's full viewing cone, degrees", "last learning rate / peak", "of 1 - SSIM",
-                  "largest turn of the target cameras"):
+    for words in (
+        "the panel's full viewing cone, degrees",
+        "last learning rate / peak",
+        "of 1 - SSIM",
+        "largest turn of the target cameras",
+    ):
         assert words in said
 
 
-@pytest.mark.parametrize("error, words, code", [
-    (torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB."), "take fewer objects", 2),
-    (OSError(28, "No space left on device"), "No space left", 2), (KeyboardInterrupt(), "interrupted", 130)])
+@pytest.mark.parametrize(
+    "error, words, code",
+    [
+        (torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB."), "take fewer objects", 2),
+        (OSError(28, "No space left on device"), "No space left", 2),
+        (KeyboardInterrupt(), "interrupted", 130),
+    ],
+)
 def test_what_ends_a_run_is_said_in_one_line(small_set, capsys, monkeypatch, error, words, code):
     monkeypatch.setattr(train, "train", lambda config: (_ for _ in ()).throw(error))
     assert train.main(["--config", str(run_config(small_set, "unused"))]) == code
@@ -260,28 +292,66 @@ def test_what_ends_a_run_is_said_in_one_line(small_set, capsys, monkeypatch, err
 STAGE = {"steps": 2, "image_size_px": 16, "objects": 2}
 
 
-@pytest.mark.parametrize("changes, words", [
-    ({"stages": []}, "stages: expected at least one"),
-    ({"data": []}, "data: expected at least one"),
-    ({"output_dir": ""}, "output_dir: expected a folder"),
-    ({"output_dir": __file__}, "cannot make the folder"),
-    ({"cache_dir": __file__}, "cannot make the folder"),
-    ({"validation": "nowhere"}, "nowhere: expected a folder of objects"),
-    *[({"stages": [STAGE | {field: value}]}, f"stages: {field}") for field, value in (
-        ("steps", 0), ("steps", -3), ("image_size_px", 0), ("image_size_px", 15), ("objects", 0), ("target_px", -4))],
-    *[({field: value}, f"{field} must be") for field, value in (
-        ("seed", -1), ("seed", 2**31), ("cone_deg", -5.0), ("cone_deg", math.nan), ("cone_margin", -1.0),
-        ("elevation_deg", -1.0), ("neighbour_deg", math.inf), ("targets", 0), ("procedural", -0.1),
-        ("procedural", 1.5), ("procedural", math.nan), ("checkpoint_every", 0),
-        ("validate_every", 0), ("validation_objects", 0), ("threads", -1))],
-    *[({"optimizer": {field: value}}, f"optimizer.{field} must be") for field, value in (
-        ("learning_rate", -1.0), ("learning_rate", math.nan), ("betas", [0.9, 1.0]), ("weight_decay", -1.0),
-        ("warmup_steps", -1), ("final_share", 2.0), ("clip", 0.0), ("ema_decay", 2.0))],
-    ({"loss": {"colour": math.inf}}, "loss.colour must be"),
-    ({"loss": {"colour": 0, "ssim": 0, "alpha": 0}}, "loss: expected a weight above 0"),
-    ({"augmentation": {"mirror": 1.5}}, "augmentation.mirror must be"),
-    ({"augmentation": {"target_zoom": [0.0, 1.0]}}, "augmentation.target_zoom must be"),
-    ({"augmentation": {"target_zoom": [2.0, 0.5]}}, "augmentation.target_zoom: expected the smaller number first")])
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"stages": []}, "stages: expected at least one"),
+        ({"data": []}, "data: expected at least one"),
+        ({"output_dir": ""}, "output_dir: expected a folder"),
+        ({"output_dir": __file__}, "cannot make the folder"),
+        ({"cache_dir": __file__}, "cannot make the folder"),
+        ({"validation": "nowhere"}, "nowhere: expected a folder of objects"),
+        *[
+            ({"stages": [STAGE | {field: value}]}, f"stages: {field}")
+            for field, value in (
+                ("steps", 0),
+                ("steps", -3),
+                ("image_size_px", 0),
+                ("image_size_px", 15),
+                ("objects", 0),
+                ("target_px", -4),
+            )
+        ],
+        *[
+            ({field: value}, f"{field} must be")
+            for field, value in (
+                ("seed", -1),
+                ("seed", 2**31),
+                ("cone_deg", -5.0),
+                ("cone_deg", math.nan),
+                ("cone_margin", -1.0),
+                ("elevation_deg", -1.0),
+                ("neighbour_deg", math.inf),
+                ("targets", 0),
+                ("procedural", -0.1),
+                ("procedural", 1.5),
+                ("procedural", math.nan),
+                ("checkpoint_every", 0),
+                ("validate_every", 0),
+                ("validation_objects", 0),
+                ("threads", -1),
+            )
+        ],
+        *[
+            ({"optimizer": {field: value}}, f"optimizer.{field} must be")
+            for field, value in (
+                ("learning_rate", -1.0),
+                ("learning_rate", math.nan),
+                ("betas", [0.9, 1.0]),
+                ("weight_decay", -1.0),
+                ("warmup_steps", -1),
+                ("final_share", 2.0),
+                ("clip", 0.0),
+                ("ema_decay", 2.0),
+            )
+        ],
+        ({"loss": {"colour": math.inf}}, "loss.colour must be"),
+        ({"loss": {"colour": 0, "ssim": 0, "alpha": 0}}, "loss: expected a weight above 0"),
+        ({"augmentation": {"mirror": 1.5}}, "augmentation.mirror must be"),
+        ({"augmentation": {"target_zoom": [0.0, 1.0]}}, "augmentation.target_zoom must be"),
+        ({"augmentation": {"target_zoom": [2.0, 0.5]}}, "augmentation.target_zoom: expected the smaller number first"),
+    ],
+)
 def test_numbers_out_of_range_are_refused_before_the_first_step(small_set, capsys, changes, words):
     assert train.main(["--config", str(run_config(small_set, "refused", **changes))]) == 2
     error = capsys.readouterr().err.splitlines()[-1]
@@ -309,8 +379,14 @@ def test_a_trained_network_can_be_made_symmetric_and_its_head_trained_alone(smal
     config = train.read_config(["--config", str(run_config(small_set, "unused"))])
     SplatterNet(ModelConfig.from_yaml(config.model)).save(tmp_path / "weights.safetensors")
     former = load_file(tmp_path / "weights.safetensors")
-    config = run_config(small_set, "head", initial_weights=str(tmp_path / "weights.safetensors"), symmetric=True,
-                        trained="head", threads=1)
+    config = run_config(
+        small_set,
+        "head",
+        initial_weights=str(tmp_path / "weights.safetensors"),
+        symmetric=True,
+        trained="head",
+        threads=1,
+    )
     _finish(config)
     found = SplatterNet.from_pretrained(small_set / "head/model.safetensors")
     assert found.config.symmetric
@@ -365,8 +441,9 @@ def test_a_run_with_other_data_is_another_unless_the_folders_were_moved():
     assert other.differences(stored) == []
 
 
-SHIPPED = [name for name in config_names("training")
-           if "arms" not in yaml.safe_load(config_path("training", name).read_text())]  # those are comparisons
+SHIPPED = [
+    name for name in config_names("training") if "arms" not in yaml.safe_load(config_path("training", name).read_text())
+]  # those are comparisons
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -1,4 +1,5 @@
 """The reader of transforms.json, beside the SRN reader, and the way from own data to an own checkpoint."""
+
 import json
 import math
 import re
@@ -8,14 +9,15 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from PIL import Image
-
-from lightfield_gs import Gaussians, InputError, cli
-from lightfield_gs.models import ModelConfig, SplatterNet
 from faulty_set import assert_fault_is_named
+from PIL import Image
 from srn_scene import HEIGHT, WIDTH, look_at, write_object
 from test_evaluate import ANGLES, KnownScene
 from test_model import TINY
+from transforms_scene import OPENGL, edit, write_transforms
+
+from lightfield_gs import Gaussians, InputError, cli
+from lightfield_gs.models import ModelConfig, SplatterNet
 from training import evaluate, train
 from training.data.cache import load_set
 from training.data.images import read_view
@@ -24,7 +26,6 @@ from training.data.resident import ResidentViews
 from training.data.validate import main, problems
 from training.evaluation import score_folder
 from training.rendering import render_views
-from transforms_scene import OPENGL, edit, write_transforms
 
 
 def test_same_object_in_both_layouts(tmp_path):
@@ -50,8 +51,13 @@ def test_pictures_of_a_known_scene_are_drawn_again(tmp_path):
     rng, count = torch.Generator().manual_seed(0), 40
     means = 0.15 * torch.randn(count, 3, generator=rng) + torch.tensor([0, 0, 1.3])
     scales = 0.03 + 0.02 * torch.rand(count, 3, generator=rng)
-    scene = Gaussians(means, torch.randn(count, 4, generator=rng), scales, torch.full((count,), 0.9),
-                      torch.randn(count, 1, 3, generator=rng))
+    scene = Gaussians(
+        means,
+        torch.randn(count, 4, generator=rng),
+        scales,
+        torch.full((count,), 0.9),
+        torch.randn(count, 1, 3, generator=rng),
+    )
     poses = np.stack([look_at(*angles) for angles in ANGLES])
     cameras = torch.from_numpy(np.linalg.inv(poses) @ poses[0]).float()
     steps = torch.arange(len(ANGLES))[:, None]
@@ -65,8 +71,9 @@ def test_pictures_of_a_known_scene_are_drawn_again(tmp_path):
         Image.fromarray(pixels[index]).save(tmp_path / f"{index}.png")
         pose = poses[index] @ OPENGL
         pose[:3, 3] *= 4
-        frames.append({"file_path": str(index), "transform_matrix": pose.tolist(), "fl_x": fx, "fl_y": fy, "cx": cx,
-                       "cy": cy})
+        frames.append(
+            {"file_path": str(index), "transform_matrix": pose.tolist(), "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+        )
     (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames, "fl_x": 1.0}))
     report = score_folder(KnownScene(scene), tmp_path)
     assert report["psnr_db"] > 50 and report["copy_psnr_db"] < 30
@@ -76,13 +83,16 @@ def _angle(size: float, focal: float) -> float:
     return 2 * math.atan(size / 2 / focal)
 
 
-@pytest.mark.parametrize("camera, expected", [
-    ({"camera_angle_x": _angle(WIDTH, 80)}, (80, 80, 32, 24)),
-    ({"camera_angle_y": _angle(HEIGHT, 50)}, (50, 50, 32, 24)),
-    ({"camera_angle_x": _angle(WIDTH, 80), "camera_angle_y": _angle(HEIGHT, 50), "cy": 20.5}, (80, 50, 32, 20.5)),
-    ({"fl_x": 70, "camera_angle_x": 0.1, "cx": 31}, (70, 70, 31, 24)),
-    ({"fl_x": 70, "fl_y": 71, "w": WIDTH, "h": HEIGHT, "k1": 0, "camera_model": "OPENCV"}, (70, 71, 32, 24)),
-])
+@pytest.mark.parametrize(
+    "camera, expected",
+    [
+        ({"camera_angle_x": _angle(WIDTH, 80)}, (80, 80, 32, 24)),
+        ({"camera_angle_y": _angle(HEIGHT, 50)}, (50, 50, 32, 24)),
+        ({"camera_angle_x": _angle(WIDTH, 80), "camera_angle_y": _angle(HEIGHT, 50), "cy": 20.5}, (80, 50, 32, 20.5)),
+        ({"fl_x": 70, "camera_angle_x": 0.1, "cx": 31}, (70, 70, 31, 24)),
+        ({"fl_x": 70, "fl_y": 71, "w": WIDTH, "h": HEIGHT, "k1": 0, "camera_model": "OPENCV"}, (70, 71, 32, 24)),
+    ],
+)
 def test_ways_to_say_the_camera(tmp_path, camera, expected):
     write_transforms(tmp_path / "a", camera=camera)
     views = read_object(tmp_path / "a/transforms.json")
@@ -98,11 +108,16 @@ def test_splits(tmp_path):
         shutil.move(path, tmp_path / "set/a" / path.name)
     shutil.copy(tmp_path / "set/a/transforms_val.json", tmp_path / "set/a/transforms.json")
     write_transforms(tmp_path / "set/b")
-    names = {split: [path.relative_to(tmp_path / "set").as_posix() for path in find_objects(tmp_path / "set", split)]
-             for split in ("train", "val", "test", None)}
-    assert names == {"train": ["a/transforms_train.json", "b/transforms.json"],
-                     "val": ["a/transforms_val.json", "b/transforms.json"], "test": ["b/transforms.json"],
-                     None: ["a/transforms_train.json", "a/transforms_val.json", "b/transforms.json"]}
+    names = {
+        split: [path.relative_to(tmp_path / "set").as_posix() for path in find_objects(tmp_path / "set", split)]
+        for split in ("train", "val", "test", None)
+    }
+    assert names == {
+        "train": ["a/transforms_train.json", "b/transforms.json"],
+        "val": ["a/transforms_val.json", "b/transforms.json"],
+        "test": ["b/transforms.json"],
+        None: ["a/transforms_train.json", "a/transforms_val.json", "b/transforms.json"],
+    }
     cached = load_set(tmp_path / "set", tmp_path / "cache", workers=1)
     assert [len(views.camera_to_world) for views in cached.objects] == [4, 4]
     net = SplatterNet(ModelConfig.from_dict(TINY)).eval()
@@ -182,8 +197,10 @@ def test_validator_names_file_and_field(tmp_path, fault, capsys):
     assert_fault_is_named(tmp_path, pattern, capsys)
 
 
-@pytest.mark.parametrize("text, pattern", [("{", "is not JSON"), ("[]", "expected an object"), ("[" * 9999, "not JSON"),
-                                           ('{"frames": [{}]}', "file_path")])
+@pytest.mark.parametrize(
+    "text, pattern",
+    [("{", "is not JSON"), ("[]", "expected an object"), ("[" * 9999, "not JSON"), ('{"frames": [{}]}', "file_path")],
+)
 def test_damaged_files(tmp_path, text, pattern):
     write_transforms(tmp_path / "a")
     (tmp_path / "a/transforms.json").write_text(text)
@@ -206,10 +223,19 @@ def test_from_own_data_to_own_checkpoint(tmp_path, capsys):
     assert main([str(tmp_path)]) == 0
     unet = {"base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [8], "heads": 2}
     (tmp_path / "model.yaml").write_text(yaml.safe_dump({"image_size_px": 16, "features": 8, "unet": unet}))
-    (tmp_path / "own.yaml").write_text(yaml.safe_dump({
-        "output_dir": str(tmp_path / "run"), "data": [str(tmp_path / "train")], "cache_dir": str(tmp_path / "cache"),
-        "model": str(tmp_path / "model.yaml"), "stages": [{"steps": 2, "image_size_px": 16, "objects": 2}],
-        "targets": 1, "optimizer": {"warmup_steps": 1}}))
+    (tmp_path / "own.yaml").write_text(
+        yaml.safe_dump(
+            {
+                "output_dir": str(tmp_path / "run"),
+                "data": [str(tmp_path / "train")],
+                "cache_dir": str(tmp_path / "cache"),
+                "model": str(tmp_path / "model.yaml"),
+                "stages": [{"steps": 2, "image_size_px": 16, "objects": 2}],
+                "targets": 1,
+                "optimizer": {"warmup_steps": 1},
+            }
+        )
+    )
     assert train.main(["--config", str(tmp_path / "own.yaml")]) == 0
     weights = str(tmp_path / "run/model.safetensors")
     scores = str(tmp_path / "scores.json")

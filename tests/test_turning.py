@@ -18,8 +18,13 @@ def some_rotation(seed: int) -> torch.Tensor:
 
 
 def camera(pose: torch.Tensor) -> Cameras:
-    return Cameras(pose[None], torch.tensor([[40.0, 42.0]], dtype=torch.float64),
-                   torch.tensor([[19.0, 16.0]], dtype=torch.float64), W, H)
+    return Cameras(
+        pose[None],
+        torch.tensor([[40.0, 42.0]], dtype=torch.float64),
+        torch.tensor([[19.0, 16.0]], dtype=torch.float64),
+        W,
+        H,
+    )
 
 
 def counter_rotated(pose: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
@@ -43,9 +48,13 @@ def test_turned_gaussians_against_the_oracle():
     pose, rotation = torch.as_tensor(turned_pose(0.3, -0.2), dtype=torch.float64), some_rotation(7)
     found = render(scene.rotated(rotation), camera(counter_rotated(pose, rotation)))[0].double()
     cameras = camera(pose)
-    want = reference.dense_torch(*(field[None].double() for field in scene.fields().values()),
-                                 torch.ones(1, 1, 3, dtype=torch.float64),
-                                 *(t[None] for t in (pose[None], cameras.intrinsics(), cameras.limits())), W, H)
+    want = reference.dense_torch(
+        *(field[None].double() for field in scene.fields().values()),
+        torch.ones(1, 1, 3, dtype=torch.float64),
+        *(t[None] for t in (pose[None], cameras.intrinsics(), cameras.limits())),
+        W,
+        H,
+    )
     assert -10 * float((found - want[0][0, 0]).square().mean().log10()) >= 80
 
 
@@ -78,9 +87,18 @@ def test_batch_dtype_and_gradients_are_kept():
     torch.testing.assert_close(batch.sh.grad, 2 * batch.sh.detach())
 
 
-@pytest.mark.parametrize("rotation, words", [
-    (2 * np.eye(3), "orthonormal"), (np.diag([1, 1, -1]), "mirroring"), (np.zeros(4), "zero"), (np.eye(4), "4, 4"),
-    ("up", "numbers"), (np.full((3, 3), np.nan), "finite"), (None, "numbers")])
+@pytest.mark.parametrize(
+    "rotation, words",
+    [
+        (2 * np.eye(3), "orthonormal"),
+        (np.diag([1, 1, -1]), "mirroring"),
+        (np.zeros(4), "zero"),
+        (np.eye(4), "4, 4"),
+        ("up", "numbers"),
+        (np.full((3, 3), np.nan), "finite"),
+        (None, "numbers"),
+    ],
+)
 def test_what_is_no_rotation_is_refused(rotation, words):
     with pytest.raises(InputError, match=words):
         random_scene(2, 0, seed=0).rotated(rotation)

@@ -1,6 +1,7 @@
 """The training command; writes at its end which threads of Gloo still run, since those may abort a process that ends.
 
 First argument: PATH; each process writes PATH-RANK. What several processes print would mix, within lines too."""
+
 import os
 import sys
 import time

@@ -1,4 +1,5 @@
 """Training runs of a few seconds, as processes."""
+
 import os
 import subprocess
 import sys
@@ -11,14 +12,44 @@ import yaml
 def run_config(folder: Path, name: str, *, dropout: float = 0.1, **changes) -> Path:
     """Configuration file of a run on folder/set that takes a few seconds; its output goes to folder/name."""
     model = folder / f"dropout-{dropout}.yaml"
-    model.write_text(yaml.safe_dump({"image_size_px": 16, "features": 8, "patch_px": 1, "unet": {
-        "base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [8], "heads": 2, "dropout": dropout}}))
+    model.write_text(
+        yaml.safe_dump(
+            {
+                "image_size_px": 16,
+                "features": 8,
+                "patch_px": 1,
+                "unet": {
+                    "base_channels": 8,
+                    "multipliers": [1, 2],
+                    "blocks": 1,
+                    "attention_px": [8],
+                    "heads": 2,
+                    "dropout": dropout,
+                },
+            }
+        )
+    )
     path = folder / f"{name}.yaml"
-    path.write_text(yaml.safe_dump({
-        "output_dir": str(folder / name), "data": [str(folder / "set")], "cache_dir": str(folder / "cache"),
-        "model": str(model), "device": "cpu",
-        "stages": [{"steps": 8, "image_size_px": 16, "objects": 2}, {"steps": 4, "image_size_px": 32, "objects": 1}],
-        "targets": 1, "checkpoint_every": 3, "optimizer": {"warmup_steps": 2}} | changes, sort_keys=False))
+    path.write_text(
+        yaml.safe_dump(
+            {
+                "output_dir": str(folder / name),
+                "data": [str(folder / "set")],
+                "cache_dir": str(folder / "cache"),
+                "model": str(model),
+                "device": "cpu",
+                "stages": [
+                    {"steps": 8, "image_size_px": 16, "objects": 2},
+                    {"steps": 4, "image_size_px": 32, "objects": 1},
+                ],
+                "targets": 1,
+                "checkpoint_every": 3,
+                "optimizer": {"warmup_steps": 2},
+            }
+            | changes,
+            sort_keys=False,
+        )
+    )
     return path
 
 
@@ -29,8 +60,14 @@ def start(config: Path, processes: int = 1, program: Sequence[str] = ("-m", "tra
     command = [*program, "--config", str(config)]
     if processes > 1:
         command = ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}", *command]
-    return subprocess.Popen([sys.executable, *command], cwd=root, env=environment, text=True, stdout=subprocess.PIPE,
-                            stderr=subprocess.STDOUT)
+    return subprocess.Popen(
+        [sys.executable, *command],
+        cwd=root,
+        env=environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
 
 
 def losses(folder: Path) -> list[str]:

@@ -1,11 +1,12 @@
 """A small synthetic object on disk, as transforms.json."""
+
 import json
 import shutil
 from pathlib import Path
 
 import numpy as np
-
 from srn_scene import FOCAL, HEIGHT, WIDTH, write_object
+
 from training.data.srn import read_srn
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])

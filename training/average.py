@@ -3,6 +3,7 @@
 The weights of a network before and after further training, averaged, are mostly as good as either, and stand between
 them in what that training changed. Source: Wortsman et al., "Model soups", ICML 2022.
 """
+
 from __future__ import annotations
 
 import argparse
@@ -34,8 +35,9 @@ def average(first: SplatterNet, second: SplatterNet, share: float) -> SplatterNe
 @with_line_errors("training.average")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m training.average", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="python -m training.average", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("first", type=Path, help="safetensors file")
     parser.add_argument("second", type=Path, help="safetensors file of the same network")
     parser.add_argument("--share", type=float, default=0.5, metavar="0..1", help="of the second (default: %(default)s)")

@@ -1,4 +1,5 @@
 """Resumable checkpoints: complete or not there at all."""
+
 from __future__ import annotations
 
 import json
@@ -37,8 +38,10 @@ def load_checkpoint(path: Path, config: TrainingConfig) -> dict[str, Any]:
         reason = type(error).__name__
         raise InputError(f"{path}: damaged checkpoint ({reason}): remove it to start the run anew") from None
     if changed := config.differences(stored):
-        raise InputError(f"{path}: belongs to a run with another configuration ({', '.join(changed)} differ): choose "
-                         "another output_dir, or remove the checkpoint")
+        raise InputError(
+            f"{path}: belongs to a run with another configuration ({', '.join(changed)} differ): choose "
+            "another output_dir, or remove the checkpoint"
+        )
     return state
 
 

@@ -1,4 +1,5 @@
 """What the commands of this package share."""
+
 from __future__ import annotations
 
 import functools
@@ -11,6 +12,7 @@ Main = Callable[[list[str] | None], int]
 
 def with_line_errors(name: str) -> Callable[[Main], Main]:
     """Decorates a main(arguments): what the user can mend is a line on stderr that begins with the name."""
+
     def decorate(main: Main) -> Main:
         @functools.wraps(main)
         def command(arguments: list[str] | None = None) -> int:
@@ -18,5 +20,7 @@ def with_line_errors(name: str) -> Callable[[Main], Main]:
                 return main(arguments)
             except (Exception, KeyboardInterrupt) as error:
                 return complain(name, error, "take fewer objects or targets a step, or smaller pictures")
+
         return command
+
     return decorate

@@ -18,6 +18,7 @@ training).
 
 Every field of TrainingConfig is an option, for all arms; paths of images are relative to --data_root.
 """
+
 from __future__ import annotations
 
 import argparse
@@ -47,6 +48,7 @@ class Arm:
         elevation_deg: its targets lie within this elevation of the source view, degrees to either side.
         target_data: for each folder of data one that its targets are drawn from.
     """
+
     cone_deg: float | None = None
     cone_margin: float | None = None
     elevation_deg: float | None = None
@@ -57,6 +59,7 @@ class Arm:
 class Experiment:
     """runs: the configuration of each arm's run. scored: folders that all are scored on in the end, by the names that
     the report gives them."""
+
     output_dir: Path
     runs: dict[str, TrainingConfig]
     scored: dict[str, Path]
@@ -71,11 +74,16 @@ def _run_of(common: TrainingConfig, name: str, arm: Arm, data_root: Path) -> Tra
         raise InputError(f"arms: {name}: {error}") from None
     reach = min(run.azimuth_deg, run.elevation_deg)
     if run.neighbour_deg > reach:
-        raise InputError(f"arms: {name}: its targets lie within {reach:g} degrees, so some sources of the other arms "
-                         f"might have none: expected neighbour_deg of at most {reach:g}, got {run.neighbour_deg:g}")
-    return dataclasses.replace(run, data=[str(data_root / folder) for folder in run.data],
-                               target_data=[str(data_root / folder) for folder in run.target_data],
-                               validation=str(data_root / run.validation) if run.validation else "")
+        raise InputError(
+            f"arms: {name}: its targets lie within {reach:g} degrees, so some sources of the other arms "
+            f"might have none: expected neighbour_deg of at most {reach:g}, got {run.neighbour_deg:g}"
+        )
+    return dataclasses.replace(
+        run,
+        data=[str(data_root / folder) for folder in run.data],
+        target_data=[str(data_root / folder) for folder in run.target_data],
+        validation=str(data_root / run.validation) if run.validation else "",
+    )
 
 
 def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, argparse.Namespace]:
@@ -88,8 +96,9 @@ def read_experiment(arguments: list[str] | None = None) -> tuple[Experiment, arg
     class Help(argparse.RawDescriptionHelpFormatter, DefaultHelpFormatter):
         """Paragraphs as they are written here, and defaults."""
 
-    parser = ArgumentParser(prog="python -m training.compare", description=__doc__, exit_on_error=False,
-                            formatter_class=Help)
+    parser = ArgumentParser(
+        prog="python -m training.compare", description=__doc__, exit_on_error=False, formatter_class=Help
+    )
     parser.add_argument("--arms", type=dict[str, Arm], required=True, help="the targets of each arm")
     parser.add_argument("--scored", type=dict[str, str], required=True, help="folders to score on in the end")
     parser.add_argument("--data_root", type=str, default=".", help="folder that paths of images are relative to")
@@ -114,8 +123,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     experiment, options = read_experiment(arguments)
     if int(os.environ.get("WORLD_SIZE", 1)) > 1:
-        raise InputError("a comparison runs in one process: start one for each arm (--arm), each with a GPU "
-                         "(CUDA_VISIBLE_DEVICES), instead of torchrun")
+        raise InputError(
+            "a comparison runs in one process: start one for each arm (--arm), each with a GPU "
+            "(CUDA_VISIBLE_DEVICES), instead of torchrun"
+        )
     for name in [] if options.report_only else [options.arm] if options.arm else experiment.runs:
         if is_finished(experiment.runs[name]):
             continue

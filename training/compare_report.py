@@ -1,4 +1,5 @@
 """What a comparison found: scores of every arm, per angle, as JSON, as tables and as plots."""
+
 from __future__ import annotations
 
 import hashlib
@@ -34,6 +35,7 @@ def _final_weights(run: TrainingConfig) -> Path:
 def is_finished(run: TrainingConfig) -> bool:
     """Whether a run has its final weights. Raises InputError where they were trained with another configuration."""
     from safetensors import SafetensorError, safe_open
+
     path = _final_weights(run)
     if not path.exists():
         return False
@@ -43,8 +45,10 @@ def is_finished(run: TrainingConfig) -> bool:
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"{path}: expected weights of a run, but {' '.join(str(error).split())}") from None
     if changed := run.differences(trained):
-        raise InputError(f"{path}: was trained with another configuration ({', '.join(changed)} differ): give the one "
-                         "of the run, or another output_dir")
+        raise InputError(
+            f"{path}: was trained with another configuration ({', '.join(changed)} differ): give the one "
+            "of the run, or another output_dir"
+        )
     return True
 
 
@@ -54,17 +58,22 @@ def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, 
     decoded: see score_folder. Raises InputError for data that cannot be used.
     """
     weights = _final_weights(run)
-    of = {"weights": hashlib.sha256(weights.read_bytes()).hexdigest(),
-          "data": {name: [str(folder), fingerprint(find_objects(folder, _SPLIT), run.background)]
-                   for name, folder in scored.items()}}
+    of = {
+        "weights": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        "data": {
+            name: [str(folder), fingerprint(find_objects(folder, _SPLIT), run.background)]
+            for name, folder in scored.items()
+        },
+    }
     kept = weights.with_name("final_scores.json")
     if kept.exists() and (known := read_object(kept, _LIMIT_BYTES)).get("of") == of:
         return known["scores"]
     device = choose_device(run.device)
     net = SplatterNet.from_pretrained(weights).to(device)
-    scores = {name: score_folder(net, folder, split=_SPLIT, device=device, decoded=decoded,
-                                 background=run.background)
-              for name, folder in scored.items()}
+    scores = {
+        name: score_folder(net, folder, split=_SPLIT, device=device, decoded=decoded, background=run.background)
+        for name, folder in scored.items()
+    }
     with atomic_path(kept) as temporary:
         temporary.write_text(json.dumps({"of": of, "scores": scores}, indent=1) + "\n")
     return scores
@@ -85,15 +94,19 @@ def leads(scores: Scores) -> Scores:
 
     def lead(ours: dict[str, Any], theirs: dict[str, Any]) -> dict[str, dict[str, float]]:
         rows = dict(labelled(theirs))
-        found = {label: {name: row[name] - rows[label][name] for name in ("psnr_db", "ssim")}
-                 for label, row in labelled(ours)}
+        found = {
+            label: {name: row[name] - rows[label][name] for name in ("psnr_db", "ssim")}
+            for label, row in labelled(ours)
+        }
         of_objects = [psnr - theirs["object_psnr_db"][name] for name, psnr in ours["object_psnr_db"].items()]
         if len(of_objects) > 1:
             found["all"]["psnr_standard_error"] = statistics.stdev(of_objects) / math.sqrt(len(of_objects))
         return found
 
-    return {other: {folder: lead(scores[first][folder], theirs) for folder, theirs in scores[other].items()}
-            for other in others}
+    return {
+        other: {folder: lead(scores[first][folder], theirs) for folder, theirs in scores[other].items()}
+        for other in others
+    }
 
 
 def _markdown_table(head: list[str], rows: list[list[str]]) -> str:
@@ -109,25 +122,39 @@ def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
     """The tables: PSNR / SSIM of every arm and floor by angle, and the leads of the first arm."""
     run = next(iter(runs.values()))
     samples = f"{sum(stage.steps * stage.objects for stage in run.stages):,} samples of {run.targets + 1} views"
-    lines = ["# Targets inside the cone and all round", "",
-             f"Network `{run.model}`, {run.total_steps:,} steps, {samples}. PSNR in dB / SSIM; \"all\" are the novel "
-             "views, +- the standard error over objects; 100 dB: equal.", ""]
-    lines += [f"- {name}: targets within {arm.azimuth_deg:g} degrees of azimuth and {arm.elevation_deg:g} of elevation "
-              f"of the source{'' if name in scores else '; not finished'}" for name, arm in runs.items()]
+    lines = [
+        "# Targets inside the cone and all round",
+        "",
+        f'Network `{run.model}`, {run.total_steps:,} steps, {samples}. PSNR in dB / SSIM; "all" are the novel '
+        "views, +- the standard error over objects; 100 dB: equal.",
+        "",
+    ]
+    lines += [
+        f"- {name}: targets within {arm.azimuth_deg:g} degrees of azimuth and {arm.elevation_deg:g} of elevation "
+        f"of the source{'' if name in scores else '; not finished'}"
+        for name, arm in runs.items()
+    ]
     first, *others = scores
     differences = leads(scores)
     for folder, report in scores[first].items():
         columns = [dict(labelled(arm[folder])) for arm in scores.values()]
-        rows = [[label, str(row["views"]), *(f"{column[label]['psnr_db']:.2f} / {column[label]['ssim']:.3f}"
-                                             for column in columns),
-                 *(f"{row[f'{floor}_psnr_db']:.2f} / {row[f'{floor}_ssim']:.3f}" for floor in FLOORS)]
-                for label, row in labelled(report)]
+        rows = [
+            [
+                label,
+                str(row["views"]),
+                *(f"{column[label]['psnr_db']:.2f} / {column[label]['ssim']:.3f}" for column in columns),
+                *(f"{row[f'{floor}_psnr_db']:.2f} / {row[f'{floor}_ssim']:.3f}" for floor in FLOORS),
+            ]
+            for label, row in labelled(report)
+        ]
         lines += ["", f"## {folder}", "", _markdown_table(["angle", "views", *scores, *FLOORS.values()], rows)]
         if skipped := report.get("skipped"):
             lines += ["", f"{len(skipped)} objects could not be scored: {', '.join(skipped)}"]
         if others:
-            rows = [[label, *(_lead_cell(lead[folder][label]) for lead in differences.values())]
-                    for label, _ in labelled(report)]
+            rows = [
+                [label, *(_lead_cell(lead[folder][label]) for lead in differences.values())]
+                for label, _ in labelled(report)
+            ]
             lines += ["", _markdown_table(["angle", *(f"{first} - {other}" for other in others)], rows)]
     return "\n".join(lines) + "\n"
 
@@ -135,6 +162,7 @@ def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
 def _save_plots(output: Path, scores: Scores, curves: dict[str, list[dict[str, float]]]) -> None:
     """angles.png: PSNR by angle in each folder; curves.png: PSNR over training."""
     from matplotlib.figure import Figure  # not pyplot, which looks for a display
+
     folders = next(iter(scores.values()))
     figure = Figure(figsize=(6 * len(folders), 4.5), layout="constrained")
     for axes, (folder, report) in zip(figure.subplots(1, len(folders), squeeze=False)[0], folders.items()):
@@ -172,8 +200,12 @@ def write_report(output: Path, runs: dict[str, TrainingConfig], scored: dict[str
         raise InputError(f"{output}: found no finished arm: run the command without --report-only first")
     curves = {name: read_curve(run) for name, run in runs.items()}
     tables = to_markdown(runs, scores)
-    report = {"runs": {name: run.identity() for name, run in runs.items()}, "scores": scores, "leads": leads(scores),
-              "curves": curves}
+    report = {
+        "runs": {name: run.identity() for name, run in runs.items()},
+        "scores": scores,
+        "leads": leads(scores),
+        "curves": curves,
+    }
     for name, text in (("report.json", json.dumps(report, indent=1) + "\n"), ("report.md", tables)):
         with atomic_path(output / name) as temporary:
             temporary.write_text(text)

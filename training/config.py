@@ -1,4 +1,5 @@
 """Configuration of a training run, read from configs/training/*.yaml."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -26,6 +27,7 @@ class Stage:
         objects: examples per step, of all processes together.
         target_px: side of the target images; 0: as the source pictures.
     """
+
     steps: int
     image_size_px: int
     objects: int
@@ -48,6 +50,7 @@ class OptimizerConfig:
         clip: largest norm of the gradient.
         ema_decay: of the averaged weights, the ones that are evaluated and shipped, 0..1 per step.
     """
+
     learning_rate: float = 6e-4
     betas: tuple[float, float] = (0.9, 0.95)
     weight_decay: float = 0.01
@@ -57,8 +60,17 @@ class OptimizerConfig:
     ema_decay: float = 0.998
 
     def __post_init__(self) -> None:
-        check_ranges(self, "optimizer.", learning_rate=(0.0, 1.0), betas=(0.0, 0.999999), weight_decay=(0.0, 1e3),
-                     warmup_steps=(0, MOST), final_share=(0.0, 1.0), clip=(1e-9, 1e9), ema_decay=(0.0, 1.0))
+        check_ranges(
+            self,
+            "optimizer.",
+            learning_rate=(0.0, 1.0),
+            betas=(0.0, 0.999999),
+            weight_decay=(0.0, 1e3),
+            warmup_steps=(0, MOST),
+            final_share=(0.0, 1.0),
+            clip=(1e-9, 1e9),
+            ema_decay=(0.0, 1.0),
+        )
 
 
 @dataclass(frozen=True)
@@ -103,6 +115,7 @@ class TrainingConfig:
         loss: weights of what is summed up, at least 0, not all 0.
         augmentation: how examples are varied.
     """
+
     output_dir: str
     data: list[str]
     stages: list[Stage]
@@ -136,10 +149,20 @@ class TrainingConfig:
         for name in ("output_dir", "cache_dir", "data", "stages"):
             if not getattr(self, name):
                 raise InputError(f"{name}: expected {'a folder' if name.endswith('dir') else 'at least one'}, got none")
-        check_ranges(self, seed=(0, 2**31 - 1), cone_deg=(0.0, 360.0), cone_margin=(0.0, 360.0),
-                     elevation_deg=(0.0, 180.0), neighbour_deg=(0.0, 180.0), targets=(1, 1000), procedural=(0.0, 1.0),
-                     threads=(0, 4096), checkpoint_every=(1, MOST), validate_every=(1, MOST),
-                     validation_objects=(1, MOST))
+        check_ranges(
+            self,
+            seed=(0, 2**31 - 1),
+            cone_deg=(0.0, 360.0),
+            cone_margin=(0.0, 360.0),
+            elevation_deg=(0.0, 180.0),
+            neighbour_deg=(0.0, 180.0),
+            targets=(1, 1000),
+            procedural=(0.0, 1.0),
+            threads=(0, 4096),
+            checkpoint_every=(1, MOST),
+            validate_every=(1, MOST),
+            validation_objects=(1, MOST),
+        )
 
     @property
     def azimuth_deg(self) -> float:
@@ -170,8 +193,16 @@ class TrainingConfig:
         Of the folders of data only their own names, so that they may be moved.
         """
         fields = dataclasses.asdict(self)
-        for name in ("output_dir", "cache_dir", "validation", "validate_every", "validation_objects",
-                     "checkpoint_every", "device", "compile"):
+        for name in (
+            "output_dir",
+            "cache_dir",
+            "validation",
+            "validate_every",
+            "validation_objects",
+            "checkpoint_every",
+            "device",
+            "compile",
+        ):
             del fields[name]
         return fields | {name: [Path(folder).name for folder in fields[name]] for name in _FOLDERS}
 
@@ -191,6 +222,9 @@ class TrainingConfig:
 
 def _filled(values: dict, defaults: dict) -> dict:
     """values and what they lack of the defaults, also in dictionaries inside."""
-    inside = {name: _filled(value, defaults[name]) for name, value in values.items()
-              if isinstance(value, dict) and isinstance(defaults.get(name), dict)}
+    inside = {
+        name: _filled(value, defaults[name])
+        for name, value in values.items()
+        if isinstance(value, dict) and isinstance(defaults.get(name), dict)
+    }
     return defaults | values | inside

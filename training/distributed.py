@@ -1,4 +1,5 @@
 """The processes of a run: one, or as many as torchrun starts, each with its share of every batch."""
+
 from __future__ import annotations
 
 import gc
@@ -23,6 +24,7 @@ _PATIENCE = timedelta(hours=2)
 @dataclass(frozen=True)
 class Team:
     """The processes of a run as one of them sees them. device: its own. rank: its number. size: how many there are."""
+
     device: torch.device
     rank: int = 0
     size: int = 1
@@ -35,8 +37,10 @@ class Team:
     def share(self, count: int) -> slice:
         """This process's part of `count` examples. Raises InputError where equal parts cannot be made."""
         if count % self.size:
-            raise InputError(f"{self.size} processes cannot share the {count} objects of a step equally: choose a "
-                             f"multiple of {self.size} for `objects` in every stage, or another number of processes")
+            raise InputError(
+                f"{self.size} processes cannot share the {count} objects of a step equally: choose a "
+                f"multiple of {self.size} for `objects` in every stage, or another number of processes"
+            )
         part = count // self.size
         return slice(self.rank * part, (self.rank + 1) * part)
 
@@ -71,8 +75,10 @@ def join_team(device: str) -> Iterator[Team]:
     kind, size = choose_device(device), int(os.environ.get("WORLD_SIZE", 1)) if "RANK" in os.environ else 1
     local_rank = int(os.environ.get("LOCAL_RANK", 0)) if size > 1 else 0
     if kind == "cuda" and local_rank >= torch.cuda.device_count():
-        raise InputError(f"process number {local_rank} of this machine has no GPU of its own, there are "
-                         f"{torch.cuda.device_count()}: start no more processes than that")
+        raise InputError(
+            f"process number {local_rank} of this machine has no GPU of its own, there are "
+            f"{torch.cuda.device_count()}: start no more processes than that"
+        )
     if kind == "cuda":
         torch.cuda.set_device(local_rank)
         # What is not bfloat16 is float32: the heads place Gaussians to fractions of a pixel.
@@ -83,8 +89,9 @@ def join_team(device: str) -> Iterator[Team]:
         return
     # Before there is a group: DDP imports this module, whose functions keep the one that they find as a default.
     importlib.import_module("torch.distributed.nn")
-    dist.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_PATIENCE,
-                            device_id=own if kind == "cuda" else None)
+    dist.init_process_group(
+        "nccl" if kind == "cuda" else "gloo", timeout=_PATIENCE, device_id=own if kind == "cuda" else None
+    )
     try:
         yield Team(own, dist.get_rank(), size)
     finally:

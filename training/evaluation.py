@@ -10,6 +10,7 @@ The rasterizer widens all Gaussians by 0.3 px^2 of variance (Kerbl et al. 2023),
 on a panel do not. Supersampling draws n times as finely and averages, as the stored images are averaged, and so
 leaves 0.3 / n^2.
 """
+
 from __future__ import annotations
 
 from collections import defaultdict
@@ -52,6 +53,7 @@ class Comparison:
     source: its number. doubt: set where the cameras stand elsewhere than the network expects. azimuths_deg: [V], from
     the source. truth, rendered, card: [V,3,H,W] on white, 0..1.
     """
+
     name: str
     source: int
     doubt: str | None
@@ -105,9 +107,16 @@ def _on_white(frames: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source: Source = 0,
-                   device: torch.device | str = "cpu", decoded: dict[Path, Tensor] | None = None,
-                   supersampling: int = 1, background: Choice = "auto") -> Comparison:
+def compare_object(
+    net: SplatterNet,
+    path: Path,
+    size_px: int = SIZE_PX,
+    source: Source = 0,
+    device: torch.device | str = "cpu",
+    decoded: dict[Path, Tensor] | None = None,
+    supersampling: int = 1,
+    background: Choice = "auto",
+) -> Comparison:
     """Predict an object from one view and render it from all.
 
     path: as find_objects names it. size_px: length of the longer side of the frames. source: see source_view. device:
@@ -136,21 +145,26 @@ def compare_object(net: SplatterNet, path: Path, size_px: int = SIZE_PX, source:
     cameras = torch.from_numpy(cameras).float().to(device)
     intrinsics = torch.from_numpy(views.intrinsics * scale).float().to(device)
     white = torch.ones(1, len(frames), 3, device=device)
-    images, _ = render_views(gaussians, cameras[None], supersampling * intrinsics[None], supersampling * width,
-                             supersampling * height, white)
+    images, _ = render_views(
+        gaussians, cameras[None], supersampling * intrinsics[None], supersampling * width, supersampling * height, white
+    )
     images = F.interpolate(images[0].clamp(0, 1), size=(height, width), mode="area")
     truth = F.interpolate(frames, size=(height, width), mode="area")
     card = render_card(truth[source], intrinsics[source], OBJECT_DISTANCE, cameras, intrinsics)
-    return Comparison(views.name, source, distance_doubt(views.camera_to_world), azimuths, _on_white(truth), images,
-                      _on_white(card))
+    return Comparison(
+        views.name, source, distance_doubt(views.camera_to_world), azimuths, _on_white(truth), images, _on_white(card)
+    )
 
 
 def _scores(comparison: Comparison) -> Iterator[tuple[int | None, dict[str, float]]]:
     """Angle bin, None for the source itself, and metrics of each view."""
     truth = comparison.truth
     copies = truth[comparison.source].expand_as(truth)
-    columns = [score(images, truth).tolist() for images in (comparison.rendered, copies, comparison.card)
-               for score in (psnr_db, ssim)]
+    columns = [
+        score(images, truth).tolist()
+        for images in (comparison.rendered, copies, comparison.card)
+        for score in (psnr_db, ssim)
+    ]
     for index, (azimuth, *values) in enumerate(zip(comparison.azimuths_deg, *columns)):
         angle = None if index == comparison.source else round(abs(azimuth) / BIN_DEG) * BIN_DEG
         yield angle, dict(zip(_METRICS, values))
@@ -161,10 +175,19 @@ def _means(rows: list[dict[str, float]]) -> dict[str, float]:
     return {"views": len(rows)} | {name: float(np.mean([row[name] for row in rows])) for name in _METRICS}
 
 
-def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save_renders: Path | None = None,
-                 split: str = "val", device: torch.device | str = "cpu",
-                 decoded: dict[Path, Tensor] | None = None, supersampling: int = 1, source: Source = 0,
-                 background: Choice = "auto") -> dict[str, Any]:
+def score_folder(
+    net: SplatterNet,
+    data: Path,
+    *,
+    limit: int | None = None,
+    save_renders: Path | None = None,
+    split: str = "val",
+    device: torch.device | str = "cpu",
+    decoded: dict[Path, Tensor] | None = None,
+    supersampling: int = 1,
+    source: Source = 0,
+    background: Choice = "auto",
+) -> dict[str, Any]:
     """Score a network on the objects at or below a folder, of this split where they come in splits.
 
     Returns objects, and psnr_db, ssim, copy_psnr_db, copy_ssim, card_psnr_db, card_ssim and views (their number) over
@@ -188,8 +211,15 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
         objects = [objects[number * len(objects) // count] for number in range(count)]
     for path in tqdm(objects, desc=f"scoring {data}", unit="object", leave=False):
         try:
-            comparison = compare_object(net, path, source=source, device=device, decoded=decoded,
-                                        supersampling=supersampling, background=background)
+            comparison = compare_object(
+                net,
+                path,
+                source=source,
+                device=device,
+                decoded=decoded,
+                supersampling=supersampling,
+                background=background,
+            )
         except InputError as error:
             skipped[str(path.relative_to(data))] = str(error)
             continue
@@ -204,12 +234,21 @@ def score_folder(net: SplatterNet, data: Path, *, limit: int | None = None, save
             folder = save_renders / folder_of(path).relative_to(data).parent
             save_comparison(comparison, folder / f"{comparison.name}.png")
     if not of_objects:
-        raise InputError(f"{data}: none of {len(objects)} objects can be scored; the first: "
-                         f"{next(iter(skipped.values()))}")
+        raise InputError(
+            f"{data}: none of {len(objects)} objects can be scored; the first: {next(iter(skipped.values()))}"
+        )
     of_sources = bins.pop(None)
-    return {"objects": len(of_objects)} | _means([row for rows in bins.values() for row in rows]) | {
-        "source": _means(of_sources), "bins": [{"angle_deg": angle} | _means(bins[angle]) for angle in sorted(bins)],
-        "object_psnr_db": of_objects, "skipped": skipped, "doubts": doubts}
+    return (
+        {"objects": len(of_objects)}
+        | _means([row for rows in bins.values() for row in rows])
+        | {
+            "source": _means(of_sources),
+            "bins": [{"angle_deg": angle} | _means(bins[angle]) for angle in sorted(bins)],
+            "object_psnr_db": of_objects,
+            "skipped": skipped,
+            "doubts": doubts,
+        }
+    )
 
 
 def labelled(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
@@ -221,6 +260,7 @@ def labelled(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 def save_comparison(comparison: Comparison, path: Path, columns: int = 9) -> None:
     """Write a picture: truth above render, views by azimuth; the source image first. At most `columns` views."""
     from lightfield_gs.io.images import write_image
+
     order = np.argsort(comparison.azimuths_deg, kind="stable")
     order = order[order != comparison.source]
     picked = order[np.linspace(0, len(order) - 1, min(columns, len(order))).round().astype(int)]

@@ -1,4 +1,5 @@
 """What a run tells: losses.jsonl, scores.jsonl, TensorBoard, a progress bar."""
+
 from __future__ import annotations
 
 import json
@@ -26,6 +27,7 @@ class RunLog:
         if not writes:
             return
         from torch.utils.tensorboard import SummaryWriter
+
         self._lines = open(output / "losses.jsonl", "a", buffering=1)
         self._score_lines = open(output / "scores.jsonl", "a+", buffering=1)
         self._score_lines.seek(0)
@@ -33,7 +35,7 @@ class RunLog:
         self._board = SummaryWriter(output / "tensorboard", purge_step=step)
         self._progress = tqdm(total=total_steps, initial=step, unit="step", dynamic_ncols=True)
 
-    def __enter__(self) -> "RunLog":
+    def __enter__(self) -> RunLog:
         return self
 
     def __exit__(self, *_: Any) -> None:

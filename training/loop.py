@@ -1,4 +1,5 @@
 """The training loop: resumable at any step, with the same numbers as without the interruption."""
+
 from __future__ import annotations
 
 import json
@@ -37,23 +38,37 @@ def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> Batc
     tell: print what says, in each set, which pixels are object.
     """
     with team.leader_first():
-        sets, target_sets = ([load_set(Path(folder), Path(config.cache_dir), background=config.background)
-                              for folder in folders] for folders in (config.data, config.target_data))
+        sets, target_sets = (
+            [load_set(Path(folder), Path(config.cache_dir), background=config.background) for folder in folders]
+            for folders in (config.data, config.target_data)
+        )
     if tell and team.leads:
         _tell(sets + target_sets)
     partners = find_partners(sets, target_sets)
     poses = [views.camera_to_world for cached in sets + target_sets for views in cached.objects]
-    sampler = ViewSampler(poses[:len(partners)], config.azimuth_deg, config.elevation_deg, config.targets, config.seed,
-                          config.neighbour_deg, [poses[partner] for partner in partners])
-    return BatchPlanner(ResidentViews(sets + target_sets, team.device), sampler, config.augmentation, partners,
-                        config.procedural)
+    sampler = ViewSampler(
+        poses[: len(partners)],
+        config.azimuth_deg,
+        config.elevation_deg,
+        config.targets,
+        config.seed,
+        config.neighbour_deg,
+        [poses[partner] for partner in partners],
+    )
+    return BatchPlanner(
+        ResidentViews(sets + target_sets, team.device), sampler, config.augmentation, partners, config.procedural
+    )
 
 
 def _tell(sets: list[CachedSet]) -> None:
     """Prints what says which pixels of each set are object, and notes objects that are not where the network looks."""
     print(*sets, sep="\n", flush=True)
-    doubts = [f"{views.name}: {doubt}" for cached in sets for views in cached.objects
-              if (doubt := distance_doubt(views.camera_to_world))]
+    doubts = [
+        f"{views.name}: {doubt}"
+        for cached in sets
+        for views in cached.objects
+        if (doubt := distance_doubt(views.camera_to_world))
+    ]
     if doubts:
         note(f"{len(doubts)} objects may teach nothing; the first: {doubts[0]}")
 
@@ -62,8 +77,10 @@ def _tell(sets: list[CachedSet]) -> None:
 def _termination_noticed() -> Iterator[list[int]]:
     """Collects SIGTERM and SIGINT in a list, so that the step under way can end and be saved."""
     received: list[int] = []
-    former = {number: signal.signal(number, lambda number, _: received.append(number))
-              for number in (signal.SIGTERM, signal.SIGINT)}
+    former = {
+        number: signal.signal(number, lambda number, _: received.append(number))
+        for number in (signal.SIGTERM, signal.SIGINT)
+    }
     try:
         yield received
     finally:
@@ -73,6 +90,7 @@ def _termination_noticed() -> Iterator[list[int]]:
 
 def plans(planner: BatchPlanner, config: TrainingConfig, start: int, team: Team) -> Iterator[BatchPlan]:
     """This process's plans from step `start` on, each made while the step before it runs."""
+
     def plan(step: int) -> BatchPlan:
         stage, drawn = config.stage_at(step)
         return planner.plan(step, drawn, stage.objects, stage.image_size_px, stage.target_px, team.share(stage.objects))
@@ -91,8 +109,10 @@ def _record(values: StepValues, log: RunLog) -> bool:
     found = values.read()
     stop = found.pop("stop") > 0
     if not math.isfinite(found["gradient_norm"]):
-        raise InputError(f"step {values.step}: the gradient is not finite: lower optimizer.learning_rate, and run the "
-                         "command again with another output_dir, or to go on from the last checkpoint")
+        raise InputError(
+            f"step {values.step}: the gradient is not finite: lower optimizer.learning_rate, and run the "
+            "command again with another output_dir, or to go on from the last checkpoint"
+        )
     log.record(found)
     return stop
 
@@ -105,8 +125,14 @@ def _validate(trainer: Trainer, log: RunLog, decoded: dict[Path, Tensor]) -> Non
     config = trainer.config
     if not (trainer.team.leads and config.scores_due(trainer.step)) or trainer.step <= log.scored:
         return
-    report = score_folder(trainer.average.average, Path(config.validation), limit=config.validation_objects,
-                          device=trainer.team.device, decoded=decoded, background=config.background)
+    report = score_folder(
+        trainer.average.average,
+        Path(config.validation),
+        limit=config.validation_objects,
+        device=trainer.team.device,
+        decoded=decoded,
+        background=config.background,
+    )
     if report["skipped"]:
         first = next(iter(report["skipped"].values()))
         log.say(f"{len(report['skipped'])} objects could not be scored; the first: {first}")

@@ -1,4 +1,5 @@
 """What training minimises."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -30,6 +31,7 @@ class LossWeights:
             squared errors says how much sharper outlines get.
         roughness: of the roughness of depth.
     """
+
     colour: float = 1.0
     log_colour: float = 0.0
     ssim: float = 0.05
@@ -77,8 +79,15 @@ def translucency(alpha: Tensor) -> Tensor:
     return (alpha * (1 - alpha)).mean()
 
 
-def total_loss(images: Tensor, alpha: Tensor, targets: Tensor, backgrounds: Tensor, means: Tensor, source: Tensor,
-               weights: LossWeights) -> tuple[Tensor, dict[str, Tensor]]:
+def total_loss(
+    images: Tensor,
+    alpha: Tensor,
+    targets: Tensor,
+    backgrounds: Tensor,
+    means: Tensor,
+    source: Tensor,
+    weights: LossWeights,
+) -> tuple[Tensor, dict[str, Tensor]]:
     """The weighted sum and its unweighted terms.
 
     images: rendered [B,V,3,H,W] over backgrounds [B,V,3]. alpha: rendered opacity [B,V,H,W]. targets: [B,V,4,H,W]

@@ -1,4 +1,5 @@
 """Where the time of a training step goes."""
+
 from __future__ import annotations
 
 import statistics
@@ -22,6 +23,7 @@ class NoMarks:
 class PartTime(NamedTuple):
     """Median milliseconds of a part of a step. device: between events on the device, its idle time included; None on a
     CPU. host: what Python, torch and the driver take to queue it, waiting included."""
+
     part: str
     device_ms: float | None
     host_ms: float

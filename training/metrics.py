@@ -1,4 +1,5 @@
 """PSNR and SSIM of image batches."""
+
 from __future__ import annotations
 
 import math
@@ -8,7 +9,7 @@ from torch import Tensor
 
 _WINDOW, _SIGMA = 11, 1.5
 # Stabilising constants (0.01 L)^2 and (0.03 L)^2 of the paper for a range of L = 1.
-_C1, _C2 = 0.01 ** 2, 0.03 ** 2
+_C1, _C2 = 0.01**2, 0.03**2
 
 
 def psnr_db(images: Tensor, references: Tensor) -> Tensor:

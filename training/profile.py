@@ -3,6 +3,7 @@
 Takes steps as training.train would, without saving anything, and prints the median time of each part of a step, on the
 host and on the device. Under torchrun the first process prints its own.
 """
+
 from __future__ import annotations
 
 import sys
@@ -51,21 +52,30 @@ def table(parts: list[PartTime]) -> str:
 
     drawn = [part for part in parts if part.part in RASTERIZER]
     share, whole = (sum(part.device_ms if cuda else part.host_ms for part in some) for some in (drawn, parts))
-    return "\n".join([f"{'ms of a step':<20}{'device':>10}{'host':>10}", *(line(part.part, [part]) for part in parts),
-                      line("all", parts), f"rasterizer: {share:.2f} of {whole:.2f} ms, {100 * share / whole:.0f} %"])
+    return "\n".join(
+        [
+            f"{'ms of a step':<20}{'device':>10}{'host':>10}",
+            *(line(part.part, [part]) for part in parts),
+            line("all", parts),
+            f"rasterizer: {share:.2f} of {whole:.2f} ms, {100 * share / whole:.0f} %",
+        ]
+    )
 
 
 @with_line_errors("training.profile")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     from jsonargparse import ArgumentParser
+
     parser = ArgumentParser(prog="python -m training.profile", description=__doc__, exit_on_error=False)
     parser.add_argument("--steps", type=int, default=100, help="steps to measure")
     parser.add_argument("--warm-up", type=int, default=30, help="steps before these")
     config, options = parse(parser, arguments)
     if options.steps < 2 or options.warm_up < 0 or options.steps + options.warm_up > config.total_steps:
-        raise InputError(f"--steps and --warm-up: expected at least 2 and 0, not more together than the "
-                         f"{config.total_steps} steps of the run, got {options.steps} and {options.warm_up}")
+        raise InputError(
+            f"--steps and --warm-up: expected at least 2 and 0, not more together than the "
+            f"{config.total_steps} steps of the run, got {options.steps} and {options.warm_up}"
+        )
     found = profile(config, options.steps, options.warm_up)
     if found is not None:
         print(table(found))

@@ -1,4 +1,5 @@
 """Ranges of numbers in configurations."""
+
 from __future__ import annotations
 
 from lightfield_gs.checks import real_number, whole_number

@@ -1,4 +1,5 @@
 """The rasterizer as training sees it: batches of objects and cameras; and the card that a network has to beat."""
+
 from __future__ import annotations
 
 import torch
@@ -8,8 +9,14 @@ from torch import Tensor
 from lightfield_gs import Cameras, Gaussians, render
 
 
-def render_views(gaussians: Gaussians, world_to_camera: Tensor, intrinsics: Tensor, width_px: int, height_px: int,
-                 backgrounds: Tensor) -> tuple[Tensor, Tensor]:
+def render_views(
+    gaussians: Gaussians,
+    world_to_camera: Tensor,
+    intrinsics: Tensor,
+    width_px: int,
+    height_px: int,
+    backgrounds: Tensor,
+) -> tuple[Tensor, Tensor]:
     """Images [B,V,3,H,W] over plain backgrounds [B,V,3], and opacities [B,V,H,W]; float32, differentiable.
 
     gaussians: with leading B. world_to_camera: [B,V,4,4]. intrinsics: [B,V,4] as (fx, fy, cx, cy) in pixels.
@@ -20,8 +27,9 @@ def render_views(gaussians: Gaussians, world_to_camera: Tensor, intrinsics: Tens
     return images.permute(0, 1, 4, 2, 3), alpha
 
 
-def render_card(picture: Tensor, source_intrinsics: Tensor, depth: float, world_to_camera: Tensor,
-                intrinsics: Tensor) -> Tensor:
+def render_card(
+    picture: Tensor, source_intrinsics: Tensor, depth: float, world_to_camera: Tensor, intrinsics: Tensor
+) -> Tensor:
     """A picture as a flat card, upright before its own camera at a depth: [V,C,H,W], its frame as other cameras see it.
 
     picture: [C,H,W]. source_intrinsics: [4], (fx, fy, cx, cy) in pixels. world_to_camera: [V,4,4], the world being the

@@ -1,4 +1,5 @@
 """Learning rate and averaged weights as functions of the step."""
+
 from __future__ import annotations
 
 import math
@@ -24,9 +25,12 @@ def make_optimizer(net: nn.Module, config: OptimizerConfig) -> torch.optim.AdamW
     for parameter in net.parameters():
         if parameter.requires_grad:
             groups[parameter.ndim > 1].append(parameter)
-    return torch.optim.AdamW([{"params": groups[True], "weight_decay": config.weight_decay},
-                              {"params": groups[False], "weight_decay": 0.0}],
-                             lr=config.learning_rate, betas=config.betas, fused=True)
+    return torch.optim.AdamW(
+        [{"params": groups[True], "weight_decay": config.weight_decay}, {"params": groups[False], "weight_decay": 0.0}],
+        lr=config.learning_rate,
+        betas=config.betas,
+        fused=True,
+    )
 
 
 class WeightAverage:

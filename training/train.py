@@ -2,6 +2,7 @@
 
 Every field of TrainingConfig is an option that overrides the file. Running the same command again resumes the run.
 """
+
 from __future__ import annotations
 
 import argparse
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 def read_config(arguments: list[str] | None = None) -> TrainingConfig:
     """The configuration that command-line arguments describe. Raises InputError when they describe none."""
     from jsonargparse import ArgumentParser
+
     parser = ArgumentParser(prog="python -m training.train", description=__doc__, exit_on_error=False)
     return parse(parser, arguments)[0]
 

@@ -1,4 +1,5 @@
 """Network, averaged weights and optimizer of a run, and the step that advances them."""
+
 from __future__ import annotations
 
 import copy
@@ -34,8 +35,13 @@ class StepValues:
         if self._arrived is not None:
             self._arrived.synchronize()
         found = dict(zip(self._names, self._values.tolist()))
-        return {"step": self.step, "loss": found.pop("loss"), "gradient_norm": found.pop("gradient_norm"),
-                "learning_rate": self._rate, **found}
+        return {
+            "step": self.step,
+            "loss": found.pop("loss"),
+            "gradient_norm": found.pop("gradient_norm"),
+            "learning_rate": self._rate,
+            **found,
+        }
 
 
 def _initial_net(config: TrainingConfig) -> SplatterNet:
@@ -92,8 +98,9 @@ class Trainer:
         marks.mark("network")
         images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
         marks.mark("rasterizer")
-        loss, terms = self._loss(images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source,
-                                 config.loss)
+        loss, terms = self._loss(
+            images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source, config.loss
+        )
         marks.mark("loss")
         marks.mark_at_gradient(images, "loss backward")
         marks.mark_at_gradient(gaussians.means, "rasterizer backward")
@@ -111,8 +118,13 @@ class Trainer:
 
     def state(self) -> dict:
         """Everything that resuming needs."""
-        return {"step": self.step, "identity": json.dumps(self.config.identity()), "net": self.net.state_dict(),
-                "average": self.average.average.state_dict(), "optimizer": self.optimizer.state_dict()}
+        return {
+            "step": self.step,
+            "identity": json.dumps(self.config.identity()),
+            "net": self.net.state_dict(),
+            "average": self.average.average.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+        }
 
     def restore(self, state: dict) -> None:
         """The inverse of state()."""

@@ -40,9 +40,8 @@ void parallel_for(int64_t items, int threads, const std::function<void(int64_t, 
 void parallel_for_chunks(int64_t items, int64_t grain, int threads,
                          const std::function<void(int64_t, int64_t, int)>& body) {
   int64_t chunks = (items + grain - 1) / grain;
-  parallel_for(chunks, threads, [&](int64_t chunk, int worker) {
-    body(chunk * grain, std::min(items, (chunk + 1) * grain), worker);
-  });
+  parallel_for(chunks, threads,
+               [&](int64_t chunk, int worker) { body(chunk * grain, std::min(items, (chunk + 1) * grain), worker); });
 }
 
 }  // namespace lfgs

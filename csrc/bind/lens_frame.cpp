@@ -17,13 +17,12 @@ void bind_lens_frame(py::module_ m) {
   using cuda::LensFrame;
   using G = Gaussians<float>;
   m.attr("FRAME_STATE_BYTES") = sizeof(FrameState);
-  m.attr("FRAME_KERNELS") = std::vector<std::string>{"pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small",
-                                                        "ordinal"};
+  m.attr("FRAME_KERNELS") =
+      std::vector<std::string>{"pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal"};
   py::class_<LensFrame>(m, "LensFrame")
       .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, const Quality&, double>(),
-           py::kw_only(),
-           py::arg("gaussians"), py::arg("sh_degree"), py::arg("colour_order"), py::arg("rig"), py::arg("lens"),
-           py::arg("capacity"), py::arg("quality"), py::arg("tolerance"))
+           py::kw_only(), py::arg("gaussians"), py::arg("sh_degree"), py::arg("colour_order"), py::arg("rig"),
+           py::arg("lens"), py::arg("capacity"), py::arg("quality"), py::arg("tolerance"))
       .def("bytes", [](LensFrame frame) { return frame.place(nullptr); })
       .def("place", [](LensFrame& frame, Address work) { return frame.place(at<void>(work)); })
       .def("state_address", [](const LensFrame& frame) { return reinterpret_cast<Address>(frame.state); })
@@ -31,8 +30,8 @@ void bind_lens_frame(py::module_ m) {
         require(kernel >= -1 && kernel < int(cuda::LensKernel::kCount), "no such kernel: " + std::to_string(kernel));
         require(kernel != int(cuda::LensKernel::kOrdinal) || frame.has_ordinal,
                 "the ordinal kernel cannot draw this lens on this device");
-        require(!frame.rig.antialiased || (kernel != int(cuda::LensKernel::kPixel) &&
-                                           kernel != int(cuda::LensKernel::kPixelSmall)),
+        require(!frame.rig.antialiased ||
+                    (kernel != int(cuda::LensKernel::kPixel) && kernel != int(cuda::LensKernel::kPixelSmall)),
                 "anti-aliased frames are drawn by pixel-quadratic, pixel-quadratic-small or ordinal");
         frame.forced = kernel;
       });
@@ -51,17 +50,23 @@ void bind_lens_frame(py::module_ m) {
     out["pruned"] = state.pruned;
     return out;
   });
-  m.def("frame_project", [](const LensFrame& frame, const G& g, bool keep_lists, Address stream) {
-    cuda::frame_project(frame, {g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh}, keep_lists,
-                        at<void>(stream));
-  }, NoGil());
-  m.def("frame_bin", [](const LensFrame& frame, Address stream) { cuda::frame_bin(frame, at<void>(stream)); },
-        NoGil());
-  m.def("frame_order", [](const LensFrame& frame, Address stream) { cuda::frame_order(frame, at<void>(stream)); },
-        NoGil());
-  m.def("frame_composite", [](const LensFrame& frame, Address background, Address out, Address out8, Address stream) {
-    cuda::frame_composite(frame, at<float>(background), at<float>(out), at<uint8_t>(out8), at<void>(stream));
-  }, NoGil());
+  m.def(
+      "frame_project",
+      [](const LensFrame& frame, const G& g, bool keep_lists, Address stream) {
+        cuda::frame_project(frame, {g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh},
+                            keep_lists, at<void>(stream));
+      },
+      NoGil());
+  m.def("frame_bin", [](const LensFrame& frame, Address stream) { cuda::frame_bin(frame, at<void>(stream)); }, NoGil());
+  m.def(
+      "frame_order", [](const LensFrame& frame, Address stream) { cuda::frame_order(frame, at<void>(stream)); },
+      NoGil());
+  m.def(
+      "frame_composite",
+      [](const LensFrame& frame, Address background, Address out, Address out8, Address stream) {
+        cuda::frame_composite(frame, at<float>(background), at<float>(out), at<uint8_t>(out8), at<void>(stream));
+      },
+      NoGil());
 }
 
 }  // namespace lfgs

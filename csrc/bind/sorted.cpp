@@ -12,10 +12,14 @@ namespace {
 
 template <class T>
 void bind_composite(py::module_ m) {
-  m.def("composite_sorted", [](const Splats<T>& splats, const Bins& bins, const Cameras<T>& cameras,
-                               const SubpixelLists& lists, Address background, Address out, Address out8, int threads) {
-    return composite_sorted<T>(splats, bins, cameras, lists, at<T>(background), at<T>(out), at<uint8_t>(out8), threads);
-  }, NoGil());
+  m.def(
+      "composite_sorted",
+      [](const Splats<T>& splats, const Bins& bins, const Cameras<T>& cameras, const SubpixelLists& lists,
+         Address background, Address out, Address out8, int threads) {
+        return composite_sorted<T>(splats, bins, cameras, lists, at<T>(background), at<T>(out), at<uint8_t>(out8),
+                                   threads);
+      },
+      NoGil());
 }
 
 }  // namespace
@@ -29,24 +33,29 @@ void bind_sorted(py::module_ root) {
       .def_property_readonly("height_px", &SubpixelTile::height_px)
       .def("count", &SubpixelTile::count);
   py::class_<ViewMap>(root, "ViewMap")
-      .def(py::init([](const Lens& lens) {
-        return ViewMap{lens.width_px, lens.height_px, lens.views, nullptr, lens};
-      }))
+      .def(py::init([](const Lens& lens) { return ViewMap{lens.width_px, lens.height_px, lens.views, nullptr, lens}; }))
       .def(py::init([](int64_t width_px, int64_t height_px, int64_t views, Address table) {
-        return ViewMap{width_px, height_px, views, at<int32_t>(table), Lens{}};
-      }), py::arg("width_px"), py::arg("height_px"), py::arg("views"), py::arg("table"));
+             return ViewMap{width_px, height_px, views, at<int32_t>(table), Lens{}};
+           }),
+           py::arg("width_px"), py::arg("height_px"), py::arg("views"), py::arg("table"));
   py::class_<SubpixelLists>(root, "SubpixelLists")
       .def(py::init([](const SubpixelTile& tile, Address starts, Address codes) {
-        return SubpixelLists{tile, at<int64_t>(starts), at<uint16_t>(codes)};
-      }), py::arg("tile"), py::arg("starts"), py::arg("codes"));
-  root.def("plan_sorted_count", [](const ViewMap& map, const SubpixelTile& tile, Address places, int64_t views,
-                                   Address counts, int threads) {
-    plan_sorted_count(map, tile, at<int32_t>(places), views, at<int32_t>(counts), threads);
-  }, NoGil());
-  root.def("plan_sorted_fill", [](const ViewMap& map, const SubpixelTile& tile, Address places, int64_t views,
-                                  Address starts, Address codes, int threads) {
-    plan_sorted_fill(map, tile, at<int32_t>(places), views, at<int64_t>(starts), at<uint16_t>(codes), threads);
-  }, NoGil());
+             return SubpixelLists{tile, at<int64_t>(starts), at<uint16_t>(codes)};
+           }),
+           py::arg("tile"), py::arg("starts"), py::arg("codes"));
+  root.def(
+      "plan_sorted_count",
+      [](const ViewMap& map, const SubpixelTile& tile, Address places, int64_t views, Address counts, int threads) {
+        plan_sorted_count(map, tile, at<int32_t>(places), views, at<int32_t>(counts), threads);
+      },
+      NoGil());
+  root.def(
+      "plan_sorted_fill",
+      [](const ViewMap& map, const SubpixelTile& tile, Address places, int64_t views, Address starts, Address codes,
+         int threads) {
+        plan_sorted_fill(map, tile, at<int32_t>(places), views, at<int64_t>(starts), at<uint16_t>(codes), threads);
+      },
+      NoGil());
   bind_composite<float>(root.attr("float32"));
   bind_composite<double>(root.attr("float64"));
 #ifdef LFGS_WITH_CUDA
@@ -56,7 +65,8 @@ void bind_sorted(py::module_ root) {
          const SubpixelLists& lists, Address order, Address background, Address out, Address out8, Address stream) {
         cuda::composite_sorted(splats, image, at<int64_t>(ranges), pairs, lists, at<int64_t>(order),
                                at<float>(background), at<float>(out), at<uint8_t>(out8), at<void>(stream));
-      }, NoGil());
+      },
+      NoGil());
 #endif
 }
 

@@ -81,9 +81,9 @@ void first_pairs(const Splats<T>& splats, int64_t height_px, Bins bins, int64_t*
   });
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                   \
-  template int64_t bin_count(const Splats<T>&, const int32_t*, const int64_t*, int64_t, Bins, int);           \
-  template void bin_fill(const Splats<T>&, const int32_t*, const int64_t*, int64_t, Bins, int);               \
+#define LFGS_INSTANTIATE(T)                                                                         \
+  template int64_t bin_count(const Splats<T>&, const int32_t*, const int64_t*, int64_t, Bins, int); \
+  template void bin_fill(const Splats<T>&, const int32_t*, const int64_t*, int64_t, Bins, int);     \
   template void first_pairs(const Splats<T>&, int64_t, Bins, int64_t*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)

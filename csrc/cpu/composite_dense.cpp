@@ -49,7 +49,7 @@ struct DenseTile {
   static constexpr int kSide = kBandRows, kAcross = kSide / kColumns;
   static constexpr int kSamples = kSide * kSide, kPatches = kSamples / kLanes;
 
-  alignas(64) T x[kSamples], y[kSamples];  // pixel centres from the tile's corner
+  alignas(64) T x[kSamples], y[kSamples];                                     // pixel centres from the tile's corner
   alignas(64) T value[4][kSamples], transmittance[kSamples], rest[kSamples];  // r, g, b, depth
   alignas(64) T gradient[4][kSamples], total[kSamples], prefix[kSamples];
   Patches<T, kPatches> patches;
@@ -140,8 +140,8 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
     }
     const V prefix = hn::MulAdd(weight, v, hn::Load(d, tile.prefix + i));
     hn::Store(prefix, d, tile.prefix + i);
-    const V later = hn::Mul(hn::Sub(hn::Load(d, tile.total + i), prefix),
-                            Reciprocal(d, hn::Sub(hn::Set(d, T(1)), alpha)));
+    const V later =
+        hn::Mul(hn::Sub(hn::Load(d, tile.total + i), prefix), Reciprocal(d, hn::Sub(hn::Set(d, T(1)), alpha)));
     const V g_alpha = hn::MulSub(before, v, later);
     const auto free = hn::And(hn::Gt(alpha, hn::Zero(d)), hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
     const V g_power = hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
@@ -289,9 +289,9 @@ Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Came
   return dispatch(job);
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                          \
-  template Counters composite_dense(const Splats<T>&, Bins, const Cameras<T>&, const T*, DenseImages<T>, int);       \
-  template Counters composite_dense_backward(const Splats<T>&, Bins, const Cameras<T>&, const T*,                    \
+#define LFGS_INSTANTIATE(T)                                                                                    \
+  template Counters composite_dense(const Splats<T>&, Bins, const Cameras<T>&, const T*, DenseImages<T>, int); \
+  template Counters composite_dense_backward(const Splats<T>&, Bins, const Cameras<T>&, const T*,              \
                                              DenseImages<const T>, DenseImages<const T>, const int64_t*, T*, T*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)

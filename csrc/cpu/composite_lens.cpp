@@ -64,7 +64,8 @@ struct LensScene {
   TileSplats<T> splats;
 
   explicit LensScene(const LensJob<T>& job_)
-      : job(job_), layout(*job_.lens, LensTile<T>::kCellsPerPatch),
+      : job(job_),
+        layout(*job_.lens, LensTile<T>::kCellsPerPatch),
         background{job_.background[0], job_.background[1], job_.background[2], 0},
         backdrop(*job_.lens, [&](int c) { return background[c]; }),
         backdrop8(*job_.lens, [&](int c) { return byte_of(background[c]); }),
@@ -84,8 +85,12 @@ template <class T>
 class LensBands {
  public:
   explicit LensBands(const LensScene<T>& scene)
-      : scene_(scene), job_(scene.job), lens_(*scene.job.lens), layout_(scene.layout),
-        tile_(lens_, layout_, job_.backward), lattice_(lens_, job_.quality) {}
+      : scene_(scene),
+        job_(scene.job),
+        lens_(*scene.job.lens),
+        layout_(scene.layout),
+        tile_(lens_, layout_, job_.backward),
+        lattice_(lens_, job_.quality) {}
 
   // Returns whether a lattice, where it was tried, was worth it.
   bool draw(int64_t band, bool try_lattices) {
@@ -125,8 +130,7 @@ class LensBands {
     auto tiles_of = [&](int32_t id) -> Range {
       T low, high;
       const Splat<T>& splat = splat_of(id);
-      if (!columns_of(splat, T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low,
-                      high))
+      if (!columns_of(splat, T(row0_) + T(0.5), T(row0_ + rows_) - T(0.5), T(layout_.shear / 3), low, high))
         return {0, -1};
       const Range touched = layout_.cells_of(double(low), double(high));
       const int64_t first = std::max(touched.first, cells.first), last = std::min(touched.last, cells.last);
@@ -236,8 +240,7 @@ class LensBands {
   bool blend(int32_t id, const Splat<float>& splat, const Footprint& footprint) {
     const int64_t count = tile_.find(splat, footprint.units());
     counters_.evaluations += count * LensTile<T>::kLanes;
-    with_order(job_.splats.orders[id],
-               [&](auto order) { RoughSplat<Footprint, order>(job_, tile_, id, footprint); });
+    with_order(job_.splats.orders[id], [&](auto order) { RoughSplat<Footprint, order>(job_, tile_, id, footprint); });
     if (++blended_ % kLookOut == 0) tile_.retire_below(float(job_.quality.darkest()));
     return true;
   }
@@ -270,9 +273,8 @@ Counters CompositeLensImpl(LensJob<T> job) {
   const int64_t bands = band_count(job.lens->height_px);
   if (job.quality.lattice > 0) {
     std::vector<uint8_t> worth(size_t((bands - 1) / kProbeRows + 1));
-    parallel_for(int64_t(worth.size()), job.threads, [&](int64_t probe, int worker) {
-      worth[size_t(probe)] = draw(probe * kProbeRows, worker, true);
-    });
+    parallel_for(int64_t(worth.size()), job.threads,
+                 [&](int64_t probe, int worker) { worth[size_t(probe)] = draw(probe * kProbeRows, worker, true); });
     parallel_for(bands, job.threads, [&](int64_t band, int worker) {
       const size_t above = size_t(band / kProbeRows), below = std::min(above + 1, worth.size() - 1);
       if (band % kProbeRows != 0) draw(band, worker, worth[above] || worth[below]);
@@ -326,9 +328,9 @@ Counters composite_lens_backward(const Splats<T>& splats, Bins bins, const Lens&
   return dispatch(job);
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                        \
+#define LFGS_INSTANTIATE(T)                                                                                           \
   template Counters composite_lens(const Splats<T>&, Bins, const Lens&, const Quality&, const T*, T*, uint8_t*, int); \
-  template Counters composite_lens_backward(const Splats<T>&, Bins, const Lens&, const T*, const T*, const T*,     \
+  template Counters composite_lens_backward(const Splats<T>&, Bins, const Lens&, const T*, const T*, const T*,        \
                                             const int64_t*, T*, T*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)

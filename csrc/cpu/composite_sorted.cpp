@@ -209,12 +209,12 @@ template <class T>
 Counters composite_sorted(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const SubpixelLists& lists,
                           const T* background, T* out, uint8_t* out8, int threads) {
   require(lists.tile.height_px() == kBandRows, "on the CPU the tiles of sorted sub-pixels are as high as a band");
-  return dispatch(SortedJob<T>{splats, bins, lists, cameras.width_px, cameras.height_px, background, out, out8,
-                               threads});
+  return dispatch(
+      SortedJob<T>{splats, bins, lists, cameras.width_px, cameras.height_px, background, out, out8, threads});
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                            \
-  template Counters composite_sorted(const Splats<T>&, Bins, const Cameras<T>&, const SubpixelLists&, const T*, T*,    \
+#define LFGS_INSTANTIATE(T)                                                                                         \
+  template Counters composite_sorted(const Splats<T>&, Bins, const Cameras<T>&, const SubpixelLists&, const T*, T*, \
                                      uint8_t*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)

@@ -116,8 +116,8 @@ class LatticeNodes {
     const float d1 = std::max(low, -splat.reach_y), d2 = std::min(high, splat.reach_y);
     if (!(d1 <= d2)) return false;
     const float nearest = std::max(d1, 0.f) + std::min(d2, 0.f), middle = (d1 + d2) / 2, half = (d2 - d1) / 2;
-    const float reach = std::sqrt(square_reach_x(splat, nearest)) + (std::abs(splat.c0) + std::abs(splat.c1)) * half +
-                        0.01f;
+    const float reach =
+        std::sqrt(square_reach_x(splat, nearest)) + (std::abs(splat.c0) + std::abs(splat.c1)) * half + 0.01f;
     const float left = plan_.x0 - u - splat.c0 * middle, right = left + float(plan_.across - 1) * plan_.step_x;
     const float sweep = splat.du + splat.c1 * middle;
     const float slope = std::abs(sweep) < 1e-6f ? 1e-6f : sweep;
@@ -216,21 +216,20 @@ class LatticeNodes {
     const float* colour = &splat_colours_.data[kColourStride * block.plane];
     for (int c = 0; c < 3; ++c, sum += stride_) {
       V value = hn::Set(d, colour[c]);
-      if (HWY_UNLIKELY(stops && !quality.ends_early()))
-        value = hn::IfThenElse(stop, hn::Set(d, background[c]), value);
+      if (HWY_UNLIKELY(stops && !quality.ends_early())) value = hn::IfThenElse(stop, hn::Set(d, background[c]), value);
       hn::Store(hn::MulAdd(weight, value, hn::Load(d, sum)), d, sum);
     }
   }
 
   LatticePlan plan_;
   int row_ = 0;
-  int64_t stride_ = 0;  // of a channel
-  Buffer<float> s_, y_;                     // of lines
-  Buffer<float> A_, middle_, scale_;        // of the splat at hand on lines
-  Buffer<int32_t> block_, blocks_;          // the first that it touches there, and how many
+  int64_t stride_ = 0;                // of a channel
+  Buffer<float> s_, y_;               // of lines
+  Buffer<float> A_, middle_, scale_;  // of the splat at hand on lines
+  Buffer<int32_t> block_, blocks_;    // the first that it touches there, and how many
   Buffer<Block> list_;
-  Buffer<float> splat_colours_;             // on planes
-  Buffer<float> transmittance_, colours_;   // [stride], [3, stride]
+  Buffer<float> splat_colours_;            // on planes
+  Buffer<float> transmittance_, colours_;  // [stride], [3, stride]
 };
 
 // Errors at the middles of cells, [3][planes - 1][down - 1][row], and what they are round a node.

@@ -76,10 +76,14 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
 template <class Visit>
 void with_order(int order, const Visit& visit) {
   switch (order) {
-    case 0: return visit(std::integral_constant<int, 0>());
-    case 1: return visit(std::integral_constant<int, 1>());
-    case 2: return visit(std::integral_constant<int, 2>());
-    default: return visit(std::integral_constant<int, -1>());
+    case 0:
+      return visit(std::integral_constant<int, 0>());
+    case 1:
+      return visit(std::integral_constant<int, 1>());
+    case 2:
+      return visit(std::integral_constant<int, 2>());
+    default:
+      return visit(std::integral_constant<int, -1>());
   }
 }
 
@@ -222,8 +226,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out)
     if (hn::AllFalse(d, lit)) return;
     touched = true;
 
-    const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s)
-                           : ColourAt<-1>(d, colour, order, channel, s);
+    const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s) : ColourAt<-1>(d, colour, order, channel, s);
     const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
     const V prefix = hn::MulAdd(weight, v, hn::Load(d, &tile.prefix[i]));
     hn::Store(prefix, d, &tile.prefix[i]);

@@ -30,7 +30,9 @@ class LensLattice {
   int64_t evaluations() const { return nodes_.evaluations + middles_.evaluations; }
 
   LensLattice(const Lens& lens, const Quality& quality)
-      : fineness(0), lens_(lens), quality_(on_lattice(quality)),
+      : fineness(0),
+        lens_(lens),
+        quality_(on_lattice(quality)),
         pixels_(quality.lattice > 0 ? size_t(lens.width_px + kLanes) * 3 : 0) {}
 
   int64_t bytes() const {
@@ -51,7 +53,7 @@ class LensLattice {
   // nodes to be worth it; would have a run split, unless it is the last, that needs one much finer than was tried.
   // [begin, end): the splats that the run's samples may meet, nearest first.
   Verdict judge(const LensRun& run, const Splats<float>& splats, const int32_t* begin, const int32_t* end,
-            const float* background, bool last) {
+                const float* background, bool last) {
     // Where nothing fitted lately, only one run in some is tried
     if (refused_ >= kPatience && ++refused_ % (2 * kPatience) != 0) return Verdict::kRefuse;
     x0_ = double(run.first[0]) / 3, y0_ = double(run.row0);
@@ -91,8 +93,8 @@ class LensLattice {
       auto* pixels = reinterpret_cast<Out*>(pixels_.data());
       lens_.has_cells ? interpolate<true>(row, pixel0, (end + 2) / 3 - pixel0, pixels)
                       : interpolate<false>(row, pixel0, (end + 2) / 3 - pixel0, pixels);
-      std::memcpy(image + row * 3 * lens_.width_px + first,
-                  reinterpret_cast<Out*>(pixels_.data()) + first - 3 * pixel0, size_t(end - first) * sizeof(Out));
+      std::memcpy(image + row * 3 * lens_.width_px + first, reinterpret_cast<Out*>(pixels_.data()) + first - 3 * pixel0,
+                  size_t(end - first) * sizeof(Out));
     }
   }
 
@@ -184,8 +186,8 @@ class LensLattice {
     const int channels[3] = {lens_.channel_at(0, 0), lens_.channel_at(0, 1), lens_.channel_at(0, 2)};
     for (int64_t j = 0; j < count; j += kLanes) {
       const float x = float(double(pixel0 + j) + 0.5 - x0_) - plan.x0;
-      const auto along = hn::Min(hn::MulAdd(hn::Iota(d, 0.f), hn::Set(d, per_x), hn::Set(d, x * per_x)),
-                                 hn::Set(d, last));
+      const auto along =
+          hn::Min(hn::MulAdd(hn::Iota(d, 0.f), hn::Set(d, per_x), hn::Set(d, x * per_x)), hn::Set(d, last));
       const auto a = row_.at(channels[0], along, phases.template next<kCells>(0));
       const auto b = row_.at(channels[1], along, phases.template next<kCells>(1));
       const auto c = row_.at(channels[2], along, phases.template next<kCells>(2));
@@ -203,12 +205,14 @@ class LensLattice {
     bool continuous;
 
     Phases(const Lens& lens, int64_t row, int64_t pixel0, const LatticePlan& plan)
-        : step(uint32_t(lens.phase_x >> 32)), pixels(uint32_t((3 * kLanes * lens.phase_x) >> 32) - 3 * step),
-          per_phase(float(double(lens.views) / 2147483648.0)), to_plane(float(lens.s_step()) / plan.step_s),
-          plane0((float(lens.s_start()) - plan.s0) / plan.step_s), continuous(lens.continuous) {
+        : step(uint32_t(lens.phase_x >> 32)),
+          pixels(uint32_t((3 * kLanes * lens.phase_x) >> 32) - 3 * step),
+          per_phase(float(double(lens.views) / 2147483648.0)),
+          to_plane(float(lens.s_step()) / plan.step_s),
+          plane0((float(lens.s_start()) - plan.s0) / plan.step_s),
+          continuous(lens.continuous) {
       HWY_ALIGN uint32_t phases[kLanes];
-      for (int lane = 0; lane < kLanes; ++lane)
-        phases[lane] = uint32_t(lens.phase_at(row, 3 * (pixel0 + lane)) >> 32);
+      for (int lane = 0; lane < kLanes; ++lane) phases[lane] = uint32_t(lens.phase_at(row, 3 * (pixel0 + lane)) >> 32);
       phase = hn::Load(Words(), phases);
       if (lens.has_cells)
         for (int m = 0; m < 3 * kLanes; ++m)
@@ -232,8 +236,8 @@ class LensLattice {
 
   static HWY_INLINE hn::Vec<Tag<float>> colour_of_bits(hn::Vec<Words> bits) {
     const Tag<float> d;
-    const auto fixed = hn::ConvertTo(d, hn::BitCast(hn::RebindToSigned<Tag<float>>(),
-                                                    hn::And(bits, hn::Set(Words(), 0xffffu))));
+    const auto fixed =
+        hn::ConvertTo(d, hn::BitCast(hn::RebindToSigned<Tag<float>>(), hn::And(bits, hn::Set(Words(), 0xffffu))));
     return hn::Mul(hn::Sub(fixed, hn::Set(d, LatticeRow::kHalf)), hn::Set(d, 1 / LatticeRow::kUnit));
   }
   static HWY_INLINE void store(hn::Vec<Words> a, hn::Vec<Words> b, hn::Vec<Words> c, float* to) {
@@ -247,7 +251,7 @@ class LensLattice {
 
   const Lens& lens_;
   const Quality quality_;
-  int refused_ = 0;  // runs since one fitted
+  int refused_ = 0;         // runs since one fitted
   double x0_ = 0, y0_ = 0;  // what places are about
   LatticeNodes nodes_, middles_;
   LatticeErrors errors_;

@@ -12,16 +12,16 @@
 namespace lfgs {
 
 struct LensLayout {
-  bool by_lens = true;      // cells are lenses; false: cells are single sub-pixels
-  double pitch = 1;         // cell width, sub-pixels
-  double shear = 0;         // sub-pixels that the cells lean to the left per row
-  double origin = 0;        // cell coordinate (sub-pixels) of the image's top left corner
-  int ordinals = 1;         // most sub-pixels in a cell
+  bool by_lens = true;  // cells are lenses; false: cells are single sub-pixels
+  double pitch = 1;     // cell width, sub-pixels
+  double shear = 0;     // sub-pixels that the cells lean to the left per row
+  double origin = 0;    // cell coordinate (sub-pixels) of the image's top left corner
+  int ordinals = 1;     // most sub-pixels in a cell
   int cells_per_tile = 16;
-  double s_start = 0, s_step = 0;  // normalized offset s in [-1, 1] = s_start + s_step * x
+  double s_start = 0, s_step = 0;                            // normalized offset s in [-1, 1] = s_start + s_step * x
   double s_of_ordinal_0 = 0, s_per_ordinal = 0, half_s = 0;  // of the samples at ordinal t: centre, and half spread
   double x_per_ordinal = 1;  // pixels from one ordinal to the next; 1 where there is one ordinal only
-  float half_patch_px = 0;  // half spread in x of a patch's samples at one ordinal, rows apart
+  float half_patch_px = 0;   // half spread in x of a patch's samples at one ordinal, rows apart
   // Of sub-pixels that do not stand in stripes: how far aside, at most; and so many before that of the first stripe of
   // a lens, and after that of the last, may be of this lens
   double beyond = 0;

@@ -32,8 +32,8 @@ struct LensRun {
     for (int64_t r = 0; r < rows; ++r)
       if (first[r] < end[r]) low = std::min(low, first[r] / 3), high = std::max(high, (end[r] - 1) / 3);
     const double a = lens.s_start(), b = a + lens.s_step() * double(lens.views);
-    return {float(double(low) + 0.5 - x0), float(double(high) + 0.5 - x0), float(double(row0) + 0.5 - y0),
-            float(double(row0 + rows) - 0.5 - y0), float(std::min(a, b)), float(std::max(a, b))};
+    return {float(double(low) + 0.5 - x0),         float(double(high) + 0.5 - x0), float(double(row0) + 0.5 - y0),
+            float(double(row0 + rows) - 0.5 - y0), float(std::min(a, b)),          float(std::max(a, b))};
   }
 };
 
@@ -44,8 +44,10 @@ class Backdrop {
   // value(channel) of the image.
   template <class Value>
   Backdrop(const Lens& lens, const Value& value)
-      : period_(lens.has_cells ? kRowPeriod : 3), rows_(lens.has_cells ? kCellPeriod : 1),
-        length_(3 * lens.width_px + period_), places_(size_t(rows_ * length_)) {
+      : period_(lens.has_cells ? kRowPeriod : 3),
+        rows_(lens.has_cells ? kCellPeriod : 1),
+        length_(3 * lens.width_px + period_),
+        places_(size_t(rows_ * length_)) {
     for (int64_t row = 0; row < rows_; ++row)
       for (int64_t m = 0; m < length_; ++m) places_[size_t(row * length_ + m)] = value(lens.channel_at(row, m));
   }

@@ -150,7 +150,8 @@ class RoughFootprint {
   using V = hn::Vec<D>;
 
   RoughFootprint(const InverseRoot<T>& r, T log2_cut)
-      : root_(std::sqrt(kGain) * (r.r0 + T(0.5) * r.r2)), lean_(std::sqrt(kGain) * r.r1),
+      : root_(std::sqrt(kGain) * (r.r0 + T(0.5) * r.r2)),
+        lean_(std::sqrt(kGain) * r.r1),
         cut_(kGain * (log2_cut + kLevel)) {}
   static bool fits(const InverseRoot<T>& r) {
     const T off = T(0.5) * std::abs(r.r2) + (kEven ? std::abs(r.r1) : T(0));

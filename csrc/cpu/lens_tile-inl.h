@@ -75,7 +75,10 @@ class LensTile {
   int open = 0;  // vectors that still take light
 
   LensTile(const Lens& lens, const LensLayout& layout, bool backward)
-      : lens_(lens), layout_(layout), across_(layout.cells_per_tile / kCellsPerPatch), patches_(kDown * across_),
+      : lens_(lens),
+        layout_(layout),
+        across_(layout.cells_per_tile / kCellsPerPatch),
+        patches_(kDown * across_),
         samples_(layout.samples()) {
     const size_t n = size_t(samples_), vectors = n / kLanes;
     for (auto* a : {&x, &s, &colour, &transmittance}) *a = hwy::AllocateAligned<T>(n);
@@ -129,8 +132,7 @@ class LensTile {
 
     // Per patch: |X + t slope| <= w + what the samples at one ordinal spread, around the patch's middle row
     const T half = T(0.5) * T(kRows - 1);
-    const T spread = layout_.half_patch_px +
-                     half * (std::abs(splat.c0 + T(layout_.shear / 3)) + std::abs(splat.c1));
+    const T spread = layout_.half_patch_px + half * (std::abs(splat.c0 + T(layout_.shear / 3)) + std::abs(splat.c1));
     const T left = splat.S0 - splat.S1 + splat.S2, right = splat.S0 + splat.S1 + splat.S2;
     const V widest = hn::Set(d, std::max(left, right)), zero = hn::Zero(d);
     const hn::RebindToSigned<D> di;

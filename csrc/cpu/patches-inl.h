@@ -37,7 +37,9 @@ struct Patches {
       open[w] = bits == 64 ? ~0ull : (1ull << bits) - 1;
     }
   }
-  bool closed() const { return std::all_of(open, open + kWords, [](uint64_t w) { return w == 0; }); }
+  bool closed() const {
+    return std::all_of(open, open + kWords, [](uint64_t w) { return w == 0; });
+  }
   void close(int patch) { open[patch / 64] &= ~(1ull << patch % 64); }
 
   // Marks the open patches that a splat may touch, (u, v) being its centre from the tile's corner; returns how many.

@@ -173,8 +173,7 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
       if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
       out.splats[i] = splat_cast<T>(splat);
       out.orders[i] = 0;
-      if (out.compensations)
-        out.compensations[i] = {T(compensation.D0), T(compensation.D1), T(compensation.D2)};
+      if (out.compensations) out.compensations[i] = {T(compensation.D0), T(compensation.D1), T(compensation.D2)};
       if (splat.reach_y < 0) continue;
 
       // Values at the nodes -> Chebyshev coefficients
@@ -256,13 +255,13 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
   });
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                          \
-  template void project_dense(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, int);                  \
-  template double project_lens(const Gaussians<const T>&, const View<double>&, const Lens&, const Quality&, double,  \
-                               const Splats<T>&, int);                                                               \
-  template void project_dense_backward(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&,               \
-                                       const int64_t*, const T*, const Gaussians<T>&, T*, int);                      \
-  template void project_lens_backward(const Gaussians<const T>&, const View<double>&, const Lens&, const Splats<T>&, \
+#define LFGS_INSTANTIATE(T)                                                                                            \
+  template void project_dense(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, int);                    \
+  template double project_lens(const Gaussians<const T>&, const View<double>&, const Lens&, const Quality&, double,    \
+                               const Splats<T>&, int);                                                                 \
+  template void project_dense_backward(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, const int64_t*, \
+                                       const T*, const Gaussians<T>&, T*, int);                                        \
+  template void project_lens_backward(const Gaussians<const T>&, const View<double>&, const Lens&, const Splats<T>&,   \
                                       const int64_t*, const T*, const Gaussians<T>&, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)

@@ -87,8 +87,7 @@ __global__ void ranges_kernel(Pairs pairs, int64_t* ranges) {
 
 size_t count_bytes(int64_t items) {
   size_t bytes = 0;
-  check(cub::DeviceReduce::Sum(nullptr, bytes, each_count(nullptr), (int64_t*)nullptr, items),
-        "bin: size of the sum");
+  check(cub::DeviceReduce::Sum(nullptr, bytes, each_count(nullptr), (int64_t*)nullptr, items), "bin: size of the sum");
   return bytes;
 }
 
@@ -103,8 +102,9 @@ void bin_count(const Splats<float>& splats, const Image& image, uint32_t* counts
 }
 
 size_t fill_bytes(int64_t items, int64_t pairs) {
-  require(pairs < int64_t(1) << 32, std::to_string(pairs) + " pairs of tile and Gaussian, and at most 2^32 - 1 fit: "
-                                    "render fewer or smaller images at a time");
+  require(pairs < int64_t(1) << 32, std::to_string(pairs) +
+                                        " pairs of tile and Gaussian, and at most 2^32 - 1 fit: "
+                                        "render fewer or smaller images at a time");
   size_t scan = 0, sort = 0;
   check(cub::DeviceScan::InclusiveSum(nullptr, scan, each_count(nullptr), (int64_t*)nullptr, items),
         "bin: size of the scan");
@@ -125,13 +125,12 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
                                       cudaStream_t(stream)),
         "bin: scan");
   fill_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(splats, image, indices,
-                                                                                           ends, pairs, slot_ranges);
+                                                                                            ends, pairs, slot_ranges);
   check_launch("bin_fill");
   if (pairs.count == 0) return;
-  check(cub::DeviceRadixSort::SortPairs(temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots,
-                                        pairs.sorted_slots, pairs.count, 0,
-                                        std::max(1, int(std::bit_width(uint64_t(all_tiles - 1)))),
-                                        cudaStream_t(stream)),
+  check(cub::DeviceRadixSort::SortPairs(
+            temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots, pairs.sorted_slots, pairs.count,
+            0, std::max(1, int(std::bit_width(uint64_t(all_tiles - 1)))), cudaStream_t(stream)),
         "bin: sort");
   ranges_kernel<<<unsigned(blocks_for(pairs.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(pairs, ranges);
   check_launch("bin: ranges");

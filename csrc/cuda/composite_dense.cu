@@ -141,8 +141,8 @@ struct Sample {
     const bool open = after >= float(kMinTransmittance);
     alpha = open ? alpha : 0.f, transmittance = open ? after : 0.f;
     const float weight = alpha * before;
-    const float v = gradient.x * s.colour.x + gradient.y * s.colour.y + gradient.z * s.colour.z +
-                    gradient.w * s.colour.w;
+    const float v =
+        gradient.x * s.colour.x + gradient.y * s.colour.y + gradient.z * s.colour.z + gradient.w * s.colour.w;
     behind -= weight * v;
     const float g_alpha = before * v - behind * fast_reciprocal(1 - alpha);
     return make_float2(power < float(kLog2MaxAlpha) ? g_alpha * alpha : 0.f, weight);
@@ -267,14 +267,13 @@ void composite_dense(const Splats<float>& splats, const Image& image, const int6
   const int64_t tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
   if (tiles == 0) return;
   composite_dense_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs,
-                                                                                background, out);
+                                                                                 background, out);
   check_launch("composite_dense");
 }
 
 void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
-                              const Pairs& pairs, DenseImages<const float> images,
-                              DenseImages<const float> gradients, float* slot_gradients, float* tile_background,
-                              Stream stream) {
+                              const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
+                              float* slot_gradients, float* tile_background, Stream stream) {
   const int64_t tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
   if (tiles == 0) return;
   composite_dense_backward_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(

@@ -20,7 +20,7 @@ template <bool kAntialiased>
 constexpr int kMostSums = kLensSums + 3 * (kMaxColourOrder + 1) + (kAntialiased ? kCompensationFields : 0);
 
 struct Sample {
-  float s;                      // normalized offset of its camera
+  float s;  // normalized offset of its camera
   float colour = 0, transmittance = 0, rest = 0;
   int channel;
 };
@@ -275,9 +275,9 @@ void composite_lens(const Splats<float>& splats, const Image& image, const int64
   check_launch("composite_lens");
 }
 
-void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
-                             const Pairs& pairs, const Lens& lens, const float* pixels, const float* gradient,
-                             float* slot_gradients, float* tile_background, Stream stream) {
+void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                             const Lens& lens, const float* pixels, const float* gradient, float* slot_gradients,
+                             float* tile_background, Stream stream) {
   const float start = float(lens.s_start()), step = float(lens.s_step());
   const unsigned tiles = unsigned(tile_count(image.tile, image.width_px, image.height_px));
   const auto kernel =

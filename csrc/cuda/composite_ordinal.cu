@@ -30,7 +30,7 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
   if (id >= splats.count || splats.splats[id].reach_y < 0) return;
   const int first = int(thread % items) * kShare, order = splats.orders[id];
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + id * (splats.colour_order + 1);
-  constexpr int kAhead = 4;  // loads under way at a time
+  constexpr int kAhead = 4;                       // loads under way at a time
   float s[kShare][3], values[kShare][3][3] = {};  // ordinals; low, middle, high; places
 #pragma unroll
   for (int o = 0; o < kShare; ++o)
@@ -50,7 +50,7 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
       for (int o = 0; o < kShare; ++o)
 #pragma unroll
         for (int n = 0; n < 3; ++n) {
-          float(&value)[3] = values[o][n];
+          float (&value)[3] = values[o][n];
           value[0] = fmaf(value[0], s[o][n], c[k].x), value[1] = fmaf(value[1], s[o][n], c[k].y);
           value[2] = fmaf(value[2], s[o][n], c[k].z);
         }

@@ -31,8 +31,7 @@ constexpr int blocks_of(int lane_rows, bool harmonics) { return lane_rows == 1 ?
 
 // Adds the hits [h, end), of which none is careful. Runs of one kind: to choose at every hit would move registers.
 template <class C>
-__device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned special, float cut,
-                        Samples<C>& samples) {
+__device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned special, float cut, Samples<C>& samples) {
   constexpr bool kSpecial = C::Quadratic || C::Half;
   while (h < end) {
 #pragma unroll 1
@@ -106,15 +105,13 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 ran
 }
 
 template <class C, class Out>
-__device__ void draw_patches(const LensFrame& frame, const float* background, Out* out,
-                             StagedOf<C> (&staged)[kWarps]) {
+__device__ void draw_patches(const LensFrame& frame, const float* background, Out* out, StagedOf<C> (&staged)[kWarps]) {
   constexpr unsigned kAcross = kPixelTileWidth / kPatchWidth, kDown = kPixelTileHeight / kUnitHeight;
   const float4 behind = by_place<C::Cells>(frame.optics, make_float4(background[0], background[1], background[2], 0));
   const Lists lists(frame);
   const unsigned units = tiles_to_draw(frame, frame.pixel) * kAcross * kDown, across = unsigned(frame.pixel.across);
   WorkQueue work(frame, C::kernel);
-  for (unsigned unit = blockIdx.x * kWarps + threadIdx.x / 32; unit < units;
-       unit = __shfl_sync(~0u, work.claimed, 0)) {
+  for (unsigned unit = blockIdx.x * kWarps + threadIdx.x / 32; unit < units; unit = __shfl_sync(~0u, work.claimed, 0)) {
     if (threadIdx.x % 32 == 0) work.claim(gridDim.x * kWarps);
     const unsigned tile = tile_to_draw(frame, unit / (kAcross * kDown)), part = unit % (kAcross * kDown);
     const int left = int(tile % across * kAcross + part % kAcross) * kPatchWidth;

@@ -41,7 +41,7 @@ struct Box {
 struct Sample {
   float x = 0, y = 0;  // centre, from the tile's corner
   int channel = 0;
-  int64_t place = 0;   // in the image
+  int64_t place = 0;  // in the image
   bool some = false;
 
   __device__ Sample(const SubpixelTile& tile, uint16_t code, int64_t x0, int64_t y0, int64_t width_px) {
@@ -123,7 +123,7 @@ void composite_sorted(const Splats<float>& splats, const Image& image, const int
   const int64_t count = image.count * lists.tile.count(image.width_px, image.height_px);
   if (count == 0) return;
   composite_sorted_kernel<<<unsigned(count), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, lists,
-                                                                                 order, background, out, out8);
+                                                                                  order, background, out, out8);
   check_launch("composite_sorted");
 }
 

@@ -76,8 +76,8 @@ void group_norm_silu(const FeatureMaps& maps, const uint32_t* in, const uint32_t
           "group_norm_silu needs an even number of channels in each group, at most " + std::to_string(2 * kThreads) +
               ", got " + std::to_string(maps.channels) + " in " + std::to_string(maps.groups) + " groups");
   if (maps.images == 0 || maps.pixels == 0) return;
-  group_norm_silu_kernel<<<unsigned(maps.images * maps.groups), kThreads, 0, cudaStream_t(stream)>>>(
-      maps, in, weight, bias, eps, out);
+  group_norm_silu_kernel<<<unsigned(maps.images * maps.groups), kThreads, 0, cudaStream_t(stream)>>>(maps, in, weight,
+                                                                                                     bias, eps, out);
   check_launch("group_norm_silu");
 }
 

@@ -113,8 +113,7 @@ __device__ void for_each_error(const Lattice& lattice, int section, const Memory
   const int first = lattice.nodes(), points = lattice.points();
 #pragma unroll 1
   for (int n = first + int(threadIdx.x); n < points; n += kThreads)
-    visit(n - first,
-          difference(interpolated(lattice, nodes, Point(lattice, n)), memory.middles[n - first].floats()));
+    visit(n - first, difference(interpolated(lattice, nodes, Point(lattice, n)), memory.middles[n - first].floats()));
 }
 
 // Moves every node by its share of the errors at the middles round it, see kNodeShare; a thread's largest move. Nodes

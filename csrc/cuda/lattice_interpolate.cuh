@@ -52,8 +52,7 @@ __device__ void interpolate_section(const Tile& tile, const Memory& memory, cons
     const int first = memory.rows[r].x;
     const int2 ends = tile.run(r, section, n);
     const unsigned phase = memory.phases[r] + views.step * unsigned(ends.x - first);
-    interpolate_run<Table>(tile, nodes, views, phase, r, ends,
-                           [&](int m, float colour) { put(r, m - first, colour); });
+    interpolate_run<Table>(tile, nodes, views, phase, r, ends, [&](int m, float colour) { put(r, m - first, colour); });
   }
 }
 

@@ -21,8 +21,11 @@ struct NodeRows {
   int of_channel, of_row, top = 0;
 
   __device__ NodeRows(const Nodes& nodes_, const Lattice& lattice_, Memory& memory)
-      : nodes(nodes_), lattice(lattice_), between(memory.interpolated.between),
-        of_channel((lattice.planes - 1) * lattice.across), of_row(3 * of_channel) {}
+      : nodes(nodes_),
+        lattice(lattice_),
+        between(memory.interpolated.between),
+        of_channel((lattice.planes - 1) * lattice.across),
+        of_row(3 * of_channel) {}
 
   // How many are laid at a time.
   __device__ int fitting(int rows) const {

@@ -117,10 +117,10 @@ struct Memory {
   };
   Lattice lattices[kMostSections];
   int first_node[kMostSections];
-  int2 rows[kTileRows];          // sub-pixels, from x to before y; beyond the panel too
-  unsigned phases[kTileRows];    // of the first of these, without the last 32 bits
-  int low, high;                 // columns of pixels
-  int verdict;                   // see verdict_on
+  int2 rows[kTileRows];        // sub-pixels, from x to before y; beyond the panel too
+  unsigned phases[kTileRows];  // of the first of these, without the last 32 bits
+  int low, high;               // columns of pixels
+  int verdict;                 // see verdict_on
   float largest[kWarps], squares[kWarps];
   union {
     alignas(16) char planner[sizeof(LatticePlanner)];
@@ -145,9 +145,15 @@ struct Tile {
   int low = 0, high = -1;  // columns of pixels
 
   __device__ Tile(const LensFrame& frame, const Tiling& tiling_, int row, int column_)
-      : lens(frame.optics), tiling(tiling_), by_lens(&tiling == &frame.ordinal), column(column_),
-        number(row * tiling.across + column), top(row * tiling.height), rows(min(tiling.height, lens.height_px - top)),
-        sections(tiling.groups), first_lens(lens.ordinals.first_lens + column * kTileLenses) {}
+      : lens(frame.optics),
+        tiling(tiling_),
+        by_lens(&tiling == &frame.ordinal),
+        column(column_),
+        number(row * tiling.across + column),
+        top(row * tiling.height),
+        rows(min(tiling.height, lens.height_px - top)),
+        sections(tiling.groups),
+        first_lens(lens.ordinals.first_lens + column * kTileLenses) {}
 
   // The sub-pixels of a row, from x to before y.
   __device__ int2 row(int r) const {
@@ -190,9 +196,7 @@ struct Tile {
   }
 
   // More than any of its rows has.
-  __device__ int row_bytes() const {
-    return by_lens ? lens_row_bytes(lens.line_number) : 3 * kPixelTileWidth;
-  }
+  __device__ int row_bytes() const { return by_lens ? lens_row_bytes(lens.line_number) : 3 * kPixelTileWidth; }
 
   // First and end on the panel of what the n-th lens of row r has of a section.
   __device__ int2 run(int r, int section, int n) const {
@@ -225,8 +229,14 @@ struct Nodes {
   __device__ Nodes(const Memory& memory, int section)
       : Nodes(memory.lattices[section], memory.corners[0] + memory.first_node[section]) {}
   __device__ Nodes(const Lattice& lattice, const Corners* corners_)
-      : corners(corners_), across(lattice.across), down(lattice.down), plane_stride(lattice.stride()), x0(lattice.x0),
-        y0(lattice.y0), per_x(fast_reciprocal(lattice.step_x)), per_y(fast_reciprocal(lattice.step_y)),
+      : corners(corners_),
+        across(lattice.across),
+        down(lattice.down),
+        plane_stride(lattice.stride()),
+        x0(lattice.x0),
+        y0(lattice.y0),
+        per_x(fast_reciprocal(lattice.step_x)),
+        per_y(fast_reciprocal(lattice.step_y)),
         last_along(float(lattice.across - 1 - lattice.margin) - 0.02f) {}
 
   // Where a row of nodes of a channel begins, less what the bits of a place are too large by (modulo 2^32).
@@ -264,7 +274,8 @@ struct Views {
   float slope, base, last_up;
 
   __device__ Views(const LensOptics& lens, const Lattice& lattice_)
-      : lattice(lattice_), step(unsigned(lens.phase_x >> 32)),
+      : lattice(lattice_),
+        step(unsigned(lens.phase_x >> 32)),
         whole(lens.continuous ? 1u << 24 : unsigned(lens.views)) {
     const float per_s = fast_reciprocal(lattice.step_s);
     slope = lens.s_step * per_s * (lens.continuous ? float(lens.views) * 0x1p-24f : 1.f);

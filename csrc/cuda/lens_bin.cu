@@ -16,9 +16,7 @@ namespace {
 constexpr int kThreads = 256, kMostLanes = 8;
 constexpr int64_t kCrowd = 1 << 18;  // threads that fill the device
 
-__device__ bool ordinal_chosen(const LensFrame& frame) {
-  return frame.state->kernel == int(LensKernel::kOrdinal);
-}
+__device__ bool ordinal_chosen(const LensFrame& frame) { return frame.state->kernel == int(LensKernel::kOrdinal); }
 
 // Lanes that share a splat: groups of ordinals give it more runs of tiles, small splats have one or two.
 __device__ int lanes_of(const LensFrame& frame) {

@@ -91,8 +91,15 @@ Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
   const double width = kTileLenses * lens.line_number, zero = optics.origin - first - 1.5 * lens.slant_tan;
   const int across = int((most - first) / width) + 1;
   const int down = int((lens.height_px + kTileRows - 1) / kTileRows);
-  return {across, down, optics.ordinals.groups, kTileRows, float(width), 3, float(zero - 1.5 - optics.beyond),
-          float(zero + 0.5 + optics.beyond), float(lens.slant_tan)};
+  return {across,
+          down,
+          optics.ordinals.groups,
+          kTileRows,
+          float(width),
+          3,
+          float(zero - 1.5 - optics.beyond),
+          float(zero + 0.5 + optics.beyond),
+          float(lens.slant_tan)};
 }
 
 // Hands out aligned parts of one buffer; counts when the buffer is null.
@@ -112,11 +119,19 @@ struct Parts {
 
 LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const View<double>& rig_, const Lens& lens,
                      int64_t capacity_, const Quality& quality, double tolerance_)
-    : rig(rig_), optics(optics_of(lens)), pixel(pixel_tiling(lens)), ordinal(ordinal_tiling(lens, optics)),
-      sh_degree(sh_degree_), capacity(capacity_), tolerance(float(tolerance_)), cut(float(quality.log2_cut)),
-      stop(float(quality.stop)), hit_cut(float(quality.hit_cut())),
+    : rig(rig_),
+      optics(optics_of(lens)),
+      pixel(pixel_tiling(lens)),
+      ordinal(ordinal_tiling(lens, optics)),
+      sh_degree(sh_degree_),
+      capacity(capacity_),
+      tolerance(float(tolerance_)),
+      cut(float(quality.log2_cut)),
+      stop(float(quality.stop)),
+      hit_cut(float(quality.hit_cut())),
       least_light(float(quality.least_light(lens.width_px, lens.height_px, gaussians))),
-      lattice(lens.has_cells ? 0.f : float(quality.lattice)), in_half(quality.rough()) {
+      lattice(lens.has_cells ? 0.f : float(quality.lattice)),
+      in_half(quality.rough()) {
   require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),
           "a frame takes fewer than 2^31 Gaussians and 2^32 pairs, got " + std::to_string(gaussians) + " and " +
               std::to_string(capacity));

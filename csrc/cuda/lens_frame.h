@@ -15,30 +15,30 @@ namespace lfgs::cuda {
 // quadratic in s (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
 enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadraticSmall, kOrdinal, kCount };
 
-constexpr unsigned kShortList = 256;   // splats of a list that a warp sorts
-constexpr int kMostProbeRows = 256;  // see kProbeRows: of 65,536 rows of pixels
+constexpr unsigned kShortList = 256;  // splats of a list that a warp sorts
+constexpr int kMostProbeRows = 256;   // see kProbeRows: of 65,536 rows of pixels
 
 // What one frame found out: written on the device, read by the host when it likes. The first four come from bin,
 // the rest from project and composite.
 struct FrameState {
-  unsigned long long pairs;      // (tile, splat) pairs; when more than the capacity, composite walks all splats
-  unsigned drawn;                // splats
-  unsigned next_splat;           // of the list of all
-  unsigned long_lists;           // of more than kShortList splats
-  unsigned colour_error;         // bits of a float: largest estimated error of a colour polynomial
-  int kernel;                    // LensKernel chosen
-  float straight, careful;       // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
-  float curved;                  // share of the splats beyond the first
-  int lattices;                  // whether any are laid
-  unsigned next_tile[5];         // of each composite kernel
-  unsigned lattice_tiles;        // drawn from a lattice
-  unsigned refused_tiles;        // by the lattice: left to the kernel chosen
-  unsigned tried_tiles;          // with splats, on which a lattice was laid
+  unsigned long long pairs;  // (tile, splat) pairs; when more than the capacity, composite walks all splats
+  unsigned drawn;            // splats
+  unsigned next_splat;       // of the list of all
+  unsigned long_lists;       // of more than kShortList splats
+  unsigned colour_error;     // bits of a float: largest estimated error of a colour polynomial
+  int kernel;                // LensKernel chosen
+  float straight, careful;   // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
+  float curved;              // share of the splats beyond the first
+  int lattices;              // whether any are laid
+  unsigned next_tile[5];     // of each composite kernel
+  unsigned lattice_tiles;    // drawn from a lattice
+  unsigned refused_tiles;    // by the lattice: left to the kernel chosen
+  unsigned tried_tiles;      // with splats, on which a lattice was laid
   unsigned long long probed[kMostProbeRows];  // tiles of rows on which lattices are tried first, see ProbedRow
-  unsigned pruned;               // splats, see Quality
-  unsigned sampled;              // splats in the sums below (a part of them, for speed)
-  unsigned blocks_summed;        // of project
-  unsigned long long sums[15];   // see FrameSum, fixed point
+  unsigned pruned;                            // splats, see Quality
+  unsigned sampled;                           // splats in the sums below (a part of them, for speed)
+  unsigned blocks_summed;                     // of project
+  unsigned long long sums[15];                // see FrameSum, fixed point
 };
 
 constexpr int kMostOrdinals = 32;
@@ -67,8 +67,8 @@ struct LensOptics {
   int permuted, continuous;
   int channels[3], places[3];  // image channel at each place, place of each channel; permuted: not 0, 1, 2
   // Sub-pixels that do not stand in stripes: by place where all pixels have one order, else by channel
-  int has_cells, lead;         // lead: ordinals before the first stripe of a lens
-  float beyond;                // how far aside, at most, in sub-pixels
+  int has_cells, lead;  // lead: ordinals before the first stripe of a lens
+  float beyond;         // how far aside, at most, in sub-pixels
   SubpixelCells cells;
   Ordinals ordinals;
 };
@@ -89,17 +89,17 @@ struct LensFrame {
   bool has_ordinal = false;  // whether kOrdinal can draw this lens on this device
   int forced = -1;           // a LensKernel, or -1: chosen by cost
   int sh_degree = 0;
-  int64_t capacity = 0;      // pairs
-  float tolerance = 0;       // of colour polynomials
-  float cut = 0, stop = 0;   // of Quality: log2 of the opacity cut, transmittance at which a sample may end
-  float hit_cut = 0;         // log2 of the alpha from which a splat that reaches a patch counts at a sample
-  float least_light = 0;     // see light_of: what has less is pruned
-  float lattice = 0;         // of Quality: error allowed at the checks of a lattice; 0: none
-  bool in_half = false;      // of Quality: kPixel and kPixelSmall evaluate in half precision, and `cut` is for patches
+  int64_t capacity = 0;     // pairs
+  float tolerance = 0;      // of colour polynomials
+  float cut = 0, stop = 0;  // of Quality: log2 of the opacity cut, transmittance at which a sample may end
+  float hit_cut = 0;        // log2 of the alpha from which a splat that reaches a patch counts at a sample
+  float least_light = 0;    // see light_of: what has less is pruned
+  float lattice = 0;        // of Quality: error allowed at the checks of a lattice; 0: none
+  bool in_half = false;     // of Quality: kPixel and kPixelSmall evaluate in half precision, and `cut` is for patches
 
   // Parts of the work buffer. The state and the ranges project clears, with one launch
   FrameState* state = nullptr;
-  uint32_t* ranges = nullptr;      // [lists, 2]: first and end of every list
+  uint32_t* ranges = nullptr;  // [lists, 2]: first and end of every list
   size_t cleared_bytes = 0;
   Splats<float> splats;
   uint32_t* depths = nullptr;      // [N]: bits of the splats' depths
@@ -107,12 +107,12 @@ struct LensFrame {
   uint32_t* long_lists = nullptr;  // [lists]: which of them are long, in any order
   // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
   // first place in the fourth number of a colour)
-  float* ordinal_colours = nullptr;                                                            // [N, columns, 4]
-  uint32_t* ordinal_slopes = nullptr;                                                          // [N, columns, 2]
+  float* ordinal_colours = nullptr;    // [N, columns, 4]
+  uint32_t* ordinal_slopes = nullptr;  // [N, columns, 2]
   // Of an anti-aliased scene: log2 of the share of opacity there, and its first and second power of v as halves
   float* ordinal_shares = nullptr;  // [N, columns, 2]
-  Lattice* lattices = nullptr;  // [tiles], where any are laid: see composite_lattice.cu
-  uint32_t* refused = nullptr;  // [tiles without groups]: those to draw, in any order, where lattices are laid
+  Lattice* lattices = nullptr;      // [tiles], where any are laid: see composite_lattice.cu
+  uint32_t* refused = nullptr;      // [tiles without groups]: those to draw, in any order, where lattices are laid
 
   LensFrame() = default;
   // Throws Error when the sizes do not fit 32 bits.

@@ -14,9 +14,9 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 256, kWarps = kThreads / 32;
-constexpr unsigned kEach = kShortList / 32;       // keys, and buckets, of a thread
-constexpr unsigned kKept = kThreads * kEach;      // keys in shared memory: of a block, or of all its warps
-constexpr unsigned kCrowd = 16;                   // keys of a bucket that count each other
+constexpr unsigned kEach = kShortList / 32;   // keys, and buckets, of a thread
+constexpr unsigned kKept = kThreads * kEach;  // keys in shared memory: of a block, or of all its warps
+constexpr unsigned kCrowd = 16;               // keys of a bucket that count each other
 
 // Who sorts a list.
 struct Warp {

@@ -38,10 +38,18 @@ constexpr float kCarefulOpacity = -0.0291f;  // log2(0.98): what an opaque splat
 constexpr int kSampledSplats = 1 << 14;      // about; enough for averages
 
 enum FrameSum {
-  kArea, kHalfWidth, kHalfHeight, kDisparity, kDisparityHeight,
-  kLinearError, kLinearCareful,  // of the linear fit, where it is good enough; splats that are evaluated carefully
-  kMixedError, kMixedCareful = kMixedError + kLevels, kCurved = kMixedCareful + kLevels,  // at every level's limits
-  kOrdinalError = kCurved + kLevels, kOrdinalCareful,
+  kArea,
+  kHalfWidth,
+  kHalfHeight,
+  kDisparity,
+  kDisparityHeight,
+  kLinearError,
+  kLinearCareful,  // of the linear fit, where it is good enough; splats that are evaluated carefully
+  kMixedError,
+  kMixedCareful = kMixedError + kLevels,
+  kCurved = kMixedCareful + kLevels,  // at every level's limits
+  kOrdinalError = kCurved + kLevels,
+  kOrdinalCareful,
   kSums
 };
 static_assert(kSums <= sizeof(FrameState::sums) / sizeof(unsigned long long));
@@ -173,7 +181,8 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   auto sum = [&](int k) { return sums[k] / kSumUnit * share; };
   auto hits = [&](float w, float h, float f) {
     return (sum(kArea) + 2 * w * sum(kHalfHeight) + 2 * f * sum(kDisparityHeight) + 2 * h * sum(kHalfWidth) +
-            f * h * sum(kDisparity) + w * h * share * sampled) / pixels;
+            f * h * sum(kDisparity) + w * h * share * sampled) /
+           pixels;
   };
   auto mean = [&](int k) { return sampled > 0 ? sums[k] / kErrorUnit / sampled : 0.f; };
   const bool linear = !kAntialiased && mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
@@ -202,7 +211,8 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const float careful_batches = 1 - powf(1 - fminf(mean(kOrdinalCareful), 1.f), 8);
   const float ordinal_each = 60 * (1 + 0.6f * careful_batches);
   cost[int(LensKernel::kOrdinal)] = frame.has_ordinal && mean(kOrdinalError) <= most_ordinal_error(frame)
-      ? tasks * (ordinal_each * hits(across, 15, narrowing * 7 / 6) + 360) / rate : INFINITY;
+                                        ? tasks * (ordinal_each * hits(across, 15, narrowing * 7 / 6) + 360) / rate
+                                        : INFINITY;
 
   int best = int(LensKernel::kPixelQuadratic);
   for (int k = 0; k < int(LensKernel::kCount); ++k)

@@ -12,9 +12,9 @@ constexpr int kWarpLenses = 4, kWarpRows = 16, kWarpsAcross = kTileLenses / kWar
 constexpr int kWarpsDown = kTileRows / kWarpRows, kWarps = kWarpsAcross * kWarpsDown, kThreads = 32 * kWarps;
 constexpr int kFragments = 4, kHalves = 2;  // of 16 samples; of 32 samples, 8 rows each
 constexpr float kMaxLineNumber = kMostOrdinals - 1, kMinLineNumber = 4, kMostViewsEach = 16;
-constexpr float kMinCellLineNumber = 6;     // half a lens is more than sub-pixels stand aside
-constexpr unsigned kOnes = 0x3c003c00u;     // two halves
-constexpr unsigned kNothing = 0xe3d0;       // -1000 and 0: an exponent that draws nothing
+constexpr float kMinCellLineNumber = 6;  // half a lens is more than sub-pixels stand aside
+constexpr unsigned kOnes = 0x3c003c00u;  // two halves
+constexpr unsigned kNothing = 0xe3d0;    // -1000 and 0: an exponent that draws nothing
 constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 
 // Splats staged at a time: what leaves room for two blocks on a multiprocessor. Queues hold the places of a *page* of
@@ -49,7 +49,7 @@ static_assert(kBatch<false> * sizeof(uint16_t) <= sizeof(WarpMemory<false>::oper
 
 template <bool Harmonics>
 struct Memory {
-  float4 splat[3][kBatch<Harmonics>];  // where the depth was: of its colours, the first of the group
+  float4 splat[3][kBatch<Harmonics>];                // where the depth was: of its colours, the first of the group
   float4 colour[Harmonics ? 1 : kBatch<false> + 1];  // with harmonics they are read when a hit is drawn
   WarpMemory<Harmonics> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
@@ -64,10 +64,10 @@ __device__ inline unsigned split(float a) {
   return halves(high, a - high);
 }
 
-// The slope and the bend of a colour in a word. What is multiplied are differences between splats, with the transmittance
-// before each: what rounds these adds up, where what rounds a slope counts with the splat's own weight. So a slope is a
-// multiple of kCoarseStep, a half of which differences below 1/4 are exact, and of kFineStep, -8 to 7 of them; these
-// stand in the last four bits of the bend, a half that can spare them.
+// The slope and the bend of a colour in a word. What is multiplied are differences between splats, with the
+// transmittance before each: what rounds these adds up, where what rounds a slope counts with the splat's own weight.
+// So a slope is a multiple of kCoarseStep, a half of which differences below 1/4 are exact, and of kFineStep, -8 to 7
+// of them; these stand in the last four bits of the bend, a half that can spare them.
 constexpr float kCoarseStep = 1.f / (1 << 13), kFineStep = kCoarseStep / 16;
 __device__ inline unsigned slope_and_bend(float slope, float bend) {
   constexpr float kMagic = 1536;  // a float beside it is a multiple of kCoarseStep

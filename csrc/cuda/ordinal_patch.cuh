@@ -1,5 +1,5 @@
-// A warp's patch in composite_ordinal.cu, 4 lenses x 16 rows: where its samples are, which splats touch it, and what its
-// samples hold.
+// A warp's patch in composite_ordinal.cu, 4 lenses x 16 rows: where its samples are, which splats touch it, and what
+// its samples hold.
 #pragma once
 
 #include "cuda/ordinal_operands.cuh"
@@ -13,10 +13,10 @@ struct Patch {
   const LensFrame& frame;
   Memory<Harmonics>& memory;
   WarpMemory<Harmonics>& own;
-  int lane, row0, lens0;             // of the patch
+  int lane, row0, lens0;  // of the patch
   float middle_y;
-  float x_sheared, half_x;           // of ordinal -1/2, x + tan y; half width to the outermost pixel centres
-  unsigned places;                   // bit 8 p + s: the lens of sample s that this lane accumulates starts at place p
+  float x_sheared, half_x;  // of ordinal -1/2, x + tan y; half width to the outermost pixel centres
+  unsigned places;          // bit 8 p + s: the lens of sample s that this lane accumulates starts at place p
 
   __device__ Patch(const LensFrame& frame_, Memory<Harmonics>& memory_, int tile_x, int tile_y)
       : frame(frame_), memory(memory_), own(memory_.warps[threadIdx.x / 32]), lane(threadIdx.x % 32) {

@@ -115,7 +115,7 @@ struct Task : Patch<Harmonics> {
 
   // The whole v of an accumulated sample, out of its features of d.
   __device__ float exact_view_of(const unsigned (&features)[kFragments][4], int sample) const {
-    const unsigned(&of_fragment)[4] = features[sample / 2];
+    const unsigned (&of_fragment)[4] = features[sample / 2];
     const float v = __low2float(as_half2(__shfl_sync(~0u, of_fragment[sample % 2], lane | 3)));
     if (!frame.optics.continuous) return v;
     return v + __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));

@@ -12,11 +12,11 @@
 namespace lfgs::cuda {
 
 constexpr int kPatchWidth = 16;
-constexpr float kFaint = -3;                     // log2 of an opacity that is little more than what cuts leave out
-constexpr float kMostHalfSweep = 24;             // change of d over half the rig: halves below have steps of 2^-6
-constexpr float kMostHalfColour = 2;             // sums of brighter ones have too few digits
-constexpr float kStraightColour = 2.5e-4f;       // s^2 of a colour that is left out: on average a quarter is the error
-constexpr float kSmallEdge = 3e-3f;            // slope of a colour at zero: at most a quarter is the error
+constexpr float kFaint = -3;                // log2 of an opacity that is little more than what cuts leave out
+constexpr float kMostHalfSweep = 24;        // change of d over half the rig: halves below have steps of 2^-6
+constexpr float kMostHalfColour = 2;        // sums of brighter ones have too few digits
+constexpr float kStraightColour = 2.5e-4f;  // s^2 of a colour that is left out: on average a quarter is the error
+constexpr float kSmallEdge = 3e-3f;         // slope of a colour at zero: at most a quarter is the error
 
 // How samples are evaluated: with a straight line for r = S^(-1/2); with a parabola for splats of which that is too
 // rough; with a straight line in half precision.
@@ -32,9 +32,9 @@ struct Config {
   static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
   // Slopes of colours with the rest of a hit's fit, read at once: quicker in small patches, slower in large ones.
   static constexpr bool SlopesInFit = Harmonics && !Quadratic && lane_rows == 1;
-  static constexpr LensKernel kernel =
-      lane_rows == 1 ? (Quadratic ? LensKernel::kPixelQuadraticSmall : LensKernel::kPixelSmall)
-                     : (Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel);
+  static constexpr LensKernel kernel = lane_rows == 1
+                                           ? (Quadratic ? LensKernel::kPixelQuadraticSmall : LensKernel::kPixelSmall)
+                                           : (Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel);
 };
 
 // A colour as value + slope s + bend s^2; without harmonics the value.
@@ -45,10 +45,10 @@ struct ColourFit {
 // What a warp keeps in shared memory.
 template <bool Harmonics>
 struct Staged {
-  float4 fit[4][32];                 // of 32 hits, see shape_polynomial() and put_halves()
+  float4 fit[4][32];                                           // of 32 hits, see shape_polynomial() and put_halves()
   float4 slope[Harmonics ? 32 : 1], bend[Harmonics ? 32 : 1];  // of colours in s and s^2, as steps; see SlopesInFit
-  ColourFit colour;                  // of the last hit so far; of a careful one nothing
-  uint32_t ids[64];                  // hits that wait: fewer than 32, and those of one cull
+  ColourFit colour;                                            // of the last hit so far; of a careful one nothing
+  uint32_t ids[64];                                            // hits that wait: fewer than 32, and those of one cull
 };
 
 // Of anti-aliased hits also the share of opacity that they have, see share_fit().

@@ -38,9 +38,8 @@ struct HalfSamples {
   __device__ HalfSamples(const LensFrame& frame, int left, int top) : pixels(left, top) {
     const float inverse = 1 / half_unit(frame.optics);
     float at[C::lane_rows][2][3];
-    pixels.template for_each_offset<C::Cells>(frame.optics, [&](int r, int p, int k, float s) {
-      at[r][p][k] = s * inverse, colour[r][p][k] = 0;
-    });
+    pixels.template for_each_offset<C::Cells>(
+        frame.optics, [&](int r, int p, int k, float s) { at[r][p][k] = s * inverse, colour[r][p][k] = 0; });
     for_each([&](int r, int k) {
       auto seen = [&](int p) { return pixels.seen(frame.optics, r, p) ? 1.f : 0.f; };
       v[r][k] = __floats2half2_rn(at[r][0][k], at[r][1][k]);
@@ -71,9 +70,7 @@ struct HalfSamples {
 
     __device__ explicit Steps(float4 f) : red_green(unpacked(f.x)), blue_slope(unpacked(f.y)), slopes(unpacked(f.z)) {}
     __device__ __half2 at(int k, __half2 v) const {
-      const __half2 step = k == 0   ? __low2half2(red_green)
-                           : k == 1 ? __high2half2(red_green)
-                                    : __low2half2(blue_slope);
+      const __half2 step = k == 0 ? __low2half2(red_green) : k == 1 ? __high2half2(red_green) : __low2half2(blue_slope);
       const __half2 slope = k == 0 ? __high2half2(blue_slope) : k == 1 ? __low2half2(slopes) : __high2half2(slopes);
       return C::Harmonics ? __hfma2(v, slope, step) : step;
     }

@@ -86,11 +86,13 @@ struct CarefulHit {
   float4 highest, background;
 
   __device__ CarefulHit(const LensFrame& frame, uint32_t id, float2 centre, float4 background)
-      : frame(frame), splat(whole_splat_about(frame.splats, id, centre)),
+      : frame(frame),
+        splat(whole_splat_about(frame.splats, id, centre)),
         compensation(C::Antialiased ? frame.splats.compensations[id] : Compensation<float>{}),
         order(C::Harmonics ? frame.splats.orders[id] : 0),
         powers(reinterpret_cast<const float4*>(frame.splats.colours) + int64_t(id) * (frame.splats.colour_order + 1)),
-        highest(by_place<C::Cells>(frame.optics, powers[order])), background(background) {}
+        highest(by_place<C::Cells>(frame.optics, powers[order])),
+        background(background) {}
 
   __device__ void add(float x, float y, float s, int k, float& T, float& colour) const {
     const float dy = y - splat.v0, dx = x - splat.u0 - splat.c0 * dy - s * fmaf(splat.c1, dy, splat.du);
@@ -132,7 +134,9 @@ struct FloatSamples {
 
     __device__ Step(const Staged<C::Harmonics>& staged, int i)
         : value(make_float4(staged.fit[2][i].z, staged.fit[2][i].w, staged.fit[3][i].x, 0)),
-          slope(C::SlopesInFit ? shifted(staged.fit[3][i]) : C::Harmonics ? staged.slope[i] : value),
+          slope(C::SlopesInFit ? shifted(staged.fit[3][i])
+                : C::Harmonics ? staged.slope[i]
+                               : value),
           bend(C::Harmonics ? staged.bend[i] : value) {}
     __device__ static float4 shifted(float4 f) { return make_float4(f.y, f.z, f.w, 0); }
     template <bool Bent>

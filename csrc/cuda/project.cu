@@ -55,8 +55,9 @@ __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<f
 void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
                    uint64_t* keys, Stream stream) {
   if (gaussians.count == 0 || cameras.images() == 0) return;
-  require(cameras.images() <= kMostImages, std::to_string(cameras.images()) + " images, and at most 65,535 are drawn "
-                                           "at a time on CUDA: render fewer scenes or cameras in a call");
+  require(cameras.images() <= kMostImages, std::to_string(cameras.images()) +
+                                               " images, and at most 65,535 are drawn "
+                                               "at a time on CUDA: render fewer scenes or cameras in a call");
   const dim3 blocks(unsigned(blocks_for(gaussians.count, kThreads)), unsigned(cameras.images()));
   const auto kernel = cameras.antialiased ? project_dense_kernel<true> : project_dense_kernel<false>;
   kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, out, keys);

@@ -132,9 +132,9 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
 }
 
 template <int Order, bool kAntialiased>
-__global__ void project_lens_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig,
-                                    int64_t width_px, int64_t height_px, const __grid_constant__ BasisTable basis,
-                                    float tolerance, Splats<float> out, uint64_t* keys, unsigned* error) {
+__global__ void project_lens_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig, int64_t width_px,
+                                    int64_t height_px, const __grid_constant__ BasisTable basis, float tolerance,
+                                    Splats<float> out, uint64_t* keys, unsigned* error) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= gaussians.count) return;
   const Splat<float> splat = store_splat<Order, kAntialiased>(gaussians, rig, width_px, height_px, basis, tolerance,
@@ -172,12 +172,18 @@ void with_order(int order, bool antialiased, const Run& run) {
     antialiased ? run(fixed, std::bool_constant<true>()) : run(fixed, std::bool_constant<false>());
   };
   switch (order) {
-    case 0: return with(std::integral_constant<int, 0>());
-    case 2: return with(std::integral_constant<int, 2>());
-    case 4: return with(std::integral_constant<int, 4>());
-    case 8: return with(std::integral_constant<int, 8>());
-    case 12: return with(std::integral_constant<int, 12>());
-    case 16: return with(std::integral_constant<int, 16>());
+    case 0:
+      return with(std::integral_constant<int, 0>());
+    case 2:
+      return with(std::integral_constant<int, 2>());
+    case 4:
+      return with(std::integral_constant<int, 4>());
+    case 8:
+      return with(std::integral_constant<int, 8>());
+    case 12:
+      return with(std::integral_constant<int, 12>());
+    case 16:
+      return with(std::integral_constant<int, 16>());
   }
   throw Error("colour order on CUDA must be 0, 2, 4, 8, 12 or 16, not " + std::to_string(order));
 }
@@ -209,8 +215,8 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
   const BasisTable basis{ColourBasis(frame.splats.colour_order)};
   const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // of none too, one chooses
   with_order(frame.splats.colour_order, frame.rig.antialiased, [&](auto order, auto antialiased) {
-    frame_project_kernel<order, antialiased><<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(
-        gaussians, frame, Rig(frame.rig), basis);
+    frame_project_kernel<order, antialiased>
+        <<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(gaussians, frame, Rig(frame.rig), basis);
   });
   check_launch("frame_project");
 }

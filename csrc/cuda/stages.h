@@ -82,9 +82,8 @@ void composite_sorted(const Splats<float>& splats, const Image& image, const int
 // bits in every run. slot_gradients [pairs, kDenseSums]; tile_background [I * tiles, 3].
 constexpr int kDenseSums = 10, kLensSums = 10;  // lens: and 3 for each power of s in the colours, 3 for compensations
 void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
-                              const Pairs& pairs, DenseImages<const float> images,
-                              DenseImages<const float> gradients, float* slot_gradients, float* tile_background,
-                              Stream stream);
+                              const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
+                              float* slot_gradients, float* tile_background, Stream stream);
 // out is written whole, but added to in its harmonics; view_partials [I, view_blocks(N), 12]: rows of [R|t], to be
 // summed over the blocks.
 int64_t view_blocks(int64_t gaussians);
@@ -92,9 +91,9 @@ void project_dense_backward(const Gaussians<const float>& gaussians, const Camer
                             const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
                             const Gaussians<float>& out, float* view_partials, Stream stream);
 
-void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
-                             const Pairs& pairs, const Lens& lens, const float* pixels, const float* gradient,
-                             float* slot_gradients, float* tile_background, Stream stream);
+void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                             const Lens& lens, const float* pixels, const float* gradient, float* slot_gradients,
+                             float* tile_background, Stream stream);
 void project_lens_backward(const Gaussians<const float>& gaussians, const View<double>& rig,
                            const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
                            const Gaussians<float>& out, Stream stream);

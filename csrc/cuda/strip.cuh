@@ -19,8 +19,8 @@ struct Span {
 
 // The part of a splat in rows of centres y_low .. y_high, along x + shear * y.
 struct Strip {
-  float dy, dh;        // middle and half height of the rows that it reaches, from its centre
-  float range;         // exponent left there; below zero: it does not reach these rows
+  float dy, dh;                    // middle and half height of the rows that it reaches, from its centre
+  float range;                     // exponent left there; below zero: it does not reach these rows
   float slope, base, sweep, turn;  // of the centre line: see at()
 
   __device__ Strip(const Splat<float>& s, float y_low, float y_high) {

@@ -47,8 +47,8 @@ HWY_INLINE hn::Vec<D> Exp2(D d, hn::Vec<D> x) {
     const auto f = hn::Sub(x, hn::Sub(shifted, magic));
     // Minimax of 2^f on [-1/2, 1/2]: relative error 2.6e-6 or 7.5e-8
     static constexpr float four[] = {0.9999992614f, 0.6931218147f, 0.2402474483f, 0.05591786032f, 0.009570101908f};
-    static constexpr float five[] = {1.000000072f, 0.6931469671f, 0.2402211972f, 0.05550713274f, 0.009675541385f,
-                              0.001327647205f};
+    static constexpr float five[] = {1.000000072f,   0.6931469671f,   0.2402211972f,
+                                     0.05550713274f, 0.009675541385f, 0.001327647205f};
     constexpr const float* c = kDegree == 4 ? four : five;
     auto p = hn::Set(d, c[kDegree]);
     for (int n = kDegree - 1; n >= 0; --n) p = hn::MulAdd(p, f, hn::Set(d, c[n]));
@@ -115,9 +115,9 @@ template <class D>
 struct SplatSums {
   using V = hn::Vec<D>;
   using T = hn::TFromD<D>;
-  V power, power_dy, power_dy2;    // of the exponent, times 1, dy, dy^2
-  V x, x_s, x_dy, x_s_dy;          // of dx = px - m
-  V S, S_s, S_s2;                  // of S(s)
+  V power, power_dy, power_dy2;  // of the exponent, times 1, dy, dy^2
+  V x, x_s, x_dy, x_s_dy;        // of dx = px - m
+  V S, S_s, S_s2;                // of S(s)
 
   explicit HWY_INLINE SplatSums(D d) {
     power = power_dy = power_dy2 = x = x_s = x_dy = x_s_dy = S = S_s = S_s2 = hn::Zero(d);

@@ -15,9 +15,9 @@ constexpr int kMaxColourOrder = 16;
 // Linear maps between values at the n = order + 1 nodes, Chebyshev coefficients and powers of s; all n x n, row-major.
 struct ColourBasis {
   int order;
-  std::vector<double> nodes;          // cos(pi (j + 1/2) / n)
-  std::vector<double> to_chebyshev;   // [coefficient, node]
-  std::vector<double> to_powers;      // [power, Chebyshev coefficient]
+  std::vector<double> nodes;         // cos(pi (j + 1/2) / n)
+  std::vector<double> to_chebyshev;  // [coefficient, node]
+  std::vector<double> to_powers;     // [power, Chebyshev coefficient]
 
   explicit ColourBasis(int order_) : order(order_) {
     require(order >= 0 && order <= kMaxColourOrder, "colour order must be 0..16, not " + std::to_string(order));

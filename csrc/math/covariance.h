@@ -11,22 +11,20 @@ namespace lfgs {
 template <class R>
 LFGS_HD glm::mat<3, 3, R> rotation_of(const glm::vec<4, R>& q) {
   R w = q[0], x = q[1], y = q[2], z = q[3];
-  return glm::mat<3, 3, R>(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
-                           2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x),
-                           2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y));
+  return glm::mat<3, 3, R>(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y), 2 * (x * y - w * z),
+                           1 - 2 * (x * x + z * z), 2 * (y * z + w * x), 2 * (x * z + w * y), 2 * (y * z - w * x),
+                           1 - 2 * (x * x + y * y));
 }
 
 // Gradient of a unit quaternion from that of its rotation matrix.
 template <class R>
 LFGS_HD glm::vec<4, R> rotation_of_adjoint(const glm::vec<4, R>& q, const glm::mat<3, 3, R>& g) {
   R w = q[0], x = q[1], y = q[2], z = q[3];
-  return {2 * (x * (g[1][2] - g[2][1]) + y * (g[2][0] - g[0][2]) + z * (g[0][1] - g[1][0])),
-          2 * (y * (g[0][1] + g[1][0]) + z * (g[0][2] + g[2][0]) + w * (g[1][2] - g[2][1])) -
-              4 * x * (g[1][1] + g[2][2]),
-          2 * (x * (g[0][1] + g[1][0]) + z * (g[1][2] + g[2][1]) + w * (g[2][0] - g[0][2])) -
-              4 * y * (g[0][0] + g[2][2]),
-          2 * (x * (g[0][2] + g[2][0]) + y * (g[1][2] + g[2][1]) + w * (g[0][1] - g[1][0])) -
-              4 * z * (g[0][0] + g[1][1])};
+  return {
+      2 * (x * (g[1][2] - g[2][1]) + y * (g[2][0] - g[0][2]) + z * (g[0][1] - g[1][0])),
+      2 * (y * (g[0][1] + g[1][0]) + z * (g[0][2] + g[2][0]) + w * (g[1][2] - g[2][1])) - 4 * x * (g[1][1] + g[2][2]),
+      2 * (x * (g[0][1] + g[1][0]) + z * (g[1][2] + g[2][1]) + w * (g[2][0] - g[0][2])) - 4 * y * (g[0][0] + g[2][2]),
+      2 * (x * (g[0][2] + g[2][0]) + y * (g[1][2] + g[2][1]) + w * (g[0][1] - g[1][0])) - 4 * z * (g[0][0] + g[1][1])};
 }
 
 // Symmetric 3x3 matrix by its six numbers.

@@ -103,8 +103,8 @@ LFGS_HD void cull_outside(Splat<T>& s, int64_t width_px, int64_t height_px) {
   if (!(s.reach_y >= 0)) return;
   T sum = s.u0 + s.v0 + s.reach_y + s.S0, low, high;
   bool finite = sum - sum == 0;
-  if (!finite || rows_of(s, height_px).last < 0 ||
-      !columns_of(s, T(0.5), T(height_px) - T(0.5), T(0), low, high) || high < 0 || low > T(width_px))
+  if (!finite || rows_of(s, height_px).last < 0 || !columns_of(s, T(0.5), T(height_px) - T(0.5), T(0), low, high) ||
+      high < 0 || low > T(width_px))
     s.reach_y = kNotSeen;
 }
 

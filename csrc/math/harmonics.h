@@ -75,8 +75,8 @@ LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& 
 
 // Adds the gradients of the coefficients (g_sh) and returns that of the mean (minus it: that of the eye).
 template <class R, class T, class G>
-LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec<3, R>& mean,
-                                         const glm::vec<3, R>& eye, const glm::vec<3, R>& g_colour, G* g_sh) {
+LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye,
+                                         const glm::vec<3, R>& g_colour, G* g_sh) {
   R basis[kMaxShCount], g_basis[kMaxShCount] = {};
   glm::vec<3, R> to_mean = mean - eye;
   R length = glm::length(to_mean);

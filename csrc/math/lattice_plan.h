@@ -19,8 +19,8 @@ struct LatticePart {
 // left between the middles than there.
 constexpr float kMeanShare = 5, kMovedShare = 8;
 // What is interpolated straight between the nodes of a bent field errs to one side: by x (1 - x) in every direction,
-// 3/4 in the middle of a cell where the three are alike, 1/2 on average. So much of the errors at the middles round it a
-// node is moved by; what is left is a quarter of the root mean square.
+// 3/4 in the middle of a cell where the three are alike, 1/2 on average. So much of the errors at the middles round it
+// a node is moved by; what is left is a quarter of the root mean square.
 constexpr float kNodeShare = 2.f / 3;
 constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // steps in standard deviations; of the finer ones tried next
 LFGS_HD float first_fineness(float error) { return std::fmin(3.0f * std::sqrt(error), kMostFineness); }
@@ -73,7 +73,9 @@ class LatticeCurvature {
   };
 
   LFGS_HD explicit LatticeCurvature(const LatticePart& part)
-      : part_(part), middle_((part.x_low + part.x_high) / 2), half_((part.x_high - part.x_low) / 2),
+      : part_(part),
+        middle_((part.x_low + part.x_high) / 2),
+        half_((part.x_high - part.x_low) / 2),
         bins_per_s_(part.s_high > part.s_low ? kBins / (part.s_high - part.s_low) : 0) {}
 
   // A splat with its centre at u, from the part's origin.

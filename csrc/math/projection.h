@@ -30,8 +30,8 @@ constexpr int kSplatFields = 12;
 
 template <class T, class R>
 LFGS_HD Splat<T> splat_cast(const Splat<R>& s) {
-  return {T(s.u0), T(s.du), T(s.v0), T(s.log2_opacity), T(s.S0),      T(s.S1),
-          T(s.S2), T(s.tau), T(s.c0), T(s.c1),          T(s.reach_y), T(s.depth)};
+  return {T(s.u0), T(s.du),  T(s.v0), T(s.log2_opacity), T(s.S0),      T(s.S1),
+          T(s.S2), T(s.tau), T(s.c0), T(s.c1),           T(s.reach_y), T(s.depth)};
 }
 
 // One Gaussian as projection reads it.
@@ -67,13 +67,13 @@ struct ViewAdjoint {
 // Everything forward and adjoint share; plain values, recomputed rather than stored.
 template <class R>
 struct Projection {
-  glm::vec<3, R> t;                      // mean in view axes
-  glm::vec<4, R> unit;                   // normalized quaternion
-  glm::mat<3, 3, R> turn, factor;        // view-from-local rotation; the same times the scales
-  Symmetric3<R> V;                       // covariance in view axes
-  R iz, kx, ky;                          // 1/Z, clamped slopes
-  bool x_free, y_free;                   // slopes not clamped
-  R a, b, c, e, g;                       // rows of the Jacobian, and d b / d s
+  glm::vec<3, R> t;                // mean in view axes
+  glm::vec<4, R> unit;             // normalized quaternion
+  glm::mat<3, 3, R> turn, factor;  // view-from-local rotation; the same times the scales
+  Symmetric3<R> V;                 // covariance in view axes
+  R iz, kx, ky;                    // 1/Z, clamped slopes
+  bool x_free, y_free;             // slopes not clamped
+  R a, b, c, e, g;                 // rows of the Jacobian, and d b / d s
   R qz, yz, xy0, xy1, yy, iy;
   bool drawn;
 

@@ -10,11 +10,11 @@ namespace lfgs {
 constexpr double kRoughError = 0.02;  // of a colour: at most this is lost by rough evaluation
 
 struct Quality {
-  double log2_cut = kLog2MinAlpha;    // of the opacity cut: splats below it leave a sample as it is
-  double stop = kMinTransmittance;    // a sample ends before its transmittance falls below
-  double lattice = 0;                 // error allowed at the checks of a coarse lattice; 0: no lattice
-  double contribution = 0;            // mean over an image of the alphas that may be left out with whole splats
-  double evaluation = 0;              // error allowed of the arithmetic by which samples are evaluated
+  double log2_cut = kLog2MinAlpha;  // of the opacity cut: splats below it leave a sample as it is
+  double stop = kMinTransmittance;  // a sample ends before its transmittance falls below
+  double lattice = 0;               // error allowed at the checks of a coarse lattice; 0: no lattice
+  double contribution = 0;          // mean over an image of the alphas that may be left out with whole splats
+  double evaluation = 0;            // error allowed of the arithmetic by which samples are evaluated
 
   // Whether samples may be evaluated in 16 bits, or in fewer operations.
   bool rough() const { return evaluation >= kRoughError; }

@@ -68,10 +68,10 @@ struct Cameras {
 template <class T>
 struct Splats {
   int64_t images = 0, count = 0;
-  int colour_order = 0;        // polynomial order of the colours in s; 0 for Dense
-  Splat<T>* splats = nullptr;  // [I, N]
-  T* colours = nullptr;        // [I, N, order + 1, kColourStride]
-  int32_t* orders = nullptr;   // [I, N] order that a splat needs, <= colour_order; null for Dense
+  int colour_order = 0;                      // polynomial order of the colours in s; 0 for Dense
+  Splat<T>* splats = nullptr;                // [I, N]
+  T* colours = nullptr;                      // [I, N, order + 1, kColourStride]
+  int32_t* orders = nullptr;                 // [I, N] order that a splat needs, <= colour_order; null for Dense
   Compensation<T>* compensations = nullptr;  // [N] of an anti-aliased scene; null for others and for Dense
 };
 

@@ -11,12 +11,12 @@ namespace lfgs {
 template <class T>
 struct Gaussians {
   int64_t count = 0;
-  int sh_degree = 0;          // 0..3
-  T* means = nullptr;         // [count, 3] scene units
-  T* quaternions = nullptr;   // [count, 4] wxyz, normalized by the reader
-  T* scales = nullptr;        // [count, 3] standard deviations, scene units
-  T* opacities = nullptr;     // [count] (0, 1]
-  T* sh = nullptr;            // [count, (sh_degree + 1)^2, 3]
+  int sh_degree = 0;         // 0..3
+  T* means = nullptr;        // [count, 3] scene units
+  T* quaternions = nullptr;  // [count, 4] wxyz, normalized by the reader
+  T* scales = nullptr;       // [count, 3] standard deviations, scene units
+  T* opacities = nullptr;    // [count] (0, 1]
+  T* sh = nullptr;           // [count, (sh_degree + 1)^2, 3]
 
   LFGS_HD int sh_count() const { return (sh_degree + 1) * (sh_degree + 1); }
 

@@ -26,10 +26,10 @@ struct Lens {
   uint64_t phase0 = 0, phase_x = 0, phase_y = 0;  // 2^64 = one lens: at the origin, per sub-pixel, per row
   double line_number = 1;                         // P_e: lens width in sub-pixels
   double slant_tan = 0;
-  double phase = 0;                               // D_0, sub-pixels
-  bool bgr = false;                               // blue is the left-most sub-pixel
-  bool continuous = false;                        // cameras at x itself instead of floor(x) + 1/2
-  double offset_start = 0, offset_step = 0;       // s = offset_start + offset_step * x, scene units
+  double phase = 0;                          // D_0, sub-pixels
+  bool bgr = false;                          // blue is the left-most sub-pixel
+  bool continuous = false;                   // cameras at x itself instead of floor(x) + 1/2
+  double offset_start = 0, offset_step = 0;  // s = offset_start + offset_step * x, scene units
   bool has_cells = false;
   SubpixelCells cells;
 

@@ -11,15 +11,15 @@ namespace lfgs {
 // view x-axis at offset s, with the principal point shifted so that the plane z = zero_depth shows no parallax.
 template <class R>
 struct View {
-  glm::mat<3, 3, R> rotation{R(1)};   // world to camera
+  glm::mat<3, 3, R> rotation{R(1)};  // world to camera
   glm::vec<3, R> translation{R(0)};
-  R fx = 1, fy = 1, cx = 0, cy = 0;   // pixels
-  R x_low = -1, x_high = 1;           // Jacobian clamp of X/Z and Y/Z, taken at the rig's centre (offset 0)
+  R fx = 1, fy = 1, cx = 0, cy = 0;  // pixels
+  R x_low = -1, x_high = 1;          // Jacobian clamp of X/Z and Y/Z, taken at the rig's centre (offset 0)
   R y_low = -1, y_high = 1;
-  R offset = 0;                       // where this camera stands in its rig; only the clamp needs it
-  R sweep = 0;                        // 1: the projection is a polynomial in s; 0: one camera
-  R inverse_zero_depth = 0;           // rig only
-  bool antialiased = false;           // opacities compensated for the blur, see math/compensation.h
+  R offset = 0;              // where this camera stands in its rig; only the clamp needs it
+  R sweep = 0;               // 1: the projection is a polynomial in s; 0: one camera
+  R inverse_zero_depth = 0;  // rig only
+  bool antialiased = false;  // opacities compensated for the blur, see math/compensation.h
 
   LFGS_HD glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }
 };

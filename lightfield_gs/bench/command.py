@@ -33,13 +33,29 @@ from lightfield_gs.options import METHODS
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
 
 BENCH_METHODS = (*METHODS, *peers.PEERS)
-COUNTERS = ("stages_ms", "kernel", "pairs", "evaluations_per_subpixel", "colour_error", "work_bytes", "memory_bytes",
-            "memory_bytes_unchunked")  # of encode's stats; None where a method does not tell
+COUNTERS = (
+    "stages_ms",
+    "kernel",
+    "pairs",
+    "evaluations_per_subpixel",
+    "colour_error",
+    "work_bytes",
+    "memory_bytes",
+    "memory_bytes_unchunked",
+)  # of encode's stats; None where a method does not tell
 DEFAULT_SCENES, DEFAULT_METHODS = ("sheet:128",), ("direct",)
 _DRAWN = ("light-field", "paper")
-OPTIONS_OF = {"scene": (*_DRAWN, "pareto", "skips"), "cone": (*_DRAWN, "pareto", "skips"),
-              "sh_degree": (*_DRAWN, "skips"), "methods": _DRAWN, "memory_budget": _DRAWN, "oracle_samples": _DRAWN,
-              "photo": ("photo", "pareto"), "model": ("photo",), "plot": ("pareto",)}  # that not every benchmark takes
+OPTIONS_OF = {
+    "scene": (*_DRAWN, "pareto", "skips"),
+    "cone": (*_DRAWN, "pareto", "skips"),
+    "sh_degree": (*_DRAWN, "skips"),
+    "methods": _DRAWN,
+    "memory_budget": _DRAWN,
+    "oracle_samples": _DRAWN,
+    "photo": ("photo", "pareto"),
+    "model": ("photo",),
+    "plot": ("pareto",),
+}  # that not every benchmark takes
 
 
 @dataclass(frozen=True)
@@ -55,9 +71,15 @@ class Case:
     sh_degree: int | None
 
 
-def bench_case(case: Case, methods: list[str], device: str, repeats: int | None,
-               threads: int | None = None, memory_budget: int | None = None,
-               samples: int = ORACLE_SAMPLES) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def bench_case(
+    case: Case,
+    methods: list[str],
+    device: str,
+    repeats: int | None,
+    threads: int | None = None,
+    memory_budget: int | None = None,
+    samples: int = ORACLE_SAMPLES,
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of one case, a method each, and how the others' images compare with the first method's.
 
     memory_budget: bytes, of the method "sorted". samples: sub-pixels of the oracle. Raises InputError.
@@ -67,22 +89,43 @@ def bench_case(case: Case, methods: list[str], device: str, repeats: int | None,
     panel, rig = case.panel, benchmark_rig(case.scene, gaussians, case.panel, case.cone)
     _progress(f"{case.scene}: oracle, {samples} sub-pixels")
     oracle = oracle_samples(gaussians, panel, rig, samples)
-    what = {"scene": case.scene, "gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "panel": panel.name,
-            "cone": "panel" if case.cone is None else case.cone, "cone_deg": rig.cone_deg}
+    what = {
+        "scene": case.scene,
+        "gaussians": gaussians.count,
+        "sh_degree": gaussians.sh_degree,
+        "panel": panel.name,
+        "cone": "panel" if case.cone is None else case.cone,
+        "cone_deg": rig.cone_deg,
+    }
     rows, comparisons, first = [], [], None
     for method in methods:
         budget = memory_budget if method == "sorted" else None
         measured = measure(gaussians, panel, rig, method, repeats, threads, budget)
         _progress(f"{case.scene}: {method}, {len(measured.times_ms)} runs, fastest {min(measured.times_ms):.3f} ms")
         counters = {key: measured.stats.get(key) for key in COUNTERS}
-        rows.append({**what, "method": method, "device": device, **measured.summary(), **counters,
-                     "memory_budget": budget, "peak_bytes": measured.peak_bytes, **oracle.errors(measured.image)})
+        rows.append(
+            {
+                **what,
+                "method": method,
+                "device": device,
+                **measured.summary(),
+                **counters,
+                "memory_budget": budget,
+                "peak_bytes": measured.peak_bytes,
+                **oracle.errors(measured.image),
+            }
+        )
         if first is None:
             first = measured.image
         else:
-            comparisons.append({**what, "methods": [methods[0], method],
-                                "times_faster": rows[-1]["ms_median"] / rows[0]["ms_median"],
-                                **differences(first, measured.image)})
+            comparisons.append(
+                {
+                    **what,
+                    "methods": [methods[0], method],
+                    "times_faster": rows[-1]["ms_median"] / rows[0]["ms_median"],
+                    **differences(first, measured.image),
+                }
+            )
     return rows, comparisons
 
 
@@ -97,54 +140,99 @@ def harmonics_cost(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for row in rows:
         base = least[row["scene"], row["cone"], row["method"]]
         if row["sh_degree"] > base["sh_degree"]:
-            costs.append({"scene": row["scene"], "cone": row["cone"], "method": row["method"],
-                          "sh_degrees": [base["sh_degree"], row["sh_degree"]],
-                          "times_as_long": row["ms_median"] / base["ms_median"]})
+            costs.append(
+                {
+                    "scene": row["scene"],
+                    "cone": row["cone"],
+                    "method": row["method"],
+                    "sh_degrees": [base["sh_degree"], row["sh_degree"]],
+                    "times_as_long": row["ms_median"] / base["ms_median"],
+                }
+            )
     return costs
 
 
 def differences(a: torch.Tensor, b: torch.Tensor) -> dict[str, float]:
     """Of all sub-pixels of two 8-bit images: the largest difference in 1/255, how many differ, how many by over 1."""
     difference = (a.to(torch.int16) - b).abs_()
-    return {"subpixels": difference.numel(), "max_difference_255": int(difference.max()),
-            "differing": int((difference > 0).sum()), "over_1": int((difference > 1).sum())}
+    return {
+        "subpixels": difference.numel(),
+        "max_difference_255": int(difference.max()),
+        "differing": int((difference > 0).sum()),
+        "over_1": int((difference > 1).sum()),
+    }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs bench`."""
-    parser.add_argument("what", nargs="?", default="light-field",
-                        choices=("light-field", "paper", "training-step", "photo", "pareto", "skips"),
-                        help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
-                             "methods), forward and backward of the rasterizer in a training step, a photo through "
-                             "the network to the image, run time against error over the settings of quality, or what "
-                             "each skip of what a scene does not need saves")
-    parser.add_argument("--scene", help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128; of "
-                                        f"pareto: {', '.join(pareto.SCENES)}; of skips: {', '.join(skips.SCENES)})")
-    parser.add_argument("--photo", help="of photo and pareto: files, several with commas (default: the one inside, "
-                                        f"{photo.EXAMPLE.name})")
-    parser.add_argument("--model", help="of photo: a checkpoint (.safetensors), or the configuration of an untrained "
-                                        "network, a name or .yaml (default: the checkpoint inside)")
-    parser.add_argument("--panel", default=DEFAULT_PANEL,
-                        help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of "
-                             "published figures")
-    parser.add_argument("--device-serial", metavar="SERIAL",
-                        help="which display, where a Looking Glass .json has calibrations of several")
-    parser.add_argument("--cone", help="viewing cone in degrees, or narrow (40 px of disparity over all views) or wide "
-                                       "(53 degrees); several with commas (default: the panel's; of pareto: 5,40)")
+    parser.add_argument(
+        "what",
+        nargs="?",
+        default="light-field",
+        choices=("light-field", "paper", "training-step", "photo", "pareto", "skips"),
+        help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
+        "methods), forward and backward of the rasterizer in a training step, a photo through "
+        "the network to the image, run time against error over the settings of quality, or what "
+        "each skip of what a scene does not need saves",
+    )
+    parser.add_argument(
+        "--scene",
+        help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128; of "
+        f"pareto: {', '.join(pareto.SCENES)}; of skips: {', '.join(skips.SCENES)})",
+    )
+    parser.add_argument(
+        "--photo",
+        help=f"of photo and pareto: files, several with commas (default: the one inside, {photo.EXAMPLE.name})",
+    )
+    parser.add_argument(
+        "--model",
+        help="of photo: a checkpoint (.safetensors), or the configuration of an untrained "
+        "network, a name or .yaml (default: the checkpoint inside)",
+    )
+    parser.add_argument(
+        "--panel",
+        default=DEFAULT_PANEL,
+        help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of published figures",
+    )
+    parser.add_argument(
+        "--device-serial",
+        metavar="SERIAL",
+        help="which display, where a Looking Glass .json has calibrations of several",
+    )
+    parser.add_argument(
+        "--cone",
+        help="viewing cone in degrees, or narrow (40 px of disparity over all views) or wide "
+        "(53 degrees); several with commas (default: the panel's; of pareto: 5,40)",
+    )
     parser.add_argument("--sh-degree", help="0..3 of synthetic scenes, several with commas (default: 0)")
-    parser.add_argument("--methods", help=f"with commas, of {', '.join(BENCH_METHODS)} (the last one on CUDA, when "
-                                          f"gsplat is installed; default: direct)")
-    parser.add_argument("--memory-budget", type=byte_size, metavar="SIZE",
-                        help="of the method sorted, for example 256MB, as `encode` takes it")
-    parser.add_argument("--oracle-samples", type=int, metavar="N",
-                        help="of a light-field image: random sub-pixels that the oracle judges it by (default: "
-                             f"{ORACLE_SAMPLES}; near 80 dB one in 1,500 is off by 1/255, so that these leave an "
-                             "uncertainty of 1 dB)")
+    parser.add_argument(
+        "--methods",
+        help=f"with commas, of {', '.join(BENCH_METHODS)} (the last one on CUDA, when "
+        f"gsplat is installed; default: direct)",
+    )
+    parser.add_argument(
+        "--memory-budget",
+        type=byte_size,
+        metavar="SIZE",
+        help="of the method sorted, for example 256MB, as `encode` takes it",
+    )
+    parser.add_argument(
+        "--oracle-samples",
+        type=int,
+        metavar="N",
+        help="of a light-field image: random sub-pixels that the oracle judges it by (default: "
+        f"{ORACLE_SAMPLES}; near 80 dB one in 1,500 is off by 1/255, so that these leave an "
+        "uncertainty of 1 dB)",
+    )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
-    parser.add_argument("--repeats", type=int, help="runs of each, fewer of those beyond a minute (default: 5, and 20 "
-                                                    "of what takes less than 50 ms on CUDA)")
-    parser.add_argument("--threads", help="threads (default: all cores); several with commas for "
-                                          "training-step and photo")
+    parser.add_argument(
+        "--repeats",
+        type=int,
+        help="runs of each, fewer of those beyond a minute (default: 5, and 20 of what takes less than 50 ms on CUDA)",
+    )
+    parser.add_argument(
+        "--threads", help="threads (default: all cores); several with commas for training-step and photo"
+    )
     parser.add_argument("--plot", type=Path, help="of pareto: a picture of the rows, .png, .svg, .pdf or .webp")
     parser.add_argument("--json", type=Path, help="where to write the rows, and what machine they are from")
 
@@ -216,8 +304,9 @@ def _pareto(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[s
     scenes = pareto.SCENES if not args.scene and not args.photo else args.scene.split(",") if args.scene else ()
     _check_scenes(scenes)
     rows, count = [], _one_thread_count(args, threads)
-    for subject in pareto.subjects(scenes, photos, _panel(args),
-                                   pareto.CONES if args.cone is None else _cones(args.cone), args.device):
+    for subject in pareto.subjects(
+        scenes, photos, _panel(args), pareto.CONES if args.cone is None else _cones(args.cone), args.device
+    ):
         made = subject()
         _progress(f"{made.name}, {made.rig.cone_deg:g} degrees: oracle, then all settings by turns")
         rows += pareto.rows(made, pareto.settings(), args.repeats, count)
@@ -236,8 +325,9 @@ def _skips(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[st
         for degree in degrees:
             gaussians = load_scene(scene, degree).to(args.device)
             for cone in cones:
-                subject = pareto.Subject(Path(scene).name, gaussians, panel,
-                                         benchmark_rig(scene, gaussians, panel, cone))
+                subject = pareto.Subject(
+                    Path(scene).name, gaussians, panel, benchmark_rig(scene, gaussians, panel, cone)
+                )
                 _progress(f"{subject.name}, {subject.rig.cone_deg:g} degrees: with and without every skip by turns")
                 rows += skips.rows(subject, args.repeats, count)
     return {"rows": rows}, skips.table(rows)
@@ -281,8 +371,9 @@ def _light_field(args: argparse.Namespace, threads: list[int | None], published:
     cases = [Case(scene, panel, cone, degree) for scene in scenes for cone in _cones(args.cone) for degree in degrees]
     rows, comparisons = [], []
     for case in cases:
-        new_rows, new_comparisons = bench_case(case, methods, args.device, args.repeats, count,
-                                               args.memory_budget, args.oracle_samples or ORACLE_SAMPLES)
+        new_rows, new_comparisons = bench_case(
+            case, methods, args.device, args.repeats, count, args.memory_budget, args.oracle_samples or ORACLE_SAMPLES
+        )
         rows += new_rows
         comparisons += new_comparisons
     costs = harmonics_cost(rows)

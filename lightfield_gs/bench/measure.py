@@ -34,12 +34,23 @@ class Measurement:
 
     def summary(self) -> dict[str, float]:
         """ms_median, ms_min, ms_max and the number of runs."""
-        return {"ms_median": statistics.median(self.times_ms), "ms_min": min(self.times_ms),
-                "ms_max": max(self.times_ms), "runs": len(self.times_ms)}
+        return {
+            "ms_median": statistics.median(self.times_ms),
+            "ms_min": min(self.times_ms),
+            "ms_max": max(self.times_ms),
+            "runs": len(self.times_ms),
+        }
 
 
-def measure(gaussians: Gaussians, panel: Panel, rig: Rig, method: str, repeats: int | None = None,
-            threads: int | None = None, memory_budget: int | None = None) -> Measurement:
+def measure(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    method: str,
+    repeats: int | None = None,
+    threads: int | None = None,
+    memory_budget: int | None = None,
+) -> Measurement:
     """Times a method of `encode`, or a peer, from Gaussians on their device to the 8-bit image on it.
 
     "direct" on CUDA is an Encoder's replayed frame. repeats: runs that count; None: as many as `timed` chooses.

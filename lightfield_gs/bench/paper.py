@@ -11,8 +11,18 @@ from typing import Any
 
 from lightfield_gs.bench.tables import aligned, in_ms, megabytes
 
-SCENES = ("sheet:64", "sheet:96", "sheet:128", "sheet:192", "sheet:256", "sheet:384", "sheet:512", "cloud:16384",
-          "cloud:65536", "cloud:262144")
+SCENES = (
+    "sheet:64",
+    "sheet:96",
+    "sheet:128",
+    "sheet:192",
+    "sheet:256",
+    "sheet:384",
+    "sheet:512",
+    "cloud:16384",
+    "cloud:65536",
+    "cloud:262144",
+)
 METHODS = ("classic", "sorted", "direct")
 STAGES = ("geometry", "image", "binning")  # of Table 3, as method "sorted" reports them
 PAPER_CELL = "not at hand"  # instead of the figures that the paper prints: none is quoted unseen
@@ -24,9 +34,17 @@ github.com/ShiSzzz/Single-View-Encoding-of-3D-Light-Field): about 40 ms for 96 v
 
 def tables(rows: list[dict[str, Any]]) -> str:
     """The rows of scenes and methods (see bench.bench_case) as the two tables, ours beside the paper's."""
-    return "\n".join(["Table 1: ms for an image", *_time_table(rows), "",
-                      "Table 3: MB held by a stage, all views at once -> views in chunks whose buffers are used again",
-                      *_memory_table(rows), "", AUTHORS_SAY])
+    return "\n".join(
+        [
+            "Table 1: ms for an image",
+            *_time_table(rows),
+            "",
+            "Table 3: MB held by a stage, all views at once -> views in chunks whose buffers are used again",
+            *_memory_table(rows),
+            "",
+            AUTHORS_SAY,
+        ]
+    )
 
 
 def _time_table(rows: list[dict[str, Any]]) -> list[str]:
@@ -40,8 +58,16 @@ def _time_table(rows: list[dict[str, Any]]) -> list[str]:
     for (scene, _, _), by_method in cases.items():
         ms = [by_method[method]["ms_median"] for method in methods]
         row = by_method[methods[0]]
-        lines.append((scene, str(row["gaussians"]), f"{row['cone_deg']:.3g}", *map(in_ms, ms),
-                      *(f"{ms[0] / other:.1f}" for other in ms[1:]), PAPER_CELL))
+        lines.append(
+            (
+                scene,
+                str(row["gaussians"]),
+                f"{row['cone_deg']:.3g}",
+                *map(in_ms, ms),
+                *(f"{ms[0] / other:.1f}" for other in ms[1:]),
+                PAPER_CELL,
+            )
+        )
     return aligned(lines)
 
 
@@ -50,7 +76,8 @@ def _memory_table(rows: list[dict[str, Any]]) -> list[str]:
     lines = [("scene", "method", *STAGES, "all work memory", "paper")]
     for row in rows:
         before, after = row["memory_bytes_unchunked"], row["memory_bytes"]
-        stages = [f"{megabytes(before[stage])} -> {megabytes(after[stage])}" if before and after else "-"
-                  for stage in STAGES]
+        stages = [
+            f"{megabytes(before[stage])} -> {megabytes(after[stage])}" if before and after else "-" for stage in STAGES
+        ]
         lines.append((row["scene"], row["method"], *stages, megabytes(row["work_bytes"]), PAPER_CELL))
     return aligned(lines)

@@ -31,8 +31,7 @@ from lightfield_gs.rendering import encode
 from lightfield_gs.rig import Rig
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
-KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut",
-         "evaluation_error")
+KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut", "evaluation_error")
 # Of no name: they pay in few scenes
 STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 40, 1 / 32, 1 / 24, 1 / 16, 1 / 12)
 LATTICE, PRUNED = 0.1, (3e-4, 1e-3, 3e-3)
@@ -95,11 +94,14 @@ def _value(value: float) -> str:
     return f"1/{1 / value:.0f}" if 1 / value < 256 else f"{value:g}"
 
 
-def subjects(scenes: Sequence[str], photos: Sequence[str], panel: Panel, cones: Sequence[Any],
-             device: str) -> list[Callable[[], Subject]]:
+def subjects(
+    scenes: Sequence[str], photos: Sequence[str], panel: Panel, cones: Sequence[Any], device: str
+) -> list[Callable[[], Subject]]:
     """Calls that make the subjects: every scene (as load_scene names them) and every photo, in every cone."""
-    return [*(partial(_of_scene, scene, panel, cone, device) for scene in scenes for cone in cones),
-            *(partial(_of_photo, path, panel, cone, device) for path in photos for cone in cones)]
+    return [
+        *(partial(_of_scene, scene, panel, cone, device) for scene in scenes for cone in cones),
+        *(partial(_of_photo, path, panel, cone, device) for path in photos for cone in cones),
+    ]
 
 
 def _of_scene(scene: str, panel: Panel, cone: Any, device: str) -> Subject:
@@ -116,22 +118,35 @@ def _of_photo(path: str, panel: Panel, cone: Any, device: str) -> Subject:
 
 
 @torch.no_grad()
-def rows(subject: Subject, chosen: dict[str, Setting], repeats: int | None,
-         threads: int | None) -> list[dict[str, Any]]:
+def rows(
+    subject: Subject, chosen: dict[str, Setting], repeats: int | None, threads: int | None
+) -> list[dict[str, Any]]:
     """A row for each setting, the exact one first. Raises InputError."""
     oracle = oracle_samples(subject.gaussians, subject.panel, subject.rig)
-    what = {"scene": subject.name, "panel": subject.panel.name,
-            "cone_deg": subject.rig.cone_deg, "device": subject.gaussians.means.device.type}
+    what = {
+        "scene": subject.name,
+        "panel": subject.panel.name,
+        "cone_deg": subject.rig.cone_deg,
+        "device": subject.gaussians.means.device.type,
+    }
     found, calls, scenes, out = [], [], {0.0: subject}, None
     for name, (quality, cut) in chosen.items():
         if cut not in scenes:
             scenes[cut] = replace(subject, gaussians=prune(subject.gaussians, subject.panel, subject.rig, cut))
         drawn, stats = scenes[cut], {}
         out = encode(drawn.gaussians, drawn.panel, drawn.rig, quality=quality, threads=threads, stats=stats, out=out)
-        found.append({**what, "setting": name, "gaussians": drawn.gaussians.count,
-                      "named": name in QUALITIES, **oracle.errors(out),
-                      "pairs": stats["pairs"], "evaluations_per_subpixel": stats["evaluations_per_subpixel"],
-                      "skipped": stats["skipped"]})
+        found.append(
+            {
+                **what,
+                "setting": name,
+                "gaussians": drawn.gaussians.count,
+                "named": name in QUALITIES,
+                **oracle.errors(out),
+                "pairs": stats["pairs"],
+                "evaluations_per_subpixel": stats["evaluations_per_subpixel"],
+                "skipped": stats["skipped"],
+            }
+        )
         calls.append(drawing(drawn, quality, threads, out))
     _, times = timed_in_turn(calls, subject.gaussians.means.is_cuda, repeats)
     for row, taken in zip(found, zip(*times)):
@@ -142,8 +157,9 @@ def rows(subject: Subject, chosen: dict[str, Setting], repeats: int | None,
     return found
 
 
-def drawing(subject: Subject, quality: Quality = EXACT, threads: int | None = None,
-            out: Tensor | None = None) -> Callable[[], Tensor]:
+def drawing(
+    subject: Subject, quality: Quality = EXACT, threads: int | None = None, out: Tensor | None = None
+) -> Callable[[], Tensor]:
     """A call that draws a subject; on CUDA an Encoder's replayed frame, on the CPU over `out`."""
     if subject.gaussians.means.is_cuda:
         return partial(Encoder(subject.panel, subject.rig, quality=quality), subject.gaussians)
@@ -160,7 +176,19 @@ def on_front(row: dict[str, Any], found: list[dict[str, Any]]) -> bool:
 def table(found: list[dict[str, Any]]) -> str:
     """The rows as text, a line each; those of the Pareto front have a star."""
     head = ("scene", "cone", "setting", "", "ms", "times as fast", "PSNR dB", "max /255", "pairs", "eval/sub-px")
-    lines = [(row["scene"], f"{row['cone_deg']:g}", row["setting"], "*" if row["front"] else "", in_ms(row["ms"]),
-              f"{row['times_as_fast']:.2f}", f"{row['psnr_db']:.1f}", str(row["max_error_255"]), str(row["pairs"]),
-              or_dash(row["evaluations_per_subpixel"], ".1f")) for row in found]
+    lines = [
+        (
+            row["scene"],
+            f"{row['cone_deg']:g}",
+            row["setting"],
+            "*" if row["front"] else "",
+            in_ms(row["ms"]),
+            f"{row['times_as_fast']:.2f}",
+            f"{row['psnr_db']:.1f}",
+            str(row["max_error_255"]),
+            str(row["pairs"]),
+            or_dash(row["evaluations_per_subpixel"], ".1f"),
+        )
+        for row in found
+    ]
     return "\n".join(aligned([head, *lines]))

@@ -41,7 +41,7 @@ def plot(found: list[dict[str, Any]], path: Path) -> None:
     for axis, ((scene, cone, device), rows) in zip(axes, cases.items()):
         _draw(axis, rows)
         axis.set_title(f"{scene}, {cone:.3g} degrees, {device}", fontsize=9)
-    for axis in axes[len(cases):]:
+    for axis in axes[len(cases) :]:
         axis.set_visible(False)
     figure.supxlabel("ms", fontsize=9)
     figure.supylabel("PSNR, dB", fontsize=9)
@@ -52,14 +52,21 @@ def plot(found: list[dict[str, Any]], path: Path) -> None:
 def _draw(axis: Any, rows: list[dict[str, Any]]) -> None:
     """The settings as dots, the named ones by name, and the front as a line."""
     front = sorted((row for row in rows if row["front"]), key=lambda row: row["ms"])
-    axis.step([row["ms"] for row in front], [row["psnr_db"] for row in front], where="post", color="0.6", linewidth=1,
-              zorder=1)
+    axis.step(
+        [row["ms"] for row in front],
+        [row["psnr_db"] for row in front],
+        where="post",
+        color="0.6",
+        linewidth=1,
+        zorder=1,
+    )
     for named, colour in ((False, "tab:grey"), (True, "tab:red")):
         some = [row for row in rows if row["named"] == named]
         axis.scatter([row["ms"] for row in some], [row["psnr_db"] for row in some], s=12, color=colour, zorder=2)
         for row in some if named else ():
-            axis.annotate(row["setting"], (row["ms"], row["psnr_db"]), xytext=(4, 3), textcoords="offset points",
-                          fontsize=8)
+            axis.annotate(
+                row["setting"], (row["ms"], row["psnr_db"]), xytext=(4, 3), textcoords="offset points", fontsize=8
+            )
     axis.set_xlim(left=0)
     axis.margins(0.12)
     axis.grid(True, linewidth=0.3)

@@ -55,8 +55,9 @@ class GsplatClassic:
     def __init__(self, gaussians: Gaussians, panel: Panel, rig: Rig) -> None:
         self._rasterization = gsplat().rasterization
         self._gaussians, self._panel = gaussians, panel
-        self._views_a_call = max(1, min(panel.views, BYTES_AT_A_TIME // (
-            BYTES_PER_PIXEL * panel.width_px * panel.height_px)))
+        self._views_a_call = max(
+            1, min(panel.views, BYTES_AT_A_TIME // (BYTES_PER_PIXEL * panel.width_px * panel.height_px))
+        )
         self._cameras = rig.cameras(panel).to(gaussians.means)
         self._sources, self._places = _interlace_plan(panel, self._views_a_call, gaussians.device)
 
@@ -64,8 +65,7 @@ class GsplatClassic:
     def __call__(self) -> Tensor:
         height, width = self._panel.height_px, self._panel.width_px
         out = torch.empty(height * width * 3, dtype=torch.uint8, device=self._gaussians.device)
-        for first, sources, places in zip(range(0, self._panel.views, self._views_a_call), self._sources,
-                                          self._places):
+        for first, sources, places in zip(range(0, self._panel.views, self._views_a_call), self._sources, self._places):
             views = self._dense(slice(first, first + self._views_a_call))
             out[places] = bytes_of(views.view(-1)[sources])
         return out.view(height, width, 3)
@@ -86,8 +86,12 @@ class GsplatClassic:
         events[2].record()
         events[2].synchronize()
         views, whole = events[0].elapsed_time(events[1]), events[1].elapsed_time(events[2])
-        return {"stages_ms": {"dense views": views, "interlace": max(0.0, whole - views)}, "pairs": None,
-                "evaluations_per_subpixel": None, "work_bytes": None}
+        return {
+            "stages_ms": {"dense views": views, "interlace": max(0.0, whole - views)},
+            "pairs": None,
+            "evaluations_per_subpixel": None,
+            "work_bytes": None,
+        }
 
 
 PEERS = {"gsplat-classic": GsplatClassic}
@@ -110,10 +114,19 @@ def _rasterize(rasterization: Any, gaussians: Gaussians, cameras: Cameras) -> tu
     degree = gaussians.sh_degree
     colours = gaussians.sh if degree else (0.5 + SH_CONSTANT * gaussians.sh[..., 0, :]).clamp_min(0)
     image, coverage, _ = rasterization(
-        gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, colours,
-        cameras.world_to_camera.expand(*lead, count, 4, 4), intrinsics.expand(*lead, count, 3, 3), cameras.width_px,
-        cameras.height_px, sh_degree=degree or None, **GSPLAT_OPTIONS,
-        backgrounds=torch.ones(*lead, count, 3, dtype=gaussians.dtype, device=gaussians.device))
+        gaussians.means,
+        gaussians.quaternions,
+        gaussians.scales,
+        gaussians.opacities,
+        colours,
+        cameras.world_to_camera.expand(*lead, count, 4, 4),
+        intrinsics.expand(*lead, count, 3, 3),
+        cameras.width_px,
+        cameras.height_px,
+        sh_degree=degree or None,
+        **GSPLAT_OPTIONS,
+        backgrounds=torch.ones(*lead, count, 3, dtype=gaussians.dtype, device=gaussians.device),
+    )
     return image, coverage
 
 
@@ -125,5 +138,5 @@ def _interlace_plan(panel: Panel, views_a_call: int, device: torch.device) -> tu
     places = torch.argsort(numbers, stable=True)
     sources = numbers[places].to(torch.int64).remainder_(views_a_call).mul_(len(view_map)).add_(places)
     per_view = np.bincount(view_map, minlength=panel.views)
-    per_call = [int(per_view[first:first + views_a_call].sum()) for first in range(0, panel.views, views_a_call)]
+    per_call = [int(per_view[first : first + views_a_call].sum()) for first in range(0, panel.views, views_a_call)]
     return list(sources.split(per_call)), list(places.split(per_call))

@@ -37,8 +37,9 @@ def network(name: str | None) -> SplatterNet:
     return SplatterNet(ModelConfig.from_yaml(name)).eval()
 
 
-def row(path: str | Path, model: str | None, panel: Panel, device: str, repeats: int | None,
-        threads: int | None) -> dict[str, Any]:
+def row(
+    path: str | Path, model: str | None, panel: Panel, device: str, repeats: int | None, threads: int | None
+) -> dict[str, Any]:
     """Medians of a photo, ms: decode, the stages, total; and ms_min, ms_max of the total. Raises InputError."""
     before = torch.get_num_threads()
     try:
@@ -49,11 +50,22 @@ def row(path: str | Path, model: str | None, panel: Panel, device: str, repeats:
         encoder(rgba)  # loads and captures
         image, total_ms = timed(partial(encoder, rgba), device == "cuda", repeats, ahead=False)
         stages = _stages(encoder, rgba, len(total_ms))
-        return {"photo": Path(path).name, "height_px": rgba.shape[0], "width_px": rgba.shape[1],
-                "model": model or PRETRAINED.name, "gaussians": encoder.gaussians.count, "panel": panel.name,
-                "device": device, "threads": torch.get_num_threads(), "decode_ms": statistics.median(decode_ms),
-                "stages_ms": stages, "ms_median": statistics.median(total_ms), "ms_min": min(total_ms),
-                "ms_max": max(total_ms), "runs": len(total_ms)}
+        return {
+            "photo": Path(path).name,
+            "height_px": rgba.shape[0],
+            "width_px": rgba.shape[1],
+            "model": model or PRETRAINED.name,
+            "gaussians": encoder.gaussians.count,
+            "panel": panel.name,
+            "device": device,
+            "threads": torch.get_num_threads(),
+            "decode_ms": statistics.median(decode_ms),
+            "stages_ms": stages,
+            "ms_median": statistics.median(total_ms),
+            "ms_min": min(total_ms),
+            "ms_max": max(total_ms),
+            "runs": len(total_ms),
+        }
     finally:
         torch.set_num_threads(before)
 
@@ -68,8 +80,9 @@ def _stages(encoder: PhotoEncoder, rgba: np.ndarray, runs: int) -> dict[str, flo
     return {stage: statistics.median(times[stage] for times in found) for stage in STAGES}
 
 
-def rows(photos: list[str], model: str | None, panel: Panel, device: str, repeats: int | None,
-         threads: list[int | None]) -> list[dict[str, Any]]:
+def rows(
+    photos: list[str], model: str | None, panel: Panel, device: str, repeats: int | None, threads: list[int | None]
+) -> list[dict[str, Any]]:
     """A row for each photo and number of threads. Raises InputError."""
     return [row(path, model, panel, device, repeats, count) for path in photos for count in threads]
 
@@ -77,7 +90,20 @@ def rows(photos: list[str], model: str | None, panel: Panel, device: str, repeat
 def table(found: list[dict[str, Any]]) -> str:
     """The rows as text, a line each."""
     head = ("photo", "size", "model", "Gaussians", "device", "threads", "decode", *STAGES, "total ms", "min", "max")
-    lines = [(r["photo"], f"{r['width_px']} x {r['height_px']}", r["model"], str(r["gaussians"]), r["device"],
-              str(r["threads"]), in_ms(r["decode_ms"]), *(in_ms(r["stages_ms"][stage]) for stage in STAGES),
-              in_ms(r["ms_median"]), in_ms(r["ms_min"]), in_ms(r["ms_max"])) for r in found]
+    lines = [
+        (
+            r["photo"],
+            f"{r['width_px']} x {r['height_px']}",
+            r["model"],
+            str(r["gaussians"]),
+            r["device"],
+            str(r["threads"]),
+            in_ms(r["decode_ms"]),
+            *(in_ms(r["stages_ms"][stage]) for stage in STAGES),
+            in_ms(r["ms_median"]),
+            in_ms(r["ms_min"]),
+            in_ms(r["ms_max"]),
+        )
+        for r in found
+    ]
     return "\n".join(aligned([head, *lines]))

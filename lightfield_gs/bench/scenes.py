@@ -75,8 +75,10 @@ def with_harmonics(gaussians: Gaussians, degree: int) -> Gaussians:
     import torch
 
     random = np.random.default_rng(_HARMONIC_SEED)
-    bands = [random.normal(0, _HARMONIC_DEVIATIONS[band - 1], (gaussians.count, 2 * band + 1, 3))
-             for band in range(1, degree + 1)]
+    bands = [
+        random.normal(0, _HARMONIC_DEVIATIONS[band - 1], (gaussians.count, 2 * band + 1, 3))
+        for band in range(1, degree + 1)
+    ]
     higher = torch.from_numpy(np.concatenate(bands, axis=1).astype(np.float32))
     return replace(gaussians, sh=torch.cat([gaussians.sh, higher], dim=1))
 
@@ -131,8 +133,9 @@ def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | fl
     return Rig(np.eye(4), focal, centre, ZERO_DEPTH, cone_degrees(cone, panel, panel.width_px))
 
 
-def _gaussians(means: np.ndarray, quaternions: np.ndarray, scales: np.ndarray, opacities: np.ndarray,
-               colours: np.ndarray) -> Gaussians:
+def _gaussians(
+    means: np.ndarray, quaternions: np.ndarray, scales: np.ndarray, opacities: np.ndarray, colours: np.ndarray
+) -> Gaussians:
     """Rounded to float32; colours [N,3] in 0..1 become the harmonics of degree 0 that give them back."""
     import torch
 

@@ -58,12 +58,23 @@ def rows(subject: Subject, repeats: int | None, threads: int | None) -> list[dic
 
 
 def _rows(subject: Subject, repeats: int | None) -> list[dict[str, Any]]:
-    what = {"scene": subject.name, "gaussians": subject.gaussians.count, "panel": subject.panel.name,
-            "cone_deg": subject.rig.cone_deg, "device": subject.gaussians.means.device.type}
+    what = {
+        "scene": subject.name,
+        "gaussians": subject.gaussians.count,
+        "panel": subject.panel.name,
+        "cone_deg": subject.rig.cone_deg,
+        "device": subject.gaussians.means.device.type,
+    }
     found = []
     for skip in skips(subject):
-        row = {**what, "skip": skip.name, "counted": skip.counted, "note": skip.note, "ms_with": None,
-               "ms_without": None}
+        row = {
+            **what,
+            "skip": skip.name,
+            "counted": skip.counted,
+            "note": skip.note,
+            "ms_with": None,
+            "ms_without": None,
+        }
         if skip.with_it is not None and skip.without is not None:
             calls = [skip.with_it, skip.without, skip.without, skip.with_it]  # who comes first has no advantage
             for call in calls:
@@ -78,21 +89,33 @@ def skips(subject: Subject) -> Iterator[Skip]:
     """Every skip, for a scene."""
     exact, counted = drawing(subject), _counted(subject)
     yield _culling(subject, counted["skipped"])
-    yield Skip("rows and spans outside footprints", f"all but {counted['pairs']} pairs of tile and Gaussian",
-               note="not separable: lists of what touches a tile are how an image is drawn")
+    yield Skip(
+        "rows and spans outside footprints",
+        f"all but {counted['pairs']} pairs of tile and Gaussian",
+        note="not separable: lists of what touches a tile are how an image is drawn",
+    )
     yield _empty_tiles(subject, counted["skipped"])
     yield _colour_orders(subject)
     for name, quality, note in (
-            ("opacity cut", Quality(opacity_cut=OPACITY_CUT), "without: the least cut there is, 1/255"),
-            ("early stop", Quality(transmittance_stop=TRANSMITTANCE_STOP),
-             f"at {TRANSMITTANCE_STOP:g} of the light; without: the least stop there is, 1e-4"),
-            ("lattice", Quality(lattice_error=LATTICE_ERROR), f"of error {LATTICE_ERROR:g}"),
-            ("pruning in a frame", Quality(contribution_cut=CONTRIBUTION_CUT), f"by less than {CONTRIBUTION_CUT:g}")):
+        ("opacity cut", Quality(opacity_cut=OPACITY_CUT), "without: the least cut there is, 1/255"),
+        (
+            "early stop",
+            Quality(transmittance_stop=TRANSMITTANCE_STOP),
+            f"at {TRANSMITTANCE_STOP:g} of the light; without: the least stop there is, 1e-4",
+        ),
+        ("lattice", Quality(lattice_error=LATTICE_ERROR), f"of error {LATTICE_ERROR:g}"),
+        ("pruning in a frame", Quality(contribution_cut=CONTRIBUTION_CUT), f"by less than {CONTRIBUTION_CUT:g}"),
+    ):
         what = _what_it_skips(name, counted, _counted(subject, quality))
         yield Skip(name, what, drawing(subject, quality), exact, note)
     fewer = replace(subject, gaussians=prune(subject.gaussians, subject.panel, subject.rig, PRUNED))
-    yield Skip("pruning of the scene", f"{subject.gaussians.count - fewer.gaussians.count} Gaussians", drawing(fewer),
-               exact, f"once, by `prune`, {PRUNED:g} of the light")
+    yield Skip(
+        "pruning of the scene",
+        f"{subject.gaussians.count - fewer.gaussians.count} Gaussians",
+        drawing(fewer),
+        exact,
+        f"once, by `prune`, {PRUNED:g} of the light",
+    )
     yield from _reuse(subject)
 
 
@@ -134,27 +157,42 @@ def _culling(subject: Subject, skipped: dict[str, Any]) -> Skip:
     depths = scene.means @ forward + shift
     behind = replace(scene, means=scene.means - (depths + depths.abs() + 1)[:, None] * forward)
     both = Gaussians(*(torch.cat(pair) for pair in zip(scene.fields().values(), behind.fields().values())))
-    return Skip("culling", ", ".join(f"{n} {why}" for why, n in skipped["gaussians"].items()),
-                drawing(replace(subject, gaussians=both)), drawing(subject),
-                "not separable: nothing unculled would touch a tile either; here what as many Gaussians again, all "
-                "behind the cameras, still cost")
+    return Skip(
+        "culling",
+        ", ".join(f"{n} {why}" for why, n in skipped["gaussians"].items()),
+        drawing(replace(subject, gaussians=both)),
+        drawing(subject),
+        "not separable: nothing unculled would touch a tile either; here what as many Gaussians again, all "
+        "behind the cameras, still cost",
+    )
 
 
 def _empty_tiles(subject: Subject, skipped: dict[str, Any]) -> Skip:
     """A Gaussian as faint as can be, behind all others and over the whole panel, makes every tile one to draw."""
     scene, rig = subject.gaussians, subject.rig
-    rotation, shift = (torch.as_tensor(part, dtype=scene.dtype, device=scene.device)
-                       for part in (rig.world_to_camera[:3, :3], rig.world_to_camera[:3, 3]))
+    rotation, shift = (
+        torch.as_tensor(part, dtype=scene.dtype, device=scene.device)
+        for part in (rig.world_to_camera[:3, :3], rig.world_to_camera[:3, 3])
+    )
     depth = 2 * float((scene.means @ rotation[2] + shift[2]).clamp_min(rig.zero_depth).max())
     mean = (torch.tensor([0, 0, depth], dtype=scene.dtype, device=scene.device) - shift) @ rotation
     like = {"dtype": scene.dtype, "device": scene.device}
-    veil = (mean[None], torch.tensor([[1.0, 0, 0, 0]], **like), torch.full((1, 3), 10 * depth, **like),
-            torch.full((1,), 1.1 / 255, **like), torch.zeros_like(scene.sh[:1]))
+    veil = (
+        mean[None],
+        torch.tensor([[1.0, 0, 0, 0]], **like),
+        torch.full((1, 3), 10 * depth, **like),
+        torch.full((1,), 1.1 / 255, **like),
+        torch.zeros_like(scene.sh[:1]),
+    )
     veiled = Gaussians(*(torch.cat(pair) for pair in zip(scene.fields().values(), veil)))
     empty = skipped.get("tiles", {}).get("empty")
-    return Skip("empty tiles", f"{or_dash(empty, 'd')} tiles", drawing(subject),
-                drawing(replace(subject, gaussians=veiled)),
-                "without: a veil of alpha 0.004 behind all, one Gaussian, is in every tile")
+    return Skip(
+        "empty tiles",
+        f"{or_dash(empty, 'd')} tiles",
+        drawing(subject),
+        drawing(replace(subject, gaussians=veiled)),
+        "without: a veil of alpha 0.004 behind all, one Gaussian, is in every tile",
+    )
 
 
 def _colour_orders(subject: Subject) -> Skip:
@@ -166,15 +204,21 @@ def _colour_orders(subject: Subject) -> Skip:
     subject = replace(subject, gaussians=scene)
     orders = _counted(subject)["skipped"].get("colour_orders")
     counted = "-" if orders is None else ", ".join(f"{order}: {n}" for order, n in enumerate(orders) if n)
-    return Skip("harmonics cut per Gaussian", counted, _colours(subject, EXACT),
-                _colours(subject, Quality(colour_error=0.0)), note)
+    return Skip(
+        "harmonics cut per Gaussian",
+        counted,
+        _colours(subject, EXACT),
+        _colours(subject, Quality(colour_error=0.0)),
+        note,
+    )
 
 
 def _colours(subject: Subject, quality: Quality) -> Draw:
     """Draws with polynomials up to one order, whatever their error."""
     order, background = ops.COLOUR_ORDERS[0], background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
-    job = ops.LensArguments(*subject.gaussians.fields().values(), background,
-                            *lens_arguments(subject.panel, subject.rig, False))
+    job = ops.LensArguments(
+        *subject.gaussians.fields().values(), background, *lens_arguments(subject.panel, subject.rig, False)
+    )
     if subject.gaussians.means.is_cuda:
         kind = ops.frame_kind(job, quality, moving=True)
         kind.orders, kind.colour_order = (order,), order
@@ -218,8 +262,10 @@ def _reuse(subject: Subject) -> Iterator[Skip]:
         def draw_anew(scene: Gaussians, rig: Rig) -> Tensor:
             return encode(scene, subject.panel, rig)
 
-        films = [_Film(Gaussians(*(t.clone() for t in subject.gaussians.fields().values())), subject.rig, change, draw)
-                 for draw in (repeat, draw_anew)]
+        films = [
+            _Film(Gaussians(*(t.clone() for t in subject.gaussians.fields().values())), subject.rig, change, draw)
+            for draw in (repeat, draw_anew)
+        ]
         for _ in range(3):
             films[0]()
         before = dict(encoder.stats["reused"])

@@ -9,13 +9,45 @@ from lightfield_gs.bench.scenes import NAMED_CONES
 
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows as text, a line each."""
-    head = ("scene", "Gaussians", "SH", "cone", "method", "kernel", "ms", "min", "max", "pairs", "eval/sub-px",
-            "work MB", "peak MB", "PSNR dB", "max /255", "over 1/255")
-    lines = [(row["scene"], str(row["gaussians"]), str(row["sh_degree"]), _cone(row), row["method"],
-              row["kernel"] or "-", in_ms(row["ms_median"]), in_ms(row["ms_min"]), in_ms(row["ms_max"]),
-              or_dash(row["pairs"], "d"), or_dash(row["evaluations_per_subpixel"], ".1f"),
-              megabytes(row["work_bytes"]), megabytes(row["peak_bytes"]), f"{row['psnr_db']:.1f}",
-              str(row["max_error_255"]), f"{row['share_over_1']:.2g}") for row in rows]
+    head = (
+        "scene",
+        "Gaussians",
+        "SH",
+        "cone",
+        "method",
+        "kernel",
+        "ms",
+        "min",
+        "max",
+        "pairs",
+        "eval/sub-px",
+        "work MB",
+        "peak MB",
+        "PSNR dB",
+        "max /255",
+        "over 1/255",
+    )
+    lines = [
+        (
+            row["scene"],
+            str(row["gaussians"]),
+            str(row["sh_degree"]),
+            _cone(row),
+            row["method"],
+            row["kernel"] or "-",
+            in_ms(row["ms_median"]),
+            in_ms(row["ms_min"]),
+            in_ms(row["ms_max"]),
+            or_dash(row["pairs"], "d"),
+            or_dash(row["evaluations_per_subpixel"], ".1f"),
+            megabytes(row["work_bytes"]),
+            megabytes(row["peak_bytes"]),
+            f"{row['psnr_db']:.1f}",
+            str(row["max_error_255"]),
+            f"{row['share_over_1']:.2g}",
+        )
+        for row in rows
+    ]
     text = aligned([head, *lines])
     return "\n".join([*text, *map(_stages_line, rows)])
 
@@ -59,13 +91,17 @@ def machine_line(found: dict[str, Any]) -> str:
 
 def comparison_line(c: dict[str, Any]) -> str:
     """How two methods' times and images compare."""
-    return (f"{c['scene']} {_cone(c)} SH {c['sh_degree']}: {c['methods'][0]} is {c['times_faster']:.1f} times as fast "
-            f"as {c['methods'][1]}; of {c['subpixels']} sub-pixels {c['differing']} differ, {c['over_1']} by more than "
-            f"1/255, at most by {c['max_difference_255']}/255")
+    return (
+        f"{c['scene']} {_cone(c)} SH {c['sh_degree']}: {c['methods'][0]} is {c['times_faster']:.1f} times as fast "
+        f"as {c['methods'][1]}; of {c['subpixels']} sub-pixels {c['differing']} differ, {c['over_1']} by more than "
+        f"1/255, at most by {c['max_difference_255']}/255"
+    )
 
 
 def cost_line(c: dict[str, Any]) -> str:
     """What harmonics cost."""
     low, high = c["sh_degrees"]
-    return (f"{c['scene']} {c['cone']} {c['method']}: SH degree {high} takes {c['times_as_long']:.2f} times as long as "
-            f"degree {low}")
+    return (
+        f"{c['scene']} {c['cone']} {c['method']}: SH degree {high} takes {c['times_as_long']:.2f} times as long as "
+        f"degree {low}"
+    )

@@ -22,15 +22,17 @@ WARM_UP, WARM_UP_MS = 2, 100.0
 AHEAD_CYCLES = 2_000_000  # a millisecond, in which the host gets ahead of the device: a render's forward takes it 1 ms
 
 
-def timed(call: Callable[[], Any], cuda: bool, repeats: int | None = None,
-          ahead: bool = True) -> tuple[Any, list[float]]:
+def timed(
+    call: Callable[[], Any], cuda: bool, repeats: int | None = None, ahead: bool = True
+) -> tuple[Any, list[float]]:
     """The last result of a call, and the times of the runs in ms, in their order; runs as in timed_in_turn."""
     result, times = timed_in_turn([call], cuda, repeats, ahead)
-    return result, [ms for ms, in times]
+    return result, [ms for (ms,) in times]
 
 
-def timed_in_turn(calls: Sequence[Callable[[], Any]], cuda: bool,
-                  repeats: int | None = None, ahead: bool = True) -> tuple[Any, list[tuple[float, ...]]]:
+def timed_in_turn(
+    calls: Sequence[Callable[[], Any]], cuda: bool, repeats: int | None = None, ahead: bool = True
+) -> tuple[Any, list[tuple[float, ...]]]:
     """Runs of several calls one after the other: the last one's last result, and for each run the ms of each call.
 
     On CUDA: warm runs, every call between two events on the current stream. ahead: the device is kept busy at first, so
@@ -73,9 +75,14 @@ def _cuda_ms(calls: Sequence[Callable[[], Any]], ahead: bool) -> tuple[Any, tupl
 
 def machine(device: str) -> dict[str, Any]:
     """What the times depend on besides the program: processor, cores, GPU, versions."""
-    found: dict[str, Any] = {"processor": _processor(), "cores": len(os.sched_getaffinity(0)),
-                             "system": platform.platform(), "python": platform.python_version(),
-                             "torch": torch.__version__, "build": build_info()}
+    found: dict[str, Any] = {
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "build": build_info(),
+    }
     if device == "cuda":
         properties = torch.cuda.get_device_properties("cuda")
         found |= {"gpu": properties.name, "gpu_memory_bytes": properties.total_memory, "cuda": torch.version.cuda}

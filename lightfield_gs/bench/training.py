@@ -74,8 +74,16 @@ class Step:
         _, times = timed_in_turn((self.forward, self.backward), cuda, repeats)
         forward, backward, total = map(statistics.median, (*zip(*times), map(sum, times)))
         scenes = self.gaussians.means.shape[0]
-        return {"objects": scenes, "views": VIEWS, "images": scenes * VIEWS, "size_px": SIZE_PX,
-                "gaussians": self.gaussians.count, "ms_forward": forward, "ms_backward": backward, "ms_total": total}
+        return {
+            "objects": scenes,
+            "views": VIEWS,
+            "images": scenes * VIEWS,
+            "size_px": SIZE_PX,
+            "gaussians": self.gaussians.count,
+            "ms_forward": forward,
+            "ms_backward": backward,
+            "ms_total": total,
+        }
 
 
 def cpu_rows(threads: list[int | None], repeats: int | None) -> list[dict[str, Any]]:
@@ -88,8 +96,9 @@ def cpu_rows(threads: list[int | None], repeats: int | None) -> list[dict[str, A
             torch.set_num_threads(before if count is None else count)
             step.forward()
             step.backward()
-            found.append({"device": "cpu", "program": OURS, **step.row(False, repeats),
-                          "threads": torch.get_num_threads()})
+            found.append(
+                {"device": "cpu", "program": OURS, **step.row(False, repeats), "threads": torch.get_num_threads()}
+            )
     finally:
         torch.set_num_threads(before)
     return found
@@ -105,8 +114,9 @@ def gsplat_row(repeats: int | None) -> dict[str, Any]:
     return _cuda_row(f"gsplat {peers.gsplat().__version__}", peers.gsplat_images, repeats)
 
 
-def _cuda_row(program: str, draw: Callable[[Gaussians, Cameras], tuple[Tensor, Tensor]],
-              repeats: int | None) -> dict[str, Any]:
+def _cuda_row(
+    program: str, draw: Callable[[Gaussians, Cameras], tuple[Tensor, Tensor]], repeats: int | None
+) -> dict[str, Any]:
     views = cameras().to(device="cuda", dtype=torch.float32)
     step = Step(scenes(), lambda gaussians: draw(gaussians, views), lambda outputs: sum(map(torch.sum, outputs)))
     return {"device": "cuda", "program": program, **step.row(True, repeats), "card": torch.cuda.get_device_name()}
@@ -118,13 +128,17 @@ def table(found: list[dict[str, Any]]) -> str:
     for other in found:
         if other["program"] != OURS:
             both, forward = (other[key] / found[0][key] for key in ("ms_total", "ms_forward"))
-            lines.append(f"ours is {both:.1f} times as fast as {other['program']} forward + backward, {forward:.1f} "
-                         "times forward")
+            lines.append(
+                f"ours is {both:.1f} times as fast as {other['program']} forward + backward, {forward:.1f} "
+                "times forward"
+            )
     return "\n".join(lines)
 
 
 def _line(row: dict[str, Any]) -> str:
     where = f"{row['threads']} threads" if row["device"] == "cpu" else row["card"]
     forward, backward, both = (in_ms(row[f"ms_{part}"]) for part in ("forward", "backward", "total"))
-    return (f"{row['program']}: {row['objects']} objects x {row['views']} views, {row['size_px']} px, "
-            f"{row['gaussians']} Gaussians, {where}: forward {forward}, backward {backward}, both {both} ms")
+    return (
+        f"{row['program']}: {row['objects']} objects x {row['views']} views, {row['size_px']} px, "
+        f"{row['gaussians']} Gaussians, {where}: forward {forward}, backward {backward}, both {both} ms"
+    )

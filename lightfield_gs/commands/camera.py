@@ -51,8 +51,13 @@ def read_given(args: argparse.Namespace, panel: Panel) -> Given:
         if index is not None:
             raise InputError(f"{path}:{index}: a rig is one camera; leave out the index")
         rig = Rig.from_yaml(path)
-        return Given(None, rig.world_to_camera, rig.focal_px, rig.principal_point_px,
-                     [f"camera: {path}, a rig, at the panel's resolution; its zero plane was placed anew", *unused])
+        return Given(
+            None,
+            rig.world_to_camera,
+            rig.focal_px,
+            rig.principal_point_px,
+            [f"camera: {path}, a rig, at the panel's resolution; its zero plane was placed anew", *unused],
+        )
     return _of_camera_file(path, index, panel, unused)
 
 
@@ -82,8 +87,9 @@ def _of_camera_file(path: Path, index: int | None, panel: Panel, said: list[str]
     return Given(None, camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), [words, *said])
 
 
-def choose_rig(given: Given, args: argparse.Namespace, panel: Panel, gaussians: "Gaussians",
-               file: "SceneFile | None") -> tuple[Rig, list[str]]:
+def choose_rig(
+    given: Given, args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile | None
+) -> tuple[Rig, list[str]]:
     """The rig in the coordinates that the Gaussians have, and lines on how it was chosen. file: None for a photo.
 
     Raises InputError.
@@ -100,7 +106,7 @@ def choose_rig(given: Given, args: argparse.Namespace, panel: Panel, gaussians: 
     return own or _automatic(args, panel, gaussians, file)
 
 
-def _own_camera(path: Path, file: "SceneFile", panel: Panel, gaussians: "Gaussians") -> tuple[Rig, list[str]] | None:
+def _own_camera(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
     from lightfield_gs.io.own_camera import photo_camera, stored_framing
 
     try:
@@ -110,35 +116,43 @@ def _own_camera(path: Path, file: "SceneFile", panel: Panel, gaussians: "Gaussia
             return None
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return (_looking(camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), panel, gaussians),
-            [f"camera: that of the photo, {camera.width_px:g} x {camera.height_px:g}, which the file brings along "
-             f"({_OTHERS})"])
+    return (
+        _looking(camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), panel, gaussians),
+        [
+            f"camera: that of the photo, {camera.width_px:g} x {camera.height_px:g}, which the file brings along "
+            f"({_OTHERS})"
+        ],
+    )
 
 
-def _looking(pose: np.ndarray, focal_px: tuple[float, float], principal_point_px: tuple[float, float], panel: Panel,
-             gaussians: "Gaussians") -> Rig:
+def _looking(
+    pose: np.ndarray,
+    focal_px: tuple[float, float],
+    principal_point_px: tuple[float, float],
+    panel: Panel,
+    gaussians: Gaussians,
+) -> Rig:
     from lightfield_gs import framing
 
     pose = Rig(pose, focal_px, principal_point_px, 1.0).relative_to(gaussians.origin).world_to_camera
     return framing.look_from(gaussians, panel, pose, focal_px, principal_point_px)
 
 
-def _automatic(args: argparse.Namespace, panel: Panel, gaussians: "Gaussians",
-               file: "SceneFile") -> tuple[Rig, list[str]]:
+def _automatic(args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile) -> tuple[Rig, list[str]]:
     up, notes = axes_of(args.up, file), []
     rig = Rig.frame(gaussians, panel, up=up.axis, notes=notes)
     others = "another view: --camera, --rig or --up"
     return rig, [f"axes: {up.words()}", *(f"framing: {words}; {others}" for words in notes)]
 
 
-def axes_of(up: str | None, file: "SceneFile") -> Up:
+def axes_of(up: str | None, file: SceneFile) -> Up:
     """Which axis points up, and who says so; up: what the command line says."""
     if up:
         return Up(up, "--up")
     return stated_up(file.comments) or Up(DEFAULT_UP, "assumed: the file does not say; another: --up")
 
 
-def brought_along(file: "SceneFile") -> list[tuple[str, str]]:
+def brought_along(file: SceneFile) -> list[tuple[str, str]]:
     """What a scene's file says of cameras, for `info`."""
     from lightfield_gs.io.own_camera import photo_camera, stored_size
 
@@ -151,7 +165,7 @@ def brought_along(file: "SceneFile") -> list[tuple[str, str]]:
     return [] if camera is None else [("camera", f"that of the photo, {camera.width_px:g} x {camera.height_px:g}")]
 
 
-def comments_of(args: argparse.Namespace, panel: Panel, file: "SceneFile | None", rig: Rig | None) -> list[str]:
+def comments_of(args: argparse.Namespace, panel: Panel, file: SceneFile | None, rig: Rig | None) -> list[str]:
     """Lines for the header of a file of the Gaussians, so that it is seen as it was drawn; rig: in its coordinates."""
     from lightfield_gs.io.own_camera import framing_comment
 

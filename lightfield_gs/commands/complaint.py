@@ -18,8 +18,11 @@ _NO_MEMORY = ("allocate memory", "out of memory")  # torch's words for the host'
 
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether memory did not suffice, of the host or of a device."""
-    return isinstance(error, MemoryError) or isinstance(error, RuntimeError) and any(
-        words in str(error) for words in _NO_MEMORY)
+    return (
+        isinstance(error, MemoryError)
+        or isinstance(error, RuntimeError)
+        and any(words in str(error) for words in _NO_MEMORY)
+    )
 
 
 def complain(program: str, error: BaseException, remedy: str) -> int:

@@ -37,8 +37,20 @@ def run(args: argparse.Namespace) -> None:
         check_scene_path(args.save_gaussians)
     if args.preview is not None:
         check_folder(args.preview)
-    check_outputs(_outputs(args), (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras,
-                                   args.view_map, args.checkpoint, args.camera and args.camera[0]))
+    check_outputs(
+        _outputs(args),
+        (
+            args.input,
+            args.rig,
+            args.panel,
+            args.mask,
+            args.depth,
+            args.cameras,
+            args.view_map,
+            args.checkpoint,
+            args.camera and args.camera[0],
+        ),
+    )
     _check_options(args)
     panel = load_panel(args)
     import torch
@@ -57,8 +69,10 @@ def run(args: argparse.Namespace) -> None:
     if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
         note(why)
     if args.antialiased and args.quality != "exact" and device == "cuda":
-        note("anti-aliased scenes are drawn neither from lattices nor in half precision on CUDA: --quality "
-             f"{args.quality} saves little time")
+        note(
+            "anti-aliased scenes are drawn neither from lattices nor in half precision on CUDA: --quality "
+            f"{args.quality} saves little time"
+        )
     watch.lap("start")
     with torch.inference_mode():
         gaussians, file = load_scene(args, device, watch)
@@ -69,9 +83,20 @@ def run(args: argparse.Namespace) -> None:
             rig, said = choose_rig(given, args, panel, gaussians, file)
         rig_of_file = rig and rig.relative_to([-part for part in gaussians.origin])
         stats: dict = {}
-        image = encode(gaussians, panel, rig, args.method, views=args.views, background=args.background,
-                       output="uint8" if bits == 8 else "float32", quality=args.quality, threads=args.threads,
-                       stats=stats, antialiased=args.antialiased, **views)
+        image = encode(
+            gaussians,
+            panel,
+            rig,
+            args.method,
+            views=args.views,
+            background=args.background,
+            output="uint8" if bits == 8 else "float32",
+            quality=args.quality,
+            threads=args.threads,
+            stats=stats,
+            antialiased=args.antialiased,
+            **views,
+        )
         image = image.cpu().numpy()
         watch.lap("image", stats["stages_ms"])
         write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig_of_file), args.compression)
@@ -89,8 +114,10 @@ def run(args: argparse.Namespace) -> None:
             if why := why_no_eye(panel):
                 note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
     if stats["pairs"] == 0 and stats["gaussians_culled"] == gaussians.count:
-        note(f"{args.output} is all background: none of {gaussians.count} Gaussians is within what the cameras see, or "
-             "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras")
+        note(
+            f"{args.output} is all background: none of {gaussians.count} Gaussians is within what the cameras see, or "
+            "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
+        )
     print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians.count} Gaussians")
     print(watch.line())
     if args.stats:
@@ -120,19 +147,29 @@ def _check_options(args: argparse.Namespace) -> None:
     """Raises InputError where options do not go together."""
     check_scene_options(args)
     if args.method != "sorted":
-        for option, value in (("--cameras", args.cameras), ("--view-map", args.view_map),
-                              ("--memory-budget", args.memory_budget)):
+        for option, value in (
+            ("--cameras", args.cameras),
+            ("--view-map", args.view_map),
+            ("--memory-budget", args.memory_budget),
+        ):
             if value is not None:
                 raise InputError(f"{option} is for --method sorted, not {args.method}")
     if args.quality != "exact" and args.method != "direct":
         raise InputError(f"--quality {args.quality} is for --method direct, not {args.method}; leave out one of them")
     for option, value in (("--cameras", args.cameras), ("--view-map", args.view_map)):
         if value is not None and args.views == "continuous":
-            raise InputError(f"--views continuous is for a rig and the panel's lens, and {option} takes the place of "
-                             "one; leave out one of them")
+            raise InputError(
+                f"--views continuous is for a rig and the panel's lens, and {option} takes the place of "
+                "one; leave out one of them"
+            )
     if args.cameras is not None:
-        for option, value in (("--rig", args.rig), ("--camera", args.camera), ("--up", args.up),
-                              ("--save-rig", args.save_rig), ("--preview", args.preview)):
+        for option, value in (
+            ("--rig", args.rig),
+            ("--camera", args.camera),
+            ("--up", args.up),
+            ("--save-rig", args.save_rig),
+            ("--preview", args.preview),
+        ):
             if value is not None:
                 raise InputError(f"{option} is about a rig, and --cameras takes its place; leave out one of them")
 
@@ -157,8 +194,10 @@ def _bits(path: Path, bit_depth: int | None) -> int:
     suffix = path.suffix.lower()
     bits = bit_depth or (32 if suffix == ".exr" else 8)
     if (suffix == ".exr") != (bits == 32) and suffix not in (".tif", ".tiff"):
-        raise InputError(f"{path}: {suffix} holds {'32' if suffix == '.exr' else '8 or 16'} bits, not {bits}; "
-                         "change --bit-depth or the extension")
+        raise InputError(
+            f"{path}: {suffix} holds {'32' if suffix == '.exr' else '8 or 16'} bits, not {bits}; "
+            "change --bit-depth or the extension"
+        )
     return bits
 
 
@@ -178,26 +217,40 @@ def _use_threads(threads: int) -> None:
     oiio.attribute("threads", threads)
 
 
-def _metadata(args: argparse.Namespace, gaussians: "Gaussians", panel: Panel,
-              rig: "Rig | None") -> dict[str, str]:
+def _metadata(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig | None) -> dict[str, str]:
     """What the image was made from and by; the values but "software" and "input" are JSON."""
     scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
     if any(gaussians.origin):
         scene["origin"] = gaussians.origin
-    encoding = {"method": args.method, "views": args.views, "background": list(args.background),
-                "quality": args.quality, **({"antialiased": True} if args.antialiased else {})}
-    for name, path in (("cameras", args.cameras), ("view_map", args.view_map), ("depth", args.depth),
-                       ("camera", args.camera and args.camera[0])):
+    encoding = {
+        "method": args.method,
+        "views": args.views,
+        "background": list(args.background),
+        "quality": args.quality,
+        **({"antialiased": True} if args.antialiased else {}),
+    }
+    for name, path in (
+        ("cameras", args.cameras),
+        ("view_map", args.view_map),
+        ("depth", args.depth),
+        ("camera", args.camera and args.camera[0]),
+    ):
         if path is not None:
             encoding[name] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     versions = package_versions()
     maker = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
-    return {"software": f"lightfield-gs {versions['lightfield-gs']}", "input": args.input.name,
-            "panel": json.dumps(panel.to_dict()), **maker, "scene": json.dumps(scene),
-            "encoding": json.dumps(encoding), "versions": json.dumps(versions)}
+    return {
+        "software": f"lightfield-gs {versions['lightfield-gs']}",
+        "input": args.input.name,
+        "panel": json.dumps(panel.to_dict()),
+        **maker,
+        "scene": json.dumps(scene),
+        "encoding": json.dumps(encoding),
+        "versions": json.dumps(versions),
+    }
 
 
-def scene_hash(gaussians: "Gaussians") -> str:
+def scene_hash(gaussians: Gaussians) -> str:
     """SHA-256 of the five fields as little-endian float32, one after the other, hexadecimal."""
     digest = hashlib.sha256()
     for tensor in gaussians.fields().values():

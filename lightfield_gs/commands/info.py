@@ -26,8 +26,9 @@ def run(args: argparse.Namespace) -> None:
         print(f"{key}: {value}")
 
 
-def describe(path: Path, serial: str | None = None, skip_invalid: bool = False,
-             up: str | None = None) -> list[tuple[str, object]]:
+def describe(
+    path: Path, serial: str | None = None, skip_invalid: bool = False, up: str | None = None
+) -> list[tuple[str, object]]:
     """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file.
 
     serial: of the display, where the file has several. skip_invalid: of a scene, see read_scene. up: which axis of it
@@ -63,26 +64,42 @@ def _scene(path: Path, skip_invalid: bool, up: str | None) -> list[tuple[str, ob
     centres = (scene.means.double() + scene.means.new_tensor(scene.origin, dtype=torch.float64)).sort(0).values
     quantile = [centres[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
     facts: list[tuple[str, object]] = [
-        ("gaussians", scene.count), ("sh_degree", scene.sh_degree), ("sha256", scene_hash(scene)),
-        ("axes", axes_of(up, file).words()), *brought_along(file),
-        ("opacity", _range(scene.opacities)), ("median opacity", f"{scene.opacities.median():.3f}"),
-        ("scale", _range(scene.scales)), ("median scale", f"{scene.scales.median():.4g}")]
+        ("gaussians", scene.count),
+        ("sh_degree", scene.sh_degree),
+        ("sha256", scene_hash(scene)),
+        ("axes", axes_of(up, file).words()),
+        *brought_along(file),
+        ("opacity", _range(scene.opacities)),
+        ("median opacity", f"{scene.opacities.median():.3f}"),
+        ("scale", _range(scene.scales)),
+        ("median scale", f"{scene.scales.median():.4g}"),
+    ]
     digits = _digits(centres)
     if any(scene.origin):
         facts.append(("origin", ", ".join(f"{part:.0f}" for part in scene.origin)))
-    for name, values in (("lowest", centres[0].tolist()), *zip(("1 %", "median", "99 %"), quantile),
-                         ("highest", centres[-1].tolist())):
+    for name, values in (
+        ("lowest", centres[0].tolist()),
+        *zip(("1 %", "median", "99 %"), quantile),
+        ("highest", centres[-1].tolist()),
+    ):
         facts.append((f"centres, {name}", ", ".join(f"{value:.{digits}g}" for value in values)))
-    facts.append(("extent", " x ".join(f"{side:.4g}" for side in (centres[-1] - centres[0]).tolist())
-                  + " (1 % to 99 %: " + " x ".join(f"{b - a:.4g}" for a, b in zip(quantile[0], quantile[2])) + ")"))
+    facts.append(
+        (
+            "extent",
+            " x ".join(f"{side:.4g}" for side in (centres[-1] - centres[0]).tolist())
+            + " (1 % to 99 %: "
+            + " x ".join(f"{b - a:.4g}" for a, b in zip(quantile[0], quantile[2]))
+            + ")",
+        )
+    )
     return facts
 
 
-def _range(values: "Tensor") -> str:
+def _range(values: Tensor) -> str:
     return f"{values.min():.4g} to {values.max():.4g}"
 
 
-def _digits(centres: "Tensor") -> int:
+def _digits(centres: Tensor) -> int:
     """Significant digits that show centres [N, 3] to a ten-thousandth of the extent of most, 4 to 17."""
     spread = float((centres[int(0.99 * (len(centres) - 1))] - centres[int(0.01 * (len(centres) - 1))]).max())
     farthest = float(centres.abs().max())
@@ -93,8 +110,10 @@ def _image(path: Path) -> list[tuple[str, object]]:
     from lightfield_gs.io.images import read_info
 
     info = read_info(path)
-    return [("image", f"{info.width_px} x {info.height_px}, {info.channels} channels, {info.sample_type}"),
-            *info.metadata.items()]
+    return [
+        ("image", f"{info.width_px} x {info.height_px}, {info.channels} channels, {info.sample_type}"),
+        *info.metadata.items(),
+    ]
 
 
 def _is_rig(path: Path) -> bool:
@@ -116,8 +135,13 @@ def _camera_file(path: Path) -> list[tuple[str, object]]:
     facts: list[tuple[str, object]] = [("cameras", len(cameras))]
     for index, camera in enumerate(cameras[:_CAMERAS_SHOWN]):
         centre = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
-        facts.append((f"camera {index}", f"{camera.name}, {camera.width_px:g} x {camera.height_px:g}, at "
-                      + ", ".join(f"{part:.6g}" for part in centre + 0.0)))
+        facts.append(
+            (
+                f"camera {index}",
+                f"{camera.name}, {camera.width_px:g} x {camera.height_px:g}, at "
+                + ", ".join(f"{part:.6g}" for part in centre + 0.0),
+            )
+        )
     return facts
 
 
@@ -139,9 +163,14 @@ def _checkpoint(path: Path) -> list[tuple[str, object]]:
     except (SafetensorError, OSError) as error:
         refuse_stand_in(path)
         raise InputError(f"{path} is no safetensors file: {' '.join(str(error).split())[:200]}") from error
-    return [("checkpoint", path), ("parameters", sum(counts)), ("tensors", len(counts)),
-            ("types", ", ".join(types)), ("bytes", path.stat().st_size),
-            *((key, json.dumps(value) if not isinstance(value, str) else value) for key, value in metadata.items())]
+    return [
+        ("checkpoint", path),
+        ("parameters", sum(counts)),
+        ("tensors", len(counts)),
+        ("types", ", ".join(types)),
+        ("bytes", path.stat().st_size),
+        *((key, json.dumps(value) if not isinstance(value, str) else value) for key, value in metadata.items()),
+    ]
 
 
 def _product(shape: list[int]) -> int:

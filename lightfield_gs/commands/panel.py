@@ -10,8 +10,7 @@ from lightfield_gs.commands.complaint import note
 from lightfield_gs.panel import Panel
 from lightfield_gs.simulate import unknown_of
 
-_REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM",
-             "pixel_pitch_mm": "give a panel that has it"}
+_REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM", "pixel_pitch_mm": "give a panel that has it"}
 
 
 def load_panel(args: argparse.Namespace) -> Panel:
@@ -30,13 +29,17 @@ def doubts_of_units(panel: Panel) -> list[str]:
     slant, cone, distance, pitch = (panel.slant_tan, panel.cone_deg, panel.viewing_distance_mm, panel.pixel_pitch_mm)
     doubts = []
     if abs(slant) > 1:
-        doubts.append(f"slant_tan {slant:g} leans the lenses by {math.degrees(math.atan(slant)):.3g} degrees; if it is "
-                      f"the slant in degrees, write its tangent, {math.tan(math.radians(slant)):.6g}")
+        doubts.append(
+            f"slant_tan {slant:g} leans the lenses by {math.degrees(math.atan(slant)):.3g} degrees; if it is "
+            f"the slant in degrees, write its tangent, {math.tan(math.radians(slant)):.6g}"
+        )
     if cone < 2:
         doubts.append(f"cone_deg {cone:g} is hardly a cone; if it is in radians, write {math.degrees(cone):.6g}")
     if distance is not None and distance < 20:
-        doubts.append(f"viewing_distance_mm {distance:g} is hardly a distance of eyes; if it is in metres, write "
-                      f"{1000 * distance:g}")
+        doubts.append(
+            f"viewing_distance_mm {distance:g} is hardly a distance of eyes; if it is in metres, write "
+            f"{1000 * distance:g}"
+        )
     if pitch is not None and not 0.01 <= pitch <= 20:
         doubts.append(f"pixel_pitch_mm {pitch:g} is hardly the width of a pixel (0.05 to 1 mm of most displays)")
     return doubts

@@ -29,7 +29,7 @@ def has_depth(args: argparse.Namespace) -> bool:
     return args.depth is not None or args.rgbd is not None or is_named_so(args.input)
 
 
-def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":
+def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaussians:
     """The Gaussians of the object in a photo, by the network. Raises InputError."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.io.photo import photo_of
@@ -39,8 +39,13 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Ga
     side = depth_side(picture.pixels)
     hint = f"its {side} half is grey, as a photo's depth map beside it would be: --rgbd {side} takes it so"
     try:
-        photo = photo_of(args.input, picture, args.mask, remove_background=args.remove_background,
-                         map_orientation=args.map_orientation)
+        photo = photo_of(
+            args.input,
+            picture,
+            args.mask,
+            remove_background=args.remove_background,
+            map_orientation=args.map_orientation,
+        )
     except InputError as error:
         if side is None:
             raise
@@ -54,7 +59,7 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Ga
     return gaussians
 
 
-def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gaussians":
+def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaussians:
     """The Gaussians of all that a photo with depths shows. Raises InputError."""
     import torch
 
@@ -65,11 +70,19 @@ def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gau
     picture = read_picture(args.input)
     side = None if args.depth is not None else args.rgbd or depth_side(picture.pixels)
     if side is None and args.depth is None:
-        raise InputError(f"{args.input}: its name says that its depth map is in it, and none of its halves is grey; "
-                         "say which it is with --rgbd, or rename it")
+        raise InputError(
+            f"{args.input}: its name says that its depth map is in it, and none of its halves is grey; "
+            "say which it is with --rgbd, or rename it"
+        )
     colour = picture if side is None else replace(picture, pixels=halves(args.input, picture.pixels, side)[0])
-    photo = photo_of(args.input, colour, args.mask, remove_background=args.remove_background, whole=True,
-                     map_orientation=args.map_orientation)
+    photo = photo_of(
+        args.input,
+        colour,
+        args.mask,
+        remove_background=args.remove_background,
+        whole=True,
+        map_orientation=args.map_orientation,
+    )
     depth = _depth_file(args, photo) if side is None else _depth_beside(args, picture, side)
     check_depth_size(str(args.depth), depth.z, photo.pixels)
     focal, centre, camera, notes = _camera(args, *photo.pixels.shape[:2], depth.focal_px)
@@ -80,27 +93,40 @@ def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "Gau
     return gaussians
 
 
-def _say(args: argparse.Namespace, photo: "Photo", more: list[str], notes: list[str]) -> None:
+def _say(args: argparse.Namespace, photo: Photo, more: list[str], notes: list[str]) -> None:
     for words in photo.notes + notes:
         note(words)
     height, width = photo.pixels.shape[:2]
     print(f"{args.input}: {width} x {height}, {', '.join([*photo.said, *more])}")
 
 
-def _depth_file(args: argparse.Namespace, photo: "Photo") -> "DepthMap":
+def _depth_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
     from lightfield_gs.io.depth import depth_map, read_numbers
     from lightfield_gs.io.orientation import turned_with_photo
 
-    def turn(numbers: "DepthNumbers"):
-        return turned_with_photo(str(args.depth), numbers.values, numbers.orientation, photo.pixels.shape[:2],
-                                 photo.orientation, args.map_orientation)
+    def turn(numbers: DepthNumbers):
+        return turned_with_photo(
+            str(args.depth),
+            numbers.values,
+            numbers.orientation,
+            photo.pixels.shape[:2],
+            photo.orientation,
+            args.map_orientation,
+        )
 
-    depth = depth_map(args.depth, read_numbers(args.depth), args.depth_kind, scale=args.depth_scale,
-                      limits=args.depth_range, invalid=args.depth_invalid or "far", turn=turn)
+    depth = depth_map(
+        args.depth,
+        read_numbers(args.depth),
+        args.depth_kind,
+        scale=args.depth_scale,
+        limits=args.depth_range,
+        invalid=args.depth_invalid or "far",
+        turn=turn,
+    )
     return replace(depth, said=f"depth by {args.depth.name}: {depth.said}")
 
 
-def _depth_beside(args: argparse.Namespace, picture: "Picture", side: str) -> "DepthMap":
+def _depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> DepthMap:
     from lightfield_gs.io.depth import depth_map, grey_numbers
 
     numbers = grey_numbers(f"{args.input}: its {side} half", halves(args.input, picture.pixels, side)[1])
@@ -108,10 +134,18 @@ def _depth_beside(args: argparse.Namespace, picture: "Picture", side: str) -> "D
     if limits is None and args.depth_scale is None:
         limits = _BESIDE_LIMITS
     kind = args.depth_kind or (_BESIDE_KIND if limits is not None else None)
-    depth = depth_map(args.input, numbers, kind, scale=args.depth_scale, limits=limits,
-                      invalid=args.depth_invalid or "far")
-    assumed = [name for name, value in (("--depth-kind", args.depth_kind), ("--depth-range", args.depth_range),
-                                        ("--rgbd", args.rgbd)) if value is None and args.depth_scale is None]
+    depth = depth_map(
+        args.input, numbers, kind, scale=args.depth_scale, limits=limits, invalid=args.depth_invalid or "far"
+    )
+    assumed = [
+        name
+        for name, value in (
+            ("--depth-kind", args.depth_kind),
+            ("--depth-range", args.depth_range),
+            ("--rgbd", args.rgbd),
+        )
+        if value is None and args.depth_scale is None
+    ]
     said = f"depth by its {side} half: {depth.said}" + (f" (assumed; {', '.join(assumed)})" if assumed else "")
     return replace(depth, said=said)
 
@@ -137,15 +171,24 @@ def _checked_intrinsics(intrinsics: tuple[float, ...], height: int, width: int) 
     off = max(abs(cx / width - 0.5), abs(cy / height - 0.5))
     at = f"{fx:g},{fy:g},{cx:g},{cy:g} of a photo of {width} x {height}"
     if off > 0.5 or not _ANGLES_DEG[0] <= angle <= _ANGLES_DEG[1]:
-        why = (f"the principal point {cx:g},{cy:g} is outside it" if off > 0.5 else
-               f"the longer side would take {angle:.4g} degrees")
-        raise InputError(f"--intrinsics: {why} ({at}); expected pixels of this photo, upright: scale them with its "
-                         "size, or give --fov DEG")
+        why = (
+            f"the principal point {cx:g},{cy:g} is outside it"
+            if off > 0.5
+            else f"the longer side would take {angle:.4g} degrees"
+        )
+        raise InputError(
+            f"--intrinsics: {why} ({at}); expected pixels of this photo, upright: scale them with its "
+            "size, or give --fov DEG"
+        )
     notes = []
     if off > _OFF_CENTRE:
-        notes.append(f"--intrinsics {at}: the principal point is far off its middle; are they of another size, or of "
-                     "the photo before it was turned?")
+        notes.append(
+            f"--intrinsics {at}: the principal point is far off its middle; are they of another size, or of "
+            "the photo before it was turned?"
+        )
     if not _USUAL_ANGLES_DEG[0] <= angle <= _USUAL_ANGLES_DEG[1] or not 0.5 <= fx / fy <= 2:
-        notes.append(f"--intrinsics {at}: the longer side takes {angle:.4g} degrees, fx / fy is {fx / fy:.3g}; are "
-                     "they of another size?")
+        notes.append(
+            f"--intrinsics {at}: the longer side takes {angle:.4g} degrees, fx / fy is {fx / fy:.3g}; are "
+            "they of another size?"
+        )
     return f"focal lengths {fx:g},{fy:g} px", notes

@@ -38,14 +38,18 @@ def run(args: argparse.Namespace) -> None:
     kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased)
     watch.lap("prune")
     if kept.count == 0:
-        raise InputError(f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "
-                         "--contribution-cut or another --rig")
+        raise InputError(
+            f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "
+            "--contribution-cut or another --rig"
+        )
     write_ply(args.output, kept.to("cpu"), comments_of(args, panel, file, rig_of_file))
     if args.save_rig is not None:
         rig_of_file.to_yaml(args.save_rig)
     watch.lap("write")
-    print(f"{args.output}: {kept.count} of {scene.count} Gaussians, the others within {args.contribution_cut:g} of the "
-          f"light of {panel.width_px} x {panel.height_px}, {panel.views} views")
+    print(
+        f"{args.output}: {kept.count} of {scene.count} Gaussians, the others within {args.contribution_cut:g} of the "
+        f"light of {panel.width_px} x {panel.height_px}, {panel.views} views"
+    )
     print(watch.line())
     said.append(f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it")
     print("\n".join(said))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lightfield_gs.rig import Rig
 
 
-def load_rig(args: argparse.Namespace, panel: Panel) -> "Rig | None":
+def load_rig(args: argparse.Namespace, panel: Panel) -> Rig | None:
     """The rig of --rig, if there is one; says where it looks like one of another panel. Raises InputError."""
     from lightfield_gs.rig import Rig
 
@@ -26,7 +26,7 @@ def load_rig(args: argparse.Namespace, panel: Panel) -> "Rig | None":
     return rig
 
 
-def load_cameras(args: argparse.Namespace, panel: Panel) -> "Cameras":
+def load_cameras(args: argparse.Namespace, panel: Panel) -> Cameras:
     """Those of --cameras; says where they look as if they were in the wrong order, or made for another panel."""
     from lightfield_gs.io.view_files import read_cameras
 
@@ -44,11 +44,13 @@ def _note_of_centre(path: Path, principal_point_px: Sequence[float], panel: Pane
     places = [centre / pixels for centre, pixels in zip(principal_point_px, size)]
     if max(places) < 0.3 or min(places) > 0.7:
         x, y = principal_point_px
-        note(f"{path}: its principal point ({x:g}, {y:g}) is far from the middle of the panel's {size[0]} x {size[1]} "
-             "pixels; if it was made for a panel of another size, scale focal_px and principal_point_px by the ratio")
+        note(
+            f"{path}: its principal point ({x:g}, {y:g}) is far from the middle of the panel's {size[0]} x {size[1]} "
+            "pixels; if it was made for a panel of another size, scale focal_px and principal_point_px by the ratio"
+        )
 
 
-def _note_of_order(path: Path, cameras: "Cameras", panel: Panel) -> None:
+def _note_of_order(path: Path, cameras: Cameras, panel: Panel) -> None:
     """Says where the cameras go from left to right, as those of quilts do, and views from right to left, or the other
     way round."""
     rotations, moves = cameras.world_to_camera[:, :3, :3], cameras.world_to_camera[:, :3, 3:]
@@ -59,5 +61,7 @@ def _note_of_order(path: Path, cameras: "Cameras", panel: Panel) -> None:
     to_right = float(way @ right) * (-1 if panel.invert_views else 1)
     if to_right < -0.1 * float(way.norm()):
         sides = ("left", "right") if panel.invert_views else ("right", "left")
-        note(f"{path}: view 0 of panel {panel.name} goes to the {sides[0]}-most eye, and camera 0 stands on the "
-             f"{sides[1]}: depth is inside out; write the cameras in the other order")
+        note(
+            f"{path}: view 0 of panel {panel.name} goes to the {sides[0]}-most eye, and camera 0 stands on the "
+            f"{sides[1]}: depth is inside out; write the cameras in the other order"
+        )

@@ -37,8 +37,9 @@ def check_scene_options(args: argparse.Namespace) -> None:
     if args.mask is None and args.depth is None:
         _refuse(args, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
     if args.intrinsics is not None and min(args.intrinsics[:2]) <= 0:
-        raise InputError(f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and "
-                         f"{args.intrinsics[1]:g}")
+        raise InputError(
+            f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and {args.intrinsics[1]:g}"
+        )
     for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics")):
         if getattr(args, one) is not None:
             _refuse(args, (other,), f"takes the place of {_option(one)}")
@@ -51,7 +52,7 @@ def check_scene_path(path: Path) -> None:
         raise InputError(f"cannot write {path}: expected a name that ends in .ply")
 
 
-def read_noted(path: Path, skip_invalid: bool) -> "SceneFile":
+def read_noted(path: Path, skip_invalid: bool) -> SceneFile:
     """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
     from lightfield_gs.io.scene_file import read_scene
 
@@ -61,13 +62,13 @@ def read_noted(path: Path, skip_invalid: bool) -> "SceneFile":
     return scene
 
 
-def say_origin(path: Path, gaussians: "Gaussians") -> None:
+def say_origin(path: Path, gaussians: Gaussians) -> None:
     if any(gaussians.origin):
         place = ", ".join(f"{part:.0f}" for part in gaussians.origin)
         print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
 
 
-def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tuple[Gaussians, SceneFile | None]":
+def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> tuple[Gaussians, SceneFile | None]:
     """The Gaussians of the input, on the device, and what else its file holds; None of a photo."""
     if _is_scene_file(args):
         file = read_noted(args.input, args.skip_invalid)
@@ -82,8 +83,10 @@ def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> "tupl
 def _note_quilt(path: Path) -> None:
     """Says so where a photo's name is that of a quilt: <name>_qs<columns>x<rows>a<aspect>."""
     if name := re.search(r"_qs(\d+)x(\d+)a\d", path.stem):
-        note(f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
-             "photo; its views are interlaced by lightfield_gs.interlace (Python)")
+        note(
+            f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
+            "photo; its views are interlaced by lightfield_gs.interlace (Python)"
+        )
 
 
 def _is_scene_file(args: argparse.Namespace) -> bool:

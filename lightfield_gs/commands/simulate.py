@@ -49,12 +49,16 @@ def _doubt_of_eye(panel: Panel, eye_mm: tuple[float, float, float]) -> str | Non
     """
     x, y, z = eye_mm
     if not 0.1 <= z / panel.viewing_distance_mm <= 10:
-        return (f"the eye is {z:g} mm from the panel, which is made for {panel.viewing_distance_mm:g} mm: "
-                "views repeat or mix")
+        return (
+            f"the eye is {z:g} mm from the panel, which is made for {panel.viewing_distance_mm:g} mm: "
+            "views repeat or mix"
+        )
     aside_deg = math.degrees(math.atan2(abs(x - y * panel.slant_tan), z))
     if aside_deg > panel.cone_deg / 2:
-        return (f"the eye is {aside_deg:.3g} degrees aside, the panel's viewing cone ends at {panel.cone_deg / 2:.3g}: "
-                "views repeat")
+        return (
+            f"the eye is {aside_deg:.3g} degrees aside, the panel's viewing cone ends at {panel.cone_deg / 2:.3g}: "
+            "views repeat"
+        )
     return None
 
 
@@ -70,8 +74,10 @@ def _doubt_of_panel(args: argparse.Namespace, panel: Panel) -> str | None:
     others = [key for key, value in vars(panel).items() if key not in _NOT_OF_THE_LENS and value != vars(made_for)[key]]
     if not others:
         return None
-    return (f"{args.image} was encoded for panel {made_for.name}, whose {' and '.join(others)} differ from those of "
-            f"{panel.name}: the picture is that of an image on the wrong panel; leave out --panel for its own")
+    return (
+        f"{args.image} was encoded for panel {made_for.name}, whose {' and '.join(others)} differ from those of "
+        f"{panel.name}: the picture is that of an image on the wrong panel; leave out --panel for its own"
+    )
 
 
 def _stored_panel(args: argparse.Namespace) -> Panel:

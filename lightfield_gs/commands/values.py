@@ -12,6 +12,7 @@ _UNITS = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 1 << 10, "MiB": 
 
 def numbers(count: int):
     """Parser of `count` comma-separated finite numbers."""
+
     def parse(text: str) -> tuple[float, ...]:
         try:
             values = tuple(float(word) for word in text.split(","))
@@ -20,6 +21,7 @@ def numbers(count: int):
         if len(values) != count or not all(map(math.isfinite, values)):
             raise argparse.ArgumentTypeError(f"expected {_counted(count)}, got '{text}'")
         return values
+
     return parse
 
 
@@ -28,7 +30,7 @@ def _counted(count: int) -> str:
 
 
 def background(text: str) -> tuple[float, ...]:
-    """"1,0.5,0" -> (1.0, 0.5, 0.0)."""
+    """ "1,0.5,0" -> (1.0, 0.5, 0.0)."""
     values = numbers(3)(text)
     if not all(0 <= value <= 1 for value in values):
         raise argparse.ArgumentTypeError(f"expected red, green and blue in 0..1, got '{text}'")
@@ -37,16 +39,18 @@ def background(text: str) -> tuple[float, ...]:
 
 def within(low: float, high: float, unit: str = ""):
     """Parser of a number in low..high, both included; unit: of both, in the complaint."""
+
     def parse(text: str) -> float:
         value = numbers(1)(text)[0]
         if not low <= value <= high:
             raise argparse.ArgumentTypeError(f"expected {low:g}..{high:g}{unit and ' ' + unit}, got '{text}'")
         return value
+
     return parse
 
 
 def camera_choice(text: str) -> tuple[Path, int | None]:
-    """"FILE" or "FILE:INDEX" -> the file, and which of its cameras."""
+    """ "FILE" or "FILE:INDEX" -> the file, and which of its cameras."""
     name, colon, index = text.rpartition(":")
     if colon and name and index.isdecimal() and not Path(text).exists():
         return Path(name), int(index[:9])
@@ -54,14 +58,14 @@ def camera_choice(text: str) -> tuple[Path, int | None]:
 
 
 def threads(text: str) -> int:
-    """"8" -> 8."""
+    """ "8" -> 8."""
     if not text.isdecimal() or not 1 <= int(text[:9]) <= 1024:
         raise argparse.ArgumentTypeError(f"expected 1..1024, got '{text}'")
     return int(text)
 
 
 def byte_size(text: str) -> int:
-    """"256MB" -> 256000000."""
+    """ "256MB" -> 256000000."""
     match = re.fullmatch(r"(\d{1,15}(?:\.\d{1,15})?)(B|[KMG]i?B)", text)
     value = 0 if match is None else int(float(match[1]) * _UNITS[match[2]])
     if value < 1:

@@ -20,12 +20,16 @@ def background_removed(rgb: np.ndarray) -> np.ndarray:
     try:
         import rembg
     except (ImportError, SystemExit) as error:  # without onnxruntime it exits
-        raise InputError(f"rembg, which removes backgrounds, could not be imported ({error}): {_INSTALL}; or give a "
-                         "cut-out with --mask FILE") from None
+        raise InputError(
+            f"rembg, which removes backgrounds, could not be imported ({error}): {_INSTALL}; or give a "
+            "cut-out with --mask FILE"
+        ) from None
     try:
         session = rembg.new_session(_MODEL)
         mask = rembg.remove(np.round(rgb * 255).astype(np.uint8), session=session, only_mask=True)
     except Exception as error:  # of the download, its file, or the inference: it may be anything
-        raise InputError(f"rembg could not remove the background: {' '.join(str(error).split())[:200]}; its model "
-                         f"{_MODEL} is downloaded at first use; or give a cut-out with --mask FILE") from None
+        raise InputError(
+            f"rembg could not remove the background: {' '.join(str(error).split())[:200]}; its model "
+            f"{_MODEL} is downloaded at first use; or give a cut-out with --mask FILE"
+        ) from None
     return mask.astype(np.float32) / 255

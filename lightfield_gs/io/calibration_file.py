@@ -19,8 +19,22 @@ from lightfield_gs.panel import Panel
 
 _MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
 _SERIALS = ("serial", "hwid")  # of a calibration, and of the display that it is in
-_NUMBERS = ("pitch", "slope", "center", "DPI", "screenW", "screenH", "viewCone", "invView", "verticalAngle", "fringe",
-            "flipImageX", "flipImageY", "flipSubp", "CellPatternMode")
+_NUMBERS = (
+    "pitch",
+    "slope",
+    "center",
+    "DPI",
+    "screenW",
+    "screenH",
+    "viewCone",
+    "invView",
+    "verticalAngle",
+    "fringe",
+    "flipImageX",
+    "flipImageY",
+    "flipSubp",
+    "CellPatternMode",
+)
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _USUAL_NAMES = {key.casefold(): key for key in (*_NUMBERS, "subpixelCells")}
 _DEEPEST = 16
@@ -53,29 +67,38 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
         raise InputError(f"{where}: its lists and mappings are nested too deeply") from None
     if found.place:
         where = f"{where}: {_path(found.place)}"
-    flat = {key: _number(value, key, where) if key in _NUMBERS else value
-            for key, value in _named(found.data, where).items()}
+    flat = {
+        key: _number(value, key, where) if key in _NUMBERS else value
+        for key, value in _named(found.data, where).items()
+    }
     if isinstance(flat.get("subpixelCells"), list):
-        flat["subpixelCells"] = [_cell(cell, f"{where}: subpixelCells[{number}]")
-                                 for number, cell in enumerate(flat["subpixelCells"])]
+        flat["subpixelCells"] = [
+            _cell(cell, f"{where}: subpixelCells[{number}]") for number, cell in enumerate(flat["subpixelCells"])
+        ]
     cone = flat.get("viewCone")
     if cone is None or type(cone) in (int, float) and cone == 0:
         flat.pop("viewCone", None)
         given = "not given" if cone is None else 0
-        assume(f"a viewing cone of {Panel.cone_deg:g} degrees, {where}: viewCone is {given}; on a display of "
-               "another cone there is more depth than it can show, or less")
+        assume(
+            f"a viewing cone of {Panel.cone_deg:g} degrees, {where}: viewCone is {given}; on a display of "
+            "another cone there is more depth than it can show, or less"
+        )
     return flat
 
 
 def _chosen(found: list[_Found], where: str, serial: str | None) -> _Found:
     if not found:
-        raise InputError(f"{where}: expected a Looking Glass calibration with pitch, slope, center, DPI, screenW and "
-                         "screenH, found none")
+        raise InputError(
+            f"{where}: expected a Looking Glass calibration with pitch, slope, center, DPI, screenW and "
+            "screenH, found none"
+        )
     names = ", ".join(one.name for one in found[:_MOST_LISTED]) + ", ..." * (len(found) > _MOST_LISTED)
     if serial is None:
         if len(found) > 1:
-            raise InputError(f"{where} has calibrations of {len(found)} displays: {names}; say which with "
-                             "--device-serial SERIAL (serial= in Python)")
+            raise InputError(
+                f"{where} has calibrations of {len(found)} displays: {names}; say which with "
+                "--device-serial SERIAL (serial= in Python)"
+            )
         return found[0]
     expect("serial", serial, str)
     named = [one for one in found if serial.strip().casefold() in map(str.casefold, one.serials)]
@@ -119,8 +142,11 @@ def _calibrations(data: Any) -> Iterator[_Found]:
 
 
 def _serials(mapping: dict[Any, Any]) -> tuple[str, ...]:
-    return tuple(str(mapping[key]).strip() for key in _SERIALS
-                 if type(mapping.get(key)) in (str, int) and str(mapping[key]).strip())
+    return tuple(
+        str(mapping[key]).strip()
+        for key in _SERIALS
+        if type(mapping.get(key)) in (str, int) and str(mapping[key]).strip()
+    )
 
 
 def _path(place: tuple[Any, ...]) -> str:

@@ -52,8 +52,10 @@ class FileCamera:
         """Focal lengths and principal point at which the whole image fits a panel of this size, in its middle."""
         scale = min(width_px / self.width_px, height_px / self.height_px)
         (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
-        return ((fx * scale, fy * scale),
-                (width_px / 2 + (cx - self.width_px / 2) * scale, height_px / 2 + (cy - self.height_px / 2) * scale))
+        return (
+            (fx * scale, fy * scale),
+            (width_px / 2 + (cx - self.width_px / 2) * scale, height_px / 2 + (cy - self.height_px / 2) * scale),
+        )
 
 
 def is_camera_file(data: Any) -> bool:
@@ -71,18 +73,24 @@ def read_camera_file(path: str | Path) -> list[FileCamera]:
     if is_camera_file(data):
         return _transforms(path, data)
     if isinstance(data, dict) and "world_to_camera" in data:
-        raise InputError(f"{path}: holds one camera for each view (world_to_camera, focal_px); give it as --cameras, "
-                         "with --method sorted")
-    raise InputError(f"{path}: expected a list of cameras (cameras.json, with position and rotation) or an object with "
-                     f"the key frames (transforms.json), got {shown(data)}")
+        raise InputError(
+            f"{path}: holds one camera for each view (world_to_camera, focal_px); give it as --cameras, "
+            "with --method sorted"
+        )
+    raise InputError(
+        f"{path}: expected a list of cameras (cameras.json, with position and rotation) or an object with "
+        f"the key frames (transforms.json), got {shown(data)}"
+    )
 
 
 def read_inria(path: str | Path) -> list[FileCamera]:
     """The cameras of a cameras.json. Raises InputError."""
     data = read_json(path, LIMIT_BYTES)
     if not isinstance(data, list):
-        raise InputError(f"{path}: expected a list of cameras, as 3D Gaussian splatting writes cameras.json, got "
-                         f"{type(data).__name__}")
+        raise InputError(
+            f"{path}: expected a list of cameras, as 3D Gaussian splatting writes cameras.json, got "
+            f"{type(data).__name__}"
+        )
     return _inria(path, data)
 
 
@@ -90,8 +98,9 @@ def read_transforms(path: str | Path) -> list[FileCamera]:
     """The cameras of a transforms.json. Raises InputError."""
     data = read_json(path, LIMIT_BYTES)
     if not isinstance(data, dict):
-        raise InputError(f"{path}: expected an object with the key frames, as in transforms.json, got "
-                         f"{type(data).__name__}")
+        raise InputError(
+            f"{path}: expected an object with the key frames, as in transforms.json, got {type(data).__name__}"
+        )
     return _transforms(path, data)
 
 
@@ -101,8 +110,10 @@ def _inria(path: str | Path, data: list) -> list[FileCamera]:
         where = f"{path}: [{index}]"
         size = [_number(where, entry, key, 1, _MAX_SIZE_PX) for key in ("width", "height")]
         focal = tuple(_number(where, entry, key, 1e-6, 1e9) for key in ("fx", "fy"))
-        centre = tuple(side / 2 if entry.get(key) is None else _number(where, entry, key, -1e9, 1e9)
-                       for key, side in zip(("cx", "cy"), size))
+        centre = tuple(
+            side / 2 if entry.get(key) is None else _number(where, entry, key, -1e9, 1e9)
+            for key, side in zip(("cx", "cy"), size)
+        )
         position = _array(f"{where}.position", entry.get("position"), (3,))
         rotation = _rotation(f"{where}.rotation", _array(f"{where}.rotation", entry.get("rotation"), (3, 3)))
         name = entry.get("img_name", entry.get("id", index))
@@ -119,26 +130,31 @@ def _transforms(path: str | Path, data: dict[str, Any]) -> list[FileCamera]:
     return [_frame(f"{path}: frames[{index}]", {**data, **frame}, images) for index, frame in enumerate(frames)]
 
 
-def _frame(where: str, fields: dict[str, Any], images: "_Images") -> FileCamera:
+def _frame(where: str, fields: dict[str, Any], images: _Images) -> FileCamera:
     matrix = _array(f"{where}.transform_matrix", fields.get("transform_matrix"), None)
     if matrix.shape not in ((4, 4), (3, 4)):
         raise InputError(f"{where}.transform_matrix: expected 4 rows of 4 numbers, got {list(matrix.shape)}")
     rotation = _rotation(f"{where}.transform_matrix", matrix[:3, :3])
     model = fields.get("camera_model", "PINHOLE")
     if model not in _PINHOLES or fields.get("is_fisheye") is True:
-        raise InputError(f"{where}.camera_model: expected a pinhole camera ({', '.join(_PINHOLES)}), got "
-                         f"{shown(model)}; a panel shows flat perspective only")
+        raise InputError(
+            f"{where}.camera_model: expected a pinhole camera ({', '.join(_PINHOLES)}), got "
+            f"{shown(model)}; a panel shows flat perspective only"
+        )
     width, height, assumed = _size(where, fields, images)
     focal = _focal(where, fields, width, height)
-    centre = tuple(side / 2 if fields.get(key) is None else _number(where, fields, key, -1e9, 1e9)
-                   for key, side in zip(("cx", "cy"), (width, height)))
+    centre = tuple(
+        side / 2 if fields.get(key) is None else _number(where, fields, key, -1e9, 1e9)
+        for key, side in zip(("cx", "cy"), (width, height))
+    )
     distorted = any(fields.get(key) is not None and _number(where, fields, key, -1e9, 1e9) for key in _DISTORTIONS)
     name = shown(fields.get("file_path", "")).strip("'\"")
-    return FileCamera(name, _pose(rotation @ _FROM_OPENGL, matrix[:3, 3]), focal, centre, width, height, assumed,
-                      distorted)
+    return FileCamera(
+        name, _pose(rotation @ _FROM_OPENGL, matrix[:3, 3]), focal, centre, width, height, assumed, distorted
+    )
 
 
-def _size(where: str, fields: dict[str, Any], images: "_Images") -> tuple[float, float, str]:
+def _size(where: str, fields: dict[str, Any], images: _Images) -> tuple[float, float, str]:
     """Width and height of the image, and what was assumed of them."""
     if fields.get("w") is not None and fields.get("h") is not None:
         return _number(where, fields, "w", 1, _MAX_SIZE_PX), _number(where, fields, "h", 1, _MAX_SIZE_PX), ""
@@ -146,8 +162,10 @@ def _size(where: str, fields: dict[str, Any], images: "_Images") -> tuple[float,
         return *size, ""
     if fields.get("fl_x") is None and fields.get("fl_y") is None:
         return 1.0, 1.0, "its image is taken as square: the file does not say w and h, and there is no image"
-    raise InputError(f"{where}.w: expected w and h, the size of the image, beside fl_x: neither does the file say it, "
-                     "nor is there the image of file_path")
+    raise InputError(
+        f"{where}.w: expected w and h, the size of the image, beside fl_x: neither does the file say it, "
+        "nor is there the image of file_path"
+    )
 
 
 def _focal(where: str, fields: dict[str, Any], width: float, height: float) -> tuple[float, float]:
@@ -179,8 +197,9 @@ class _Images:
 
         if self.known is None and isinstance(name, str) and "\0" not in name and name not in self.tried:
             self.tried.add(name)
-            found = (path for suffix in _SIZE_SUFFIXES
-                     if _is_file(path := self.folder / (name.replace("\\", "/") + suffix)))
+            found = (
+                path for suffix in _SIZE_SUFFIXES if _is_file(path := self.folder / (name.replace("\\", "/") + suffix))
+            )
             if (path := next(found, None)) is not None:
                 info = read_info(path)
                 self.known = float(info.width_px), float(info.height_px)
@@ -228,8 +247,10 @@ def _rotation(what: str, matrix: np.ndarray) -> np.ndarray:
     """The rotation that is nearest to a matrix that nearly is one; raises InputError."""
     error = np.abs(matrix @ matrix.T - np.eye(3)).max()
     if not error <= _ORTHONORMAL or np.linalg.det(matrix) < 0:
-        raise InputError(f"{what}: expected a rotation (orthonormal, determinant +1), got {shown(matrix.tolist())}; "
-                         "scale, shear and mirroring are not allowed")
+        raise InputError(
+            f"{what}: expected a rotation (orthonormal, determinant +1), got {shown(matrix.tolist())}; "
+            "scale, shear and mirroring are not allowed"
+        )
     left, _, right = np.linalg.svd(matrix)
     return left @ right
 

@@ -66,14 +66,19 @@ def _doubts(rgb: np.ndarray, picture: Picture) -> list[str]:
     """Notes on a picture without a profile."""
     cicp = tuple(picture.colour.get("CICP", ()))[:2]
     if any(value not in usual for value, usual in zip(cicp, _SRGB_CICP)):
-        return [f"says that its colours are of another kind (CICP {cicp[0]}/{cicp[1]}, of wide gamut or HDR), and they "
-                "are taken as sRGB; export it as sRGB"]
+        return [
+            f"says that its colours are of another kind (CICP {cicp[0]}/{cicp[1]}, of wide gamut or HDR), and they "
+            "are taken as sRGB; export it as sRGB"
+        ]
     if picture.colour.get("Exif:ColorSpace") == _UNCALIBRATED:
-        return ["says that its colours are not sRGB, perhaps Adobe RGB, and holds no profile; they are taken as sRGB; "
-                "export it with its profile, or as sRGB"]
+        return [
+            "says that its colours are not sRGB, perhaps Adobe RGB, and holds no profile; they are taken as sRGB; "
+            "export it with its profile, or as sRGB"
+        ]
     if rgb.dtype == np.float32:
-        return ["holds floating point without a profile, which is taken as sRGB is encoded; save it as .exr if it is "
-                "linear"]
+        return [
+            "holds floating point without a profile, which is taken as sRGB is encoded; save it as .exr if it is linear"
+        ]
     return []
 
 
@@ -96,15 +101,32 @@ def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
         space = source.profile.xcolor_space.strip()
         mode = {"RGB": "RGB", "GRAY": "L"}.get(space)
         if mode is None or was_cmyk:
-            return Colours(rgb, notes=[f"has a colour profile for {space} ('{name}'), which cannot be used here; its "
-                                       "colours are only about right; export it as RGB"])
+            return Colours(
+                rgb,
+                notes=[
+                    f"has a colour profile for {space} ('{name}'), which cannot be used here; its "
+                    "colours are only about right; export it as RGB"
+                ],
+            )
         # One for each thread: a transform remembers the last colour that it met
-        transforms = [ImageCms.buildTransform(
-            source, ImageCms.createProfile("sRGB"), mode, "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC,
-            ImageCms.Flags.BLACKPOINTCOMPENSATION) for _ in range(min(os.cpu_count() or 1, _MOST_THREADS))]
+        transforms = [
+            ImageCms.buildTransform(
+                source,
+                ImageCms.createProfile("sRGB"),
+                mode,
+                "RGB",
+                ImageCms.Intent.RELATIVE_COLORIMETRIC,
+                ImageCms.Flags.BLACKPOINTCOMPENSATION,
+            )
+            for _ in range(min(os.cpu_count() or 1, _MOST_THREADS))
+        ]
     except (ImageCms.PyCMSError, OSError, ValueError, TypeError, AttributeError) as error:
-        return Colours(rgb, notes=[f"has a colour profile that cannot be read ({_printable(str(error))}); its colours "
-                                   "are taken as sRGB"])
+        return Colours(
+            rgb,
+            notes=[
+                f"has a colour profile that cannot be read ({_printable(str(error))}); its colours are taken as sRGB"
+            ],
+        )
 
     def converted(block: np.ndarray, transform: ImageCms.ImageCmsTransform) -> np.ndarray:
         block = block[..., 0] if mode == "L" else block
@@ -118,7 +140,7 @@ def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
     pixels, rows = np.empty((*rgb.shape[:2], 3), np.uint8), list(strips(*rgb.shape[:2], _STRIP_PIXELS))
 
     def convert(thread: int) -> None:
-        for top, bottom in rows[thread::len(transforms)]:
+        for top, bottom in rows[thread :: len(transforms)]:
             pixels[top:bottom] = converted(_bytes(rgb[top:bottom]), transforms[thread])
 
     with ThreadPoolExecutor(len(transforms)) as pool:  # lcms works outside the interpreter lock

@@ -45,8 +45,14 @@ class DepthMap:
     notes: list[str]
 
 
-def read_depth(path: str | Path, kind: DepthKind = "distance", *, scale: float | None = None,
-               limits: tuple[float, float] | None = None, invalid: DepthInvalid = "far") -> np.ndarray:
+def read_depth(
+    path: str | Path,
+    kind: DepthKind = "distance",
+    *,
+    scale: float | None = None,
+    limits: tuple[float, float] | None = None,
+    invalid: DepthInvalid = "far",
+) -> np.ndarray:
     """View-space z [H, W] of each pixel, float32, scene units; NaN where the file holds no measurement.
 
     path: a grey image (PNG of 8 or 16 bits, EXR, TIFF), a .npy of numbers [H, W], or a .npz with one.
@@ -62,9 +68,16 @@ def read_depth(path: str | Path, kind: DepthKind = "distance", *, scale: float |
     return depth_map(path, read_numbers(path), kind, scale=scale, limits=limits, invalid=invalid).z
 
 
-def depth_map(path: str | Path, numbers: DepthNumbers, kind: str | None = None, *, scale: float | None = None,
-              limits: tuple[float, float] | None = None, invalid: str = "far",
-              turn: Callable[[DepthNumbers], tuple[np.ndarray, bool]] | None = None) -> DepthMap:
+def depth_map(
+    path: str | Path,
+    numbers: DepthNumbers,
+    kind: str | None = None,
+    *,
+    scale: float | None = None,
+    limits: tuple[float, float] | None = None,
+    invalid: str = "far",
+    turn: Callable[[DepthNumbers], tuple[np.ndarray, bool]] | None = None,
+) -> DepthMap:
     """read_depth, of what read_numbers found at `path`; kind None: what the file says, else distance. turn: gives
     the numbers as upright as the photo is, and whether it turned them."""
     kind = kind or numbers.kind or "distance"
@@ -80,8 +93,10 @@ def depth_map(path: str | Path, numbers: DepthNumbers, kind: str | None = None, 
             z[values == 0] = np.inf
     else:
         if scale is None and values.dtype.kind in "iu":
-            raise InputError(f"{path} holds whole numbers; say what they mean: near and far (--depth-range NEAR,FAR), "
-                             "or the length of one (--depth-scale, 0.001 for millimetres to metres)")
+            raise InputError(
+                f"{path} holds whole numbers; say what they mean: near and far (--depth-range NEAR,FAR), "
+                "or the length of one (--depth-scale, 0.001 for millimetres to metres)"
+            )
         scale = 1.0 if scale is None else _positive("depth scale", scale)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             z = _scaled(values.astype(np.float64), kind, scale)
@@ -93,8 +108,9 @@ def depth_map(path: str | Path, numbers: DepthNumbers, kind: str | None = None, 
     if (far := np.isposinf(z)).any():
         beyond = min(_FAR_BEYOND * z[measured].max(), FARTHEST) if limits is None else limits[1]
         z[far] = beyond if invalid == "far" else np.nan
-        said += f", {far.mean():.1%} " + (f"infinitely far (put at {beyond:.4g})" if invalid == "far" else
-                                           "infinitely far and left out")
+        said += f", {far.mean():.1%} " + (
+            f"infinitely far (put at {beyond:.4g})" if invalid == "far" else "infinitely far and left out"
+        )
     if (holes := ~(measured | far)).any():
         said += f", {holes.mean():.1%} not measured"
     with np.errstate(over="ignore"):
@@ -111,8 +127,9 @@ def read_numbers(path: str | Path) -> DepthNumbers:
         return DepthNumbers(_checked(path, open_array(path)))
     info = read_info(path)
     if info.sample_type not in _IMAGE_TYPES:
-        raise InputError(f"{path}: expected a depth map of {', '.join(_IMAGE_TYPES)}, got {info.sample_type}; save it "
-                         "as .npy")
+        raise InputError(
+            f"{path}: expected a depth map of {', '.join(_IMAGE_TYPES)}, got {info.sample_type}; save it as .npy"
+        )
     picture = read_picture(path)
     return grey_numbers(path, picture.pixels, picture.orientation)
 
@@ -126,14 +143,24 @@ def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> 
     if most == 0:
         return DepthNumbers(pixels[..., 0], orientation)
     if most <= _ALMOST_GREY:
-        return DepthNumbers(np.median(pixels[..., :3], 2).astype(pixels.dtype), orientation, notes=[
-            f"is almost grey: its channels differ by up to {most:.1%} of its range, and the middle one is taken"])
+        return DepthNumbers(
+            np.median(pixels[..., :3], 2).astype(pixels.dtype),
+            orientation,
+            notes=[
+                f"is almost grey: its channels differ by up to {most:.1%} of its range, and the middle one is taken"
+            ],
+        )
     for (one, other), difference in apart.items():
         third = pixels[..., 3 - one - other]
         if difference <= _ALMOST_GREY and (third == third[0, 0]).all():
-            return DepthNumbers(pixels[..., one], orientation, notes=[
-                f"is no grey image, but channels {one + 1} and {other + 1} are alike and the third says nothing: the "
-                "former is taken"])
+            return DepthNumbers(
+                pixels[..., one],
+                orientation,
+                notes=[
+                    f"is no grey image, but channels {one + 1} and {other + 1} are alike and the third says nothing: the "
+                    "former is taken"
+                ],
+            )
     raise InputError(f"{path} is in colour; expected a grey depth map, one number a pixel")
 
 
@@ -156,15 +183,23 @@ def _from_npz(path: str | Path) -> DepthNumbers:
     flat = [name for name, array in arrays.items() if len(array.shape) == 2]
     named = [name for name in (*_DEPTH_KEYS, *_DISPARITY_KEYS) if name in flat]
     if not named and len(flat) != 1:
-        raise InputError(f"{path}: expected a depth map [H, W] named {_DEPTH_KEYS[0]}, or one array alone; it holds "
-                         f"{ascii(', '.join(arrays))[1:-1][:200] or 'nothing'}; save the map as .npy")
+        raise InputError(
+            f"{path}: expected a depth map [H, W] named {_DEPTH_KEYS[0]}, or one array alone; it holds "
+            f"{ascii(', '.join(arrays))[1:-1][:200] or 'nothing'}; save the map as .npy"
+        )
     name = (named or flat)[0]
-    focal = [float(arrays[key].read().ravel()[0]) for key in _FOCAL_KEYS
-             if key in arrays and math.prod(arrays[key].shape) == 1]
+    focal = [
+        float(arrays[key].read().ravel()[0])
+        for key in _FOCAL_KEYS
+        if key in arrays and math.prod(arrays[key].shape) == 1
+    ]
     if focal and not 0 < focal[0] < np.inf:
         raise InputError(f"{path}: expected a focal length > 0 px, got {focal[0]:g}")
-    return DepthNumbers(_checked(path, arrays[name].read()), kind="disparity" if name in _DISPARITY_KEYS else None,
-                        focal_px=focal[0] if focal else None)
+    return DepthNumbers(
+        _checked(path, arrays[name].read()),
+        kind="disparity" if name in _DISPARITY_KEYS else None,
+        focal_px=focal[0] if focal else None,
+    )
 
 
 def _checked(path: str | Path, values: np.ndarray) -> np.ndarray:
@@ -184,8 +219,10 @@ def _between(path: str | Path, values: np.ndarray, kind: str, near: float, far: 
     else:
         share = np.where(np.isfinite(values), values, np.nan).astype(np.float64)
         if (share < 0).any() or (share > 1).any():
-            raise InputError(f"{path}: with near and far expected floats in 0..1, got {np.nanmin(share):g}.."
-                             f"{np.nanmax(share):g}; divide by the largest, or give a scale")
+            raise InputError(
+                f"{path}: with near and far expected floats in 0..1, got {np.nanmin(share):g}.."
+                f"{np.nanmax(share):g}; divide by the largest, or give a scale"
+            )
     if kind == "distance":
         return np.where(np.isposinf(values), np.inf, near + (far - near) * share)
     return 1 / (1 / far + (1 / near - 1 / far) * share)

@@ -19,7 +19,7 @@ _STEP = 0.5  # of the usual Gaussian's size: centres that are rounded so much te
 
 def usual(values: np.ndarray) -> np.ndarray | None:
     """Medians of the columns [N, C], of a sample of the rows that are finite; None where there are none."""
-    sample = values[::max(1, len(values) // _SAMPLE)]
+    sample = values[:: max(1, len(values) // _SAMPLE)]
     sample = sample[np.isfinite(sample).all(1)]
     return np.median(sample, 0) if len(sample) else None
 
@@ -27,7 +27,7 @@ def usual(values: np.ndarray) -> np.ndarray | None:
 def usual_size(scales: np.ndarray) -> float:
     """Median of the middle standard deviations of scales [N, 3]; infinite where that is 0: points have no size that
     anything could be large beside."""
-    size = _middle(np.sort(scales[::max(1, len(scales) // _SAMPLE)], 1)[:, 1:2])
+    size = _middle(np.sort(scales[:: max(1, len(scales) // _SAMPLE)], 1)[:, 1:2])
     return size if size > _NO_SIZE else math.inf
 
 
@@ -42,16 +42,23 @@ def about_values(log_scales: np.ndarray, logits: np.ndarray, means: np.ndarray) 
         return []
     notes = []
     size, extent = _middle(log_scales), _extent(means)
-    if np.nanmin(log_scales) >= 0 and 0 < size < extent and (
-            size < _NEAR_ONE or size > np.log(max(_LARGE * extent, 1))):
-        notes.append(f"no scale is below 0 (median {size:.3g}), which as logarithms makes every Gaussian larger than "
-                     f"one unit, in a scene of {extent:.3g}: they look like standard deviations themselves; export the "
-                     "file with their logarithms")
+    if (
+        np.nanmin(log_scales) >= 0
+        and 0 < size < extent
+        and (size < _NEAR_ONE or size > np.log(max(_LARGE * extent, 1)))
+    ):
+        notes.append(
+            f"no scale is below 0 (median {size:.3g}), which as logarithms makes every Gaussian larger than "
+            f"one unit, in a scene of {extent:.3g}: they look like standard deviations themselves; export the "
+            "file with their logarithms"
+        )
     low, high = np.nanmin(logits), np.nanmax(logits)
     if low >= 0 and 0 < high <= 1:
-        notes.append(f"all opacities are within {low:.3g}..{high:.3g}, which as logits makes no Gaussian fainter than "
-                     "0.5 or more opaque than 0.73: they look like opacities themselves; export the file with their "
-                     "logits")
+        notes.append(
+            f"all opacities are within {low:.3g}..{high:.3g}, which as logits makes no Gaussian fainter than "
+            "0.5 or more opaque than 0.73: they look like opacities themselves; export the file with their "
+            "logits"
+        )
     return notes
 
 
@@ -63,7 +70,7 @@ def _middle(values: np.ndarray) -> float:
 
 def _extent(means: np.ndarray) -> float:
     """Diagonal of the box without the outer twentieth on each side."""
-    sample = means[::max(1, len(means) // _SAMPLE)]
+    sample = means[:: max(1, len(means) // _SAMPLE)]
     sample = sample[np.isfinite(sample).all(1)]
     low, high = np.percentile(sample, (5, 95), 0) if len(sample) else np.zeros((2, 3))
     return float(np.linalg.norm(high - low))
@@ -71,13 +78,15 @@ def _extent(means: np.ndarray) -> float:
 
 def about_steps(records: np.ndarray, scales: np.ndarray) -> list[str]:
     """A note where the centres were rounded by float32 to steps that are not small beside the Gaussians."""
-    sample = np.stack([records[name][::max(1, len(records) // _SAMPLE)] for name in "xyz"], 1)
+    sample = np.stack([records[name][:: max(1, len(records) // _SAMPLE)] for name in "xyz"], 1)
     with np.errstate(over="ignore", invalid="ignore"):
         if not np.array_equal(sample, sample.astype(np.float32), equal_nan=True):
             return []  # more digits than float32 has
         size, far = usual_size(scales), usual(np.abs(sample).astype(np.float32))
         if len(records) < _LEAST_COUNT or far is None or float_step(far) <= _STEP * size:
             return []
-    return [f"coordinates near {far.max():.0f} are rounded to steps of {float_step(far):.3g} (float32), and the usual "
-            f"Gaussian's standard deviation is {size:.3g}: the scene is torn; export it with an offset taken off, or "
-            "with x, y, z as double"]
+    return [
+        f"coordinates near {far.max():.0f} are rounded to steps of {float_step(far):.3g} (float32), and the usual "
+        f"Gaussian's standard deviation is {size:.3g}: the scene is torn; export it with an offset taken off, or "
+        "with x, y, z as double"
+    ]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 PROPERTY = "filter_3D"  # standard deviation of a Gaussian's filter, scene units
-NOTE = (f"the property {PROPERTY} of Mip-Splatting was applied to scales and opacities; its scenes are trained with "
-        "anti-aliasing: --antialiased (Python: antialiased=True) draws them as they were")
+NOTE = (
+    f"the property {PROPERTY} of Mip-Splatting was applied to scales and opacities; its scenes are trained with "
+    "anti-aliasing: --antialiased (Python: antialiased=True) draws them as they were"
+)
 
 
 def filtered(scales: np.ndarray, opacities: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -35,12 +35,12 @@ def _brands(path: Path) -> list[bytes]:
         start = file.read(_BRAND_BYTES)
     if start[4:8] != b"ftyp" or len(start) < 12:
         return []
-    start = start[:int.from_bytes(start[:4], "big")]
-    return [start[8:12], *(start[at:at + 4] for at in range(16, len(start), 4))]
+    start = start[: int.from_bytes(start[:4], "big")]
+    return [start[8:12], *(start[at : at + 4] for at in range(16, len(start), 4))]
 
 
 @contextlib.contextmanager
-def opened_heif(path: Path, check_size: Callable[[int, int], None]) -> Iterator["Image.Image"]:
+def opened_heif(path: Path, check_size: Callable[[int, int], None]) -> Iterator[Image.Image]:
     """The image, not decoded yet, once check_size(width, height) let it pass. Raises InputError."""
     from PIL import Image
 
@@ -49,15 +49,22 @@ def opened_heif(path: Path, check_size: Callable[[int, int], None]) -> Iterator[
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # check_size knows better
             image = Image.open(path, formats=[format_name])
-    except (OSError, ValueError, SyntaxError, RuntimeError, EOFError, MemoryError,
-            Image.DecompressionBombError) as error:
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        RuntimeError,
+        EOFError,
+        MemoryError,
+        Image.DecompressionBombError,
+    ) as error:
         raise InputError(f"{path} is not an image that can be read: {_one_line(error)}") from error
     with image:
         check_size(*image.size)
         yield image
 
 
-def decoded_heif(path: Path, image: "Image.Image") -> tuple[np.ndarray, int, dict[str, Any]]:
+def decoded_heif(path: Path, image: Image.Image) -> tuple[np.ndarray, int, dict[str, Any]]:
     """Pixels [H, W, C] uint8 as stored, Exif orientation and colour of an open image, as Picture has them."""
     try:
         mode = image.mode if image.mode in ("L", "LA", "RGB", "RGBA") else "RGB"
@@ -80,14 +87,18 @@ def _reader(path: Path) -> str:
     if set(_brands(path)) & set(_AVIF_BRANDS):
         if features.check("avif"):
             return "AVIF"
-        raise InputError(f"{path} is an AVIF image, which the installed Pillow does not read: pip install -U "
-                         "'pillow>=11.3'; or convert it to PNG or JPEG")
+        raise InputError(
+            f"{path} is an AVIF image, which the installed Pillow does not read: pip install -U "
+            "'pillow>=11.3'; or convert it to PNG or JPEG"
+        )
     for name in _PACKAGES:
         with contextlib.suppress(ImportError):
             importlib.import_module(name).register_heif_opener()
             return "HEIF"
-    raise InputError(f"{path} is a HEIC image, which takes a package to read: pip install 'lightfield-gs[heif]'; or "
-                     "convert it to PNG or JPEG")
+    raise InputError(
+        f"{path} is a HEIC image, which takes a package to read: pip install 'lightfield-gs[heif]'; or "
+        "convert it to PNG or JPEG"
+    )
 
 
 def _one_line(error: BaseException) -> str:

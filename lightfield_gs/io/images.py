@@ -27,20 +27,40 @@ MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
 # A file may become so many times as long in memory, or this many bytes: deflate, of a plain picture, reaches 1030.
 _MOST_EXPANSION, _SMALL_BYTES = 2000, 64 << 20
-_COLOUR_ATTRIBUTES = ("ICCProfile", "oiio:ColorSpace", "oiio:Gamma", "CICP", "chromaticities", "Exif:ColorSpace",
-                      "jpeg:ColorSpace", "oiio:UnassociatedAlpha")
+_COLOUR_ATTRIBUTES = (
+    "ICCProfile",
+    "oiio:ColorSpace",
+    "oiio:Gamma",
+    "CICP",
+    "chromaticities",
+    "Exif:ColorSpace",
+    "jpeg:ColorSpace",
+    "oiio:UnassociatedAlpha",
+)
 _MAYBE_ASSOCIATED = ("tiff", "openexr")  # of all others alpha is straight
 _METADATA_KEY = "ImageDescription"  # the one text field that PNG, EXR and TIFF all keep
-_DTYPES = {".png": ("uint8", "uint16"), ".exr": ("float32",), ".tif": ("uint8", "uint16", "float32"),
-           ".tiff": ("uint8", "uint16", "float32")}
+_DTYPES = {
+    ".png": ("uint8", "uint16"),
+    ".exr": ("float32",),
+    ".tif": ("uint8", "uint16", "float32"),
+    ".tiff": ("uint8", "uint16", "float32"),
+}
 # Measured on an 8K frame with two cores: PNG level 0 without filter 0.2 s, 89 MB; level 1 0.5 s; OpenImageIO's default
 # 10 s where the content is busy. EXR without compression 0.5 s, zip 1.7 s. TIFF without 0.1 s, zip 7 s.
 _PNG_NO_FILTER = 8
 _SETTINGS = {
-    "fast": {".png": {"png:compressionLevel": 0, "png:filter": _PNG_NO_FILTER}, ".exr": {"compression": "none"},
-             ".tif": {"compression": "none"}, ".tiff": {"compression": "none"}},
-    "small": {".png": {"png:compressionLevel": 6, "png:filter": _PNG_NO_FILTER}, ".exr": {"compression": "zip"},
-              ".tif": {"compression": "zip"}, ".tiff": {"compression": "zip"}},
+    "fast": {
+        ".png": {"png:compressionLevel": 0, "png:filter": _PNG_NO_FILTER},
+        ".exr": {"compression": "none"},
+        ".tif": {"compression": "none"},
+        ".tiff": {"compression": "none"},
+    },
+    "small": {
+        ".png": {"png:compressionLevel": 6, "png:filter": _PNG_NO_FILTER},
+        ".exr": {"compression": "zip"},
+        ".tif": {"compression": "zip"},
+        ".tiff": {"compression": "zip"},
+    },
 }
 
 
@@ -75,13 +95,16 @@ def check_image_path(path: str | Path) -> Path:
     """`path`, if an image can be written there; raises InputError before any long work is done for nothing."""
     path = check_output_path(path)
     if path.suffix.lower() not in _DTYPES:
-        raise InputError(f"cannot write {path}: expected the extension {', '.join(_DTYPES)}, got '{path.suffix}' "
-                         "(lossy formats would mix the views)")
+        raise InputError(
+            f"cannot write {path}: expected the extension {', '.join(_DTYPES)}, got '{path.suffix}' "
+            "(lossy formats would mix the views)"
+        )
     return path
 
 
-def write_image(path: str | Path, array: np.ndarray, metadata: dict[str, str] | None = None,
-                compression: Compression = "fast") -> None:
+def write_image(
+    path: str | Path, array: np.ndarray, metadata: dict[str, str] | None = None, compression: Compression = "fast"
+) -> None:
     """Writes [H, W, C], C = 1, 3 or 4, complete or not at all.
 
     uint8 or uint16 as PNG or TIFF, float32 as EXR or TIFF; the extension decides. `metadata` is kept as one JSON
@@ -124,9 +147,14 @@ def read_info(path: str | Path) -> ImageInfo:
             return ImageInfo(*image.size, len(image.getbands()), "uint8")
     with _opened(path) as source:
         spec = source.spec()
-        return ImageInfo(spec.width, spec.height, spec.nchannels, str(spec.format),
-                         _metadata(spec.get_string_attribute(_METADATA_KEY)),
-                         spec.get_int_attribute("Orientation", 1))
+        return ImageInfo(
+            spec.width,
+            spec.height,
+            spec.nchannels,
+            str(spec.format),
+            _metadata(spec.get_string_attribute(_METADATA_KEY)),
+            spec.get_int_attribute("Orientation", 1),
+        )
 
 
 def read_image(path: str | Path, as_stored: bool = False, turn: bool = True) -> np.ndarray:
@@ -180,7 +208,7 @@ def _picture(pixels: np.ndarray, orientation: int, colour: dict[str, Any], turn:
 def _straight(pixels: np.ndarray, channel: int) -> np.ndarray:
     """Pixels [H, W, C] whose colours, the channels before that of alpha, are multiplied by it, without that."""
     most = np.float32(1 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max)
-    share = pixels[..., channel:channel + 1] / most
+    share = pixels[..., channel : channel + 1] / most
     with np.errstate(over="ignore"):
         colours = pixels[..., :channel] / np.where(share > 0, share, 1)
     if pixels.dtype != np.float32:
@@ -217,8 +245,9 @@ def _opened(path: Path) -> Iterator:
     try:
         spec = source.spec()
         if spec.depth > 1 or not 1 <= spec.nchannels <= 16:
-            raise InputError(f"{path}: expected a flat image of 1..16 channels, got {spec.nchannels} channels and "
-                             f"depth {spec.depth}")
+            raise InputError(
+                f"{path}: expected a flat image of 1..16 channels, got {spec.nchannels} channels and depth {spec.depth}"
+            )
         _check_size(path, spec.width, spec.height, spec.nchannels, spec.format.size())
         yield source
     finally:
@@ -228,12 +257,15 @@ def _opened(path: Path) -> Iterator:
 def _check_size(path: Path, width: int, height: int, channels: int = 4, sample_bytes: int = 1) -> None:
     """Raises InputError on an image that is too large, or too large for so small a file."""
     if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX and width * height <= MAX_PIXELS):
-        raise InputError(f"{path}: {width} x {height} pixels; expected 1..{MAX_SIDE_PX} a side and at most "
-                         f"{MAX_PIXELS} in all")
+        raise InputError(
+            f"{path}: {width} x {height} pixels; expected 1..{MAX_SIDE_PX} a side and at most {MAX_PIXELS} in all"
+        )
     size, samples = path.stat().st_size, width * height * channels
     if samples * sample_bytes > max(_SMALL_BYTES, _MOST_EXPANSION * size) or samples > 4 * MAX_PIXELS:
-        raise InputError(f"{path}: {width} x {height} pixels of {channels} channels from a file of {size} bytes; it is "
-                         "damaged, or made to exhaust the memory")
+        raise InputError(
+            f"{path}: {width} x {height} pixels of {channels} channels from a file of {size} bytes; it is "
+            "damaged, or made to exhaust the memory"
+        )
 
 
 def _webp_size(path: Path) -> tuple[int, int]:

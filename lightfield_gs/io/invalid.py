@@ -19,8 +19,9 @@ _REASONS = {
 _ZERO_ROTATION = "a rotation of zeros"
 
 
-def check_or_skip(path: Path, records: np.ndarray, fields: dict[str, np.ndarray],
-                  skip: bool) -> tuple[dict[str, np.ndarray], list[str]]:
+def check_or_skip(
+    path: Path, records: np.ndarray, fields: dict[str, np.ndarray], skip: bool
+) -> tuple[dict[str, np.ndarray], list[str]]:
     """The fields (after exp and sigmoid) of the Gaussians that all have a meaning, and a note on those left out.
 
     records: what the fields were read from. Raises InputError where there are others and `skip` is not set, or nothing
@@ -37,8 +38,10 @@ def check_or_skip(path: Path, records: np.ndarray, fields: dict[str, np.ndarray]
         seen |= flags
     share = f"{int(bad.sum())} of {len(bad)} Gaussians have values without a meaning ({', '.join(counts)})"
     if not skip:
-        raise InputError(f"{path}: {_named(records[first], first, fields)}; {share}; leave them out with "
-                         "--skip-invalid (Python: skip_invalid=True) or export the file again")
+        raise InputError(
+            f"{path}: {_named(records[first], first, fields)}; {share}; leave them out with "
+            "--skip-invalid (Python: skip_invalid=True) or export the file again"
+        )
     if bad.all():
         raise InputError(f"{path}: {share}, and nothing is left without them; export the file again")
     return {name: array[~bad] for name, array in fields.items()}, [f"{share} and were left out"]

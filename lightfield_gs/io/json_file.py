@@ -31,5 +31,5 @@ def read_object(path: str | Path, limit_bytes: int) -> dict[str, Any]:
     """The object in a JSON file of at most `limit_bytes`. Raises InputError that names the file."""
     data = read_json(path, limit_bytes)
     if not isinstance(data, dict):
-        raise InputError(f"{path}: expected an object {{\"key\": value}}, got {type(data).__name__}")
+        raise InputError(f'{path}: expected an object {{"key": value}}, got {type(data).__name__}')
     return data

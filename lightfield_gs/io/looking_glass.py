@@ -15,8 +15,9 @@ from lightfield_gs.io.json_file import read_json
 _LIMIT_BYTES = 1 << 20
 
 
-def panel_fields(source: str | Path | dict[str, Any] | list[Any], views: int, serial: str | None = None,
-                 flip_center: float = 0.0) -> dict[str, Any]:
+def panel_fields(
+    source: str | Path | dict[str, Any] | list[Any], views: int, serial: str | None = None, flip_center: float = 0.0
+) -> dict[str, Any]:
     """Fields of Panel from visual.json, or from what holds calibrations otherwise (see find_calibration).
 
     Used are pitch (lenses per inch across the axis), slope, center (lens widths), DPI, screenW, screenH, and
@@ -32,27 +33,40 @@ def panel_fields(source: str | Path | dict[str, Any] | list[Any], views: int, se
     where = str(source) if is_file else "Looking Glass calibration"
     data = find_calibration(read_json(source, _LIMIT_BYTES) if is_file else source, where, serial)
     pitch, slope, center, dpi, width, height = (
-        _number(data, key, where) for key in ("pitch", "slope", "center", "DPI", "screenW", "screenH"))
+        _number(data, key, where) for key in ("pitch", "slope", "center", "DPI", "screenW", "screenH")
+    )
     if pitch <= 0 or dpi <= 0 or abs(slope) < 0.1:
         raise InputError(f"{where}: expected pitch > 0, DPI > 0 and |slope| >= 0.1, got {pitch}, {dpi}, {slope}")
     if _is_set(data, "flipImageY", where):
-        raise InputError(f"{where}: flipImageY is set; no published program says what it does to the lens, and this "
-                         "one does not guess: turn the display, or describe the panel in a .yaml")
-    for key, meaning in (("verticalAngle", "cameras looking from above or below"),
-                         ("fringe", "a correction of colours")):
+        raise InputError(
+            f"{where}: flipImageY is set; no published program says what it does to the lens, and this "
+            "one does not guess: turn the display, or describe the panel in a .yaml"
+        )
+    for key, meaning in (
+        ("verticalAngle", "cameras looking from above or below"),
+        ("fringe", "a correction of colours"),
+    ):
         if _is_set(data, key, where):
             raise InputError(f"{where}: {key} is set, {meaning}, which is not known here; set it to 0 to do without")
     line_number = 3 * dpi / (pitch * math.cos(math.atan(1 / slope)))
     mirrored, blue_first = _is_set(data, "flipImageX", where), _is_set(data, "flipSubp", where)
     slant_tan = (1 if mirrored else -1) / slope
     center += flip_center if mirrored else 0
-    fields = {"width_px": width, "height_px": height, "views": views, "line_number": line_number,
-              "slant_tan": slant_tan, "phase": 1.5 - 3 * (height - 0.5) * slant_tan - center * line_number,
-              "pixel_pitch_mm": 25.4 / dpi, "name": "looking-glass"}
+    fields = {
+        "width_px": width,
+        "height_px": height,
+        "views": views,
+        "line_number": line_number,
+        "slant_tan": slant_tan,
+        "phase": 1.5 - 3 * (height - 0.5) * slant_tan - center * line_number,
+        "pixel_pitch_mm": 25.4 / dpi,
+        "name": "looking-glass",
+    }
     if found := _cells(data, where):
         if blue_first:
-            raise InputError(f"{where}: flipSubp is set beside subpixelCells, which say where each colour lies; "
-                             "set it to 0")
+            raise InputError(
+                f"{where}: flipSubp is set beside subpixelCells, which say where each colour lies; set it to 0"
+            )
         fields |= found
     else:
         fields["phase"] -= 2 if mirrored else 0  # places count down from 0: -c is (2 - c) - 2
@@ -74,11 +88,15 @@ def _cells(data: dict[str, Any], where: str) -> dict[str, Any]:
         raise InputError(f"{where}: CellPatternMode {pattern:g} is not known; known: {', '.join(map(str, PATTERNS))}")
     if not cells:
         if pattern:
-            raise InputError(f"{where}: CellPatternMode is {pattern:g}, but there are no subpixelCells; expected both, "
-                             "or CellPatternMode 0")
+            raise InputError(
+                f"{where}: CellPatternMode is {pattern:g}, but there are no subpixelCells; expected both, "
+                "or CellPatternMode 0"
+            )
         return {}
-    return {"subpixel_cells": [_cell(cell, f"{where}: subpixelCells[{number}]") for number, cell in enumerate(cells)],
-            "cell_pattern": int(pattern)}
+    return {
+        "subpixel_cells": [_cell(cell, f"{where}: subpixelCells[{number}]") for number, cell in enumerate(cells)],
+        "cell_pattern": int(pattern),
+    }
 
 
 def _cell(cell: Any, where: str) -> list[list[float]]:
@@ -93,8 +111,10 @@ def _is_set(data: dict[str, Any], key: str, where: str) -> bool:
 
 def _number(data: dict[str, Any], key: str, where: str) -> float:
     if key not in data:
-        raise InputError(f"{where}: missing {key}; a visual.json has pitch, slope, center, DPI, screenW, screenH, and "
-                         "six offsets for each of its subpixelCells")
+        raise InputError(
+            f"{where}: missing {key}; a visual.json has pitch, slope, center, DPI, screenW, screenH, and "
+            "six offsets for each of its subpixelCells"
+        )
     value = data[key]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:  # not for NaN
         raise InputError(f"{where}: {key} must be a number, got {shown(value)}")

@@ -23,5 +23,6 @@ def refuse_stand_in(path: Path) -> None:
     if start.startswith(_POINTER):
         raise InputError(f"{path} is a Git LFS pointer, not the file itself; fetch it with `git lfs pull`")
     if _WEB_PAGE.match(start):
-        raise InputError(f"{path} is a web page (HTML), not the file itself; download it again, by the link of the raw "
-                         "file")
+        raise InputError(
+            f"{path} is a web page (HTML), not the file itself; download it again, by the link of the raw file"
+        )

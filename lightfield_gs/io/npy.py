@@ -84,8 +84,10 @@ def stored_arrays(path: str | Path) -> dict[str, StoredArray]:
                 with archive.open(entry) as file:
                     start = io.BytesIO(file.read(_HEADER_BYTES))
                 version = np.lib.format.read_magic(start)
-                read_header = {(1, 0): np.lib.format.read_array_header_1_0,
-                               (2, 0): np.lib.format.read_array_header_2_0}[version]
+                read_header = {
+                    (1, 0): np.lib.format.read_array_header_1_0,
+                    (2, 0): np.lib.format.read_array_header_2_0,
+                }[version]
                 found[entry.filename[:-4]] = _stored(path, entry, start, read_header)
     except FileNotFoundError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error

@@ -9,8 +9,9 @@ from lightfield_gs.io.images import upright
 from lightfield_gs.options import MAP_ORIENTATIONS
 
 
-def turned_with_photo(name: str, values: np.ndarray, own: int, photo: tuple[int, int], orientation: int,
-                      choice: str | None = None) -> tuple[np.ndarray, bool]:
+def turned_with_photo(
+    name: str, values: np.ndarray, own: int, photo: tuple[int, int], orientation: int, choice: str | None = None
+) -> tuple[np.ndarray, bool]:
     """values [H, W, ...] of a map, upright as its photo is, and whether they had to be turned.
 
     name: of the map's file. own: the Exif orientation that this file had itself: where it had one, or the photo had
@@ -25,8 +26,10 @@ def turned_with_photo(name: str, values: np.ndarray, own: int, photo: tuple[int,
     stored = photo[::-1] if orientation >= 5 else photo
     fits_stored, fits_upright = (tuple(values.shape[:2]) == tuple(size) for size in (stored, photo))
     if choice is None and fits_stored and fits_upright:
-        raise InputError(f"{name}: the photo is turned by its Exif orientation {orientation}, and the map may be of "
-                         "either; say which with --map-orientation: stored (as the photo's file has its pixels) or "
-                         "upright")
+        raise InputError(
+            f"{name}: the photo is turned by its Exif orientation {orientation}, and the map may be of "
+            "either; say which with --map-orientation: stored (as the photo's file has its pixels) or "
+            "upright"
+        )
     turned = choice == "stored" or choice is None and fits_stored
     return upright(values, orientation) if turned else values, turned

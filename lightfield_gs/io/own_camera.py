@@ -43,8 +43,10 @@ def stored_framing(comments: Iterable[str], panel: Panel) -> tuple[Rig, str] | N
         return rig, "the framing stored in the file"
     camera = FileCamera("", rig.world_to_camera, rig.focal_px, rig.principal_point_px, width, height)
     focal, centre = camera.fitted(panel.width_px, panel.height_px)
-    return (replace(rig, focal_px=focal, principal_point_px=centre),
-            f"the framing stored in the file, made for {width} x {height}")
+    return (
+        replace(rig, focal_px=focal, principal_point_px=centre),
+        f"the framing stored in the file, made for {width} x {height}",
+    )
 
 
 def stored_size(comments: Iterable[str]) -> tuple[int, int] | None:
@@ -58,7 +60,7 @@ def _stored(comments: Iterable[str]) -> tuple[Rig, tuple[int, int]] | None:
     if not lines:
         return None
     try:
-        data = parse_json(lines[-1][len(_KEY):])
+        data = parse_json(lines[-1][len(_KEY) :])
         width, height = (whole_number(f"{_KEY} {name}", data[name], 1, 1 << 20) for name in ("width_px", "height_px"))
         return Rig(**data["rig"]), (width, height)
     except (InputError, ValueError, TypeError, KeyError) as error:
@@ -77,15 +79,18 @@ def photo_camera(elements: Mapping[str, np.ndarray]) -> FileCamera | None:
         array = elements[name]
         numbers[name] = np.concatenate([np.ravel(array[field]) for field in array.dtype.names or ()] or [[]])
         if len(numbers[name]) != count or not np.isfinite(numbers[name].astype(np.float64)).all():
-            raise InputError(f"its element {name} is none of a camera: expected {count} finite numbers, got "
-                             f"{len(numbers[name])}; {_WAY_OUT}")
-    pose, k = (numbers[name].astype(np.float64).reshape(size, size) for name, size in (("extrinsic", 4),
-                                                                                      ("intrinsic", 3)))
+            raise InputError(
+                f"its element {name} is none of a camera: expected {count} finite numbers, got "
+                f"{len(numbers[name])}; {_WAY_OUT}"
+            )
+    pose, k = (
+        numbers[name].astype(np.float64).reshape(size, size) for name, size in (("extrinsic", 4), ("intrinsic", 3))
+    )
     try:
         width, height = (real_number("image_size", float(side), 1, 1 << 20) for side in numbers["image_size"])
         rig = Rig(pose, (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2]), 1.0)
     except InputError as error:
-        raise InputError(f"its elements extrinsic, intrinsic and image_size are no camera ({error}); {_WAY_OUT}"
-                         ) from None
+        raise InputError(
+            f"its elements extrinsic, intrinsic and image_size are no camera ({error}); {_WAY_OUT}"
+        ) from None
     return FileCamera("", rig.world_to_camera, rig.focal_px, rig.principal_point_px, width, height)
-

@@ -25,8 +25,7 @@ _COVERS_ALL = 0.93  # share of the pixels: alpha that leaves less out has rounde
 _MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.12, 0.6, 0.3
 _FEW_LEVELS = 16  # of 255: a mask that is never brighter numbers things
 _STRIP_PIXELS = 1 << 19
-_OTHER_CUT_OUTS = ("give RGBA, a cut-out with --mask FILE, or --remove-background (pip install "
-                   "'lightfield-gs[rembg]')")
+_OTHER_CUT_OUTS = "give RGBA, a cut-out with --mask FILE, or --remove-background (pip install 'lightfield-gs[rembg]')"
 
 
 @dataclass
@@ -44,8 +43,14 @@ class Photo:
         return as_floats(self.pixels)
 
 
-def load_photo(path: str | Path, mask: str | Path | None = None, *, remove_background: bool = False,
-               whole: bool = False, map_orientation: str | None = None) -> np.ndarray:
+def load_photo(
+    path: str | Path,
+    mask: str | Path | None = None,
+    *,
+    remove_background: bool = False,
+    whole: bool = False,
+    map_orientation: str | None = None,
+) -> np.ndarray:
     """The photo as float32 RGBA [H, W, 4] in 0..1, sRGB, upright, alpha straight: 1 on the object, 0 beside it.
 
     The cut-out is `mask` (an image of the photo's size: its alpha, else its brightness), or with `remove_background`
@@ -55,13 +60,26 @@ def load_photo(path: str | Path, mask: str | Path | None = None, *, remove_backg
     whether it is turned as the photo is by its Exif orientation takes `map_orientation`, "stored" or "upright".
     Raises InputError when there is none of these, or nothing in it.
     """
-    photo = photo_of(path, read_picture(path), mask, remove_background=remove_background, whole=whole,
-                     map_orientation=map_orientation)
+    photo = photo_of(
+        path,
+        read_picture(path),
+        mask,
+        remove_background=remove_background,
+        whole=whole,
+        map_orientation=map_orientation,
+    )
     return photo.floats()
 
 
-def photo_of(path: str | Path, picture: Picture, mask: str | Path | None = None, *, remove_background: bool = False,
-             whole: bool = False, map_orientation: str | None = None) -> Photo:
+def photo_of(
+    path: str | Path,
+    picture: Picture,
+    mask: str | Path | None = None,
+    *,
+    remove_background: bool = False,
+    whole: bool = False,
+    map_orientation: str | None = None,
+) -> Photo:
     """load_photo, of the image that read_picture found at `path`, with what was decided."""
     expect("remove_background", remove_background, bool)
     expect("whole", whole, bool)
@@ -123,18 +141,26 @@ def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -
     covered = None if alpha is None or alpha.min() >= _most(alpha) else _shares(alpha)
     cut = cut_from_plain_background(photo.pixels) if covered is None else _cut_within(photo.pixels, covered)
     if cut is None and covered is None:
-        raise InputError(f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
-                         "to show the whole scene, give its distances with --depth FILE")
+        raise InputError(
+            f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
+            "to show the whole scene, give its distances with --depth FILE"
+        )
     if cut is None:
-        photo.notes.append(f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "
-                           f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}")
+        photo.notes.append(
+            f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "
+            f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}"
+        )
         return covered, "cut out by its alpha"
     if cut.faded > _MOST_FADED or cut.holes > _MOST_HOLES:
-        raise InputError(f"{path}: the object is hardly different from its plain background: "
-                         f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone; {_OTHER_CUT_OUTS}")
+        raise InputError(
+            f"{path}: the object is hardly different from its plain background: "
+            f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone; {_OTHER_CUT_OUTS}"
+        )
     if cut.holes > _MANY_HOLES:
-        photo.notes.append(f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is "
-                           f"taken for holes; where it is not, {_OTHER_CUT_OUTS}")
+        photo.notes.append(
+            f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is "
+            f"taken for holes; where it is not, {_OTHER_CUT_OUTS}"
+        )
     said = "cut out by its plain background"
     return cut.alpha, said if covered is None else f"{said} (its alpha covers {covered.mean():.1%})"
 
@@ -160,8 +186,9 @@ def _without_specks(alpha: np.ndarray) -> str:
     kept, pieces, specks = object_pieces(alpha, _OPAQUE)
     alpha[(alpha >= _OPAQUE) & ~kept] = 0
     rows, columns = np.flatnonzero(kept.any(1)), np.flatnonzero(kept.any(0))
-    words = (f", fills {kept.mean():.1%} of the picture, {columns[-1] - columns[0] + 1} x {rows[-1] - rows[0] + 1} "
-             "pixels")
+    words = (
+        f", fills {kept.mean():.1%} of the picture, {columns[-1] - columns[0] + 1} x {rows[-1] - rows[0] + 1} pixels"
+    )
     if pieces > 1:
         words += f", in {pieces} pieces"
     return words + (f" (specks beside it left out: {specks})" if specks else "")
@@ -179,12 +206,15 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
     """Alpha [H, W] float32 in 0..1 of a mask, upright as the photo is."""
     picture = read_picture(path)
     size = photo.pixels.shape[:2]
-    pixels, turned = turned_with_photo(str(path), picture.pixels, picture.orientation, size, photo.orientation,
-                                       map_orientation)
+    pixels, turned = turned_with_photo(
+        str(path), picture.pixels, picture.orientation, size, photo.orientation, map_orientation
+    )
     photo.said += [f"{Path(path).name} turned with it"] if turned else []
     if pixels.shape[:2] != size:
-        raise InputError(f"{path}: expected a mask of the photo's size {size[1]} x {size[0]}, "
-                         f"got {pixels.shape[1]} x {pixels.shape[0]}")
+        raise InputError(
+            f"{path}: expected a mask of the photo's size {size[1]} x {size[0]}, "
+            f"got {pixels.shape[1]} x {pixels.shape[0]}"
+        )
     colours, alpha = _colour_and_alpha(pixels)
     mask = as_floats(colours).mean(2) if alpha is None or alpha.min() >= _most(alpha) else as_floats(alpha)
     if not np.isfinite(mask).all():
@@ -192,8 +222,10 @@ def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> n
     if pixels.dtype != np.float32:
         levels = round(float(mask.max()) * _most(pixels))
         if 1 < levels < _FEW_LEVELS:
-            raise InputError(f"{path}: expected a mask of 0 and {_most(pixels):g}, or of 0 and 1; its brightest pixel "
-                             f"has {levels}, as where things are numbered; make the object white and the rest black")
+            raise InputError(
+                f"{path}: expected a mask of 0 and {_most(pixels):g}, or of 0 and 1; its brightest pixel "
+                f"has {levels}, as where things are numbered; make the object white and the rest black"
+            )
         if levels == 1:
             mask = mask * np.float32(_most(pixels))
             photo.said.append("a mask of 0 and 1")

@@ -27,7 +27,7 @@ class Pieces:
     count: int
 
     @classmethod
-    def of(cls, flags: np.ndarray, diagonal: bool) -> "Pieces":
+    def of(cls, flags: np.ndarray, diagonal: bool) -> Pieces:
         """The pieces of flags [H, W]; diagonal: whether pixels that share but a corner are neighbours."""
         rows, starts, ends = _runs(flags)
         one, other = _touching(rows, starts, ends, int(diagonal))

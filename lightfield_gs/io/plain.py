@@ -110,9 +110,10 @@ def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
     height, width = (size // factor for size in rgb.shape[:2])
     means = np.empty((height, width, 3), rgb.dtype)
     for top, bottom in strips(height, width, _STRIP_PIXELS):
-        block = rgb[top * factor:bottom * factor, :width * factor]
-        total = sum(block[down::factor, across::factor].astype(np.float32)
-                    for down in range(factor) for across in range(factor))
+        block = rgb[top * factor : bottom * factor, : width * factor]
+        total = sum(
+            block[down::factor, across::factor].astype(np.float32) for down in range(factor) for across in range(factor)
+        )
         total *= np.float32(1 / factor**2)
         means[top:bottom] = total if rgb.dtype == np.float32 else np.rint(total)
     return means
@@ -126,7 +127,7 @@ def _enlarged(alpha: np.ndarray, factor: int, height: int, width: int) -> np.nda
         for across in range(factor):
             enlarged[down:bottom:factor, across:right:factor] = alpha
     enlarged[bottom:] = enlarged[bottom - 1]
-    enlarged[:, right:] = enlarged[:, right - 1:right]
+    enlarged[:, right:] = enlarged[:, right - 1 : right]
     return enlarged
 
 
@@ -162,7 +163,7 @@ def _noise(bands: list[np.ndarray]) -> float:
     """The standard deviation of noise, per channel, from pixels two apart (JPEG shares colours among neighbours): that
     of a slow gradient is not in it."""
     squares = np.concatenate([(band[:, 2:] - band[:, :-2]).reshape(-1, 3) for band in bands]) ** 2 / 2
-    usual = np.sort(squares, 0)[:max(1, round(_USUAL_SHARE * len(squares)))]  # not what specks and objects do there
+    usual = np.sort(squares, 0)[: max(1, round(_USUAL_SHARE * len(squares)))]  # not what specks and objects do there
     return float(np.sqrt(usual.mean()))
 
 
@@ -195,9 +196,9 @@ def _distances(rgb: np.ndarray, ground: np.ndarray, window: int) -> np.ndarray:
             squares = (tables[channel][rgb[top:bottom, :, channel]] for channel in range(3))
         else:
             first = max(0, top - reach)
-            block = _floats(rgb[first:bottom + reach]) - (ground[0] + across * ground[2])
-            block -= (down[first:bottom + reach] * ground[1])[:, None]
-            block = _means(block, window)[top - first:][:bottom - top]
+            block = _floats(rgb[first : bottom + reach]) - (ground[0] + across * ground[2])
+            block -= (down[first : bottom + reach] * ground[1])[:, None]
+            block = _means(block, window)[top - first :][: bottom - top]
             squares = (block[..., channel] ** 2 for channel in range(3))
         np.sqrt(sum(squares), out=distances[top:bottom])
     return distances
@@ -227,8 +228,7 @@ def full_squares(flags: np.ndarray, side: int) -> np.ndarray:
     return np.pad(full, [(0, before - after) for before, after in zip(flags.shape, full.shape)])
 
 
-def _sharpened(outside: np.ndarray, distance: np.ndarray, raw: np.ndarray,
-               reach: int) -> tuple[np.ndarray, np.ndarray]:
+def _sharpened(outside: np.ndarray, distance: np.ndarray, raw: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
     """outside and distance without the fringe round the object, where means took in some of its colour."""
     fringe = _grown(outside, reach)
     fringe &= raw < _FAR

@@ -36,8 +36,10 @@ def check_header(path: Path, header: Header) -> None:
     """Raises InputError unless the header is that of a file of Gaussians."""
     elements = {element.name: element for element in reversed(header.elements)}
     if "chunk" in elements:
-        raise InputError(f"{path} is a compressed .ply (SuperSplat), which this version does not read; "
-                         "export it as a standard 3DGS .ply")
+        raise InputError(
+            f"{path} is a compressed .ply (SuperSplat), which this version does not read; "
+            "export it as a standard 3DGS .ply"
+        )
     if "vertex" not in elements:
         raise InputError(f"{path}: no element 'vertex'; this is not a file of Gaussians")
     vertex = elements["vertex"]
@@ -54,15 +56,19 @@ def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
     missing = [name for name in required if name not in names]
     if missing and not set(_SHAPE) & set(names) and set(_CENTRE) <= set(names):
         kind = "mesh" if has_faces else "point cloud, the start of a fit to photographs"
-        raise InputError(f"{path}: missing {', '.join(missing)}; this is a {kind}, and no scene of Gaussians; give "
-                         "the .ply that a 3DGS trainer wrote")
+        raise InputError(
+            f"{path}: missing {', '.join(missing)}; this is a {kind}, and no scene of Gaussians; give "
+            "the .ply that a 3DGS trainer wrote"
+        )
     if missing:
         raise InputError(f"{path}: missing {', '.join(missing)}; expected the properties of a 3DGS .ply")
     whole = [column for column in vertex.properties if column.name in required and column.kind in ("i2", "u2")]
     if whole:
-        raise InputError(f"{path}: expected float or double for {whole[0].name}, got integers of 16 bits, in "
-                         f"{len(whole)} of {len(required)} properties; it looks like half floats that were written as "
-                         "integers; export it again with float properties")
+        raise InputError(
+            f"{path}: expected float or double for {whole[0].name}, got integers of 16 bits, in "
+            f"{len(whole)} of {len(required)} properties; it looks like half floats that were written as "
+            "integers; export it again with float properties"
+        )
     rest = _rest_names(names)
     if len(rest) not in _REST_COUNTS or any(name not in names for name in rest):
         raise InputError(f"{path}: {len(rest)} properties f_rest_*; expected f_rest_0 on, 0, 9, 24 or 45 of them")
@@ -93,8 +99,13 @@ def gaussians_of(path: Path, records: np.ndarray, skip_invalid: bool = False) ->
         scales, opacities = filter_3d.filtered(scales, opacities, _columns(records, (filter_3d.PROPERTY,))[:, 0])
     means, origin = _centres(records, scales)
     sh, notes = _harmonics(records)
-    fields = {"means": means, "quaternions": _columns(records, _SHAPE[4:]), "scales": scales, "opacities": opacities,
-              "sh": sh}
+    fields = {
+        "means": means,
+        "quaternions": _columns(records, _SHAPE[4:]),
+        "scales": scales,
+        "opacities": opacities,
+        "sh": sh,
+    }
     fields, skipped = check_or_skip(path, records, fields, skip_invalid)
     notes += [filter_3d.NOTE] if has_filter else []
     notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]
@@ -108,7 +119,7 @@ def _columns(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
     out = np.empty((len(records), len(names)), np.float32)
     with np.errstate(over="ignore"):
         for start in range(0, len(records), _ROWS_AT_ONCE):
-            rows, target = records[start:start + _ROWS_AT_ONCE], out[start:start + _ROWS_AT_ONCE]
+            rows, target = records[start : start + _ROWS_AT_ONCE], out[start : start + _ROWS_AT_ONCE]
             for i, name in enumerate(names):
                 target[:, i] = rows[name]
     return out
@@ -166,8 +177,19 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     names = ["nx", "ny", "nz", *_DC, *(f"f_rest_{i}" for i in range(rest.shape[1])), *_SHAPE]
     rows = np.empty(count, [("centre", "<f8" if any(gaussians.origin) else "<f4", 3), ("rest", "<f4", len(names))])
     rows["centre"] = arrays["means"] + gaussians.origin
-    np.concatenate([np.zeros((count, 3)), arrays["sh"][:, 0], rest, np.clip(logits, -1e3, _MAX_LOGIT)[:, None],
-                    np.log(arrays["scales"]), arrays["quaternions"]], 1, out=rows["rest"], casting="same_kind")
+    np.concatenate(
+        [
+            np.zeros((count, 3)),
+            arrays["sh"][:, 0],
+            rest,
+            np.clip(logits, -1e3, _MAX_LOGIT)[:, None],
+            np.log(arrays["scales"]),
+            arrays["quaternions"],
+        ],
+        1,
+        out=rows["rest"],
+        casting="same_kind",
+    )
     kinds = dict.fromkeys(_CENTRE, "double" if any(gaussians.origin) else "float") | dict.fromkeys(names, "float")
     header = _header(count, kinds, comments)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
@@ -178,11 +200,15 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
 def _header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes:
     """Header for `count` vertices with properties of these kinds, by name. Raises InputError."""
     columns = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
-    header = (b"ply\nformat binary_little_endian 1.0\n" + _comment_lines(comments)
-              + f"element vertex {count}\n{columns}end_header\n".encode())
+    header = (
+        b"ply\nformat binary_little_endian 1.0\n"
+        + _comment_lines(comments)
+        + f"element vertex {count}\n{columns}end_header\n".encode()
+    )
     if len(header) > HEADER_LIMIT_BYTES:
-        raise InputError(f"comments: expected at most {HEADER_LIMIT_BYTES} bytes with the rest of the header, got "
-                         f"{len(header)}")
+        raise InputError(
+            f"comments: expected at most {HEADER_LIMIT_BYTES} bytes with the rest of the header, got {len(header)}"
+        )
     return header
 
 

@@ -41,8 +41,10 @@ def _binary_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np
             if end is None and "vertex" in found:
                 return found  # nobody needs what is behind long lists
             if end is None:
-                raise InputError(f"{path}: the long element {element.name[:60]} with lists comes before the vertices; "
-                                 "export the file with the vertices first")
+                raise InputError(
+                    f"{path}: the long element {element.name[:60]} with lists comes before the vertices; "
+                    "export the file with the vertices first"
+                )
         else:
             record = element.record(header.order)
             end = at + element.count * record.itemsize
@@ -91,17 +93,20 @@ def _table(path: Path, element: Element, record: np.dtype, lines: Iterator[str])
         if len(rows) < wanted:
             raise _cut(path, element, f"the file has {start + len(rows)}")
         try:
-            table[start:start + wanted] = np.loadtxt(rows, record, comments=None, ndmin=1)
+            table[start : start + wanted] = np.loadtxt(rows, record, comments=None, ndmin=1)
         except (ValueError, OverflowError) as error:
-            raise InputError(f"{path}: cannot read the rows of '{element.name[:60]}' from row {start} on, expected "
-                             f"{len(element.properties)} numbers in each: {' '.join(str(error).split())[:200]}"
-                             ) from None
+            raise InputError(
+                f"{path}: cannot read the rows of '{element.name[:60]}' from row {start} on, expected "
+                f"{len(element.properties)} numbers in each: {' '.join(str(error).split())[:200]}"
+            ) from None
     return table
 
 
 def _cut(path: Path, element: Element, found: str) -> InputError:
-    return InputError(f"{path}: the header promises {element.count} rows of '{element.name[:60]}', but {found}; it is "
-                      "cut or its header is wrong")
+    return InputError(
+        f"{path}: the header promises {element.count} rows of '{element.name[:60]}', but {found}; it is "
+        "cut or its header is wrong"
+    )
 
 
 def _is_kept(element: Element, size_bytes: int) -> bool:
@@ -122,9 +127,10 @@ def _end_of_lists(file: BinaryIO, element: Element, order: str, at: int, size: i
         return at
     if element.count * len(element.properties) > _MOST_STEPS:
         return None
-    columns = [(np.dtype(column.kind).itemsize,
-                column.length_kind and struct.Struct(order + _CODES[column.length_kind]))
-               for column in element.properties]
+    columns = [
+        (np.dtype(column.kind).itemsize, column.length_kind and struct.Struct(order + _CODES[column.length_kind]))
+        for column in element.properties
+    ]
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         for _ in range(element.count):
             for item_bytes, length in columns:

@@ -13,9 +13,24 @@ from lightfield_gs.io.not_what_it_says import refuse_stand_in
 
 HEADER_LIMIT_BYTES = 1 << 16
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
-_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-          "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-          "double": "f8", "float64": "f8"}
+_TYPES = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
 _END = re.compile(rb"[\r\n]end_header[ \t]*(\r?\n|\r)")  # a line of its own: comments may hold the word
 
 
@@ -67,10 +82,10 @@ def read_header(path: Path, start: bytes) -> Header:
     if end is None:
         raise InputError(f"{path}: no end_header in the first {HEADER_LIMIT_BYTES} bytes; the file is cut or damaged")
     size_bytes = end.end()
-    if b"\n" not in start[:end.start() + 1]:  # lines end with \r alone, and a \n after the last is the first of data
+    if b"\n" not in start[: end.start() + 1]:  # lines end with \r alone, and a \n after the last is the first of data
         size_bytes = end.start(1) + 1
     # Not splitlines, which takes further characters of Unicode for ends of lines
-    lines = re.split(r"\r\n|\r|\n", start[:end.start()].decode("utf-8", "replace"))[1:]
+    lines = re.split(r"\r\n|\r|\n", start[: end.start()].decode("utf-8", "replace"))[1:]
     return _parsed(path, lines, size_bytes)
 
 
@@ -83,7 +98,7 @@ def _parsed(path: Path, lines: list[str], size_bytes: int) -> Header:
             case []:
                 continue
             case ["comment" | "obj_info" as word, *_]:
-                comments.append(line.strip()[len(word):].strip())
+                comments.append(line.strip()[len(word) :].strip())
             case ["format", kind, _]:
                 file_format = kind
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 32:
@@ -93,8 +108,10 @@ def _parsed(path: Path, lines: list[str], size_bytes: int) -> Header:
             case _:
                 raise InputError(f"{path}: cannot read the header line {line[:80]!r}")
     if file_format not in _ORDERS:
-        raise InputError(f"{path}: expected format {', '.join(_ORDERS)}, got {(file_format or 'none')[:60]}; "
-                         "export it as a binary little-endian .ply")
+        raise InputError(
+            f"{path}: expected format {', '.join(_ORDERS)}, got {(file_format or 'none')[:60]}; "
+            "export it as a binary little-endian .ply"
+        )
     for element in elements:
         _check_names(path, element)
     return Header(_ORDERS[file_format], elements, tuple(comments), size_bytes)

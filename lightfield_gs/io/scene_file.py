@@ -47,8 +47,10 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False) -> SceneFile:
     expect("skip_invalid", skip_invalid, bool)
     path = checked_path(path)
     if path.suffix.lower() in _OTHER_FORMATS:
-        raise InputError(f"{path}: {_OTHER_FORMATS[path.suffix.lower()]} files are not supported in this version; "
-                         "convert it to a standard 3DGS .ply")
+        raise InputError(
+            f"{path}: {_OTHER_FORMATS[path.suffix.lower()]} files are not supported in this version; "
+            "convert it to a standard 3DGS .ply"
+        )
     try:
         with open(path, "rb") as file:
             header = read_header(path, file.read(HEADER_LIMIT_BYTES))

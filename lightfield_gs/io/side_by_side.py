@@ -30,10 +30,12 @@ def halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.ndarray,
     axis = 1 if side in ("right", "left") else 0
     size = pixels.shape[axis]
     if size % 2:
-        raise InputError(f"{path}: expected two halves of one size, its {'height width'.split()[axis]} is {size}; cut "
-                         "photo and depth map apart and give the latter with --depth")
+        raise InputError(
+            f"{path}: expected two halves of one size, its {'height width'.split()[axis]} is {size}; cut "
+            "photo and depth map apart and give the latter with --depth"
+        )
     parts = pixels.swapaxes(0, axis)
-    first, second = (part.swapaxes(0, axis) for part in (parts[:size // 2], parts[size // 2:]))
+    first, second = (part.swapaxes(0, axis) for part in (parts[: size // 2], parts[size // 2 :]))
     return (first, second) if side in ("right", "bottom") else (second, first)
 
 

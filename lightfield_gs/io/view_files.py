@@ -21,7 +21,7 @@ _LIMIT_BYTES = 64 << 20
 _FIELDS = {"world_to_camera": (4, 4), "focal_px": (2,), "principal_point_px": (2,)}
 
 
-def read_cameras(path: str | Path, panel: Panel) -> "Cameras":
+def read_cameras(path: str | Path, panel: Panel) -> Cameras:
     """One camera for each view, float64: world_to_camera [N,4,4] (OpenCV axes), focal_px [N,2] and principal_point_px
     [N,2] at the panel's resolution. Raises InputError that names the file and the field."""
     import torch
@@ -30,16 +30,20 @@ def read_cameras(path: str | Path, panel: Panel) -> "Cameras":
 
     data = read_json(path, _LIMIT_BYTES)
     if is_camera_file(data):
-        raise InputError(f"{path}: holds the cameras of photographs (cameras.json or transforms.json), not one for "
-                         "each view of the panel; give it as --camera FILE[:INDEX] for the centre camera")
+        raise InputError(
+            f"{path}: holds the cameras of photographs (cameras.json or transforms.json), not one for "
+            "each view of the panel; give it as --camera FILE[:INDEX] for the centre camera"
+        )
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object with {', '.join(_FIELDS)}, got {type(data).__name__}")
     check_keys(data, _FIELDS, (), str(path))
     arrays = {name: _numbers(f"{path}: {name}", data[name], shape) for name, shape in _FIELDS.items()}
     counts = {name: len(array) for name, array in arrays.items()}
     if len(set(counts.values())) > 1 or not 1 <= counts["focal_px"] <= MAX_VIEWS:
-        raise InputError(f"{path}: expected the same number of cameras in every field, 1..{MAX_VIEWS}, got "
-                         + ", ".join(f"{name} {count}" for name, count in counts.items()))
+        raise InputError(
+            f"{path}: expected the same number of cameras in every field, 1..{MAX_VIEWS}, got "
+            + ", ".join(f"{name} {count}" for name, count in counts.items())
+        )
     _check_poses(f"{path}: world_to_camera", arrays["world_to_camera"])
     try:
         return Cameras(*(torch.from_numpy(array) for array in arrays.values()), panel.width_px, panel.height_px)
@@ -83,6 +87,8 @@ def _check_poses(what: str, poses: np.ndarray) -> None:
         error = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max((1, 2))
         good = (error < 1e-4) & (np.linalg.det(rotations) > 0) & (poses[:, 3] == (0, 0, 0, 1)).all(1)
     if not good.all():
-        raise InputError(f"{what}: expected a rotation (orthonormal, determinant +1) and a translation over 0 0 0 1, "
-                         f"got something else in camera {int((~good).argmax())}; scale, shear and mirroring are not "
-                         "allowed")
+        raise InputError(
+            f"{what}: expected a rotation (orthonormal, determinant +1) and a translation over 0 0 0 1, "
+            f"got something else in camera {int((~good).argmax())}; scale, shear and mirroring are not "
+            "allowed"
+        )

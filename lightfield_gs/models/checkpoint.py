@@ -1,4 +1,5 @@
 """Checkpoint files: float16 weights as safetensors, with the model's configuration as JSON in the metadata."""
+
 from __future__ import annotations
 
 import json
@@ -20,9 +21,10 @@ if TYPE_CHECKING:
 _CONFIG_KEY = "lightfield_gs.model_config"
 
 
-def save_weights(net: "SplatterNet", path: Path, notes: dict[str, str]) -> None:
+def save_weights(net: SplatterNet, path: Path, notes: dict[str, str]) -> None:
     """Write the weights of net to path; the file appears complete or not at all. notes: further metadata."""
     from safetensors.torch import save
+
     weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in net.state_dict().items()}
     with atomic_path(path) as temporary:
         temporary.write_bytes(save(weights, notes | {_CONFIG_KEY: json.dumps(net.config.to_dict())}))
@@ -32,6 +34,7 @@ def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:
     """Configuration and float32 weights of a checkpoint. Raises InputError when the file is none."""
     from safetensors import SafetensorError, safe_open
     from safetensors.torch import load
+
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -42,6 +45,8 @@ def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:
         raise InputError(f"{path}: found no such checkpoint") from None
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         refuse_stand_in(path)
-        raise InputError(f"{path}: expected a SplatterNet checkpoint (safetensors with its configuration), "
-                         f"but {' '.join(str(error).split())[:200]}") from None
+        raise InputError(
+            f"{path}: expected a SplatterNet checkpoint (safetensors with its configuration), "
+            f"but {' '.join(str(error).split())[:200]}"
+        ) from None
     return ModelConfig.from_dict(config), weights

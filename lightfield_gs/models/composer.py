@@ -1,4 +1,5 @@
 """Last stage of the network: raw head outputs become Gaussians in the source camera's axes."""
+
 from __future__ import annotations
 
 import itertools
@@ -30,10 +31,15 @@ def _mirror_signs(sh_degree: int) -> list[int]:
     """Of each channel of one layer: -1 where the mirror image of a Gaussian in the plane x = 0 has the other sign."""
     signs = {"offset": [-1, 1, 1], "rotation": [1, 1, -1, -1]}
     # A real harmonic goes with sin(|m| phi) where m < 0, else with cos(m phi), and the mirror takes phi to pi - phi.
-    signs["harmonics"] = [(-1) ** (m if m >= 0 else m + 1) for band in range(1, sh_degree + 1)
-                          for m in range(-band, band + 1) for _ in range(3)]
-    return [sign for group, channels in parameter_groups(sh_degree).items()
-            for sign in signs.get(group, [1] * channels)]
+    signs["harmonics"] = [
+        (-1) ** (m if m >= 0 else m + 1)
+        for band in range(1, sh_degree + 1)
+        for m in range(-band, band + 1)
+        for _ in range(3)
+    ]
+    return [
+        sign for group, channels in parameter_groups(sh_degree).items() for sign in signs.get(group, [1] * channels)
+    ]
 
 
 def mirrored(raw: Tensor, layers: int, sh_degree: int) -> Tensor:
@@ -41,7 +47,7 @@ def mirrored(raw: Tensor, layers: int, sh_degree: int) -> Tensor:
     signs = _mirror_signs(sh_degree) * layers
     flipped, start, parts = raw.flip(3), 0, []
     for sign, run in itertools.groupby(signs):  # slices: a tensor of signs would have to be sent to the device
-        channels = flipped[:, start:start + len(list(run))]
+        channels = flipped[:, start : start + len(list(run))]
         start += channels.shape[1]
         parts.append(channels if sign > 0 else -channels)
     return torch.cat(parts, dim=1)
@@ -109,20 +115,32 @@ class AbsoluteComposer(nn.Module):
         depth = self.near + (self.far - self.near) * torch.sigmoid(values["depth"])
         means = torch.cat([pixels.rays * depth, depth], dim=1) + values["offset"]
         harmonics = _harmonics(values["colour"], values.get("harmonics"))
-        return Gaussians(_flat(means), _flat(torch.nn.functional.normalize(values["rotation"], dim=1)),
-                         _flat(values["scale"].exp()), _flat(torch.sigmoid(values["opacity"]))[..., 0], harmonics)
+        return Gaussians(
+            _flat(means),
+            _flat(torch.nn.functional.normalize(values["rotation"], dim=1)),
+            _flat(values["scale"].exp()),
+            _flat(torch.sigmoid(values["opacity"]))[..., 0],
+            harmonics,
+        )
 
     def initialise(self, head: nn.Conv2d, block: int) -> None:
         """Initial weights of the 1x1 head per group, Xavier gain and bias, as published for objects.
 
         block: channels of the head per predicted number (pixels of a patch).
         """
-        settings = {"depth": (1.0, 0.0), "offset": (0.1, 0.0), "opacity": (1.0, -2.0), "scale": (0.003, math.log(0.02)),
-                    "rotation": (1.0, 0.0), "colour": (5.0, 0.0), "harmonics": (0.0, 0.0)}
+        settings = {
+            "depth": (1.0, 0.0),
+            "offset": (0.1, 0.0),
+            "opacity": (1.0, -2.0),
+            "scale": (0.003, math.log(0.02)),
+            "rotation": (1.0, 0.0),
+            "colour": (5.0, 0.0),
+            "harmonics": (0.0, 0.0),
+        }
         start = 0
         for group, channels in self.groups.items():
             gain, bias = settings[group]
             channels *= block
-            nn.init.xavier_uniform_(head.weight.data[start:start + channels], gain)
-            nn.init.constant_(head.bias.data[start:start + channels], bias)
+            nn.init.xavier_uniform_(head.weight.data[start : start + channels], gain)
+            nn.init.constant_(head.bias.data[start : start + channels], bias)
             start += channels

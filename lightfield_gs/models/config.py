@@ -1,4 +1,5 @@
 """Configuration of the network, read from configs/models/*.yaml and stored in every checkpoint."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -35,6 +36,7 @@ class ModelConfig:
         image of a picture gives the mirror image of its Gaussians, for twice the work of the U-Net.
     unet: the backbone.
     """
+
     input: str = "rgb_mask_ray"
     image_size_px: int = 128
     patch_px: int = 1
@@ -80,7 +82,7 @@ class ModelConfig:
             raise InputError(f"{what}: expected a multiple of {self.size_step} pixels for this network, got {size_px}")
 
     @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> "ModelConfig":
+    def from_dict(cls, values: dict[str, Any]) -> ModelConfig:
         """Build from a dictionary, as in YAML or in a checkpoint. Raises InputError for unknown fields."""
         unet = values.get("unet", {}) if isinstance(values, dict) else None
         if not isinstance(unet, dict):
@@ -92,7 +94,7 @@ class ModelConfig:
         return cls(**values, unet=UNetConfig(**unet))
 
     @classmethod
-    def from_yaml(cls, name: str | Path) -> "ModelConfig":
+    def from_yaml(cls, name: str | Path) -> ModelConfig:
         """Read a file, or a named configuration of configs/models ("default", "original")."""
         path = Path(name) if Path(name).suffix else config_path("models", str(name))
         return cls.from_dict(read_mapping(path, (), [field.name for field in dataclasses.fields(cls)]))

@@ -1,4 +1,5 @@
 """Cropping a picture to its object, alike for training views and photos: the network sees one kind of input."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ class Square:
 
     Many squares may be one Square whose fields are arrays. Tensors [] int64 where only a device knows the numbers.
     """
+
     left: int
     top: int
     side: int
@@ -79,7 +81,7 @@ def crop_resize(image: Tensor, square: Square, size_px: int) -> Tensor:
     """
     height, width = image.shape[1:]
     right, bottom = square.left + square.side, square.top + square.side
-    inside = image[:, max(0, square.top):max(0, bottom), max(0, square.left):max(0, right)]
+    inside = image[:, max(0, square.top) : max(0, bottom), max(0, square.left) : max(0, right)]
     padding = (max(0, -square.left), max(0, right - width), max(0, -square.top), max(0, bottom - height))
     padded = F.pad(inside.float(), padding)
     return _resized(padded, (size_px, size_px))
@@ -95,7 +97,7 @@ def crop_resize_premultiplied(image: Tensor, square: Square, size_px: int) -> Te
     each = max(1, _STRIP_PIXELS // square.side)
     parts = []
     for top in range(rows.start, rows.stop, each):
-        strip = premultiplied(image[top:min(rows.stop, top + each), max(0, square.left):square.left + square.side])
+        strip = premultiplied(image[top : min(rows.stop, top + each), max(0, square.left) : square.left + square.side])
         strip = F.pad(strip, (max(0, -square.left), max(0, square.left + square.side - image.shape[1])))
         parts.append(_resized(strip, (strip.shape[1], size_px)))
     narrow = torch.cat(parts, 1)

@@ -1,4 +1,5 @@
 """Group normalisation and SiLU of the U-Net, Wu & He, ECCV 2018: PyTorch's, or one CUDA kernel of ours."""
+
 from __future__ import annotations
 
 import torch
@@ -19,15 +20,26 @@ def group_norm_silu(norm: nn.GroupNorm, features: Tensor) -> Tensor:
     batch, channels, height, width = features.shape
     out = torch.empty_like(features)
     with torch.cuda.device_of(features):
-        _core.cuda.group_norm_silu(batch, height * width, channels, norm.num_groups, features.data_ptr(),
-                                   norm.weight.data_ptr(), norm.bias.data_ptr(), norm.eps, out.data_ptr(),
-                                   torch.cuda.current_stream().cuda_stream)
+        _core.cuda.group_norm_silu(
+            batch,
+            height * width,
+            channels,
+            norm.num_groups,
+            features.data_ptr(),
+            norm.weight.data_ptr(),
+            norm.bias.data_ptr(),
+            norm.eps,
+            out.data_ptr(),
+            torch.cuda.current_stream().cuda_stream,
+        )
     return out
 
 
 def _is_ours(norm: nn.GroupNorm, features: Tensor) -> bool:
     if torch.compiler.is_compiling() or torch.is_grad_enabled() or not (features.is_cuda and hasattr(_core, "cuda")):
         return False
-    return (features.dtype == norm.weight.dtype == torch.bfloat16
-            and features.is_contiguous(memory_format=torch.channels_last)
-            and norm.num_channels % (2 * norm.num_groups) == 0)
+    return (
+        features.dtype == norm.weight.dtype == torch.bfloat16
+        and features.is_contiguous(memory_format=torch.channels_last)
+        and norm.num_channels % (2 * norm.num_groups) == 0
+    )

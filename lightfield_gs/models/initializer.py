@@ -1,4 +1,5 @@
 """First stage of the network: what is known of each pixel before anything was predicted."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ class Pixels:
     footprint: [B,1,1,1], width of a pixel at depth 1, in scene units. colour: [B,3,H,W], straight (not premultiplied),
     mid-grey where nothing is. mask: [B,1,H,W], 0..1.
     """
+
     rays: Tensor
     footprint: Tensor
     colour: Tensor

@@ -4,6 +4,7 @@ Source: Szymanowicz et al., "Splatter Image", CVPR 2024: an image-to-image netwo
 Three stages: the initializer describes each pixel, the decoder (U-Net and heads) predicts raw numbers, the composer
 turns them into Gaussians.
 """
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -37,7 +38,7 @@ class SplatterNet(nn.Module):
         self.config = config
         predicted = config.layers * sum(parameter_groups(config.sh_degree).values())
         features = config.features or predicted
-        block = config.patch_px ** 2
+        block = config.patch_px**2
         size = config.image_size_px // config.patch_px
         self.unet = UNet(INPUT_CHANNELS[config.input] * block, features, size, config.unet)
         self.head = nn.Conv2d(features, predicted * block, 1)
@@ -129,12 +130,14 @@ class SplatterNet(nn.Module):
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
         """Write the weights as float16 safetensors, configuration and notes in the metadata."""
         from lightfield_gs.models.checkpoint import save_weights
+
         save_weights(self, checked_path(path), notes or {})
 
     @classmethod
-    def from_pretrained(cls, path: str | Path | None = None) -> "SplatterNet":
+    def from_pretrained(cls, path: str | Path | None = None) -> SplatterNet:
         """Load a checkpoint written by save() (None: the one that comes with the package), in eval mode, float32."""
         from lightfield_gs.models.checkpoint import read_weights
+
         config, weights = read_weights(checked_path(path) if path is not None else PRETRAINED)
         with torch.device("meta"):  # no initial values for nothing, no memory for a damaged configuration
             net = cls(config)
@@ -153,8 +156,10 @@ def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
     if photo.dtype == torch.uint8:
         return photo
     if not photo.is_floating_point():
-        raise InputError(f"photo: expected uint8 or floating point values in 0..1, got {photo.dtype}; divide by its "
-                         "largest value (65535 of 16 bits)")
+        raise InputError(
+            f"photo: expected uint8 or floating point values in 0..1, got {photo.dtype}; divide by its "
+            "largest value (65535 of 16 bits)"
+        )
     return photo.to(torch.float32)
 
 

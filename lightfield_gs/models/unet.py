@@ -4,6 +4,7 @@ The layout is that of Song et al., "Score-Based Generative Modeling through Stoc
 2021 (DDPM++), without noise conditioning: residual blocks that also resample, one skip connection per block, attention
 at chosen resolutions and in the middle. Splatter Image (Szymanowicz et al., CVPR 2024) uses it with 128 channels.
 """
+
 from __future__ import annotations
 
 import dataclasses
@@ -56,6 +57,7 @@ class UNetConfig:
     zero_init: True starts every residual branch at zero; False uses the original's Xavier-uniform weights (gain 1e-5
     instead of zero for the second convolution).
     """
+
     base_channels: int = 32
     multipliers: tuple[int, ...] = (1, 2, 4, 4)
     blocks: int = 2
@@ -70,11 +72,17 @@ class UNetConfig:
         check_field_types(self, "unet.")
         checks = (
             (self.base_channels >= 4, "base_channels", "at least 4"),
-            (0 < len(self.multipliers) <= 16 and min(self.multipliers) >= 1, "multipliers",
-             "a number per level, at least 1, for at most 16 levels"),
+            (
+                0 < len(self.multipliers) <= 16 and min(self.multipliers) >= 1,
+                "multipliers",
+                "a number per level, at least 1, for at most 16 levels",
+            ),
             (1 <= self.blocks <= 64, "blocks", "1 to 64"),
-            (self.heads >= 1 and all(self.base_channels * m % self.heads == 0 for m in self.multipliers), "heads",
-             "a divisor of every level's channels"),
+            (
+                self.heads >= 1 and all(self.base_channels * m % self.heads == 0 for m in self.multipliers),
+                "heads",
+                "a divisor of every level's channels",
+            ),
             (0 <= self.dropout < 1, "dropout", "0 to 1, less than 1"),
         )
         for good, field, expected in checks:
@@ -127,8 +135,9 @@ class Attention(nn.Module):
 class ResidualBlock(nn.Module):
     """Norm, SiLU, 3x3 convolution, twice, beside a shortcut; may halve or double the resolution."""
 
-    def __init__(self, inputs: int, outputs: int, config: UNetConfig, *, factor: float = 1,
-                 attention: bool = False) -> None:
+    def __init__(
+        self, inputs: int, outputs: int, config: UNetConfig, *, factor: float = 1, attention: bool = False
+    ) -> None:
         super().__init__()
         gain = None if config.zero_init else 1.0
         self.outputs, self.factor, self.scale = outputs, factor, config.residual_scale
@@ -174,8 +183,9 @@ class UNet(nn.Module):
                 self.down.append(ResidualBlock(width, outputs_here, config, attention=attends[level]))
                 width = outputs_here
                 skips.append(width)
-        self.middle = nn.Sequential(ResidualBlock(width, width, config, attention=True),
-                                    ResidualBlock(width, width, config))
+        self.middle = nn.Sequential(
+            ResidualBlock(width, width, config, attention=True), ResidualBlock(width, width, config)
+        )
         for level, outputs_here in reversed(list(enumerate(channels))):
             if level < len(channels) - 1:
                 self.up.append(ResidualBlock(width, width, config, factor=2))

@@ -14,8 +14,19 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 HERE = Path(__file__).parent
-FLAGS = ["-std=c++20", "-O1", "-fPIC", "-w", "-march=x86-64-v3", "-ffp-contract=off", "-fvisibility=hidden",
-         "-DLFGS_WITH_CUDA", '-DLFGS_VERSION="emulated"', "-D__CUDA_ARCH__=900", "-D__CUDA_ARCH_LIST__=900"]
+FLAGS = [
+    "-std=c++20",
+    "-O1",
+    "-fPIC",
+    "-w",
+    "-march=x86-64-v3",
+    "-ffp-contract=off",
+    "-fvisibility=hidden",
+    "-DLFGS_WITH_CUDA",
+    '-DLFGS_VERSION="emulated"',
+    "-D__CUDA_ARCH__=900",
+    "-D__CUDA_ARCH_LIST__=900",
+]
 APPROXIMATE = {"ex2": "exp2f({})", "rcp": "1 / ({})", "rsqrt": "1 / sqrtf({})"}
 
 
@@ -23,14 +34,25 @@ def host_code(path: Path) -> str:
     """A CUDA source as C++."""
     text = path.read_text()
     # kernel<<<grid, block, bytes, stream>>>(arguments)
-    text = re.sub(r"([A-Za-z_]\w*(?:<[\w:, ]+>)?)\s*<<<(.*?)>>>",
-                  r"emulation::launch([=](const auto&... a) { \1(a...); }, \2)", text, flags=re.S)
-    text = re.sub(r'asm\("(\w+)\.approx\.ftz\.f32 %0, %1;" : "=f"\((\w+)\) : "f"\((\w+)\)\);',
-                  lambda m: f"{m[2]} = {APPROXIMATE[m[1]].format(m[3])};", text)
-    text = re.sub(r'asm\("ex2\.approx\.f16x2 %0, %1;" : "=r"\((\w+)\) : "r"\((.+?)\)\);', r"\1 = exp2_halves(\2);",
-                  text)
-    text = re.sub(r"extern __shared__ (?:__align__\(\d+\) )?(\w+) (\w+)\[\];",
-                  r"auto* \2 = reinterpret_cast<\1*>(emulation::dynamic_shared);", text)
+    text = re.sub(
+        r"([A-Za-z_]\w*(?:<[\w:, ]+>)?)\s*<<<(.*?)>>>",
+        r"emulation::launch([=](const auto&... a) { \1(a...); }, \2)",
+        text,
+        flags=re.S,
+    )
+    text = re.sub(
+        r'asm\("(\w+)\.approx\.ftz\.f32 %0, %1;" : "=f"\((\w+)\) : "f"\((\w+)\)\);',
+        lambda m: f"{m[2]} = {APPROXIMATE[m[1]].format(m[3])};",
+        text,
+    )
+    text = re.sub(
+        r'asm\("ex2\.approx\.f16x2 %0, %1;" : "=r"\((\w+)\) : "r"\((.+?)\)\);', r"\1 = exp2_halves(\2);", text
+    )
+    text = re.sub(
+        r"extern __shared__ (?:__align__\(\d+\) )?(\w+) (\w+)\[\];",
+        r"auto* \2 = reinterpret_cast<\1*>(emulation::dynamic_shared);",
+        text,
+    )
     text = re.sub(r"__shared__ (alignas\(\d+\))", r"\1 __shared__", text)
     if path.name == "ordinal_operands.cuh":  # its tensor cores are in include/tensor_cores.h
         begin, end = text.index("__device__ inline void multiply("), text.index("template <bool Limit>")
@@ -45,8 +67,11 @@ def build(csrc: Path, out: Path, includes: list[str]) -> Path:
     for path in (csrc / "cuda").iterdir():
         (cuda / path.name).write_text(host_code(path))
         sources += [cuda / path.name] if path.suffix == ".cu" else []
-    sources += [*sorted((csrc / "bind").glob("*.cpp")), csrc / "cpu" / "plan_sorted.cpp",
-                csrc / "base" / "parallel.cpp"]
+    sources += [
+        *sorted((csrc / "bind").glob("*.cpp")),
+        csrc / "cpu" / "plan_sorted.cpp",
+        csrc / "base" / "parallel.cpp",
+    ]
     include = [f"-I{p}" for p in (HERE / "include", out / "src", csrc, sysconfig.get_paths()["include"], *includes)]
 
     def compile_(source: Path) -> str:

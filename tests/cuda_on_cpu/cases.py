@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
-
 from rasterizer_cases import CELLS, MIRRORED
+from torch import Tensor
 
 from lightfield_gs import Gaussians, Panel, Quality, Rig, encode, render
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
@@ -18,11 +17,16 @@ from lightfield_gs.panel import DEFAULT_PANEL
 from lightfield_gs.quality import QUALITIES
 
 LENS = dict(width_px=61, height_px=37, views=96, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2044846576)
-PANELS = {"default": {}, "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
-          "inverted": dict(invert_views=True), "narrow lenses": dict(views=9, line_number=2.6),
-          "one view": dict(views=1), "narrow cone": dict(cone_deg=4.0),
-          "cells": dict(line_number=19.17, slant_tan=0.1455, subpixel_cells=CELLS, cell_pattern=2),
-          "cells that exchange colours": dict(subpixel_cells=MIRRORED, cell_pattern=1)}
+PANELS = {
+    "default": {},
+    "leaning the other way, BGR": dict(slant_tan=-0.18, subpixel_order="BGR", line_number=16.013),
+    "inverted": dict(invert_views=True),
+    "narrow lenses": dict(views=9, line_number=2.6),
+    "one view": dict(views=1),
+    "narrow cone": dict(cone_deg=4.0),
+    "cells": dict(line_number=19.17, slant_tan=0.1455, subpixel_cells=CELLS, cell_pattern=2),
+    "cells that exchange colours": dict(subpixel_cells=MIRRORED, cell_pattern=1),
+}
 BACKGROUND = (0.1, 0.6, 0.3)
 PRUNING = Quality(contribution_cut=0.6, opacity_cut=0.02)
 
@@ -50,12 +54,14 @@ def panel_of(name: str) -> Panel:
 PARABOLAS = [("pixel", 1.0), ("pixel-small", 1.0), ("pixel-quadratic", 2.0), ("ordinal", 2.0)]
 
 # Kernel that draws what is not smooth, quality, views, panel: see lattice_frame
-LATTICE_FRAMES = [("pixel", "high", "integer", dict(cone_deg=1.0)),
-                  ("pixel-quadratic", "fast", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18)),
-                  ("ordinal", "high", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18, line_number=16.013)),
-                  ("ordinal", "fast", "integer", dict(invert_views=True)),
-                  ("pixel", "high", "integer", dict(line_number=61.7)),
-                  ("pixel", "fast", "integer", dict(line_number=0.7, cone_deg=4.0))]
+LATTICE_FRAMES = [
+    ("pixel", "high", "integer", dict(cone_deg=1.0)),
+    ("pixel-quadratic", "fast", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18)),
+    ("ordinal", "high", "continuous", dict(subpixel_order="BGR", slant_tan=-0.18, line_number=16.013)),
+    ("ordinal", "fast", "integer", dict(invert_views=True)),
+    ("pixel", "high", "integer", dict(line_number=61.7)),
+    ("pixel", "fast", "integer", dict(line_number=0.7, cone_deg=4.0)),
+]
 
 # Panels of whose images four bytes may be stored at a time
 WORDS = [dict(width_px=208), dict(width_px=208, subpixel_order="BGR")]
@@ -65,13 +71,19 @@ def lattice_frame(changes: dict[str, Any], degree: int) -> tuple[Gaussians, Pane
     """A piece of an 8K panel, odd in width and height, and a sheet before it, smooth but for small Gaussians on the
     right."""
     panel = Panel(**{**LENS, "width_px": 205, "height_px": 71, "cone_deg": 12.0, **changes})
-    rig = replace(benchmark_rig("sheet:1", None, replace(panel, width_px=7680, height_px=4320), panel.cone_deg),
-                  principal_point_px=(102.5, 35.5))
+    rig = replace(
+        benchmark_rig("sheet:1", None, replace(panel, width_px=7680, height_px=4320), panel.cone_deg),
+        principal_point_px=(102.5, 35.5),
+    )
     smooth, random, count = sheet(128), torch.Generator().manual_seed(2), 60
     where = torch.rand(count, 3, generator=random) * torch.tensor([0.012, 0.018, 0.02])
-    rough = Gaussians(where + torch.tensor([0.014, -0.009, 1.95]), torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
-                      torch.full((count, 3), 4e-4), torch.full((count,), 0.9),
-                      3 * torch.rand(count, 1, 3, generator=random) - 1.5)
+    rough = Gaussians(
+        where + torch.tensor([0.014, -0.009, 1.95]),
+        torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
+        torch.full((count, 3), 4e-4),
+        torch.full((count,), 0.9),
+        3 * torch.rand(count, 1, 3, generator=random) - 1.5,
+    )
     near = (smooth.means[:, :2].abs() < 0.3).all(1)
     parts = [{name: field[near] for name, field in smooth.fields().items()}, rough.fields()]
     scene = Gaussians(*(torch.cat([part[name] for part in parts]) for name in parts[0]))
@@ -109,8 +121,12 @@ OPAQUE_FRAMES = [("pixel", "narrow cone"), ("pixel-small", "narrow cone"), ("ord
 def opaque(name: str) -> tuple[Gaussians, Panel, Rig]:
     """So many Gaussians of middling opacity over the whole panel that every sample ends before the last."""
     panel, scene = panel_of(name), cloud(900, 11)
-    scene = replace(scene, scales=scene.scales.clamp_min(0.15), opacities=0.1 + 0.3 * scene.opacities,
-                    sh=torch.full_like(scene.sh, 1.5))
+    scene = replace(
+        scene,
+        scales=scene.scales.clamp_min(0.15),
+        opacities=0.1 + 0.3 * scene.opacities,
+        sh=torch.full_like(scene.sh, 1.5),
+    )
     return scene, panel, rig_of(panel)
 
 
@@ -120,13 +136,19 @@ def wide_frames() -> list[tuple[Gaussians, Panel, Rig]]:
     panels = [Panel.load(DEFAULT_PANEL), Panel(7680, 3840, 96, 16.013, math.tan(0.18), cone_deg=53.0)]
     flat = cloud(8192)
     flat.scales[:, 2] = 1e-4
-    return [(scene, panel, benchmark_rig("cloud:8192", scene, panel, panel.cone_deg))
-            for panel in panels for scene in (sheet(96), cloud(8192), flat)]
+    return [
+        (scene, panel, benchmark_rig("cloud:8192", scene, panel, panel.cone_deg))
+        for panel in panels
+        for scene in (sheet(96), cloud(8192), flat)
+    ]
 
 
 # Kernel (None: the frame chooses), views, panel
-WIDEST = [(*how, changes) for how in (("ordinal", "integer"), ("ordinal", "continuous"), (None, "integer"))
-          for changes in (dict(cone_deg=150.0), dict(cone_deg=179.9), dict(views=2))]
+WIDEST = [
+    (*how, changes)
+    for how in (("ordinal", "integer"), ("ordinal", "continuous"), (None, "integer"))
+    for changes in (dict(cone_deg=150.0), dict(cone_deg=179.9), dict(views=2))
+]
 
 
 def widest(changes: dict[str, Any]) -> tuple[Gaussians, Panel, Rig]:
@@ -161,20 +183,26 @@ def gradients(scene: Gaussians, sensor: str, dtype: torch.dtype, antialiased: bo
     leaves = {name: field.clone().requires_grad_() for name, field in scene.fields().items()}
     given = Gaussians(**leaves)
     if sensor == "lens":
-        image = encode(given, panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."),
-                       antialiased=antialiased)
+        image = encode(
+            given, panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."), antialiased=antialiased
+        )
     else:
-        image = render(given, rig.cameras(panel, [23, 11, 0]).to(dtype=dtype), background=BACKGROUND,
-                       antialiased=antialiased)
+        image = render(
+            given, rig.cameras(panel, [23, 11, 0]).to(dtype=dtype), background=BACKGROUND, antialiased=antialiased
+        )
     loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
     return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}
 
 
 # Of anti-aliased scenes: kernel (None: the frame chooses), panel, SH degree, views and quality
-ANTIALIASED = [("pixel-quadratic", "default", 0, "integer", "exact"), (None, "narrow cone", 1, "integer", "draft"),
-               ("pixel-quadratic-small", "leaning the other way, BGR", 3, "continuous", "exact"),
-               ("ordinal", "default", 0, "integer", "exact"), ("ordinal", "default", 3, "continuous", "exact"),
-               ("ordinal", "leaning the other way, BGR", 1, "continuous", "exact")]
+ANTIALIASED = [
+    ("pixel-quadratic", "default", 0, "integer", "exact"),
+    (None, "narrow cone", 1, "integer", "draft"),
+    ("pixel-quadratic-small", "leaning the other way, BGR", 3, "continuous", "exact"),
+    ("ordinal", "default", 0, "integer", "exact"),
+    ("ordinal", "default", 3, "continuous", "exact"),
+    ("ordinal", "leaning the other way, BGR", 1, "continuous", "exact"),
+]
 
 
 def fine(degree: int) -> Gaussians:
@@ -201,8 +229,16 @@ def crowd() -> tuple[Gaussians, Panel, Rig]:
     scene = cloud(CROWD, 11)
     depths = 1.9 + 0.1 * torch.randint(3, (CROWD,), generator=random)
     place = torch.rand(CROWD, 2, generator=random) * torch.tensor([1.8, 1.1]) - torch.tensor([0.95, 0.55])
-    return replace(scene, means=torch.cat([place, depths[:, None]], 1), scales=torch.full((CROWD, 3), 0.05),
-                   opacities=0.01 + 0.05 * scene.opacities), panel, rig_of(panel)
+    return (
+        replace(
+            scene,
+            means=torch.cat([place, depths[:, None]], 1),
+            scales=torch.full((CROWD, 3), 0.05),
+            opacities=0.01 + 0.05 * scene.opacities,
+        ),
+        panel,
+        rig_of(panel),
+    )
 
 
 def needles() -> tuple[Gaussians, Panel, Rig]:
@@ -212,8 +248,13 @@ def needles() -> tuple[Gaussians, Panel, Rig]:
     means = torch.tensor([[-0.5, -0.3, 1.9], [0.2, -0.2, 1.9], [-0.3, 0.3, 1.9], [0.4, 0.25, 1.9]])
     x, y, z = torch.nn.functional.normalize(means).unbind(1)
     towards = torch.stack([1 + z, -y, x, 0 * x], 1)  # turns the z axis to the mean
-    parts = [(flat.means, means), (flat.quaternions, towards), (flat.scales, torch.tensor([[0.02, 0.02, 0.44]] * 4)),
-             (flat.opacities, torch.full((4,), 0.9)), (flat.sh, torch.full((4, 1, 3), -1.5))]
+    parts = [
+        (flat.means, means),
+        (flat.quaternions, towards),
+        (flat.scales, torch.tensor([[0.02, 0.02, 0.44]] * 4)),
+        (flat.opacities, torch.full((4,), 0.9)),
+        (flat.sh, torch.full((4, 1, 3), -1.5)),
+    ]
     return Gaussians(*(torch.cat(part) for part in parts)), panel, rig_of(panel)
 
 
@@ -236,16 +277,23 @@ def speckled() -> tuple[Gaussians, Panel, Rig]:
 
 
 # Kernel, and a scene of which a part has no good polynomial, though the leading term of its error is nothing
-SHAPES_THAT_VARY = [("pixel", wide_rig), ("pixel-small", wide_rig), ("pixel-quadratic", needles),
-                    ("pixel-quadratic-small", needles)]
+SHAPES_THAT_VARY = [
+    ("pixel", wide_rig),
+    ("pixel-small", wide_rig),
+    ("pixel-quadratic", needles),
+    ("pixel-quadratic-small", needles),
+]
 
 
 # Kernel, panel, SH degree, views, and what colours are multiplied by; of frames evaluated in half precision
 HALF_QUALITY, HALF_MOST, HALF_MEAN_SQUARE = Quality(evaluation_error=0.02), 0.01, 3e-6  # 55 dB
-HALF_FRAMES = [("pixel", dict(), 0, "integer", 1), ("pixel-small", dict(slant_tan=-0.18), 0, "continuous", 1),
-               ("pixel", dict(subpixel_order="BGR"), 1, "continuous", 1),
-               ("pixel-small", dict(views=1), 1, "integer", 1),
-               ("pixel", dict(invert_views=True, line_number=16.013), 0, "integer", 12)]
+HALF_FRAMES = [
+    ("pixel", dict(), 0, "integer", 1),
+    ("pixel-small", dict(slant_tan=-0.18), 0, "continuous", 1),
+    ("pixel", dict(subpixel_order="BGR"), 1, "continuous", 1),
+    ("pixel-small", dict(views=1), 1, "integer", 1),
+    ("pixel", dict(invert_views=True, line_number=16.013), 0, "integer", 12),
+]
 
 
 def half_frame(changes: dict[str, Any], degree: int, brightness: float) -> tuple[Gaussians, Panel, Rig]:
@@ -261,10 +309,12 @@ def dense_step(dtype: torch.dtype) -> dict[str, Tensor]:
     scenes = [with_harmonics(sheet(16, seed), 1) for seed in range(2)]
     leaves = {f: torch.stack([s.fields()[f] for s in scenes]).to(dtype).requires_grad_() for f in scenes[0].fields()}
     cameras = rig_of(panel).cameras(panel).to(dtype=dtype)
-    views: list[Any] = [t.expand(2, *t.shape).contiguous()
-                        for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
-    outputs = torch.ops.lightfield_gs.render_dense(*leaves.values(), torch.full((2, 3, 3), 0.3, dtype=dtype), *views,
-                                                   panel.width_px, panel.height_px)
+    views: list[Any] = [
+        t.expand(2, *t.shape).contiguous() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())
+    ]
+    outputs = torch.ops.lightfield_gs.render_dense(
+        *leaves.values(), torch.full((2, 3, 3), 0.3, dtype=dtype), *views, panel.width_px, panel.height_px
+    )
     random = torch.Generator().manual_seed(5)
     loss = sum((out * torch.randn(out.shape, generator=random).to(out)).sum() for out in outputs)
     gradients = torch.autograd.grad(loss, list(leaves.values()))
@@ -274,18 +324,32 @@ def dense_step(dtype: torch.dtype) -> dict[str, Tensor]:
 def sorted_frame(memory_budget: int | None) -> tuple[Tensor, dict[str, int]]:
     """A frame by `sorted`, and the bytes of its stages together: of the largest chunk, and of all views at once."""
     panel, stats = Panel(**{**LENS, "views": 12, "line_number": 9.3, "width_px": 133}), {}
-    image = encode(scene_of(1), panel, rig_of(panel), "sorted", background=BACKGROUND, output="float32",
-                   memory_budget=memory_budget, stats=stats)
+    image = encode(
+        scene_of(1),
+        panel,
+        rig_of(panel),
+        "sorted",
+        background=BACKGROUND,
+        output="float32",
+        memory_budget=memory_budget,
+        stats=stats,
+    )
     return image, {name: sum(stats[name].values()) for name in ("memory_bytes", "memory_bytes_unchunked")}
 
 
 # Batch, channels, groups, height, width, and the mean of the features, which are about 1 apart
-NORMS = [(2, 64, 16, 12, 10, 0.0), (1, 192, 32, 5, 7, -3.0), (3, 10, 5, 1, 1, 1.0), (1, 1024, 2, 2, 3, 0.5),
-         (2, 8, 1, 40, 33, 40.0)]
+NORMS = [
+    (2, 64, 16, 12, 10, 0.0),
+    (1, 192, 32, 5, 7, -3.0),
+    (3, 10, 5, 1, 1, 1.0),
+    (1, 1024, 2, 2, 3, 0.5),
+    (2, 8, 1, 40, 33, 40.0),
+]
 
 
-def norm_case(batch: int, channels: int, groups: int, height: int, width: int, mean: float
-              ) -> tuple[torch.nn.GroupNorm, Tensor]:
+def norm_case(
+    batch: int, channels: int, groups: int, height: int, width: int, mean: float
+) -> tuple[torch.nn.GroupNorm, Tensor]:
     """A norm and features for group_norm_silu, in bfloat16 and channels last."""
     random = torch.Generator().manual_seed(channels)
     norm = torch.nn.GroupNorm(groups, channels, eps=1e-6).requires_grad_(False)
@@ -297,5 +361,6 @@ def norm_case(batch: int, channels: int, groups: int, height: int, width: int, m
 
 def norm_expected(norm: torch.nn.GroupNorm, features: Tensor) -> Tensor:
     weight, bias = norm.weight.double(), norm.bias.double()
-    return torch.nn.functional.silu(torch.nn.functional.group_norm(features.double(), norm.num_groups, weight, bias,
-                                                                   norm.eps))
+    return torch.nn.functional.silu(
+        torch.nn.functional.group_norm(features.double(), norm.num_groups, weight, bias, norm.eps)
+    )

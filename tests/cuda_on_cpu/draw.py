@@ -6,11 +6,11 @@ gradients and of norms.
 
 from __future__ import annotations
 
-import emulation  # before all that loads the native module
-
 import sys
 from dataclasses import replace
 from pathlib import Path
+
+import emulation  # before all that loads the native module
 
 sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 
@@ -29,16 +29,28 @@ def frame(kernel: str, name: str, degree: int, views: str) -> dict[str, object]:
     return drawn(cases.scene_of(degree), panel, cases.rig_of(panel), views, kernel, EXACT, 0.5 if continuous else 1.01)
 
 
-def lattice_frame(kernel: str, quality: str, views: str, changes: dict, degree: int, share: float = 1.0,
-                  dtype: torch.dtype = torch.float32) -> dict[str, object]:
+def lattice_frame(
+    kernel: str,
+    quality: str,
+    views: str,
+    changes: dict,
+    degree: int,
+    share: float = 1.0,
+    dtype: torch.dtype = torch.float32,
+) -> dict[str, object]:
     return drawn(*cases.lattice_frame(changes, degree), views, kernel, Quality.of(quality), share, dtype)
 
 
-def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32, colour_order=8,
-          antialiased=False) -> dict[str, object]:
+def drawn(
+    scene, panel, rig, views, kernel, quality, share, dtype=torch.float32, colour_order=8, antialiased=False
+) -> dict[str, object]:
     """kernel: None, if the frame chooses. share: of the places that the pairs need."""
-    job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND),
-                            *lens_arguments(panel, rig, views == "continuous"), antialiased)
+    job = ops.LensArguments(
+        *scene.fields().values(),
+        torch.tensor(cases.BACKGROUND),
+        *lens_arguments(panel, rig, views == "continuous"),
+        antialiased,
+    )
 
     def with_places(places: int) -> frame_cuda.Frame:
         order = colour_order if job.scene.degree else 0
@@ -54,8 +66,9 @@ def drawn(scene, panel, rig, views, kernel, quality, share, dtype=torch.float32,
 
 def chosen(scene, panel, rig) -> str:
     """The kernel that a frame chooses; it is not drawn."""
-    job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND),
-                            *lens_arguments(panel, rig, False))
+    job = ops.LensArguments(
+        *scene.fields().values(), torch.tensor(cases.BACKGROUND), *lens_arguments(panel, rig, False)
+    )
     frame = frame_cuda.Frame(job.scene, job.rig, job.lens, 0, EXACT, 0)
     frame.project()
     return frame.state()["kernel"]
@@ -71,8 +84,10 @@ def settings(kernel: str) -> list[dict[str, object]]:
 def parabolas(kernel: str, cone_deg: float) -> list[dict[str, object]]:
     """A frame of which colours are parabolas over a small rig, and with polynomials of a higher order."""
     panel = replace(cases.panel_of("default"), cone_deg=cone_deg)
-    return [drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", kernel, EXACT, 1.0, colour_order=order)
-            for order in (2, 8)]
+    return [
+        drawn(cases.scene_of(3), panel, cases.rig_of(panel), "integer", kernel, EXACT, 1.0, colour_order=order)
+        for order in (2, 8)
+    ]
 
 
 def recoloured(kernel: str, quality: str, views: str, changes: dict, share: float) -> dict[str, object]:
@@ -81,10 +96,12 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
     expected = drawn(scene, panel, rig, views, kernel, Quality.of(quality), share)
     right = scene.sh.clone()
     scene.sh.neg_()
-    job = ops.LensArguments(*scene.fields().values(), torch.tensor(cases.BACKGROUND),
-                            *lens_arguments(panel, rig, views == "continuous"))
-    frame = frame_cuda.Frame(job.scene, job.rig, job.lens, 8, Quality.of(quality), int(share * expected["pairs"]),
-                             kernel)
+    job = ops.LensArguments(
+        *scene.fields().values(), torch.tensor(cases.BACKGROUND), *lens_arguments(panel, rig, views == "continuous")
+    )
+    frame = frame_cuda.Frame(
+        job.scene, job.rig, job.lens, 8, Quality.of(quality), int(share * expected["pairs"]), kernel
+    )
     image = torch.full((job.height, job.width, 3), 7.0)
     frame.draw(job.background, image)
     scene.sh.copy_(right)
@@ -108,41 +125,66 @@ def antialiased(kernel: str | None, name: str, degree: int, views: str, quality:
     """With half the places that the pairs need, if views are continuous."""
     panel, continuous = cases.panel_of(name), views == "continuous"
     kept = replace(Quality.of(quality), lattice_error=0.0, evaluation_error=0.0)  # as ops.frame_kind does
-    return drawn(cases.fine(degree), panel, cases.rig_of(panel), views, kernel, kept, 0.5 if continuous else 1.0,
-                 antialiased=True)
+    return drawn(
+        cases.fine(degree),
+        panel,
+        cases.rig_of(panel),
+        views,
+        kernel,
+        kept,
+        0.5 if continuous else 1.0,
+        antialiased=True,
+    )
 
 
 def main(what: str) -> object:
     emulation.use_cuda_stages()
     if what == "half":
-        return [drawn(*cases.half_frame(changes, degree, brightness), views, kernel, cases.HALF_QUALITY, 1.0)
-                for kernel, changes, degree, views, brightness in cases.HALF_FRAMES]
+        return [
+            drawn(*cases.half_frame(changes, degree, brightness), views, kernel, cases.HALF_QUALITY, 1.0)
+            for kernel, changes, degree, views, brightness in cases.HALF_FRAMES
+        ]
     if what == "dense":
         return cases.dense_step(torch.float32)
     if what == "words":
-        return [lattice_frame("pixel", "fast", "integer", changes, 0, dtype=dtype)
-                for changes in cases.WORDS for dtype in (torch.float32, torch.uint8)]
+        return [
+            lattice_frame("pixel", "fast", "integer", changes, 0, dtype=dtype)
+            for changes in cases.WORDS
+            for dtype in (torch.float32, torch.uint8)
+        ]
     if what == "lattice":
         found = [lattice_frame(*case, degree=0) for case in cases.LATTICE_FRAMES]
         first = cases.LATTICE_FRAMES[0]
-        return [*found, lattice_frame(*first, degree=1), lattice_frame(*first, degree=0, share=0.5),
-                lattice_frame(*first, degree=0, dtype=torch.uint8),
-                *(drawn(*scene, "integer", "pixel", cases.WIDE_QUALITY, 1.0)
-                  for scene in (cases.speckled(), cases.wide_rig()))]
+        return [
+            *found,
+            lattice_frame(*first, degree=1),
+            lattice_frame(*first, degree=0, share=0.5),
+            lattice_frame(*first, degree=0, dtype=torch.uint8),
+            *(
+                drawn(*scene, "integer", "pixel", cases.WIDE_QUALITY, 1.0)
+                for scene in (cases.speckled(), cases.wide_rig())
+            ),
+        ]
     if what == "harmonics":
         return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
     if what == "opaque":
         return [drawn(*cases.opaque(name), "integer", kernel, EXACT, 1.0) for kernel, name in cases.OPAQUE_FRAMES]
     if what == "half empty":
-        return [drawn(*cases.half_empty(changes), views, kernel, Quality.of(quality), 1.0, dtype)
-                for kernel, quality, views, changes in cases.LATTICE_FRAMES for dtype in (torch.float32, torch.uint8)]
+        return [
+            drawn(*cases.half_empty(changes), views, kernel, Quality.of(quality), 1.0, dtype)
+            for kernel, quality, views, changes in cases.LATTICE_FRAMES
+            for dtype in (torch.float32, torch.uint8)
+        ]
     if what == "gradients":
         return [cases.gradients(scene(), sensor, torch.float32) for scene, sensor in cases.HARD_GRADIENTS]
     if what == "antialiased":
         return [antialiased(*case) for case in cases.ANTIALIASED]
     if what == "antialiased gradients":
-        return [cases.gradients(scene, sensor, torch.float32, antialiased=True)
-                for scene in (cases.fine(1), cases.beams()) for sensor in ("lens", "dense")]
+        return [
+            cases.gradients(scene, sensor, torch.float32, antialiased=True)
+            for scene in (cases.fine(1), cases.beams())
+            for sensor in ("lens", "dense")
+        ]
     if what == "chosen":
         return [chosen(*case) for case in cases.wide_frames()]
     if what == "widest":

@@ -18,8 +18,16 @@ import types
 from pathlib import Path
 
 from fuzzing.mutate import mutated
-from fuzzing.readers import (BYTES_PER_INPUT, CORPUS, READERS, SECONDS_PER_INPUT, attempt, corpus, memory_limit,
-                             resident_bytes)
+from fuzzing.readers import (
+    BYTES_PER_INPUT,
+    CORPUS,
+    READERS,
+    SECONDS_PER_INPUT,
+    attempt,
+    corpus,
+    memory_limit,
+    resident_bytes,
+)
 
 try:
     import atheris
@@ -70,15 +78,23 @@ def fuzz_one(name: str, inputs: int, folder: Path) -> None:
             return
         instrument()
         (folder / "found").mkdir()
-        options = {"runs": inputs, "max_len": LONGEST, "verbosity": 0, "timeout": 2 * SECONDS_PER_INPUT,
-                   "rss_limit_mb": 0, "print_final_stats": 0, "artifact_prefix": f"{folder}/"}
+        options = {
+            "runs": inputs,
+            "max_len": LONGEST,
+            "verbosity": 0,
+            "timeout": 2 * SECONDS_PER_INPUT,
+            "rss_limit_mb": 0,
+            "print_final_stats": 0,
+            "artifact_prefix": f"{folder}/",
+        }
         folders = [str(folder / "found"), str(CORPUS / READERS[name].corpus)]
 
         def change(data: bytes, longest: int, seed: int) -> bytes:
             return atheris.Mutate(data, longest) if seed % 2 else mutated([data, *files], seed)[:longest]
 
-        atheris.Setup([sys.argv[0], *folders, *(f"-{key}={value}" for key, value in options.items())], one,
-                      custom_mutator=change)
+        atheris.Setup(
+            [sys.argv[0], *folders, *(f"-{key}={value}" for key, value in options.items())], one, custom_mutator=change
+        )
         atheris.Fuzz()
 
 
@@ -108,8 +124,10 @@ def main() -> int:
             if run.returncode:
                 failed += 1
                 print(f"{name}: MISHANDLED, see {keep_last(name, Path(folder))}", flush=True)
-    print(f"{share * len(names)} inputs, {failed} of {len(names)} readers failed, {time.monotonic() - start:.0f} s, "
-          f"at most {SECONDS_PER_INPUT} s and {BYTES_PER_INPUT >> 20} MiB each")
+    print(
+        f"{share * len(names)} inputs, {failed} of {len(names)} readers failed, {time.monotonic() - start:.0f} s, "
+        f"at most {SECONDS_PER_INPUT} s and {BYTES_PER_INPUT >> 20} MiB each"
+    )
     return 1 if failed else 0
 
 

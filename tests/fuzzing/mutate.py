@@ -5,14 +5,51 @@ from __future__ import annotations
 import random
 import struct
 
-_WORDS = [b"-1", b"0", b"1e999", b"nan", b"-inf", b"1e-320", b"4294967296", b"9" * 400, b"[[", b"{", b'"', b"null",
-          b"true", b"end_header\n", b"element vertex 99999999\n", b"property list uchar int a\n", b"!!int", b"&a [*a]",
-          b"format ascii 1.0\n", b"format binary_big_endian 1.0\n", b"element face 2\n", b"uchar", b"double",
-          b"ushort", b"list", b"\xff\xfe", b"\0", b"2001-99-99", b"\n", b": ", b"- ", b"[" * 3000,
-          b"\\ud800"]
-_NUMBERS = [struct.pack(kind, value) for kind, values in (
-    ("<f", (float("nan"), float("inf"), -1e38, 1e-45, 0.0)), ("<i", (-1, 0, 2**31 - 1)), (">i", (1, 65536, 2**31 - 1)),
-    ("<q", (-1, 2**40, 2**63 - 1))) for value in values]
+_WORDS = [
+    b"-1",
+    b"0",
+    b"1e999",
+    b"nan",
+    b"-inf",
+    b"1e-320",
+    b"4294967296",
+    b"9" * 400,
+    b"[[",
+    b"{",
+    b'"',
+    b"null",
+    b"true",
+    b"end_header\n",
+    b"element vertex 99999999\n",
+    b"property list uchar int a\n",
+    b"!!int",
+    b"&a [*a]",
+    b"format ascii 1.0\n",
+    b"format binary_big_endian 1.0\n",
+    b"element face 2\n",
+    b"uchar",
+    b"double",
+    b"ushort",
+    b"list",
+    b"\xff\xfe",
+    b"\0",
+    b"2001-99-99",
+    b"\n",
+    b": ",
+    b"- ",
+    b"[" * 3000,
+    b"\\ud800",
+]
+_NUMBERS = [
+    struct.pack(kind, value)
+    for kind, values in (
+        ("<f", (float("nan"), float("inf"), -1e38, 1e-45, 0.0)),
+        ("<i", (-1, 0, 2**31 - 1)),
+        (">i", (1, 65536, 2**31 - 1)),
+        ("<q", (-1, 2**40, 2**63 - 1)),
+    )
+    for value in values
+]
 
 
 def mutated(files: list[bytes], seed: int, most_changes: int = 4) -> bytes:
@@ -27,7 +64,7 @@ def mutated(files: list[bytes], seed: int, most_changes: int = 4) -> bytes:
             data[at % len(data)] ^= 1 << chance.randrange(8)
         elif change == 1:
             number = chance.choice(_NUMBERS)
-            data[at:at + len(number)] = number
+            data[at : at + len(number)] = number
         elif change == 2:
             data[at:at] = chance.choice(_WORDS)
         elif change == 3:
@@ -40,5 +77,5 @@ def mutated(files: list[bytes], seed: int, most_changes: int = 4) -> bytes:
         else:
             other = chance.choice(files)
             start = chance.randint(0, len(other))
-            data[at:end] = other[start:start + end - at]
+            data[at:end] = other[start : start + end - at]
     return bytes(data)

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from fuzzing.readers import CORPUS, READERS, SMALL_PANEL
 from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
 from PIL import Image
 
+from fuzzing.readers import CORPUS, READERS, SMALL_PANEL
 from lightfield_gs import Gaussians, Panel, Rig, SplatterNet
 from lightfield_gs.io.images import write_image
 from lightfield_gs.io.own_camera import framing_comment
@@ -27,8 +27,13 @@ _RGB = ("red", "green", "blue")
 
 def _gaussians(degree: int) -> Gaussians:
     count = (degree + 1) ** 2
-    return Gaussians(torch.tensor([[0.0, 0, 2], [1, 2, 3]]), torch.eye(4)[:2], torch.full((2, 3), 0.1),
-                     torch.tensor([0.5, 0.9]), torch.linspace(-1, 1, 6 * count).view(2, count, 3))
+    return Gaussians(
+        torch.tensor([[0.0, 0, 2], [1, 2, 3]]),
+        torch.eye(4)[:2],
+        torch.full((2, 3), 0.1),
+        torch.tensor([0.5, 0.9]),
+        torch.linspace(-1, 1, 6 * count).view(2, count, 3),
+    )
 
 
 def _scenes(folder: Path) -> None:
@@ -37,10 +42,19 @@ def _scenes(folder: Path) -> None:
         _gaussians(degree).save(folder / f"degree{degree}.ply")
     replace(_gaussians(0), origin=(500123.0, 5412345.0, -420.0)).save(folder / "double.ply")
     names = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
-    lines = ["comment Vertical Axis: z", "element face 2", "property list uchar short v", "property uchar flag",
-             "element vertex 24", *(f"property double {name}" for name in "xyz"),
-             *(f"property float {name}" for name in names), *(f"property uchar {name}" for name in _RGB),
-             "element size 1", "property ushort px", "end_header\n"]
+    lines = [
+        "comment Vertical Axis: z",
+        "element face 2",
+        "property list uchar short v",
+        "property uchar flag",
+        "element vertex 24",
+        *(f"property double {name}" for name in "xyz"),
+        *(f"property float {name}" for name in names),
+        *(f"property uchar {name}" for name in _RGB),
+        "element size 1",
+        "property ushort px",
+        "end_header\n",
+    ]
     rows = [(0.1 * i, 3.0, 2.0 - i, 0.5, -2.0, -3.0, -4.0, 1.0, 0.0, 0.5, 0.0, 10 * i, 255 - i, 7) for i in range(24)]
     text = "3 0 1 2 9\n0 8\n" + "".join(" ".join(map(str, row)) + "\n" for row in rows) + "640\n"
     (folder / "text.ply").write_text("\n".join(["ply", "format ascii 1.0", *lines]) + text)
@@ -70,8 +84,16 @@ def _looking_at_the_origin(azimuth_rad: float) -> list[list[float]]:
 
 
 def _camera_files(folder: Path) -> None:
-    entry = {"id": 0, "img_name": "a", "width": 40, "height": 30, "position": [0, 0.5, -3], "fx": 44.0, "fy": 45.0,
-             "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    entry = {
+        "id": 0,
+        "img_name": "a",
+        "width": 40,
+        "height": 30,
+        "position": [0, 0.5, -3],
+        "fx": 44.0,
+        "fy": 45.0,
+        "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    }
     (folder / "cameras.json").write_text(json.dumps([entry, {**entry, "id": 1, "cx": 21.0}]))
     frames = [{"file_path": "view", "transform_matrix": _looking_at_the_origin(angle)} for angle in (-0.3, 0.2)]
     (folder / "transforms.json").write_text(json.dumps({"w": 40, "h": 30, "fl_x": 44.0, "k1": 0.1, "frames": frames}))
@@ -82,8 +104,11 @@ def _own_cameras(folder: Path) -> None:
     rig = Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0, 30.0)
     write_ply(folder / "framed.ply", _gaussians(0), ["Vertical Axis: -z", framing_comment(rig, SMALL_PANEL)])
     write_ply(folder / "photo.ply", _gaussians(0))
-    elements = {"extrinsic": np.eye(4), "intrinsic": np.array([[9.0, 0, 2], [0, 9, 1], [0, 0, 1]]),
-                "image_size": np.array([4.0, 2])}
+    elements = {
+        "extrinsic": np.eye(4),
+        "intrinsic": np.array([[9.0, 0, 2], [0, 9, 1], [0, 0, 1]]),
+        "image_size": np.array([4.0, 2]),
+    }
     header = "".join(f"element {name} {values.size}\nproperty float {name}\n" for name, values in elements.items())
     data = (folder / "photo.ply").read_bytes().replace(b"end_header\n", header.encode() + b"end_header\n", 1)
     (folder / "photo.ply").write_bytes(data + b"".join(values.astype("<f4").tobytes() for values in elements.values()))
@@ -94,8 +119,10 @@ def _calibrations(folder: Path, calibration: dict[str, Any]) -> None:
     (folder / "visual.json").write_text(json.dumps(calibration))
     (folder / "utf16.json").write_bytes(json.dumps({**calibration, "pitch": "42.0"}).encode("utf-16"))
     cells = {**calibration, "subpixelCells": [{"ROffsetX": -0.3, "ROffsetY": 0.25}], "CellPatternMode": {"value": 2}}
-    displays = {"0": {"hwid": "A", "calibration": cells, "defaultQuilt": {"tileX": 8}},
-                "1": {"hwid": {"value": "B"}, "calibration": {"value": json.dumps(calibration)}}}
+    displays = {
+        "0": {"hwid": "A", "calibration": cells, "defaultQuilt": {"tileX": 8}},
+        "1": {"hwid": {"value": "B"}, "calibration": {"value": json.dumps(calibration)}},
+    }
     (folder / "one-display.json").write_text(json.dumps({"devices": {"0": displays["1"]}}))
     (folder / "displays.json").write_text(json.dumps({"devices": displays}))
 
@@ -110,16 +137,26 @@ def main() -> None:
     _images(folders["image"], {"panel": "small"})
     np.save(folders["depth-npy"] / "millimetres.npy", np.arange(1, 13, dtype=np.uint16).reshape(3, 4))
     np.save(folders["depth-npy"] / "metres.npy", np.linspace(0.5, 2, 12, dtype=np.float32).reshape(3, 4).T)
-    np.savez_compressed(folders["depth-npz"] / "metres.npz", depth=np.linspace(0.5, 2, 12).reshape(3, 4),
-                        focallength_px=np.float32(9))
+    np.savez_compressed(
+        folders["depth-npz"] / "metres.npz", depth=np.linspace(0.5, 2, 12).reshape(3, 4), focallength_px=np.float32(9)
+    )
     np.save(folders["view-map"] / "map.npy", SMALL_PANEL.view_map())
     cameras = Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0).cameras(SMALL_PANEL)
     fields = ("world_to_camera", "focal_px", "principal_point_px")
     (folders["cameras"] / "three.json").write_text(json.dumps({n: getattr(cameras, n).tolist() for n in fields}))
     _camera_files(folders["camera-file"])
     _own_cameras(folders["own-camera"])
-    calibration = {"pitch": {"value": 42.0}, "slope": {"value": -6.0}, "center": {"value": 0.3}, "DPI": {"value": 136},
-                   "screenW": {"value": 7680}, "screenH": {"value": 4320}, "viewCone": 40, "invView": 1, "flipSubp": 0}
+    calibration = {
+        "pitch": {"value": 42.0},
+        "slope": {"value": -6.0},
+        "center": {"value": 0.3},
+        "DPI": {"value": 136},
+        "screenW": {"value": 7680},
+        "screenH": {"value": 4320},
+        "viewCone": 40,
+        "invView": 1,
+        "flipSubp": 0,
+    }
     _calibrations(folders["looking-glass"], calibration)
     Panel(**{**SMALL_PANEL.to_dict(), "pixel_pitch_mm": 0.2}).to_yaml(folders["panel"] / "small.yaml")
     Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0, 30.0).to_yaml(folders["rig"] / "small.yaml")

@@ -7,6 +7,7 @@ training/blender/plan.py writes the plan; this file needs nothing but bpy and th
 to the origin and scaled to a bounding box with a diagonal of 1. Images are RGBA, their colours sRGB as shaded by Cycles
 under even white light and a sun. An object's folder appears whole or not at all; one that is there is left alone.
 """
+
 from __future__ import annotations
 
 import argparse
@@ -19,8 +20,14 @@ import tempfile
 from pathlib import Path
 
 # Operator of bpy.ops for each kind of file.
-IMPORTERS = {".glb": ("import_scene", "gltf"), ".gltf": ("import_scene", "gltf"), ".fbx": ("import_scene", "fbx"),
-             ".obj": ("wm", "obj_import"), ".ply": ("wm", "ply_import"), ".stl": ("wm", "stl_import")}
+IMPORTERS = {
+    ".glb": ("import_scene", "gltf"),
+    ".gltf": ("import_scene", "gltf"),
+    ".fbx": ("import_scene", "fbx"),
+    ".obj": ("wm", "obj_import"),
+    ".ply": ("wm", "ply_import"),
+    ".stl": ("wm", "stl_import"),
+}
 _SENSOR_WIDTH_MM = 36.0
 _SUN_ENERGY, _AMBIENT = 1.5, 0.5  # white that faces the sun reflects 1.5 / pi + 0.5, just below 1
 _SUN_ROTATION_RAD = (math.radians(40), math.radians(20), 0.0)
@@ -33,9 +40,10 @@ class PlanError(ValueError):
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     """Options from sys.argv[1:] of Python, or from those after "--" of Blender."""
     if "--" in arguments:
-        arguments = arguments[arguments.index("--") + 1:]
-    parser = argparse.ArgumentParser(prog="render.py", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+        arguments = arguments[arguments.index("--") + 1 :]
+    parser = argparse.ArgumentParser(
+        prog="render.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("meshes", nargs="+", type=Path, metavar="MESH", help=" ".join(IMPORTERS))
     parser.add_argument("--plan", type=Path, required=True, help="cameras, written by training.blender.plan")
     parser.add_argument("--output", type=Path, required=True, help="folder for the objects' folders")
@@ -54,8 +62,9 @@ def read_plan(path: Path) -> dict:
         raise PlanError(f"{path}: expected w, h, fl_x and frames and nothing else; make it with training.blender.plan")
     for name, kind in (("w", int), ("h", int), ("fl_x", (int, float))):
         if not isinstance(plan[name], kind) or not 0 < plan[name] < 1e6:
-            raise PlanError(f"{path}: {name}: expected {'a whole' if kind is int else 'a'} number of pixels, "
-                            f"got {plan[name]!r}")
+            raise PlanError(
+                f"{path}: {name}: expected {'a whole' if kind is int else 'a'} number of pixels, got {plan[name]!r}"
+            )
     if not isinstance(plan["frames"], list) or not plan["frames"]:
         raise PlanError(f"{path}: frames: expected a list of cameras")
     for index, frame in enumerate(plan["frames"]):
@@ -64,8 +73,10 @@ def read_plan(path: Path) -> dict:
         if Path(frame["file_path"]).is_absolute() or ".." in Path(frame["file_path"]).parts:
             raise PlanError(f"{path}: frames[{index}].file_path: expected a name within the object's folder")
         if not _is_right_handed(frame.get("transform_matrix")):
-            raise PlanError(f"{path}: frames[{index}].transform_matrix: expected 4 rows of 4 numbers, a "
-                            "right-handed rotation and a last row of 0 0 0 1")
+            raise PlanError(
+                f"{path}: frames[{index}].transform_matrix: expected 4 rows of 4 numbers, a "
+                "right-handed rotation and a last row of 0 0 0 1"
+            )
     return plan
 
 
@@ -153,6 +164,7 @@ def set_up(bpy, plan: dict, samples: int) -> object:
 def render_object(bpy, mesh: Path, plan: dict, folder: Path, samples: int) -> None:
     """Render all frames of the plan into a folder, with the plan as its transforms.json."""
     from mathutils import Matrix
+
     import_mesh(bpy, mesh)
     camera = set_up(bpy, plan, samples)
     folder.parent.mkdir(parents=True, exist_ok=True)

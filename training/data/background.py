@@ -5,6 +5,7 @@ faint thin ring that resizing leaves round an outline, and the outline's mixed p
 background. Photographs before a plain wall, and pictures in lossy formats,
 have a background of about one colour, and the object is what stands out from it.
 """
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ _PLAIN_VIEWS = 0.75  # of an object's views: fewer are chance, as before the wal
 @dataclass(frozen=True)
 class Border:
     """Pixels uint8 [N,3] at the border of a view, its four corners [4,3], and whether its format is lossy."""
+
     pixels: np.ndarray
     corners: np.ndarray
     lossy: bool
@@ -42,6 +44,7 @@ class Border:
 @dataclass(frozen=True)
 class Background:
     """colour: of the background, 0..255. exact: whether it has exactly this colour."""
+
     colour: tuple[int, int, int]
     exact: bool
 

@@ -1,4 +1,5 @@
 """Training batches: the images of a plan, cut out of the resident views and resized on their device."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -22,6 +23,7 @@ class Batch:
     targets: [B,V,4,T,T]. intrinsics: [B,V,4]. world_to_camera: [B,V,4,4], the world being the source camera's axes.
     backgrounds: [B,V,3], plain colours 0..1.
     """
+
     source: Tensor
     source_intrinsics: Tensor
     targets: Tensor

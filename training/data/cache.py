@@ -4,6 +4,7 @@ Decoding a view takes milliseconds, a training step needs dozens: so every set i
 holds the object is stored (outside it a premultiplied image is zero), which halves the space at no loss; beside it
 stands the square that a photo of that view would be cropped to.
 """
+
 from __future__ import annotations
 
 import hashlib
@@ -39,6 +40,7 @@ class CachedObject:
     the start of the set. squares: [V,3], (left, top, side) of object_square. camera_to_world: [V,4,4] float64.
     intrinsics: [V,4] float64, (fx, fy, cx, cy). cutout: what said which pixels are object, for people.
     """
+
     name: str
     cutout: str
     rectangles: np.ndarray
@@ -56,6 +58,7 @@ class CachedSet:
     pixels: [P] int32, the stored parts of all views by rows; the four bytes of a pixel are its premultiplied R, G, B
     and alpha.
     """
+
     root: Path
     objects: list[CachedObject]
     pixels: np.ndarray
@@ -97,12 +100,19 @@ def _decode_object(name: Path, background: Choice) -> tuple[dict, list[np.ndarra
         squares.append(square_of_view(views.image_paths[index], frame[..., 3]))
         rows, columns = np.flatnonzero(frame[..., 3].any(1)), np.flatnonzero(frame[..., 3].any(0))
         top, left, height, width = rows[0], columns[0], np.ptp(rows) + 1, np.ptp(columns) + 1
-        blocks.append(frame[top:top + height, left:left + width].reshape(-1))
+        blocks.append(frame[top : top + height, left : left + width].reshape(-1))
         rectangles.append([offset, int(left), int(top), int(width), int(height)])
         offset += blocks[-1].size // 4
-    return {"name": str(name), "cutout": str(cutout), "rectangles": rectangles, "squares": squares,
-            "camera_to_world": views.camera_to_world.tolist(), "intrinsics": views.intrinsics.tolist(),
-            "width_px": views.width_px, "height_px": views.height_px}, blocks
+    return {
+        "name": str(name),
+        "cutout": str(cutout),
+        "rectangles": rectangles,
+        "squares": squares,
+        "camera_to_world": views.camera_to_world.tolist(),
+        "intrinsics": views.intrinsics.tolist(),
+        "width_px": views.width_px,
+        "height_px": views.height_px,
+    }, blocks
 
 
 def square_of_view(path: Path, alpha: np.ndarray) -> list[int]:
@@ -123,10 +133,13 @@ def _build(names: list[Path], base: Path, workers: int | None, background: Choic
     workers = min(workers or os.cpu_count() or 1, math.ceil(len(names) / _CHUNK))
     make_folder(base.parent)
     pixels_path, index_path = _files(base)
-    with (atomic_path(pixels_path) as pixels, atomic_path(index_path) as index,
-          open(pixels, "wb") as file,
-          # A forked process may not use the threads that torch has started in this one.
-          ProcessPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool):
+    with (
+        atomic_path(pixels_path) as pixels,
+        atomic_path(index_path) as index,
+        open(pixels, "wb") as file,
+        # A forked process may not use the threads that torch has started in this one.
+        ProcessPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool,
+    ):
         decoded = pool.map(partial(_decode_object, background=background), names, chunksize=_CHUNK)
         for entry, blocks in tqdm(decoded, total=len(names), desc=f"decoding {base.name}", unit="object"):
             entry["rectangles"] = [[offset + row[0], *row[1:]] for row in entry["rectangles"]]
@@ -150,8 +163,17 @@ def load_set(root: Path, cache_dir: Path, workers: int | None = None, background
     if not (pixels.exists() and index.exists()):
         _build(names, base, workers, background)
     entries = json.loads(index.read_text())
-    objects = [CachedObject(entry["name"], entry["cutout"], np.array(entry["rectangles"], np.int64),
-                            np.array(entry["squares"]), np.array(entry["camera_to_world"]),
-                            np.array(entry["intrinsics"]), entry["width_px"], entry["height_px"])
-               for entry in entries]
+    objects = [
+        CachedObject(
+            entry["name"],
+            entry["cutout"],
+            np.array(entry["rectangles"], np.int64),
+            np.array(entry["squares"]),
+            np.array(entry["camera_to_world"]),
+            np.array(entry["intrinsics"]),
+            entry["width_px"],
+            entry["height_px"],
+        )
+        for entry in entries
+    ]
     return CachedSet(root, objects, np.memmap(pixels, np.int32, "c"))

@@ -1,4 +1,5 @@
 """Finding the files that a set names, whatever system wrote the names."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -37,8 +38,9 @@ def _found(field: str, folder: Path, name: str) -> Path:
             raise InputError(f"{field}: {shown(name)} may be {names}: rename one")
         if found:
             return found[0]
-    raise InputError(f"{field}: missing image {base}: expected such a file, or with one of "
-                     f"{', '.join(IMAGE_SUFFIXES)} added")
+    raise InputError(
+        f"{field}: missing image {base}: expected such a file, or with one of {', '.join(IMAGE_SUFFIXES)} added"
+    )
 
 
 def _files_named(base: Path, exact: bool) -> list[Path]:
@@ -48,8 +50,12 @@ def _files_named(base: Path, exact: bool) -> list[Path]:
     if exact:
         found = [base.with_name(name) for name in names]
         return [path for path in found if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()][:1]
-    entries = [entry for folder in _folders_named(base.parent) for entry in sorted(folder.iterdir())
-               if entry.suffix.lower() in IMAGE_SUFFIXES and entry.is_file()]
+    entries = [
+        entry
+        for folder in _folders_named(base.parent)
+        for entry in sorted(folder.iterdir())
+        if entry.suffix.lower() in IMAGE_SUFFIXES and entry.is_file()
+    ]
     for name in names:
         if found := [entry for entry in entries if entry.name.lower() == name.lower()]:
             return found
@@ -60,5 +66,9 @@ def _folders_named(folder: Path) -> list[Path]:
     """This folder; where there is none, those whose paths differ from it in case only."""
     if folder.is_dir() or folder.parent == folder:
         return [folder]
-    return [entry for parent in _folders_named(folder.parent) for entry in sorted(parent.iterdir())
-            if entry.name.lower() == folder.name.lower() and entry.is_dir()]
+    return [
+        entry
+        for parent in _folders_named(folder.parent)
+        for entry in sorted(parent.iterdir())
+        if entry.name.lower() == folder.name.lower() and entry.is_dir()
+    ]

@@ -1,4 +1,5 @@
 """Operations in a row made one kernel, where a run asks for it."""
+
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -1,4 +1,5 @@
 """Training images as premultiplied RGBA of the object: what is object is decided once for all its views."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -18,12 +19,17 @@ from training.data.views import ObjectViews
 @dataclass(frozen=True)
 class Cutout:
     """What says which pixels of an object's views are object. background: where that is what says it."""
+
     by: Literal["masks", "alpha", "background", "nothing"]
     background: Background | None = None
 
     def __str__(self) -> str:
-        return {"masks": "cut out by masks", "alpha": "cut out by alpha", "nothing": "whole pictures are the subject",
-                "background": f"cut out by the background, {self.background}"}[self.by]
+        return {
+            "masks": "cut out by masks",
+            "alpha": "cut out by alpha",
+            "nothing": "whole pictures are the subject",
+            "background": f"cut out by the background, {self.background}",
+        }[self.by]
 
 
 def find_cutout(views: ObjectViews, background: Choice = "auto") -> Cutout:
@@ -46,8 +52,10 @@ def find_cutout(views: ObjectViews, background: Choice = "auto") -> Cutout:
         borders.append(border_of(pixels[..., :3], _is_lossy(path)))
     found = find_background(borders, background)
     if found and background != "auto" and not any((view.pixels == found.colour).all(-1).any() for view in borders):
-        raise InputError(f"{views.image_paths[0].parent}: expected a {background} background, but no view has a "
-                         "pixel of it at its border: give another, or auto")
+        raise InputError(
+            f"{views.image_paths[0].parent}: expected a {background} background, but no view has a "
+            "pixel of it at its border: give another, or auto"
+        )
     return Cutout("background", found) if found else Cutout("nothing")
 
 
@@ -99,8 +107,10 @@ def _stored(views: ObjectViews, path: Path) -> np.ndarray:
     if pixels.dtype != np.uint8 or pixels.shape[2] not in (3, 4):
         raise InputError(f"{path}: expected 8-bit RGB or RGBA, got {pixels.shape[2]} channels of {pixels.dtype}")
     if pixels.shape[:2] != (views.height_px, views.width_px):
-        raise InputError(f"{path}: bad intrinsics: {views.size_field}: they say {views.width_px} x {views.height_px} "
-                         f"pixels, the image has {pixels.shape[1]} x {pixels.shape[0]}{_way_out(views, path, pixels)}")
+        raise InputError(
+            f"{path}: bad intrinsics: {views.size_field}: they say {views.width_px} x {views.height_px} "
+            f"pixels, the image has {pixels.shape[1]} x {pixels.shape[0]}{_way_out(views, path, pixels)}"
+        )
     return pixels
 
 
@@ -111,9 +121,11 @@ def _way_out(views: ObjectViews, path: Path, pixels: np.ndarray) -> str:
         return ": give the camera of the images as they are stored, or resize them"
     if orientation < 5:
         return ": width and height are exchanged"
-    return (f" as stored, with Exif orientation {orientation}: the cameras seem to be of the turned images, poses are "
-            "of the stored ones: store the images turned (ImageMagick: mogrify -auto-orient), or find the cameras "
-            "again with the orientation left alone")
+    return (
+        f" as stored, with Exif orientation {orientation}: the cameras seem to be of the turned images, poses are "
+        "of the stored ones: store the images turned (ImageMagick: mogrify -auto-orient), or find the cameras "
+        "again with the orientation left alone"
+    )
 
 
 def _is_lossy(path: Path) -> bool:

@@ -6,6 +6,7 @@ seen at
     y (1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8) + p1 (r^2 + 2 y^2) + 2 p2 x y,   r^2 = x^2 + y^2,
 both in units of the focal length. (OpenCV's own k4 is of another, rational model, FULL_OPENCV.)
 """
+
 from __future__ import annotations
 
 import numpy as np
@@ -22,8 +23,9 @@ def distorted(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     k1, k2, k3, k4, p1, p2 = coefficients
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
-    return np.stack([x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                     y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1)
+    return np.stack(
+        [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1
+    )
 
 
 def source_places(intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
@@ -37,21 +39,24 @@ def source_places(intrinsics: np.ndarray, coefficients: np.ndarray, width_px: in
     with np.errstate(over="ignore", invalid="ignore"):
         places = distorted(points, coefficients) * intrinsics[:2] + intrinsics[2:]
         k1, k2, k3, k4 = coefficients[:4]
-        r2 = (points ** 2).sum(-1)
+        r2 = (points**2).sum(-1)
         growing = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * (7 * k3 + r2 * 9 * k4))) > 0  # d (r radial) / d r
     first_fold = r2[~growing].min(initial=np.inf)
     places[(r2 >= first_fold) | ~np.isfinite(places).all(-1)] = np.nan
     return places
 
 
-def check_distortion(field: str, intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int,
-                     height_px: int) -> None:
+def check_distortion(
+    field: str, intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int
+) -> None:
     """Raises InputError, beginning with `field`, for coefficients that leave much of the picture without a place."""
     lost = np.isnan(_coarse_places(intrinsics, coefficients, width_px, height_px)).any(-1).mean()
     if lost > _LARGEST_LOSS:
-        raise InputError(f"{field}: bad intrinsics: the lens distortion {words(coefficients)} folds {lost:.0%} of the "
-                         "picture onto the rest: expected coefficients for lengths in units of the focal length; or "
-                         "undistort the images first and leave them out")
+        raise InputError(
+            f"{field}: bad intrinsics: the lens distortion {words(coefficients)} folds {lost:.0%} of the "
+            "picture onto the rest: expected coefficients for lengths in units of the focal length; or "
+            "undistort the images first and leave them out"
+        )
 
 
 def share_beyond(intrinsics: np.ndarray, coefficients: np.ndarray, width_px: int, height_px: int) -> float:

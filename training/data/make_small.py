@@ -5,6 +5,7 @@ cpu.yaml and compare-small.yaml take them: train_cone, 12 views within 30 degree
 the first; train_sphere, 12 views of the same objects in the same worlds, from all round; val, other objects from the
 angles that scores are given for. On one machine it is the same set every time: less than 2 MB, in less than a minute.
 """
+
 from __future__ import annotations
 
 import argparse
@@ -52,8 +53,11 @@ def make_small(output: Path, train: int = TRAIN, val: int = TRAIN // 3) -> None:
     try:
         for number in tqdm(range(train + val), desc=f"drawing {output}", unit="object"):
             rng = np.random.default_rng((_SEED, number))
-            angles = {"val": np.array([(azimuth, 0) for azimuth in _VAL_AZIMUTHS])} if number >= train else {
-                "train_cone": train_angles(rng, 30, 10), "train_sphere": train_angles(rng, 180, 60)}
+            angles = (
+                {"val": np.array([(azimuth, 0) for azimuth in _VAL_AZIMUTHS])}
+                if number >= train
+                else {"train_cone": train_angles(rng, 30, 10), "train_sphere": train_angles(rng, 180, 60)}
+            )
             _write_object(temporary, f"object-{number:02d}", rng.random((1, NUMBERS)), angles)
         os.replace(temporary, output)
     except OSError as error:
@@ -76,7 +80,7 @@ def _write_object(root: Path, name: str, numbers: np.ndarray, angles: dict[str, 
     poses[:, 2, 3] -= DISTANCE  # the object's middle is the world's
     first = 0
     for folder, views in angles.items():
-        _write_views(root / folder / name, pictures[first:first + len(views)], poses[first:first + len(views)])
+        _write_views(root / folder / name, pictures[first : first + len(views)], poses[first : first + len(views)])
         first += len(views)
 
 
@@ -94,11 +98,18 @@ def _write_views(folder: Path, pictures: np.ndarray, poses: np.ndarray) -> None:
 @with_line_errors("training.data.make_small")
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m training.data.make_small", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="python -m training.data.make_small",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--output", type=Path, required=True, help="folder for the set; data/small in configs/training")
-    parser.add_argument("--objects", type=int, default=TRAIN,
-                        help=f"how many to train on; a third as many more to score (default: {TRAIN})")
+    parser.add_argument(
+        "--objects",
+        type=int,
+        default=TRAIN,
+        help=f"how many to train on; a third as many more to score (default: {TRAIN})",
+    )
     options = parser.parse_args(arguments)
     train = whole_number("--objects", options.objects, 1, 10_000)
     make_small(options.output, train, max(1, train // 3))

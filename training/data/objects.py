@@ -4,6 +4,7 @@ An object is named by a path: the folder of an SRN object, or the transforms fil
 object may come in splits, transforms_train.json, transforms_val.json and transforms_test.json, each with views of its
 own; a transforms.json beside them is not read. An object without splits belongs to every one.
 """
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -26,8 +27,10 @@ def find_objects(root: Path, split: str | None = None) -> list[Path]:
     """
     root = Path(root)
     if not root.is_dir():
-        raise InputError(f"{root}: expected a folder of objects (SRN layout or transforms.json), found no such folder. "
-                         f"To try with made-up objects: {MAKE_SMALL}")
+        raise InputError(
+            f"{root}: expected a folder of objects (SRN layout or transforms.json), found no such folder. "
+            f"To try with made-up objects: {MAKE_SMALL}"
+        )
     wanted = {f"transforms_{name}.json" for name in (SPLITS if split is None else (split,))}
     # Renderers of SRN sets leave a transforms.json of their own in pose/.
     transforms = {path for path in root.rglob("transforms*.json") if path.parent.name not in PARTS}
@@ -36,9 +39,11 @@ def find_objects(root: Path, split: str | None = None) -> list[Path]:
     srn = {path.parent for part in PARTS for path in root.rglob(part)} - {path.parent for path in in_splits | whole}
     found = sorted({path for path in in_splits if path.name in wanted} | whole | srn)
     if not found:
-        raise InputError(f"{root}: found no object: expected <object>/rgb, <object>/pose and <object>/intrinsics.txt, "
-                         f"or <object>/{_WHOLE} or {', '.join(sorted(wanted))}. To try with made-up objects: "
-                         f"{MAKE_SMALL}")
+        raise InputError(
+            f"{root}: found no object: expected <object>/rgb, <object>/pose and <object>/intrinsics.txt, "
+            f"or <object>/{_WHOLE} or {', '.join(sorted(wanted))}. To try with made-up objects: "
+            f"{MAKE_SMALL}"
+        )
     return found
 
 

@@ -1,4 +1,5 @@
 """Objects that are in two folders: sources from the one, targets from the other."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -29,8 +30,10 @@ def find_partners(sets: list[CachedSet], target_sets: list[CachedSet]) -> np.nda
         numbers = {place: first + number for number, place in enumerate(_places(targets))}
         missing = [str(place) for place in _places(cached) if place not in numbers]
         if missing:
-            raise InputError(f"target_data: {targets.root}: expected every object of {cached.root}, {len(missing)} are "
-                             f"missing: {', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}")
+            raise InputError(
+                f"target_data: {targets.root}: expected every object of {cached.root}, {len(missing)} are "
+                f"missing: {', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}"
+            )
         found += [numbers[place] for place in _places(cached)]
         first += len(targets.objects)
     return np.array(found)

@@ -2,6 +2,7 @@
 
 Only input pictures get them. Targets stay clean, so that the network learns to put such pictures right.
 """
+
 from __future__ import annotations
 
 import math
@@ -21,6 +22,7 @@ class PhotoPlan:
     pixels, 0 where the outline is left alone. backgrounds: [B,3], of the photos, shining through at altered outlines.
     seeds: int64 [B].
     """
+
     blur: Tensor
     noise: Tensor
     outline: Tensor
@@ -35,8 +37,10 @@ def draw_faults(rng: np.random.Generator, count: int, blur_px: float, noise: flo
     strength = np.maximum(0, 2 * u[:, :3] - 1) * (blur_px, noise, outline_px)
     outline = strength[:, 2] * np.where(u[:, 3] < 0.5, -1, 1) * u[:, 4]
     numbers = (strength[:, 0], strength[:, 1], outline, strength[:, 2], u[:, 5:])
-    return PhotoPlan(*(torch.from_numpy(values.astype(np.float32)) for values in numbers),
-                     torch.from_numpy(rng.integers(1 << 31, size=count)))
+    return PhotoPlan(
+        *(torch.from_numpy(values.astype(np.float32)) for values in numbers),
+        torch.from_numpy(rng.integers(1 << 31, size=count)),
+    )
 
 
 def photographed(images: Tensor, plan: PhotoPlan) -> Tensor:

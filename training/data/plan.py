@@ -2,6 +2,7 @@
 
 A plan is made on the host and takes kilobytes; the images follow from it on the device (training/data/batches.py).
 """
+
 from __future__ import annotations
 
 import math
@@ -41,6 +42,7 @@ class Augmentation:
         noise: largest standard deviation of noise, of 1.
         outline_px: largest shift and softness of the outline, pixels of the input picture.
     """
+
     mirror: float = 0.5
     colour: float = 0.5
     source_jitter: float = 0.06
@@ -51,12 +53,23 @@ class Augmentation:
     outline_px: float = 0.0
 
     def __post_init__(self) -> None:
-        check_ranges(self, "augmentation.", mirror=(0.0, 1.0), colour=(0.0, 1.0), source_jitter=(0.0, 0.5),
-                     target_zoom=(0.01, 100.0), pose_error_deg=(0.0, 180.0), blur_px=(0.0, 100.0), noise=(0.0, 1.0),
-                     outline_px=(0.0, 100.0))
+        check_ranges(
+            self,
+            "augmentation.",
+            mirror=(0.0, 1.0),
+            colour=(0.0, 1.0),
+            source_jitter=(0.0, 0.5),
+            target_zoom=(0.01, 100.0),
+            pose_error_deg=(0.0, 180.0),
+            blur_px=(0.0, 100.0),
+            noise=(0.0, 1.0),
+            outline_px=(0.0, 100.0),
+        )
         if not self.target_zoom[0] <= self.target_zoom[1]:
-            raise InputError("augmentation.target_zoom: expected the smaller number first, got "
-                             f"{self.target_zoom[0]:g}, {self.target_zoom[1]:g}")
+            raise InputError(
+                "augmentation.target_zoom: expected the smaller number first, got "
+                f"{self.target_zoom[0]:g}, {self.target_zoom[1]:g}"
+            )
 
 
 @dataclass(frozen=True)
@@ -74,6 +87,7 @@ class BatchPlan:
     procedural: the examples after these, if any. photo: the faults of the input pictures of both, if any. Tensors are
     float32 unless said.
     """
+
     rectangles: Tensor
     origins: Tensor
     directions: Tensor
@@ -118,16 +132,23 @@ class BatchPlanner:
     the sampler drew.
     """
 
-    def __init__(self, views: ResidentViews, sampler: ViewSampler, augmentation: Augmentation,
-                 partners: np.ndarray | None = None, procedural: float = 0.0) -> None:
+    def __init__(
+        self,
+        views: ResidentViews,
+        sampler: ViewSampler,
+        augmentation: Augmentation,
+        partners: np.ndarray | None = None,
+        procedural: float = 0.0,
+    ) -> None:
         self.views, self.sampler, self.augmentation, self.procedural = views, sampler, augmentation, procedural
         self._first_target = views.first_view if partners is None else views.first_view[partners]
         self._window_px = tuple(int(views.rectangles[:, side].max(initial=1)) for side in (4, 3))
         self._block = lru_cache(maxsize=1)(self._new_block)
         self._largest = views.squares[:, 2].max(initial=1)
 
-    def plan(self, step: int, start: int, count: int, source_px: int, target_px: int = 0,
-             share: slice = slice(None)) -> BatchPlan:
+    def plan(
+        self, step: int, start: int, count: int, source_px: int, target_px: int = 0, share: slice = slice(None)
+    ) -> BatchPlan:
         """The plan of a step. start: examples before it, count: examples in it.
 
         source_px, target_px: side of the input pictures and of the targets (0: the same).
@@ -136,9 +157,13 @@ class BatchPlanner:
         sizes, made = (source_px, target_px or source_px), made_up(count, self.procedural)
         new, old = (np.arange(count)[share][chosen[share]] for chosen in (made, ~made))
         drawn = self._draw(step, count, old)
-        return self._plan_views(self.sampler.draw(step, start, count, old), drawn, sizes,
-                                procedural=self._made(step, count, new, sizes),
-                                photo=self._faults(step, count, np.concatenate([old, new])))
+        return self._plan_views(
+            self.sampler.draw(step, start, count, old),
+            drawn,
+            sizes,
+            procedural=self._made(step, count, new, sizes),
+            photo=self._faults(step, count, np.concatenate([old, new])),
+        )
 
     def _made(self, step: int, count: int, wanted: np.ndarray, sizes: tuple[int, int]) -> ProceduralExamples | None:
         """The examples `wanted` of a step's `count`, of the block that they are drawn with."""
@@ -146,22 +171,26 @@ class BatchPlanner:
             return None
         steps = steps_of_block(len(wanted))
         first = step % steps * len(wanted)
-        return ProceduralExamples(self._block(step - step % steps, steps, count, tuple(wanted), sizes),
-                                  slice(first, first + len(wanted)))
+        return ProceduralExamples(
+            self._block(step - step % steps, steps, count, tuple(wanted), sizes), slice(first, first + len(wanted))
+        )
 
-    def _new_block(self, first: int, steps: int, count: int, wanted: tuple[int, ...],
-                   sizes: tuple[int, int]) -> ProceduralBlock:
+    def _new_block(
+        self, first: int, steps: int, count: int, wanted: tuple[int, ...], sizes: tuple[int, int]
+    ) -> ProceduralBlock:
         """The examples `wanted` of each of some steps, whichever of them is asked for."""
         made, wanted, numbers = made_up(count, self.procedural), np.array(wanted), range(first, first + steps)
         rows = np.searchsorted(np.flatnonzero(made), wanted)
         seeds = np.concatenate([self.sampler.rng(step, 3).random((made.sum(), NUMBERS))[rows] for step in numbers])
         steps_drawn = [self._draw(step, count, wanted) for step in numbers]
         drawn = {name: np.concatenate([one[name] for one in steps_drawn]) for name in steps_drawn[0]}
-        return ProceduralBlock(draw_objects(seeds, self.sampler.cone_deg, sizes, self._framing(drawn),
-                                            self._backgrounds(drawn)))
+        return ProceduralBlock(
+            draw_objects(seeds, self.sampler.cone_deg, sizes, self._framing(drawn), self._backgrounds(drawn))
+        )
 
-    def _plan_views(self, choices: list[Choice], drawn: dict[str, np.ndarray], sizes: tuple[int, int],
-                    **others: Any) -> BatchPlan:
+    def _plan_views(
+        self, choices: list[Choice], drawn: dict[str, np.ndarray], sizes: tuple[int, int], **others: Any
+    ) -> BatchPlan:
         """The plan of the examples with stored views; there may be none. others: the plan's remaining fields."""
         indices = np.array([choice.object_index for choice in choices], int)
         seen = np.array([choice.targets for choice in choices], int).reshape(-1, self.sampler.targets)
@@ -179,13 +208,20 @@ class BatchPlanner:
         rectangles = self.views.rectangles[images]
         left = np.where(mirror, width - 1 - rectangles[..., 1], rectangles[..., 1])
         return BatchPlan(
-            rectangles=torch.from_numpy(rectangles), origins=_floats(np.stack([left, rectangles[..., 2]], -1)),
+            rectangles=torch.from_numpy(rectangles),
+            origins=_floats(np.stack([left, rectangles[..., 2]], -1)),
             directions=_floats(np.where(mirror, -1, 1)[:, 0]),
-            crops=_floats(np.stack([crops.left, crops.top, crops.side], -1)), **self._colours(drawn),
+            crops=_floats(np.stack([crops.left, crops.top, crops.side], -1)),
+            **self._colours(drawn),
             intrinsics=_floats(np.stack(intrinsics, -1)),
             world_to_camera=_floats(np.where(mirror[..., None, None], mirrored(cameras), cameras)),
             backgrounds=_floats(self._backgrounds(drawn)),
-            window_px=self._window_px, source_px=sizes[0], target_px=sizes[1], taps=self._taps(sizes), **others)
+            window_px=self._window_px,
+            source_px=sizes[0],
+            target_px=sizes[1],
+            taps=self._taps(sizes),
+            **others,
+        )
 
     def _taps(self, sizes: tuple[int, int]) -> int:
         """Of a BatchPlan: a filter's two sides are as wide as a pixel of the image that shrinks most."""
@@ -196,8 +232,19 @@ class BatchPlanner:
     def _draw(self, step: int, count: int, wanted: np.ndarray) -> dict[str, np.ndarray]:
         """Uniform numbers in [0, 1) for each purpose, [B,...], of the examples `wanted` of a step's `count`."""
         views = 1 + self.sampler.targets
-        widths = {"mirror": 1, "jitter": 3, "zoom": views, "place": 2 * views, "white": views, "background": 3 * views,
-                  "recolour": 1, "permutation": 3, "gain": 3, "gamma": 1, "turn": 3 * self.sampler.targets}
+        widths = {
+            "mirror": 1,
+            "jitter": 3,
+            "zoom": views,
+            "place": 2 * views,
+            "white": views,
+            "background": 3 * views,
+            "recolour": 1,
+            "permutation": 3,
+            "gain": 3,
+            "gamma": 1,
+            "turn": 3 * self.sampler.targets,
+        }
         rows = self.sampler.rng(step, 1).random((count, sum(widths.values())))[wanted]
         return dict(zip(widths, np.split(rows, np.cumsum(list(widths.values()))[:-1], axis=1)))
 
@@ -237,10 +284,12 @@ class BatchPlanner:
 
     def _colours(self, drawn: dict[str, np.ndarray]) -> dict[str, Tensor]:
         """recoloured, permutations, gains and gammas of a BatchPlan."""
-        return {"recoloured": torch.from_numpy(drawn["recolour"][:, 0] < self.augmentation.colour),
-                "permutations": torch.from_numpy(np.argsort(drawn["permutation"], axis=1)),
-                "gains": _floats(0.7 + 0.4 * drawn["gain"]),
-                "gammas": _floats(np.exp(0.6 * drawn["gamma"][:, 0] - 0.3))}
+        return {
+            "recoloured": torch.from_numpy(drawn["recolour"][:, 0] < self.augmentation.colour),
+            "permutations": torch.from_numpy(np.argsort(drawn["permutation"], axis=1)),
+            "gains": _floats(0.7 + 0.4 * drawn["gain"]),
+            "gammas": _floats(np.exp(0.6 * drawn["gamma"][:, 0] - 0.3)),
+        }
 
 
 def _floats(values: np.ndarray) -> Tensor:

@@ -3,6 +3,7 @@
 Everything is one set of tensor operations for all objects. These are hundreds, and the host waits for the device to
 leave out what no camera sees, and in the rasterizer: so the objects of several steps are drawn in one go.
 """
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -48,6 +49,7 @@ class ProceduralBlock:
 @dataclass(frozen=True)
 class ProceduralExamples:
     """The objects of one step. chosen: which ones of the block they are."""
+
     block: ProceduralBlock
     chosen: slice
 
@@ -67,8 +69,10 @@ def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor,
     focal, centre = _squares(surfels, plan)
     source, targets = slice(0, 1), slice(1, None)
     pictures = []
-    for chosen, cameras, size in ((source, plan.world_to_camera[:, :1], plan.source_px),
-                                  (targets, plan.world_to_camera, plan.target_px)):
+    for chosen, cameras, size in (
+        (source, plan.world_to_camera[:, :1], plan.source_px),
+        (targets, plan.world_to_camera, plan.target_px),
+    ):
         intrinsics = size * torch.cat([focal[:, chosen].expand(-1, -1, 2), centre[:, chosen]], -1)
         pictures += [_pictures(gaussians, cameras, intrinsics, size), intrinsics]
     return pictures[0][:, 0], pictures[1][:, 0], pictures[2], pictures[3]
@@ -93,8 +97,9 @@ def _drawn(surfels: dict[str, Tensor], plan: ProceduralPlan) -> Gaussians:
 def _pictures(gaussians: Gaussians, cameras: Tensor, intrinsics: Tensor, size: int) -> Tensor:
     """[B,V,4,size,size], premultiplied RGBA, rendered larger for sharper edges."""
     large = _SUPERSAMPLING * size
-    images, alpha = render_views(gaussians, cameras, _SUPERSAMPLING * intrinsics, large, large,
-                                 cameras.new_zeros(*cameras.shape[:2], 3))
+    images, alpha = render_views(
+        gaussians, cameras, _SUPERSAMPLING * intrinsics, large, large, cameras.new_zeros(*cameras.shape[:2], 3)
+    )
     images = torch.cat([images, alpha[:, :, None]], 2).flatten(0, 1)
     return F.avg_pool2d(images, _SUPERSAMPLING).clamp(0, 1).unflatten(0, cameras.shape[:2])
 
@@ -123,8 +128,14 @@ def _surfels(plan: ProceduralPlan) -> dict[str, Tensor]:
     matrix = cell["matrix"].unflatten(-1, (3, 3))
     point, along, across = ((matrix * vector[..., None, :]).sum(-1) for vector in (local, along, across))
     normal = F.normalize(torch.linalg.cross(across, along), dim=-1, eps=1e-20) * cell["sense"][..., None]
-    return {"part": part, "local": local, "point": point + cell["centre"], "along": along, "across": across,
-            "normal": normal}
+    return {
+        "part": part,
+        "local": local,
+        "point": point + cell["centre"],
+        "along": along,
+        "across": across,
+        "normal": normal,
+    }
 
 
 def _gathered(table: Tensor, index: Tensor) -> Tensor:
@@ -208,16 +219,27 @@ def _gaussians(surfels: dict[str, Tensor], colours: Tensor) -> Gaussians:
     width = (surfels["across"] * second).sum(-1).abs()
     sides = torch.stack([length, width, 0.05 * torch.minimum(length, width)], -1)
     opacities = _OPACITY * surfels["filled"]
-    return Gaussians(surfels["point"], _quaternions(torch.stack([first, second, normal], -1)),
-                     (_SPREAD * sides).clamp_min(1e-5), opacities, ((colours - 0.5) / SH_CONSTANT)[:, :, None])
+    return Gaussians(
+        surfels["point"],
+        _quaternions(torch.stack([first, second, normal], -1)),
+        (_SPREAD * sides).clamp_min(1e-5),
+        opacities,
+        ((colours - 0.5) / SH_CONSTANT)[:, :, None],
+    )
 
 
 # The products 4 q q^T of a rotation's quaternion wxyz, by rows, are linear in the matrix: m[i] is +-1 at these places.
-_PRODUCTS = {0: ((0, 1), (5, 1), (10, -1), (15, -1)), 4: ((0, 1), (5, -1), (10, 1), (15, -1)),
-             8: ((0, 1), (5, -1), (10, -1), (15, 1)), 7: ((1, 1), (4, 1), (11, 1), (14, 1)),
-             5: ((1, -1), (4, -1), (11, 1), (14, 1)), 2: ((2, 1), (8, 1), (7, 1), (13, 1)),
-             6: ((2, -1), (8, -1), (7, 1), (13, 1)), 3: ((3, 1), (12, 1), (6, 1), (9, 1)),
-             1: ((3, -1), (12, -1), (6, 1), (9, 1))}
+_PRODUCTS = {
+    0: ((0, 1), (5, 1), (10, -1), (15, -1)),
+    4: ((0, 1), (5, -1), (10, 1), (15, -1)),
+    8: ((0, 1), (5, -1), (10, -1), (15, 1)),
+    7: ((1, 1), (4, 1), (11, 1), (14, 1)),
+    5: ((1, -1), (4, -1), (11, 1), (14, 1)),
+    2: ((2, 1), (8, 1), (7, 1), (13, 1)),
+    6: ((2, -1), (8, -1), (7, 1), (13, 1)),
+    3: ((3, 1), (12, 1), (6, 1), (9, 1)),
+    1: ((3, -1), (12, -1), (6, 1), (9, 1)),
+}
 
 
 @lru_cache(maxsize=8)

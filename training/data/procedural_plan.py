@@ -3,6 +3,7 @@
 Made on the host for all examples at once; the pictures follow from it on the device (training/data/procedural.py).
 Objects are built upright about their middle with y downwards, and turned into the axes of the source camera at the end.
 """
+
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -40,6 +41,7 @@ class ProceduralPlan:
     of the crops, in units of the squares round the object. backgrounds: [B,V,3]. surfels: of an object, at most.
     source_px, target_px: side of the input pictures and of the targets. Floats are float32.
     """
+
     ends: Tensor
     shapes: Tensor
     cells: Tensor
@@ -65,7 +67,7 @@ class _Numbers:
     def __call__(self, *shape: int) -> np.ndarray:
         """[B, *shape]."""
         start, self._taken = self._taken, self._taken + int(np.prod(shape))
-        return self.rows[:, start:self._taken].reshape(self.count, *shape)
+        return self.rows[:, start : self._taken].reshape(self.count, *shape)
 
     def between(self, low: float, high: float, *shape: int) -> np.ndarray:
         return low + (high - low) * self(*shape)
@@ -131,9 +133,19 @@ def _groups(u: _Numbers) -> dict[str, np.ndarray]:
     reach[..., :2] *= (1 + np.abs(wave) + np.abs(taper) / 2)[..., None]
     reach[..., 0] += np.abs(bend) / 2 * local[..., 2]
     box = (np.abs(basis) @ reach[..., None])[..., 0]
-    return {"copies": copies * active, "half": local, "basis": basis, "box": box, "section": section,
-            "profile": u.chosen([2, 4, 10, 1.2], [0.25, 0.15, 0.5, 0.1], _GROUPS), "hole": hole, "taper": taper,
-            "wave": wave, "waves": u.between(1.5, 7, _GROUPS), "bend": bend * local[..., 2]}
+    return {
+        "copies": copies * active,
+        "half": local,
+        "basis": basis,
+        "box": box,
+        "section": section,
+        "profile": u.chosen([2, 4, 10, 1.2], [0.25, 0.15, 0.5, 0.1], _GROUPS),
+        "hole": hole,
+        "taper": taper,
+        "wave": wave,
+        "waves": u.between(1.5, 7, _GROUPS),
+        "bend": bend * local[..., 2],
+    }
 
 
 def _placed(u: _Numbers, groups: dict[str, np.ndarray]) -> np.ndarray:
@@ -171,17 +183,25 @@ def _parts(u: _Numbers) -> dict[str, np.ndarray]:
     slot = np.arange(_PARTS)
     group = (ends[:, None] <= slot[:, None]).sum(-1)
     exists, group = group < _GROUPS, np.minimum(group, _GROUPS - 1)
-    parts = {name: np.take_along_axis(values, group.reshape(*group.shape, *[1] * (values.ndim - 2)), 1)
-             for name, values in groups.items()}
+    parts = {
+        name: np.take_along_axis(values, group.reshape(*group.shape, *[1] * (values.ndim - 2)), 1)
+        for name, values in groups.items()
+    }
     copy = slot - (np.take_along_axis(ends, group, 1) - parts["copies"])
     mirror = np.stack([np.where(copy & 1, -1, 1), np.ones_like(copy), np.where(copy & 2, -1, 1)], -1)
     centre = mirror * parts["centre"]
     low = np.where(exists[..., None], centre - parts["box"], np.inf).min(1, keepdims=True)
     high = np.where(exists[..., None], centre + parts["box"], -np.inf).max(1, keepdims=True)
     scale = u.between(0.85, 1, 1, 1) / np.linalg.norm(high - low, axis=-1, keepdims=True)
-    parts |= {"matrix": mirror[..., None] * parts["basis"], "sense": mirror.prod(-1), "exists": exists, "group": group,
-              "centre": (centre - (low + high) / 2) * scale, "half": np.maximum(parts["half"] * scale, 2e-3),
-              "bend": parts["bend"] * scale[..., 0]}
+    parts |= {
+        "matrix": mirror[..., None] * parts["basis"],
+        "sense": mirror.prod(-1),
+        "exists": exists,
+        "group": group,
+        "centre": (centre - (low + high) / 2) * scale,
+        "half": np.maximum(parts["half"] * scale, 2e-3),
+        "bend": parts["bend"] * scale[..., 0],
+    }
     return parts
 
 
@@ -194,15 +214,20 @@ def _tessellated(parts: dict[str, np.ndarray], surfels: int) -> tuple[np.ndarray
     profile, section = (length.numpy() * parts["exists"] for length in lengths(numbers))
     # Cells of side 1/n: sum of (n profile + 1)(n section + 1) = surfels bounds what rounding up makes of it.
     area, border = (profile * section).sum(1), (profile + section).sum(1)
-    n = (np.sqrt(border ** 2 + 4 * area * (surfels - _PARTS)) - border) / (2 * area)
+    n = (np.sqrt(border**2 + 4 * area * (surfels - _PARTS)) - border) / (2 * area)
     rows, columns = (np.ceil(n[:, None] * length).astype(np.int64) for length in (profile, section))
     ends = np.cumsum(rows * columns, 1)
-    parts |= {"start": ends - rows * columns, "columns": np.maximum(columns, 1),
-              "first_row": np.cumsum(rows).reshape(rows.shape) - rows,
-              "first_column": np.cumsum(columns).reshape(rows.shape) - columns}
+    parts |= {
+        "start": ends - rows * columns,
+        "columns": np.maximum(columns, 1),
+        "first_row": np.cumsum(rows).reshape(rows.shape) - rows,
+        "first_column": np.cumsum(columns).reshape(rows.shape) - columns,
+    }
     flat = {name: values.flatten(0, 1) for name, values in numbers.items()}
-    return ends, *(_curve(points, flat, torch.from_numpy(counts.ravel()))
-                   for points, counts in ((profile_points, rows), (section_points, columns)))
+    return ends, *(
+        _curve(points, flat, torch.from_numpy(counts.ravel()))
+        for points, counts in ((profile_points, rows), (section_points, columns))
+    )
 
 
 def _curve(points: Callable[[dict[str, Tensor], Tensor], Tensor], parts: dict[str, Tensor], counts: Tensor) -> Tensor:
@@ -229,15 +254,21 @@ def _looks(u: _Numbers, parts: dict[str, np.ndarray]) -> np.ndarray:
     weights = np.eye(LOOK["weights"])[u.chosen(list(range(6)), [0.3, 0.15, 0.15, 0.15, 0.15, 0.1], _GROUPS)]
     contrast = np.exp(u.between(0, 3, _GROUPS, 1))
     gloss = np.where(u(_GROUPS, 1) < 0.4, u.between(0, 0.5, _GROUPS, 1), 0)
-    table = np.concatenate([base, second, waves.reshape(*waves.shape[:2], 9), u.between(0, 6.28, _GROUPS, 3), weights,
-                            contrast, gloss], -1)
+    table = np.concatenate(
+        [base, second, waves.reshape(*waves.shape[:2], 9), u.between(0, 6.28, _GROUPS, 3), weights, contrast, gloss], -1
+    )
     table = np.take_along_axis(table, parts["group"][..., None], 1)
     table[..., 6:15] /= parts["half"].max(-1, keepdims=True)
     return table
 
 
-def draw_objects(rows: np.ndarray, cone_deg: tuple[float, float], sizes: tuple[int, int],
-                 framing: tuple[np.ndarray, np.ndarray], backgrounds: np.ndarray) -> ProceduralPlan:
+def draw_objects(
+    rows: np.ndarray,
+    cone_deg: tuple[float, float],
+    sizes: tuple[int, int],
+    framing: tuple[np.ndarray, np.ndarray],
+    backgrounds: np.ndarray,
+) -> ProceduralPlan:
     """The plan of B objects from uniform numbers, rows [B,NUMBERS] in [0, 1).
 
     cone_deg: largest azimuth and elevation of the targets about the source. sizes: source_px and target_px. framing:
@@ -259,9 +290,21 @@ def draw_objects(rows: np.ndarray, cone_deg: tuple[float, float], sizes: tuple[i
     light = u.between(-1, 1, 3) + (0, -1, -0.7)  # mostly from above and from before the object
     light = light / np.linalg.norm(light, axis=-1, keepdims=True)
     shading = np.concatenate([light, u.between(0.45, 0.9, 1), np.exp(u.between(1.5, 4, 1))], -1)
-    shapes, cells = (np.concatenate([parts[name].reshape(*ends.shape, count) for name, count in layout.items()], -1)
-                     for layout in (SHAPE, CELLS))
-    numbers = (shapes, cells, _looks(u, parts), profiles, sections, shading, orbit(azimuth, elevation, tilt, roll),
-               *framing, backgrounds)
-    return ProceduralPlan(torch.from_numpy(ends), *(torch.as_tensor(values, dtype=torch.float32) for values in numbers),
-                          surfels, *sizes)
+    shapes, cells = (
+        np.concatenate([parts[name].reshape(*ends.shape, count) for name, count in layout.items()], -1)
+        for layout in (SHAPE, CELLS)
+    )
+    numbers = (
+        shapes,
+        cells,
+        _looks(u, parts),
+        profiles,
+        sections,
+        shading,
+        orbit(azimuth, elevation, tilt, roll),
+        *framing,
+        backgrounds,
+    )
+    return ProceduralPlan(
+        torch.from_numpy(ends), *(torch.as_tensor(values, dtype=torch.float32) for values in numbers), surfels, *sizes
+    )

@@ -1,4 +1,5 @@
 """All views of a run in the memory of one device, so that a step copies no image."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -22,10 +23,12 @@ class ResidentViews:
         self.widths_px = np.repeat([views.width_px for views in objects], counts)
         self.squares, self.camera_to_world, self.intrinsics = (
             np.concatenate([getattr(views, name) for views in objects])
-            for name in ("squares", "camera_to_world", "intrinsics"))
+            for name in ("squares", "camera_to_world", "intrinsics")
+        )
         starts = np.cumsum([0, *(len(cached.pixels) for cached in sets[:-1])])
-        self.rectangles = np.concatenate([views.rectangles + [start, 0, 0, 0, 0]
-                                          for start, cached in zip(starts, sets) for views in cached.objects])
+        self.rectangles = np.concatenate(
+            [views.rectangles + [start, 0, 0, 0, 0] for start, cached in zip(starts, sets) for views in cached.objects]
+        )
         self._pixels = torch.cat([torch.from_numpy(cached.pixels) for cached in sets]).to(device)
 
     @property

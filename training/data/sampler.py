@@ -2,6 +2,7 @@
 
 Everything here is a function of (seed, step): a resumed run draws what the uninterrupted one would have drawn.
 """
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ class Choice:
     Views are numbered within the object; targets within the views that its targets are drawn from, where those are
     others.
     """
+
     object_index: int
     source: int
     targets: tuple[int, ...]
@@ -36,8 +38,9 @@ def angles_from_source(camera_to_world: np.ndarray, source: np.ndarray) -> np.nd
     return np.degrees(np.stack([azimuth, elevation], axis=-1))
 
 
-def views_in_cone(camera_to_world: np.ndarray, source: np.ndarray, azimuth_deg: float,
-                  elevation_deg: float) -> np.ndarray:
+def views_in_cone(
+    camera_to_world: np.ndarray, source: np.ndarray, azimuth_deg: float, elevation_deg: float
+) -> np.ndarray:
     """Numbers of the views, other than from the source's own place, within +-azimuth_deg and +-elevation_deg of it."""
     angles = np.abs(angles_from_source(camera_to_world, source))
     elsewhere = np.abs(camera_to_world - source).max((1, 2)) > 1e-6
@@ -64,18 +67,31 @@ class ViewSampler:
     no source with a target.
     """
 
-    def __init__(self, poses: list[np.ndarray], azimuth_deg: float, elevation_deg: float, targets: int, seed: int,
-                 neighbour_deg: float = 180.0, target_poses: list[np.ndarray] | None = None) -> None:
+    def __init__(
+        self,
+        poses: list[np.ndarray],
+        azimuth_deg: float,
+        elevation_deg: float,
+        targets: int,
+        seed: int,
+        neighbour_deg: float = 180.0,
+        target_poses: list[np.ndarray] | None = None,
+    ) -> None:
         self.targets, self.seed, self.cone_deg = targets, seed, (azimuth_deg, elevation_deg)
         self._epoch = lru_cache(maxsize=2)(self._shuffled)
         self.candidates = []  # of each object: its sources, each with the views that may be targets
         for index, (views, pool) in enumerate(zip(poses, target_poses or poses)):
-            near = [(int(source), found.tolist()) for source in np.flatnonzero(has_neighbour(views, neighbour_deg))
-                    if len(found := views_in_cone(pool, views[source], azimuth_deg, elevation_deg))]
+            near = [
+                (int(source), found.tolist())
+                for source in np.flatnonzero(has_neighbour(views, neighbour_deg))
+                if len(found := views_in_cone(pool, views[source], azimuth_deg, elevation_deg))
+            ]
             if not near:
                 cone = f"+-{azimuth_deg:g} degrees of azimuth and +-{elevation_deg:g} of elevation"
-                raise InputError(f"object number {index}: none of its {len(views)} views has a target within {cone} "
-                                 f"and a neighbour within {neighbour_deg:g} degrees: widen the cone")
+                raise InputError(
+                    f"object number {index}: none of its {len(views)} views has a target within {cone} "
+                    f"and a neighbour within {neighbour_deg:g} degrees: widen the cone"
+                )
             self.candidates.append(near)
 
     def rng(self, step: int, stream: int = 0) -> np.random.Generator:
@@ -89,8 +105,10 @@ class ViewSampler:
         """
         numbers = np.arange(count) if wanted is None else wanted
         sources, targets = self.rng(step).random(count), self.rng(step, 2).random((count, self.targets))
-        return [self._choose(self._object(start + number), source, shares) for number, source, shares
-                in zip(numbers.tolist(), sources[numbers].tolist(), targets[numbers].tolist())]
+        return [
+            self._choose(self._object(start + number), source, shares)
+            for number, source, shares in zip(numbers.tolist(), sources[numbers].tolist(), targets[numbers].tolist())
+        ]
 
     def _object(self, position: int) -> int:
         """The object at a place of the endless sequence of shuffled epochs."""

@@ -1,4 +1,5 @@
 """A contact sheet: the views of objects with what training leaves out under a tint."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ _PAPER, _INK, _FAULT = (32, 32, 32), (230, 230, 230), (255, 90, 90)
 @dataclass
 class Sheet:
     """Rows of views, each under a title, of up to 40 of `count` objects, evenly spread; the pictures are small."""
+
     count: int
     _rows: list[tuple[str, list[Image.Image]]] = field(default_factory=list)
     _seen: int = 0
@@ -47,8 +49,10 @@ class Sheet:
                 sheet.paste(picture, (_GAP_PX + column * (_THUMB_PX + _GAP_PX), top + _TITLE_PX))
         with atomic_path(path) as temporary:
             sheet.save(temporary, format="PNG")
-        return (f"{path}: {len(self._rows)} of {self.count} objects, at most {_VIEWS} views each; what training leaves "
-                "out is magenta")
+        return (
+            f"{path}: {len(self._rows)} of {self.count} objects, at most {_VIEWS} views each; what training leaves "
+            "out is magenta"
+        )
 
 
 def check_sheet_path(path: Path) -> Path:

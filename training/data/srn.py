@@ -5,6 +5,7 @@ Source of the layout: Sitzmann et al., "Scene Representation Networks", NeurIPS 
 holds "focal cx cy 0", the grid's barycentre, a near plane or scale, "height width" and, optionally, a fifth line whose
 1 says that the poses are world-to-camera. Focal lengths and centres are in pixels of that height and width.
 """
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -14,16 +15,16 @@ import numpy as np
 
 from lightfield_gs.errors import InputError
 from training.data.masks import masks_beside
-from training.data.views import (IMAGE_SUFFIXES, ObjectViews, check_intrinsics, check_looking_at_object, check_pose)
+from training.data.views import IMAGE_SUFFIXES, ObjectViews, check_intrinsics, check_looking_at_object, check_pose
 
 PARTS = ("rgb", "pose", "intrinsics.txt")
-_AXES = ("OpenCV axes, x right, y down, z forward: from OpenGL axes, negate the second and third column of each "
-         "rotation")
+_AXES = "OpenCV axes, x right, y down, z forward: from OpenGL axes, negate the second and third column of each rotation"
 
 
 @dataclass(frozen=True)
 class Intrinsics:
     """Pinhole camera: focal length and principal point in pixels of a width_px x height_px image."""
+
     focal_px: float
     centre_x_px: float
     centre_y_px: float
@@ -75,8 +76,10 @@ def _paired_files(folder: Path) -> list[tuple[Path, Path]]:
     for kind, have, want in (("poses", poses, images), ("images", images, poses)):
         missing = sorted(want.keys() - have.keys())
         if missing:
-            raise InputError(f"{folder}: missing {kind}: {len(images)} images but {len(poses)} poses, none for "
-                             f"{', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}")
+            raise InputError(
+                f"{folder}: missing {kind}: {len(images)} images but {len(poses)} poses, none for "
+                f"{', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}"
+            )
     return [(images[name], poses[name]) for name in images]
 
 
@@ -94,5 +97,13 @@ def read_srn(folder: Path) -> ObjectViews:
     check_looking_at_object(f"{folder}/pose", poses, _AXES)
     row = (camera.focal_px, camera.focal_px, camera.centre_x_px, camera.centre_y_px)
     images = [image for image, _ in pairs]
-    return ObjectViews(folder.name, tuple(images), poses, np.tile(row, (len(poses), 1)), camera.width_px,
-                       camera.height_px, f"{folder / 'intrinsics.txt'}: height width", masks_beside(folder, images))
+    return ObjectViews(
+        folder.name,
+        tuple(images),
+        poses,
+        np.tile(row, (len(poses), 1)),
+        camera.width_px,
+        camera.height_px,
+        f"{folder / 'intrinsics.txt'}: height width",
+        masks_beside(folder, images),
+    )

@@ -4,6 +4,7 @@ Superquadrics: Barr, "Superquadrics and angle-preserving transformations" (1981)
 turns a profile, |r|^p + |z|^p = 1, about its z axis along a section, |x|^q + |y|^q = 1: p and q of 2 make a ball, 2 and
 many a cylinder, many and many a box. With a hole the profile does not reach the axis (a torus, a tyre, a tube).
 """
+
 from __future__ import annotations
 
 import torch
@@ -14,8 +15,18 @@ from torch import Tensor
 # hole: radius of the middle of the profile, 0 (solid) .. 1. profile, section: the exponents p and q. taper, wave,
 # waves: the section grows by 1 + taper z + wave cos(waves z), z in -1..1. bend: how much further along x the ends lie
 # than the middle, scene units.
-SHAPE = {"matrix": 9, "centre": 3, "half": 3, "hole": 1, "profile": 1, "section": 1, "taper": 1, "wave": 1, "waves": 1,
-         "bend": 1}
+SHAPE = {
+    "matrix": 9,
+    "centre": 3,
+    "half": 3,
+    "hole": 1,
+    "profile": 1,
+    "section": 1,
+    "taper": 1,
+    "wave": 1,
+    "waves": 1,
+    "bend": 1,
+}
 _TINY = 1e-6
 _DEEP = 0.97  # of the way from the middle to the surface
 

@@ -1,4 +1,5 @@
 """Moving the numbers of a plan to the device that works on them."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -52,10 +53,12 @@ def _tensors(record: Any) -> Iterator[Tensor]:
 
 def _replaced(record: Any, tensors: Iterator[Tensor]) -> Any:
     """The dataclass with the next of `tensors` in place of each of its own."""
+
     def replacement(value: Any) -> Any:
         if isinstance(value, Tensor):
             return next(tensors)
         return _replaced(value, tensors) if dataclasses.is_dataclass(value) else value
 
-    return dataclasses.replace(record, **{field.name: replacement(getattr(record, field.name))
-                                          for field in dataclasses.fields(record)})
+    return dataclasses.replace(
+        record, **{field.name: replacement(getattr(record, field.name)) for field in dataclasses.fields(record)}
+    )

@@ -17,6 +17,7 @@ Everything else (aabb_scale, scale, offset, ...) is about other programs and is 
 The unit of length of such files is arbitrary: poses are scaled so that the cameras stand OBJECT_DISTANCE, on average,
 from the point they look at, where the network expects the object.
 """
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -31,8 +32,7 @@ from lightfield_gs.io.json_file import read_object as read_json
 from training.data.files import named_image
 from training.data.lens import COEFFICIENTS, check_distortion
 from training.data.masks import masks_beside
-from training.data.views import (ObjectViews, check_intrinsics, check_looking_at_object, check_pose,
-                                 depths_of_object)
+from training.data.views import ObjectViews, check_intrinsics, check_looking_at_object, check_pose, depths_of_object
 
 OBJECT_DISTANCE = 1.3
 _NEAREST, _FARTHEST = 0.75, 1.33  # times that, of cameras that are not scaled: further off the network has no depths
@@ -58,30 +58,44 @@ def read_transforms(path: Path) -> ObjectViews:
     for field, frame in zip(fields, frames):
         if not isinstance(frame, dict):
             raise InputError(f"{field}: expected an object with file_path and transform_matrix, got {shown(frame)}")
-    images = [named_image(f"{field}.file_path", path.parent, frame.get("file_path"))
-              for field, frame in zip(fields, frames)]
+    images = [
+        named_image(f"{field}.file_path", path.parent, frame.get("file_path")) for field, frame in zip(fields, frames)
+    ]
     poses = np.stack([_pose(f"{field}.transform_matrix", frame) for field, frame in zip(fields, frames)])
     check_looking_at_object(f"{path}: transform_matrix", poses, _AXES)
     sizes, intrinsics, lenses = zip(*(_camera(field, data, frame, images[0]) for field, frame in zip(fields, frames)))
     for field, size in zip(fields, sizes):
         if size != sizes[0]:
-            raise InputError(f"{field}: bad intrinsics: expected the size of frames[0], {sizes[0][0]} x {sizes[0][1]}, "
-                             f"got w x h of {size[0]} x {size[1]}; resize the images to one size")
+            raise InputError(
+                f"{field}: bad intrinsics: expected the size of frames[0], {sizes[0][0]} x {sizes[0][1]}, "
+                f"got w x h of {size[0]} x {size[1]}; resize the images to one size"
+            )
     poses = _at_object_distance(path, poses)
     masks = _masks(fields, frames, path.parent, images)
-    return ObjectViews(path.parent.name, tuple(images), poses, np.stack(intrinsics), *sizes[0], f"{path}: w, h", masks,
-                       np.stack(lenses) if np.any(lenses) else None)
+    return ObjectViews(
+        path.parent.name,
+        tuple(images),
+        poses,
+        np.stack(intrinsics),
+        *sizes[0],
+        f"{path}: w, h",
+        masks,
+        np.stack(lenses) if np.any(lenses) else None,
+    )
 
 
-def _masks(fields: list[str], frames: list[dict[str, Any]], folder: Path,
-           images: list[Path]) -> tuple[Path, ...] | None:
+def _masks(
+    fields: list[str], frames: list[dict[str, Any]], folder: Path, images: list[Path]
+) -> tuple[Path, ...] | None:
     """The mask of each frame: what mask_path names, or else what lies in masks/; None where there is neither."""
     given = [frame.get("mask_path") is not None for frame in frames]
     if not any(given):
         return masks_beside(folder, images)
     if not all(given):
-        raise InputError(f"{fields[given.index(False)]}: missing mask_path: {sum(given)} of {len(frames)} frames have "
-                         "one; give each frame one, or none")
+        raise InputError(
+            f"{fields[given.index(False)]}: missing mask_path: {sum(given)} of {len(frames)} frames have "
+            "one; give each frame one, or none"
+        )
     return tuple(named_image(f"{field}.mask_path", folder, frame["mask_path"]) for field, frame in zip(fields, frames))
 
 
@@ -97,9 +111,11 @@ def _pose(field: str, frame: dict[str, Any]) -> np.ndarray:
     return pose @ TO_OPENCV
 
 
-def _camera(field: str, shared: dict[str, Any], frame: dict[str, Any],
-            first_image: Path) -> tuple[tuple[int, int], np.ndarray, np.ndarray]:
+def _camera(
+    field: str, shared: dict[str, Any], frame: dict[str, Any], first_image: Path
+) -> tuple[tuple[int, int], np.ndarray, np.ndarray]:
     """Image size (w, h), (fx, fy, cx, cy) and lens distortion of a frame; what it does not say is shared by all."""
+
     def number(key: str) -> float | None:
         value = frame.get(key, shared.get(key))
         if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e12):
@@ -121,11 +137,19 @@ def _camera(field: str, shared: dict[str, Any], frame: dict[str, Any],
         width, height = info.width_px if width is None else width, info.height_px if height is None else height
     fx, fy = focal("fl_x", "camera_angle_x", width), focal("fl_y", "camera_angle_y", height)
     if fx is None and fy is None:
-        raise InputError(f"{field}: bad intrinsics: missing focal length: give fl_x (pixels) or camera_angle_x "
-                         "(radians)")
+        raise InputError(
+            f"{field}: bad intrinsics: missing focal length: give fl_x (pixels) or camera_angle_x (radians)"
+        )
     cx, cy = number("cx"), number("cy")
-    intrinsics = np.array([fy if fx is None else fx, fx if fy is None else fy,
-                           width / 2 if cx is None else cx, height / 2 if cy is None else cy], np.float64)
+    intrinsics = np.array(
+        [
+            fy if fx is None else fx,
+            fx if fy is None else fy,
+            width / 2 if cx is None else cx,
+            height / 2 if cy is None else cy,
+        ],
+        np.float64,
+    )
     check_intrinsics(field, intrinsics, width, height)
     lens = np.array([number(key) or 0 for key in COEFFICIENTS], np.float64)
     if lens.any():
@@ -138,11 +162,15 @@ def _check_model(field: str, camera: dict[str, Any]) -> None:
     model = camera.get("camera_model") or "PINHOLE"
     fisheye = [key for key in _FISHEYE if camera.get(key)]
     if model not in _MODELS or fisheye:
-        raise InputError(f"{field}: bad intrinsics: camera_model: expected one of {', '.join(_MODELS)}, got "
-                         f"{fisheye[0] if fisheye else shown(model)}: undistort the images first")
+        raise InputError(
+            f"{field}: bad intrinsics: camera_model: expected one of {', '.join(_MODELS)}, got "
+            f"{fisheye[0] if fisheye else shown(model)}: undistort the images first"
+        )
     if unknown := [key for key in _OTHER_COEFFICIENTS if camera.get(key)]:
-        raise InputError(f"{field}: bad intrinsics: {unknown[0]}: expected a lens of {', '.join(COEFFICIENTS)} alone, "
-                         f"got {shown(camera[unknown[0]])}: undistort the images first")
+        raise InputError(
+            f"{field}: bad intrinsics: {unknown[0]}: expected a lens of {', '.join(COEFFICIENTS)} alone, "
+            f"got {shown(camera[unknown[0]])}: undistort the images first"
+        )
 
 
 def _at_object_distance(path: Path, poses: np.ndarray) -> np.ndarray:
@@ -150,8 +178,10 @@ def _at_object_distance(path: Path, poses: np.ndarray) -> np.ndarray:
     directions = poses[:, :3, 2]
     spread, distance = np.linalg.norm(directions - directions.mean(0), axis=-1).max(), depths_of_object(poses).mean()
     if spread < 1e-3 or distance <= 0:
-        raise InputError(f"{path}: transform_matrix: the {len(poses)} cameras look in one direction, so that their "
-                         "distance from the object is unknown: expected views from several sides")
+        raise InputError(
+            f"{path}: transform_matrix: the {len(poses)} cameras look in one direction, so that their "
+            "distance from the object is unknown: expected views from several sides"
+        )
     scaled = poses.copy()
     scaled[:, :3, 3] *= OBJECT_DISTANCE / distance
     return scaled
@@ -164,5 +194,7 @@ def distance_doubt(camera_to_world: np.ndarray) -> str | None:
     distance = depths_of_object(camera_to_world).mean()
     if _NEAREST < distance / OBJECT_DISTANCE < _FARTHEST:
         return None
-    return (f"the cameras stand {distance:.2f} units from what they look at, the network expects it at "
-            f"{OBJECT_DISTANCE}: multiply the positions in the poses by {OBJECT_DISTANCE / distance:.3g}")
+    return (
+        f"the cameras stand {distance:.2f} units from what they look at, the network expects it at "
+        f"{OBJECT_DISTANCE}: multiply the positions in the poses by {OBJECT_DISTANCE / distance:.3g}"
+    )

@@ -4,6 +4,7 @@ Prints what training will see: what says which pixels are object, and what of th
 would show it. Every problem is a line on stderr, and the exit code 2 if there is any; what may not be meant is a note
 there. --sheet draws the views with what is left out under a tint.
 """
+
 from __future__ import annotations
 
 import argparse
@@ -40,6 +41,7 @@ class Examined:
     the picture that is object. cut: how many of these the picture's border cuts. faded: before a background of about
     one colour, the share of the object in each view that went with it though its colour is another.
     """
+
     path: Path
     views: ObjectViews | None = None
     cutout: Cutout | None = None
@@ -58,8 +60,10 @@ class Examined:
         yield str(self.cutout)
         turned = [info for path in self.views.image_paths if (info := _orientation(path)) > 1]
         if turned:
-            yield (f"Exif orientation {turned[0]} in {self._count(len(turned))} is not applied: poses are of the "
-                   "pixels as stored")
+            yield (
+                f"Exif orientation {turned[0]} in {self._count(len(turned))} is not applied: poses are of the "
+                "pixels as stored"
+            )
         if self.views.distortion is not None:
             yield _lens(self.views)
 
@@ -72,8 +76,10 @@ class Examined:
             yield f"the picture's border cuts the object in {self._count(self.cut - whole)}"
         faded = [share for share in self.faded if share > _FADED]
         if faded:
-            yield (f"up to {max(faded):.0%} of the object is lost to the background, which is of nearly its colour, in "
-                   f"{self._count(len(faded))}: give alpha or masks, or renders in a lossless format")
+            yield (
+                f"up to {max(faded):.0%} of the object is lost to the background, which is of nearly its colour, in "
+                f"{self._count(len(faded))}: give alpha or masks, or renders in a lossless format"
+            )
         if self.views is not None and (doubt := distance_doubt(self.views.camera_to_world)):
             yield doubt
 
@@ -90,8 +96,10 @@ def _lens(views: ObjectViews) -> str:
     fx, fy, cx, cy = intrinsics = views.intrinsics[0]
     lens = views.distortion[0]
     beyond = share_beyond(intrinsics, lens, views.width_px, views.height_px)
-    return (f"undistorted ({words(lens)}) to a pinhole camera of {views.width_px} x {views.height_px} px, fx {fx:g}, "
-            f"fy {fy:g}, cx {cx:g}, cy {cy:g}; {beyond:.0%} of the stored picture lies beyond it")
+    return (
+        f"undistorted ({words(lens)}) to a pinhole camera of {views.width_px} x {views.height_px} px, fx {fx:g}, "
+        f"fy {fy:g}, cx {cx:g}, cy {cy:g}; {beyond:.0%} of the stored picture lies beyond it"
+    )
 
 
 def examine(path: Path, background: Choice = "auto") -> Examined:
@@ -136,6 +144,7 @@ def _name(path: Path, root: Path) -> str:
 @dataclass
 class Summary:
     """What was found of all objects: for each line the names that it is true of; shares filled; how many problems."""
+
     findings: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     doubts: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     filled: list[float] = field(default_factory=list)
@@ -167,11 +176,18 @@ def _grouped(lines: dict[str, list[str]]) -> Iterator[str]:
 
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m training.data.validate", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="python -m training.data.validate",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("data", type=Path, help="folder of objects: SRN layout or transforms.json")
-    parser.add_argument("--background", choices=CHOICES, default="auto",
-                        help="of images without alpha and masks (default: auto, found for each object)")
+    parser.add_argument(
+        "--background",
+        choices=CHOICES,
+        default="auto",
+        help="of images without alpha and masks (default: auto, found for each object)",
+    )
     parser.add_argument("--sheet", type=Path, help="PNG file for a contact sheet")
     return parser.parse_args(arguments)
 

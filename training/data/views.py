@@ -3,6 +3,7 @@
 Conventions: camera-to-world matrices, OpenCV axes (x right, y down, z forward), column vectors; focal lengths and
 principal points in pixels, from the outer corner of the first pixel.
 """
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ class ObjectViews:
     mask_paths: V files, where there are masks. distortion: [V,6] float64, as in lens.py, of the stored images; those
     that are read have none. None: none.
     """
+
     name: str
     image_paths: tuple[Path, ...]
     camera_to_world: np.ndarray
@@ -38,14 +40,17 @@ class ObjectViews:
 def check_pose(where: str, pose: np.ndarray) -> None:
     """Raise InputError, beginning with `where`, unless a 4x4 matrix is a proper rigid motion."""
     if not np.isfinite(pose).all() or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
-        raise InputError(f"{where}: bad pose: expected finite numbers and a last row of 0 0 0 1, "
-                         f"got {pose[3].tolist()}")
+        raise InputError(
+            f"{where}: bad pose: expected finite numbers and a last row of 0 0 0 1, got {pose[3].tolist()}"
+        )
     rotation = pose[:3, :3]
     if np.abs(rotation).max() > 2 or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
         raise InputError(f"{where}: bad pose: the upper left 3x3 block is no rotation (its rows are not orthonormal)")
     if np.linalg.det(rotation) < 0:
-        raise InputError(f"{where}: wrong handedness: the rotation mirrors (determinant -1); expected right-handed "
-                         "axes: negate the axis that was flipped")
+        raise InputError(
+            f"{where}: wrong handedness: the rotation mirrors (determinant -1); expected right-handed "
+            "axes: negate the axis that was flipped"
+        )
 
 
 def check_intrinsics(where: str, intrinsics: np.ndarray, width_px: float, height_px: float) -> None:
@@ -54,11 +59,14 @@ def check_intrinsics(where: str, intrinsics: np.ndarray, width_px: float, height
     if not (np.isfinite([*intrinsics, width_px, height_px]).all() and min(fx, fy) > 0):
         raise InputError(f"{where}: bad intrinsics: expected a positive focal length in pixels, got {fx:g}, {fy:g}")
     if min(width_px, height_px) < 1 or width_px != int(width_px) or height_px != int(height_px):
-        raise InputError(f"{where}: bad intrinsics: expected a whole width and height, got {width_px:g} x "
-                         f"{height_px:g}")
+        raise InputError(
+            f"{where}: bad intrinsics: expected a whole width and height, got {width_px:g} x {height_px:g}"
+        )
     if not (0 <= cx <= width_px and 0 <= cy <= height_px):
-        raise InputError(f"{where}: bad intrinsics: principal point ({cx:g}, {cy:g}) lies outside the "
-                         f"{width_px:g} x {height_px:g} image")
+        raise InputError(
+            f"{where}: bad intrinsics: principal point ({cx:g}, {cy:g}) lies outside the "
+            f"{width_px:g} x {height_px:g} image"
+        )
 
 
 def point_looked_at(camera_to_world: np.ndarray) -> np.ndarray:

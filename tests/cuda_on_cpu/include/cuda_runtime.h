@@ -22,13 +22,27 @@
 #define __noinline__
 #define __launch_bounds__(...)
 
-struct alignas(4) ushort2 { unsigned short x, y; };
-struct alignas(8) float2 { float x, y; };
-struct float3 { float x, y, z; };
-struct alignas(16) float4 { float x, y, z, w; };
-struct alignas(8) int2 { int x, y; };
-struct alignas(8) uint2 { unsigned x, y; };
-struct alignas(16) uint4 { unsigned x, y, z, w; };
+struct alignas(4) ushort2 {
+  unsigned short x, y;
+};
+struct alignas(8) float2 {
+  float x, y;
+};
+struct float3 {
+  float x, y, z;
+};
+struct alignas(16) float4 {
+  float x, y, z, w;
+};
+struct alignas(8) int2 {
+  int x, y;
+};
+struct alignas(8) uint2 {
+  unsigned x, y;
+};
+struct alignas(16) uint4 {
+  unsigned x, y, z, w;
+};
 inline float2 make_float2(float x, float y) { return {x, y}; }
 inline float3 make_float3(float x, float y, float z) { return {x, y, z}; }
 inline float4 make_float4(float x, float y, float z, float w) { return {x, y, z, w}; }
@@ -45,10 +59,7 @@ struct dim3 {
 using cudaStream_t = void*;
 enum cudaError_t { cudaSuccess };
 enum cudaFuncAttribute { cudaFuncAttributeMaxDynamicSharedMemorySize };
-enum cudaDeviceAttr {
-  cudaDevAttrMultiProcessorCount,
-  cudaDevAttrMaxSharedMemoryPerBlockOptin
-};
+enum cudaDeviceAttr { cudaDevAttrMultiProcessorCount, cudaDevAttrMaxSharedMemoryPerBlockOptin };
 inline const char* cudaGetErrorString(cudaError_t) { return "no error"; }
 inline cudaError_t cudaGetLastError() { return cudaSuccess; }
 inline cudaError_t cudaGetDevice(int* device) { return *device = 0, cudaSuccess; }
@@ -68,7 +79,9 @@ cudaError_t cudaOccupancyMaxActiveBlocksPerMultiprocessor(int* blocks, Kernel, i
   return *blocks = 1, cudaSuccess;
 }
 template <class Kernel>
-cudaError_t cudaFuncSetAttribute(Kernel, cudaFuncAttribute, int) { return cudaSuccess; }
+cudaError_t cudaFuncSetAttribute(Kernel, cudaFuncAttribute, int) {
+  return cudaSuccess;
+}
 inline cudaError_t cudaMemsetAsync(void* to, int value, size_t bytes, cudaStream_t = 0) {
   return memset(to, value, bytes), cudaSuccess;
 }
@@ -212,15 +225,21 @@ inline unsigned __ballot_sync(unsigned, int v) {
 inline int __any_sync(unsigned mask, int v) { return __ballot_sync(mask, v) != 0; }
 inline int __all_sync(unsigned mask, int v) { return __ballot_sync(mask, !v) == 0; }
 template <class T>
-T __shfl_sync(unsigned, T v, int source) { return emulation::of_lane(v, source & 31); }
+T __shfl_sync(unsigned, T v, int source) {
+  return emulation::of_lane(v, source & 31);
+}
 template <class T>
-T __shfl_xor_sync(unsigned, T v, int mask) { return emulation::of_lane(v, emulation::lane() ^ mask); }
+T __shfl_xor_sync(unsigned, T v, int mask) {
+  return emulation::of_lane(v, emulation::lane() ^ mask);
+}
 template <class T>
 T __shfl_up_sync(unsigned, T v, int by, int width = 32) {
   return emulation::of_lane(v, emulation::lane() % width >= by ? emulation::lane() - by : emulation::lane());
 }
 template <class T>
-T __shfl_down_sync(unsigned, T v, int by) { return emulation::of_lane(v, std::min(emulation::lane() + by, 31)); }
+T __shfl_down_sync(unsigned, T v, int by) {
+  return emulation::of_lane(v, std::min(emulation::lane() + by, 31));
+}
 
 inline int __ffs(int v) { return __builtin_ffs(v); }
 inline int __popc(unsigned v) { return __builtin_popcount(v); }
@@ -245,12 +264,23 @@ inline unsigned __float2uint_rn(float f) { return unsigned(nearbyintf(f)); }
 inline unsigned __float_as_uint(float f) { return std::bit_cast<unsigned>(f); }
 inline float __uint_as_float(unsigned u) { return std::bit_cast<float>(u); }
 template <class T>
-T __ldg(const T* p) { return *p; }
+T __ldg(const T* p) {
+  return *p;
+}
 template <class T, class U>
-T atomicAdd(T* p, U v) { T old = *p; return *p += v, old; }
+T atomicAdd(T* p, U v) {
+  T old = *p;
+  return *p += v, old;
+}
 template <class T, class U>
-T atomicOr(T* p, U v) { T old = *p; return *p |= v, old; }
+T atomicOr(T* p, U v) {
+  T old = *p;
+  return *p |= v, old;
+}
 template <class T, class U>
-T atomicMax(T* p, U v) { T old = *p; return *p = std::max(old, T(v)), old; }
+T atomicMax(T* p, U v) {
+  T old = *p;
+  return *p = std::max(old, T(v)), old;
+}
 using std::max;
 using std::min;
