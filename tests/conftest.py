@@ -10,8 +10,8 @@ import torch
 
 import lightfield_gs
 
-# torch.empty gives NaN and largest numbers: what nothing has written shows. On GPUs initcheck looks for that itself, and
-# what was filled would be written for it.
+# torch.empty gives NaN and largest numbers: what nothing has written shows. On GPUs initcheck looks for that itself,
+# and what was filled would be written for it.
 torch.use_deterministic_algorithms(not torch.cuda.is_available())
 
 if os.environ.get("LFGS_CORE"):

@@ -219,10 +219,10 @@ def one_thread() -> Iterator[None]:
 def check_gradients(case, want, single, double, least_bound=0.0):
     """Those of the five fields in float32 and float64 are finite, and those of the oracle within the case's bound, that
     of float32 within least_bound if it is larger."""
-    for field, true, s, d in zip(case.scene().fields(), want, single, double):
-        assert torch.isfinite(s).all() and torch.isfinite(d).all(), field
-        if field == "quaternions" and case.no_rotation:
+    for name, true, s, d in zip(case.scene().fields(), want, single, double):
+        assert torch.isfinite(s).all() and torch.isfinite(d).all(), name
+        if name == "quaternions" and case.no_rotation:
             continue
-        assert (d - true).norm() <= case.gradient / 20 * true.norm(), field
+        assert (d - true).norm() <= case.gradient / 20 * true.norm(), name
         held = true.clamp(-torch.finfo(torch.float32).max, torch.finfo(torch.float32).max)
-        assert (s.cpu().double() - held).norm() <= max(case.gradient, least_bound) * held.norm(), field
+        assert (s.cpu().double() - held).norm() <= max(case.gradient, least_bound) * held.norm(), name

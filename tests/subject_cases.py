@@ -50,10 +50,10 @@ def floaters(count: int, near: float, far: float) -> Gaussians:
     return blobs(directions(count, 2) * np.exp(random.uniform(np.log(near), np.log(far), (count, 1))), 0.05)
 
 
-def room(half=(3.0, 1.5, 3.0), count=6000, faces=range(6), turn=np.eye(3)) -> Gaussians:
+def room(half=(3.0, 1.5, 3.0), count=6000, faces=range(6), turn=None) -> Gaussians:
     random, walls = np.random.default_rng(3), []
     for face in faces:
         places = random.uniform(-1, 1, (count // 6, 3))
         places[:, face // 2] = 2 * (face % 2) - 1
         walls.append(places * half)
-    return blobs(np.concatenate(walls) @ turn.T, 0.12)
+    return blobs(np.concatenate(walls) @ (np.eye(3) if turn is None else turn).T, 0.12)

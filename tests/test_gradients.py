@@ -81,7 +81,7 @@ def test_dense_gradients_are_those_of_the_oracle(kind):
     for name, have, true in zip((*GAUSSIANS, "background", "world_to_camera"), got, want):
         assert true.abs().max() > 0, name
         torch.testing.assert_close(
-            have, true, rtol=1e-6, atol=1e-8 * float(true.abs().max()), msg=lambda text: f"{name}: {text}"
+            have, true, rtol=1e-6, atol=1e-8 * float(true.abs().max()), msg=lambda text, name=name: f"{name}: {text}"
         )
 
 
@@ -224,7 +224,7 @@ def test_lens_gradients_are_those_of_the_oracle(kind, continuous):
     for name, have, true in zip((*GAUSSIANS, "background"), got, want):
         assert true.abs().max() > 0, name
         torch.testing.assert_close(
-            have, true, rtol=1e-5, atol=1e-6 * float(true.abs().max()), msg=lambda text: f"{name}: {text}"
+            have, true, rtol=1e-5, atol=1e-6 * float(true.abs().max()), msg=lambda text, name=name: f"{name}: {text}"
         )
 
 

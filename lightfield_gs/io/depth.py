@@ -157,8 +157,8 @@ def grey_numbers(path: str | Path, pixels: np.ndarray, orientation: int = 1) -> 
                 pixels[..., one],
                 orientation,
                 notes=[
-                    f"is no grey image, but channels {one + 1} and {other + 1} are alike and the third says nothing: the "
-                    "former is taken"
+                    f"is no grey image, but channels {one + 1} and {other + 1} are alike and the third says nothing: "
+                    "the former is taken"
                 ],
             )
     raise InputError(f"{path} is in colour; expected a grey depth map, one number a pixel")

@@ -152,8 +152,8 @@ WIDEST = [
 
 
 def widest(changes: dict[str, Any]) -> tuple[Gaussians, Panel, Rig]:
-    """Gaussians of which S varies by orders of magnitude from one end of a rig to the other, or much from one view to the
-    next."""
+    """Gaussians of which S varies by orders of magnitude from one end of a rig to the other, or much from one view to
+    the next."""
     panel, scene = replace(panel_of("default"), **changes), sheet(12, 11)
     return scene, panel, rig_of(panel)
 
