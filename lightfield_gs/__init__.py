@@ -6,9 +6,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lightfield_gs.base.errors import InputError
     from lightfield_gs.cameras import Cameras
     from lightfield_gs.encoder import Encoder
-    from lightfield_gs.errors import InputError
     from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.io.photo import load_photo
     from lightfield_gs.models import SplatterNet
@@ -26,7 +26,7 @@ _HOMES = {
     "Cameras": "cameras",
     "Encoder": "encoder",
     "Gaussians": "gaussians",
-    "InputError": "errors",
+    "InputError": "base.errors",
     "Panel": "panel",
     "PhotoEncoder": "photo_encoder",
     "Quality": "quality",

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lightfield_gs.checks import shown
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import shown
+from lightfield_gs.base.errors import InputError
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 DEFAULT_UP = "-y"  # OpenCV axes: y points down

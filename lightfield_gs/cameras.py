@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from lightfield_gs.checks import expect, whole_number
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect, whole_number
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.gaussians import check_finite
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lightfield_gs.checks import is_row, real_number, shown
-from lightfield_gs.errors import InputError
-from lightfield_gs.options import CELL_ROWS, CELL_RULES
+from lightfield_gs.base.checks import is_row, real_number, shown
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import CELL_ROWS, CELL_RULES
 
 if TYPE_CHECKING:
     from lightfield_gs.panel import Panel

@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from lightfield_gs.axes import UP_AXES
-from lightfield_gs.commands.complaint import assumptions_said, complain
-from lightfield_gs.commands.values import background, byte_size, camera_choice, numbers, threads, within
-from lightfield_gs.errors import InputError
-from lightfield_gs.options import (
+from lightfield_gs.base.complaint import assumptions_said, complain
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import (
     COMPRESSIONS,
     DEPTH_INVALID,
     DEPTH_KINDS,
@@ -30,6 +29,7 @@ from lightfield_gs.options import (
     QUALITY_NAMES,
     VIEWS,
 )
+from lightfield_gs.commands.values import background, byte_size, camera_choice, numbers, threads, within
 from lightfield_gs.panel import DEFAULT_PANEL
 
 _VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up")  # may begin with a minus sign

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import ops, rendering
-from lightfield_gs.arrays import Colour
+from lightfield_gs.base.arrays import Colour
 from lightfield_gs.encoder_cpu import STAGES
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.quality import Quality

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from lightfield_gs import _core, reach, subject, visible
 from lightfield_gs.axes import DEFAULT_UP, upright
-from lightfield_gs.checks import expect
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.reach import extent

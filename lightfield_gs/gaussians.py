@@ -10,8 +10,8 @@ from typing import Any, NoReturn
 
 import torch
 
-from lightfield_gs.checks import expect, is_row, real_number, shown
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.errors import InputError
 
 SH_COEFFICIENTS = (1, 4, 9, 16)  # (degree + 1)^2, degree 0..3
 SH_CONSTANT = 0.28209479177387814  # the harmonic of degree 0, 1 / (2 sqrt(pi)): colour = 0.5 + constant * coefficient

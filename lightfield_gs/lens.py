@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from lightfield_gs import _core
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.cells import cell_table
-from lightfield_gs.errors import InputError
 
 if TYPE_CHECKING:
     from lightfield_gs.panel import Panel

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.lens import native_lens
 from lightfield_gs.quality import EXACT, Quality
 from lightfield_gs.workspace import Scene, State, Stats, Workspace, check

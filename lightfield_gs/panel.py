@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs import cells
-from lightfield_gs.checks import expect, real_number, shown, whole_number
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect, real_number, shown, whole_number
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
+from lightfield_gs.base.paths import config_path
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
-from lightfield_gs.options import SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
-from lightfield_gs.paths import config_path
 
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536

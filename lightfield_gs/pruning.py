@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import rendering
-from lightfield_gs.checks import expect, real_number
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect, real_number
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig

@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Any
 
 from lightfield_gs import _core
-from lightfield_gs.checks import real_number, shown
-from lightfield_gs.errors import InputError
-from lightfield_gs.options import QualityName
+from lightfield_gs.base.checks import real_number, shown
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import QualityName
 
 OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
 

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import ops, skips
-from lightfield_gs.arrays import Colour, bytes_of, dense_tensor
+from lightfield_gs.base.arrays import Colour, bytes_of, dense_tensor
+from lightfield_gs.base.checks import expect, shown, whole_number
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.cameras import Cameras
-from lightfield_gs.checks import expect, shown, whole_number
-from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.lens import lens_lists
-from lightfield_gs.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.arrays import dense_tensor
-from lightfield_gs.checks import expect
+from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.depth_edges import continue_behind, slopes, snap_mixed
-from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.io.depth import FARTHEST
 from lightfield_gs.quality import OPACITY_CUT

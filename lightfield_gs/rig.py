@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lightfield_gs.axes import DEFAULT_UP
-from lightfield_gs.checks import expect, is_row, real_number, shown, whole_number
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
 from lightfield_gs.panel import Panel
 

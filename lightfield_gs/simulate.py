@@ -9,9 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.cells import PERIOD, subpixel_offsets
-from lightfield_gs.checks import expect, is_row, real_number, shown, whole_number
-from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))

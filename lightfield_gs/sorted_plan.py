@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.arrays import dense_tensor
-from lightfield_gs.checks import expect, shown, whole_number
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.checks import expect, shown, whole_number
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.lens import lens_lists, native_lens
 from lightfield_gs.panel import MAX_VIEWS, Panel
 

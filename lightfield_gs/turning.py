@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.checks import shown
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import shown
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.gaussians import SH_COEFFICIENTS
 from lightfield_gs.reference_blend import harmonics, rotations
 

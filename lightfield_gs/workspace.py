@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core, skips
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.quality import Quality
 
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from srn_scene import write_object
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.data import validate
 from training.data.images import find_cutout, read_view
 from training.data.objects import read_object

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from lightfield_gs import encode
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import peers
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 from lightfield_gs.cameras import Cameras
-from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rendering import render

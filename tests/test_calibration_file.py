@@ -7,8 +7,8 @@ import warnings
 import pytest
 from command_line import complaint, run
 
-from lightfield_gs.assumptions import Assumption
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.assumptions import Assumption
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.calibration_file import find_calibration
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig

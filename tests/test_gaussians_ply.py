@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.ply import write_ply
 from lightfield_gs.io.scene_file import read_scene

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io import images
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.io.photo import load_photo, plain_background_mask

@@ -6,8 +6,8 @@ import torch
 from rasterizer_cases import PANELS, all_subpixels, hard_scene, panel, random_scene, rig
 
 from lightfield_gs import Encoder, encode, interlace, reference, render
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench.scenes import cloud, load_scene, sheet
-from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import Gaussians
 
 BACKGROUND = (0.1, 0.6, 0.3)

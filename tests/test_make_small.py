@@ -9,7 +9,7 @@ import pytest
 import torch
 import yaml
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.compare import read_experiment
 from training.data.images import read_view
 from training.data.make_small import FOCAL_PX, SIZE_PX, main, make_small

@@ -10,9 +10,9 @@ import rasterizer_cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.paths import config_names
 from lightfield_gs.panel import Panel
-from lightfield_gs.paths import config_names
 
 TOY = dict(
     width_px=8,

@@ -11,7 +11,7 @@ from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
 from PIL import Image, ImageCms, features
 from plain_photos import HEIGHT, THING, WIDTH, photo, picture, save
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.io.photo import load_photo
 from lightfield_gs.preview import to_integers

@@ -9,7 +9,7 @@ from photo_cases import tiny_net
 from PIL import Image
 from plain_photos import COLUMNS, HEIGHT, ROWS, THING, WIDTH, photo, picture, round_thing, save
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io import photo as photos
 from lightfield_gs.io.images import write_image
 from lightfield_gs.io.photo import load_photo

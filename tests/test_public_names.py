@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 import lightfield_gs
-from lightfield_gs import Cameras, Encoder, Gaussians, InputError, Panel, PhotoEncoder, encode, options, render
+from lightfield_gs import Cameras, Encoder, Gaussians, InputError, Panel, PhotoEncoder, encode, render
+from lightfield_gs.base import options
 from lightfield_gs.cli import build_parser
 from lightfield_gs.io import images
 from lightfield_gs.quality import QUALITIES, Quality

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rasterizer_cases import CELLS
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.panel import Panel
 from lightfield_gs.simulate import simulate
 

@@ -17,8 +17,8 @@ from safetensors.torch import load_file
 from training_runs import losses, run_config, start
 
 from lightfield_gs import InputError
+from lightfield_gs.base.paths import config_names, config_path
 from lightfield_gs.models import ModelConfig, SplatterNet
-from lightfield_gs.paths import config_names, config_path
 from training import average, train
 from training.checkpoints import cut_log, load_checkpoint
 from training.config import OptimizerConfig, Stage, TrainingConfig

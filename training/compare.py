@@ -30,7 +30,7 @@ from pathlib import Path
 
 import torch
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.command import with_line_errors
 from training.compare_report import is_finished, write_report
 from training.config import TrainingConfig

@@ -25,8 +25,8 @@ import torch.nn.functional as F
 from torch import Tensor
 from tqdm import tqdm
 
-from lightfield_gs.checks import whole_number
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import whole_number
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square

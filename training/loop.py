@@ -13,8 +13,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from lightfield_gs.commands.complaint import note
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import make_folder
 from training.checkpoints import cut_log, load_checkpoint, save_checkpoint
 from training.config import TrainingConfig

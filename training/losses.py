@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.metrics import ssim
 from training.ranges import check_ranges
 

@@ -17,6 +17,9 @@ from typing import Any
 
 import torch
 
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import METHODS
 from lightfield_gs.bench import paper, pareto, peers, photo, skips, training
 from lightfield_gs.bench.measure import measure
 from lightfield_gs.bench.oracle import ORACLE_SAMPLES, oracle_samples
@@ -24,12 +27,9 @@ from lightfield_gs.bench.pareto_plot import check_plot, plot
 from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, check_scene, load_scene
 from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line, table
 from lightfield_gs.bench.timing import machine
-from lightfield_gs.commands.device import choose_device
 from lightfield_gs.commands.values import byte_size
-from lightfield_gs.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
 from lightfield_gs.io.photo import load_photo
-from lightfield_gs.options import METHODS
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
 
 BENCH_METHODS = (*METHODS, *peers.PEERS)

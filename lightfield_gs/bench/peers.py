@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.arrays import bytes_of
+from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.cameras import Cameras
-from lightfield_gs.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig

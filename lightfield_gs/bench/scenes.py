@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.paths import checked_path
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.panel import Panel
-from lightfield_gs.paths import checked_path
 from lightfield_gs.rig import Rig
 
 ZERO_DEPTH = 2.0

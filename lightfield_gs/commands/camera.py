@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lightfield_gs.axes import DEFAULT_UP, Up, stated_up
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.rig import load_rig
-from lightfield_gs.errors import InputError
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
 

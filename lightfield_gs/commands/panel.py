@@ -6,7 +6,7 @@ import argparse
 import math
 from dataclasses import replace
 
-from lightfield_gs.commands.complaint import note
+from lightfield_gs.base.complaint import note
 from lightfield_gs.panel import Panel
 from lightfield_gs.simulate import unknown_of
 

@@ -7,9 +7,9 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from lightfield_gs.commands.complaint import note
-from lightfield_gs.commands.stopwatch import Stopwatch
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.side_by_side import depth_side, halves, is_named_so
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 
 _INSTALL = "pip install 'lightfield-gs[rembg]'"
 # Named, for rembg's own choice has changed between versions, once to weights that may not be used commercially.

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from lightfield_gs.assumptions import assume
-from lightfield_gs.checks import expect, shown
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import expect, shown
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.panel import Panel
 

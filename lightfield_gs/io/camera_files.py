@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.checks import real_number, shown
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import real_number, shown
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.json_file import read_json
 
 LIMIT_BYTES = 256 << 20

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DepthInvalid, DepthKind
 from lightfield_gs.io.images import read_info, read_picture
 from lightfield_gs.io.npy import open_array, stored_arrays
-from lightfield_gs.options import DEPTH_INVALID, DEPTH_KINDS, DepthInvalid, DepthKind
 
 _IMAGE_TYPES = ("uint8", "uint16", "half", "float")  # others would be read as shares of their largest number
 FARTHEST = 1e12  # scene units: what is farther counts as not measured

@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Compression
+from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.heif import decoded_heif, is_heif, opened_heif
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.png_colour import png_colour
-from lightfield_gs.options import Compression
-from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack

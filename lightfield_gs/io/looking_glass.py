@@ -6,9 +6,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+from lightfield_gs.base.checks import expect, is_row, shown
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.cells import PATTERNS
-from lightfield_gs.checks import expect, is_row, shown
-from lightfield_gs.errors import InputError
 from lightfield_gs.io.calibration_file import find_calibration
 from lightfield_gs.io.json_file import read_json
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import MAP_ORIENTATIONS
 from lightfield_gs.io.images import upright
-from lightfield_gs.options import MAP_ORIENTATIONS
 
 
 def turned_with_photo(

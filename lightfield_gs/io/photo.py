@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.checks import expect
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.background import background_removed
 from lightfield_gs.io.colour import in_srgb
 from lightfield_gs.io.images import Picture, as_floats, read_picture

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from lightfield_gs.checks import expect, is_row, shown
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect, is_row, shown
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.io import doubts, filter_3d
 from lightfield_gs.io.atomic import atomic_path

@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.ply_header import Element, Header
 
 SMALL_BYTES = 1 << 16  # elements beside the vertices are kept up to this size

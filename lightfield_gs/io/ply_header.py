@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 
 HEADER_LIMIT_BYTES = 1 << 16

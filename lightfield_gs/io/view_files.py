@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.camera_files import is_camera_file
 from lightfield_gs.io.json_file import read_json
 from lightfield_gs.io.npy import open_array

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rig import Rig
 from training.command import with_line_errors

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.checks import shown
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import shown
+from lightfield_gs.base.errors import InputError
 from training.data.views import IMAGE_SUFFIXES
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_image, read_info
 from training.data.background import Background, Choice, border_of, find_background, premultiplied
 from training.data.lens import source_places, undistorted

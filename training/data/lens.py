@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
 _LARGEST_LOSS = 0.25  # of a picture's area: more is no lens but a mistake in its numbers

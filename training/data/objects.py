@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.data.srn import PARTS, read_srn
 from training.data.transforms import read_transforms
 from training.data.views import ObjectViews

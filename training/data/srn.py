@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.data.masks import masks_beside
 from training.data.views import IMAGE_SUFFIXES, ObjectViews, check_intrinsics, check_looking_at_object, check_pose
 

@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.checks import shown
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import shown
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_object as read_json
 from training.data.files import named_image

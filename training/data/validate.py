@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.commands.complaint import note
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.plain import cut_from_plain_background
 from training.command import with_line_errors

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 
 _KIND_NAMES = {"NoneType": "none", "Tensor": "torch.Tensor"}
 

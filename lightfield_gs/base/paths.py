@@ -6,10 +6,10 @@ import difflib
 import os
 from pathlib import Path
 
-from lightfield_gs.checks import expect
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def config_folder(kind: str) -> Path:

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.checks import expect
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
 
 Colour = Sequence[float] | np.ndarray | Tensor  # red, green and blue, or anything that broadcasts so
 

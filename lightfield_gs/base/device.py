@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from lightfield_gs.errors import InputError
-from lightfield_gs.options import Device
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Device
 
 
 def choose_device(name: Device) -> Literal["cpu", "cuda"]:

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from lightfield_gs.assumptions import Assumption
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.assumptions import Assumption
+from lightfield_gs.base.errors import InputError
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 _NO_MEMORY = ("allocate memory", "out of memory")  # torch's words for the host's and the device's
