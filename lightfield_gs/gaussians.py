@@ -193,8 +193,8 @@ class Gaussians:
         return scene.gaussians
 
     def save(self, path: str | Path) -> None:
-        """Writes a standard 3DGS .ply. See lightfield_gs.io.ply.write_ply."""
-        from lightfield_gs.io.ply import write_ply
+        """Writes a standard 3DGS .ply. See lightfield_gs.io.scenes.ply.write_ply."""
+        from lightfield_gs.io.scenes.ply import write_ply
 
         write_ply(path, self)
 

@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> None:
     panel = load_panel(args)
     import torch
 
-    from lightfield_gs.io.ply import write_ply
+    from lightfield_gs.io.scenes.ply import write_ply
     from lightfield_gs.lens import slow_way
     from lightfield_gs.quality import Quality
     from lightfield_gs.rendering import encode

@@ -13,7 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.ply_header import Element, Header
+from lightfield_gs.io.scenes.ply_header import Element, Header
 
 SMALL_BYTES = 1 << 16  # elements beside the vertices are kept up to this size
 _MOST_STEPS = 1 << 20  # through rows with lists, one by one: a second's work
