@@ -15,7 +15,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.gaussians import check_finite
 
 if TYPE_CHECKING:
-    from lightfield_gs.io.camera_files import FileCamera
+    from lightfield_gs.io.captures.camera_files import FileCamera
 
 
 @dataclass
@@ -79,7 +79,7 @@ class Cameras:
 
         Raises InputError that names file and key, also where images are of several sizes and no index is given.
         """
-        from lightfield_gs.io.camera_files import read_inria
+        from lightfield_gs.io.captures.camera_files import read_inria
 
         return _of_file(cls, path, read_inria(path), index)
 
@@ -90,7 +90,7 @@ class Cameras:
         Raises InputError that names file and key, also where images are of several sizes and no index is given, where
         their size is not known, and on lens distortion.
         """
-        from lightfield_gs.io.camera_files import read_transforms
+        from lightfield_gs.io.captures.camera_files import read_transforms
 
         return _of_file(cls, path, read_transforms(path), index)
 

@@ -9,7 +9,7 @@ import torch
 from rasterizer_cases import random_scene, turned_pose
 
 from lightfield_gs import Cameras, InputError, Panel, render
-from lightfield_gs.io.camera_files import read_camera_file
+from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.io.view_files import read_cameras
 

@@ -63,7 +63,7 @@ def read_given(args: argparse.Namespace, panel: Panel) -> Given:
 
 def _refuse_cameras(path: Path) -> None:
     """Raises InputError where a file that was given as a rig holds the cameras of photographs."""
-    from lightfield_gs.io.camera_files import LIMIT_BYTES, is_camera_file
+    from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
     from lightfield_gs.io.json_file import read_json
 
     if path.suffix.lower() == ".json" and is_camera_file(read_json(path, LIMIT_BYTES)):
@@ -71,7 +71,7 @@ def _refuse_cameras(path: Path) -> None:
 
 
 def _of_camera_file(path: Path, index: int | None, panel: Panel, said: list[str]) -> Given:
-    from lightfield_gs.io.camera_files import read_camera_file
+    from lightfield_gs.io.captures.camera_files import read_camera_file
 
     cameras = read_camera_file(path)
     if index is not None and index >= len(cameras):

@@ -121,7 +121,7 @@ def _is_rig(path: Path) -> bool:
 
 
 def _is_camera_file(path: Path) -> bool:
-    from lightfield_gs.io.camera_files import LIMIT_BYTES, is_camera_file
+    from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
     from lightfield_gs.io.json_file import read_json
 
     return is_camera_file(read_json(path, LIMIT_BYTES))
@@ -129,7 +129,7 @@ def _is_camera_file(path: Path) -> bool:
 
 def _camera_file(path: Path) -> list[tuple[str, object]]:
     """The cameras by the index that --camera takes; of many the first."""
-    from lightfield_gs.io.camera_files import read_camera_file
+    from lightfield_gs.io.captures.camera_files import read_camera_file
 
     cameras = read_camera_file(path)
     facts: list[tuple[str, object]] = [("cameras", len(cameras))]

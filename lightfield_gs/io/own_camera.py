@@ -15,7 +15,7 @@ import numpy as np
 
 from lightfield_gs.base.checks import real_number, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.camera_files import FileCamera
+from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.camera_files import is_camera_file
+from lightfield_gs.io.captures.camera_files import is_camera_file
 from lightfield_gs.io.json_file import read_json
 from lightfield_gs.io.npy import open_array
 from lightfield_gs.io.yaml_file import check_keys

@@ -16,7 +16,7 @@ from PIL import features
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
 from lightfield_gs.axes import stated_up
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.camera_files import read_camera_file
+from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.depth import read_depth
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.json_file import read_object
