@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lightfield_gs.base.errors import InputError
-    from lightfield_gs.cameras import Cameras
     from lightfield_gs.encoder import Encoder
-    from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.io.photo import load_photo
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panel import Panel
@@ -19,13 +17,15 @@ if TYPE_CHECKING:
     from lightfield_gs.rendering import encode, interlace, render
     from lightfield_gs.rgbd import from_depth
     from lightfield_gs.rig import Rig
+    from lightfield_gs.scene.cameras import Cameras
+    from lightfield_gs.scene.gaussians import Gaussians
     from lightfield_gs.sorted_plan import SortedPlan
 
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
 _HOMES = {
-    "Cameras": "cameras",
+    "Cameras": "scene.cameras",
     "Encoder": "encoder",
-    "Gaussians": "gaussians",
+    "Gaussians": "scene.gaussians",
     "InputError": "base.errors",
     "Panel": "panel",
     "PhotoEncoder": "photo_encoder",

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from lightfield_gs.axes import UP_AXES
 from lightfield_gs.base.complaint import assumptions_said, complain
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import (
@@ -31,6 +30,7 @@ from lightfield_gs.base.options import (
 )
 from lightfield_gs.commands.values import background, byte_size, camera_choice, numbers, threads, within
 from lightfield_gs.panel import DEFAULT_PANEL
+from lightfield_gs.scene.axes import UP_AXES
 
 _VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up")  # may begin with a minus sign
 

@@ -14,10 +14,10 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
 from lightfield_gs.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoder_cuda import CudaFrames
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
 
 
 class Encoder:

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from lightfield_gs import _core, ops, rendering
 from lightfield_gs.base.arrays import Colour
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.quality import Quality
+from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.workspace import Stats, Workspace
 
 STAGES = ("project", "order", "bin", "composite")

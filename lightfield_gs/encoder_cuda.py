@@ -11,8 +11,8 @@ from torch import Tensor
 from lightfield_gs import ops, rendering
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.encoder_cpu import STAGES
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.quality import Quality
+from lightfield_gs.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
     from lightfield_gs.frame_cuda import Frame, FrameKind

@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core, reach, subject, visible
-from lightfield_gs.axes import DEFAULT_UP, upright
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.reach import extent
 from lightfield_gs.rig import Rig
+from lightfield_gs.scene.axes import DEFAULT_UP, upright
+from lightfield_gs.scene.gaussians import Gaussians
 
 _FILL = 0.92  # share of the panel that the content fills
 _NEAR = _core.NEAR_DEPTH

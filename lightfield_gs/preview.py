@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.atomic import atomic_path, make_folder, remove_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig, reduced
+from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.simulate import simulate, unknown_of
 
 EYE_SEPARATION_MM = 63.0

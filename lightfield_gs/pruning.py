@@ -10,9 +10,9 @@ from torch import Tensor
 from lightfield_gs import rendering
 from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
+from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
 
 
 def prune(

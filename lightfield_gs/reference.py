@@ -22,10 +22,10 @@ from torch import Tensor
 from lightfield_gs.reference_blend import Blend, Eye, Projection, Samples, Scene
 
 if TYPE_CHECKING:
-    from lightfield_gs.cameras import Cameras
-    from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.panel import Panel
     from lightfield_gs.rig import Rig
+    from lightfield_gs.scene.cameras import Cameras
+    from lightfield_gs.scene.gaussians import Gaussians
 
 CLAMP_MARGIN = 0.15  # the Jacobian is clamped this share of the image beyond each of its edges
 SAMPLES_PER_CHUNK = 1024

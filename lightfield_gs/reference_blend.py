@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.scene.gaussians import Gaussians
 
 NEAR = 0.01  # view-space depth below which a Gaussian is not drawn, scene units
 LOW_PASS_PX2 = 0.3  # added to both variances of the projected Gaussian

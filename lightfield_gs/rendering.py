@@ -14,12 +14,12 @@ from lightfield_gs.base.arrays import Colour, bytes_of, dense_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
-from lightfield_gs.cameras import Cameras
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.lens import lens_lists
 from lightfield_gs.panel import Panel
 from lightfield_gs.quality import Quality
 from lightfield_gs.rig import Rig
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.sorted_plan import SortedPlan, views_shown
 from lightfield_gs.workspace import Stats

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightfield_gs.axes import DEFAULT_UP
 from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
 from lightfield_gs.panel import Panel
+from lightfield_gs.scene.axes import DEFAULT_UP
 
 if TYPE_CHECKING:
-    from lightfield_gs.cameras import Cameras
-    from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.scene.cameras import Cameras
+    from lightfield_gs.scene.gaussians import Gaussians
 
 _MARGIN = 0.15  # of the image beyond each edge: the "frustum + 30 %" of 3D Gaussian splatting
 
@@ -166,7 +166,7 @@ class Rig:
         """
         import torch
 
-        from lightfield_gs.cameras import Cameras
+        from lightfield_gs.scene.cameras import Cameras
 
         expect("panel", panel, Panel)
         positions = _float64(x)

@@ -10,8 +10,8 @@ from torch import Tensor
 from lightfield_gs import _core
 
 if TYPE_CHECKING:
-    from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.rig import Rig
+    from lightfield_gs.scene.gaussians import Gaussians
 
 
 def culled(gaussians: Gaussians, rig: Rig, drawn: int, pruned: int) -> dict[str, int]:

@@ -172,6 +172,6 @@ class _Hull:
 
 def _directions(count: int) -> Tensor:
     """Unit vectors [count, 3] spread evenly over the sphere."""
-    from lightfield_gs.turning import spiral
+    from lightfield_gs.scene.turning import spiral
 
     return torch.from_numpy(spiral(count))

@@ -9,10 +9,10 @@ from lightfield_gs import encode
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import peers
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
-from lightfield_gs.cameras import Cameras
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rendering import render
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
 
 PANEL = Panel(width_px=96, height_px=48, views=7, line_number=6.3, slant_tan=0.2, phase=1.5, subpixel_order="BGR")
 

@@ -13,10 +13,10 @@ from command_line import PANEL, complaint, run
 from PIL import Image
 
 from lightfield_gs import cli
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
 
 # encode
 

@@ -8,9 +8,9 @@ import torch
 from command_line import complaint
 
 from lightfield_gs import cli
-from lightfield_gs.io import scene_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panel import Panel
+from lightfield_gs.scene import files as scene_file
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ import torch
 from cuda_on_cpu import cases
 
 from lightfield_gs import Quality, encode, frame_cuda, reference
-from lightfield_gs.gaussians import SH_CONSTANT
 from lightfield_gs.quality import QUALITIES
+from lightfield_gs.scene.gaussians import SH_CONSTANT
 
 FOLDER = Path(__file__).parent / "cuda_on_cpu"
 CSRC = FOLDER.parents[1] / "csrc"

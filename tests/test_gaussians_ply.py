@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.io.scene_file import read_scene
 from lightfield_gs.io.scenes.ply import write_ply
+from lightfield_gs.scene.files import read_scene
+from lightfield_gs.scene.gaussians import Gaussians
 
 NAMES = [
     "x",

@@ -8,7 +8,7 @@ from rasterizer_cases import PANELS, all_subpixels, hard_scene, panel, random_sc
 from lightfield_gs import Encoder, encode, interlace, reference, render
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench.scenes import cloud, load_scene, sheet
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians
 
 BACKGROUND = (0.1, 0.6, 0.3)
 SETTLED = 2e-3  # samples whose decisions came nearer to a threshold than this may differ in float32

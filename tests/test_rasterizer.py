@@ -8,8 +8,8 @@ from rasterizer_cases import dense_views, hard_scene, random_scene, stacked, tur
 from lightfield_gs import reference, render
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench.scenes import cloud, sheet
-from lightfield_gs.cameras import Cameras
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
 
 SETTLED = 2e-3
 

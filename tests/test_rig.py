@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
 
 PANEL = Panel(
     width_px=480,
@@ -77,7 +77,7 @@ def test_jacobian_limits():
 
 
 def test_cameras_share_the_zero_plane():
-    pytest.importorskip("lightfield_gs.cameras")
+    pytest.importorskip("lightfield_gs.scene.cameras")
     rig = some_rig()
     cameras = rig.cameras(PANEL, [0, 3, 7])
     on_plane = np.array([0.3, -0.2, 2.0])

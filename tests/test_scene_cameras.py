@@ -9,10 +9,10 @@ import torch
 from command_line import complaint, run
 
 from lightfield_gs import Gaussians, InputError, Rig
-from lightfield_gs.axes import UP_AXES, stated_up, upright
 from lightfield_gs.io.images import read_image
-from lightfield_gs.io.scene_file import read_scene
 from lightfield_gs.io.scenes.ply import write_ply
+from lightfield_gs.scene.axes import UP_AXES, stated_up, upright
+from lightfield_gs.scene.files import read_scene
 
 # An F in the plane of x and "up", seen from where an upright camera stands
 BARS = (((-0.3, -0.2), (-0.5, 0.5)), ((-0.2, 0.3), (0.4, 0.5)), ((-0.2, 0.1), (0.0, 0.1)))

@@ -6,9 +6,9 @@ import torch
 from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import _core, encode, lens, reference, render
-from lightfield_gs.cameras import Cameras
 from lightfield_gs.quality import EXACT
 from lightfield_gs.reference_blend import Eye, Projection, Scene
+from lightfield_gs.scene.cameras import Cameras
 
 HALF_LOG2E = 0.5 / np.log(2)
 FIELDS = ("u0", "du", "v0", "log2_opacity", "S0", "S1", "S2", "tau", "c0", "c1", "reach_y", "depth")

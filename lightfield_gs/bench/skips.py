@@ -20,11 +20,11 @@ from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.tables import aligned, in_ms, or_dash
 from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoder import Encoder
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.pruning import prune
 from lightfield_gs.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.rendering import background_tensor, encode, lens_arguments
 from lightfield_gs.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.workspace import Stats
 
 SCENES = ("cloud:65536",)

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lightfield_gs.axes import DEFAULT_UP, Up, stated_up
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.rig import load_rig
 from lightfield_gs.panel import Panel
 from lightfield_gs.rig import Rig
+from lightfield_gs.scene.axes import DEFAULT_UP, Up, stated_up
 
 if TYPE_CHECKING:
-    from lightfield_gs.gaussians import Gaussians
-    from lightfield_gs.io.scene_file import SceneFile
+    from lightfield_gs.scene.files import SceneFile
+    from lightfield_gs.scene.gaussians import Gaussians
 
 _OTHERS = "another: --camera, --rig, --up"
 

@@ -23,8 +23,8 @@ from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panel import Panel
 
 if TYPE_CHECKING:
-    from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.rig import Rig
+    from lightfield_gs.scene.gaussians import Gaussians
 
 
 def run(args: argparse.Namespace) -> None:

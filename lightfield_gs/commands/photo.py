@@ -13,10 +13,10 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.io.side_by_side import depth_side, halves, is_named_so
 
 if TYPE_CHECKING:
-    from lightfield_gs.gaussians import Gaussians
     from lightfield_gs.io.depth import DepthMap, DepthNumbers
     from lightfield_gs.io.images import Picture
     from lightfield_gs.io.photo import Photo
+    from lightfield_gs.scene.gaussians import Gaussians
 
 # A depth map beside its photo, when nothing else is said: bright is near, as Looking Glass has it
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)

@@ -11,8 +11,8 @@ from lightfield_gs.base.complaint import note
 from lightfield_gs.panel import Panel
 
 if TYPE_CHECKING:
-    from lightfield_gs.cameras import Cameras
     from lightfield_gs.rig import Rig
+    from lightfield_gs.scene.cameras import Cameras
 
 
 def load_rig(args: argparse.Namespace, panel: Panel) -> Rig | None:

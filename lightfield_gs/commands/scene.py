@@ -14,8 +14,8 @@ from lightfield_gs.commands.photo import has_depth, photo_object, photo_scene
 from lightfield_gs.io.atomic import check_output_path
 
 if TYPE_CHECKING:
-    from lightfield_gs.gaussians import Gaussians
-    from lightfield_gs.io.scene_file import SceneFile
+    from lightfield_gs.scene.files import SceneFile
+    from lightfield_gs.scene.gaussians import Gaussians
 
 _SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 _PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
@@ -54,7 +54,7 @@ def check_scene_path(path: Path) -> None:
 
 def read_noted(path: Path, skip_invalid: bool) -> SceneFile:
     """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
-    from lightfield_gs.io.scene_file import read_scene
+    from lightfield_gs.scene.files import read_scene
 
     scene = read_scene(path, skip_invalid=skip_invalid)
     for words in scene.notes:

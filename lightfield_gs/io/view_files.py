@@ -15,7 +15,7 @@ from lightfield_gs.io.yaml_file import check_keys
 from lightfield_gs.panel import MAX_VIEWS, Panel
 
 if TYPE_CHECKING:
-    from lightfield_gs.cameras import Cameras
+    from lightfield_gs.scene.cameras import Cameras
 
 _LIMIT_BYTES = 64 << 20
 _FIELDS = {"world_to_camera": (4, 4), "focal_px": (2,), "principal_point_px": (2,)}
@@ -26,7 +26,7 @@ def read_cameras(path: str | Path, panel: Panel) -> Cameras:
     [N,2] at the panel's resolution. Raises InputError that names the file and the field."""
     import torch
 
-    from lightfield_gs.cameras import Cameras
+    from lightfield_gs.scene.cameras import Cameras
 
     data = read_json(path, _LIMIT_BYTES)
     if is_camera_file(data):

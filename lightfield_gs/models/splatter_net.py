@@ -18,13 +18,13 @@ from lightfield_gs.base.arrays import dense_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.models import crop
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
 from lightfield_gs.models.initializer import describe_pixels, mirror_image, network_input
 from lightfield_gs.models.unet import UNet
 from lightfield_gs.quality import OPACITY_CUT
+from lightfield_gs.scene.gaussians import Gaussians
 
 PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"
 

@@ -15,11 +15,11 @@ import torch
 
 from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.scenes import doubts, filter_3d
 from lightfield_gs.io.scenes.invalid import check_or_skip
 from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, Element, Header
+from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
 
 _CENTRE = ("x", "y", "z")
 _DC = ("f_dc_0", "f_dc_1", "f_dc_2")

@@ -105,7 +105,7 @@ class Gaussians:
         rotation^T and the same translation sees of what is returned, exactly. Keeps batch, dtype, device and gradients.
         Raises InputError for what is no proper rotation.
         """
-        from lightfield_gs.turning import rotated
+        from lightfield_gs.scene.turning import rotated
 
         return rotated(self, rotation)
 
@@ -176,10 +176,10 @@ class Gaussians:
     def load(path: str | Path, *, skip_invalid: bool = False) -> Gaussians:
         """Reads a standard 3DGS .ply: float32, CPU. What looks wrong is a warning, and so is an origin.
 
-        skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.io.scene_file.read_scene,
+        skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.scene.files.read_scene,
         which tells more of the file.
         """
-        from lightfield_gs.io.scene_file import read_scene
+        from lightfield_gs.scene.files import read_scene
 
         scene = read_scene(path, skip_invalid=skip_invalid)
         for words in scene.notes:

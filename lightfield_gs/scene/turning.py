@@ -13,11 +13,11 @@ from torch import Tensor
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.gaussians import SH_COEFFICIENTS
 from lightfield_gs.reference_blend import harmonics, rotations
+from lightfield_gs.scene.gaussians import SH_COEFFICIENTS
 
 if TYPE_CHECKING:
-    from lightfield_gs.gaussians import Gaussians
+    from lightfield_gs.scene.gaussians import Gaussians
 
 _DIRECTIONS = 64  # more than the 16 harmonics, spread evenly: their values determine the coefficients well
 _TOLERANCE = 1e-4  # of orthonormality, as for the poses of cameras

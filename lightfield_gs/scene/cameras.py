@@ -12,7 +12,7 @@ import torch
 
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.gaussians import check_finite
+from lightfield_gs.scene.gaussians import check_finite
 
 if TYPE_CHECKING:
     from lightfield_gs.io.captures.camera_files import FileCamera

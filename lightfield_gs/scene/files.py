@@ -10,10 +10,10 @@ import numpy as np
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.gaussians import Gaussians
 from lightfield_gs.io.scenes import ply
 from lightfield_gs.io.scenes.ply_data import read_elements
 from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, read_header
+from lightfield_gs.scene.gaussians import Gaussians
 
 _OTHER_FORMATS = {".spz": "SPZ", ".splat": "splat", ".ksplat": "ksplat", ".sog": "SOG", ".json": "SOG or JSON"}
 
