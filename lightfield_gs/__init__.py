@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lightfield_gs.panel import Panel
     from lightfield_gs.photo_encoder import PhotoEncoder
     from lightfield_gs.pruning import prune
-    from lightfield_gs.quality import Quality
+    from lightfield_gs.rasterizer.quality import Quality
     from lightfield_gs.rendering import encode, interlace, render
     from lightfield_gs.rgbd import from_depth
     from lightfield_gs.rig import Rig
@@ -29,7 +29,7 @@ _HOMES = {
     "InputError": "base.errors",
     "Panel": "panel",
     "PhotoEncoder": "photo_encoder",
-    "Quality": "quality",
+    "Quality": "rasterizer.quality",
     "Rig": "rig",
     "SortedPlan": "sorted_plan",
     "SplatterNet": "models",

@@ -15,7 +15,7 @@ from lightfield_gs.base.options import Output, QualityName, Views
 from lightfield_gs.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoder_cuda import CudaFrames
 from lightfield_gs.panel import Panel
-from lightfield_gs.quality import Quality
+from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lightfield_gs import _core, ops, rendering
+from lightfield_gs import _core, rendering
 from lightfield_gs.base.arrays import Colour
-from lightfield_gs.quality import Quality
+from lightfield_gs.rasterizer import ops
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.workspace import Stats, Workspace
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.workspace import Stats, Workspace
 
 STAGES = ("project", "order", "bin", "composite")
 _GEOMETRY = {"means", "quaternions", "scales", "opacities"}

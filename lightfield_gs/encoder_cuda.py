@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from lightfield_gs import ops, rendering
+from lightfield_gs import rendering
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.encoder_cpu import STAGES
-from lightfield_gs.quality import Quality
+from lightfield_gs.rasterizer import ops
+from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
-    from lightfield_gs.frame_cuda import Frame, FrameKind
+    from lightfield_gs.rasterizer.frame_cuda import Frame, FrameKind
 
 Arguments = tuple[list[float], list[int], list[float]]  # of rendering.lens_arguments
 _SH, _BACKGROUND = 4, 5  # among the tensors of a frame

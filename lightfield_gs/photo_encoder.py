@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import framing, ops, rendering
+from lightfield_gs import framing, rendering
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
@@ -18,13 +18,14 @@ from lightfield_gs.base.options import Output, QualityName, Views
 from lightfield_gs.models import crop
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
 from lightfield_gs.panel import Panel
-from lightfield_gs.quality import Quality
+from lightfield_gs.rasterizer import ops
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.workspace import Stats
 from lightfield_gs.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.workspace import Stats
 
 if TYPE_CHECKING:
-    from lightfield_gs.frame_cuda import FrameKind
+    from lightfield_gs.rasterizer.frame_cuda import FrameKind
 
 _WARM_UP = 2  # calls before a capture: libraries load and choose their algorithms
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.quality import OPACITY_CUT
+from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians
 
 _HAZE = 0.1  # Gaussians fainter than this share of the usual opacity do not count as content

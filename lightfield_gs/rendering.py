@@ -9,20 +9,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import ops, skips
 from lightfield_gs.base.arrays import Colour, bytes_of, dense_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.lens import lens_lists
 from lightfield_gs.panel import Panel
-from lightfield_gs.quality import Quality
+from lightfield_gs.rasterizer import ops, skips
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.workspace import Stats
 from lightfield_gs.rig import Rig
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.sorted_plan import SortedPlan, views_shown
-from lightfield_gs.workspace import Stats
 
 _DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
 MOST_THREADS = 1024

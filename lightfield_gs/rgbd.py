@@ -14,7 +14,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.depth_edges import continue_behind, slopes, snap_mixed
 from lightfield_gs.io.depth import FARTHEST
-from lightfield_gs.quality import OPACITY_CUT
+from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
 
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70

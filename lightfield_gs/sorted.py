@@ -17,10 +17,10 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import bytes_of
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panel import Panel
+from lightfield_gs.rasterizer.workspace import Scene, Stats, Workspace, check
 from lightfield_gs.rig import Rig
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.sorted_plan import SortedPlan, panel_plan, views_shown
-from lightfield_gs.workspace import Scene, Stats, Workspace, check
 
 _MOST_VIEWS = 4096  # in a chunk
 _MOST_PAIRS = (1 << 31) - 1
@@ -145,7 +145,7 @@ class _CudaStages:
         return keys + _PAIR_BYTES * pairs + fill + (16 + 64) * views * self.plan.tiles
 
     def workspace(self, scene: Scene, views: int, stats: Stats) -> Any:
-        from lightfield_gs.workspace_cuda import CudaWorkspace
+        from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
         return CudaWorkspace(
             scene, views, self.plan.width_px, self.plan.height_px, 0, stats, lens=False, tile=self.plan.tile

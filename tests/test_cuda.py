@@ -18,9 +18,10 @@ from cuda_on_cpu.cases import (
 from cuda_on_cpu.cases import rig_of as rig
 from rasterizer_cases import CELLS, MIRRORED
 
-from lightfield_gs import Encoder, Gaussians, InputError, Panel, Quality, _core, encode, frame_cuda, prune, render
+from lightfield_gs import Encoder, Gaussians, InputError, Panel, Quality, _core, encode, prune, render
 from lightfield_gs.bench.scenes import cloud, sheet
-from lightfield_gs.quality import QUALITIES
+from lightfield_gs.rasterizer import frame_cuda
+from lightfield_gs.rasterizer.quality import QUALITIES
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)

@@ -9,7 +9,8 @@ import pytest
 import torch
 from test_cuda import BACKGROUND, LENS, most_apart, on_gpu, rig, scene_of
 
-from lightfield_gs import Encoder, Gaussians, Panel, encode, frame_cuda
+from lightfield_gs import Encoder, Gaussians, Panel, encode
+from lightfield_gs.rasterizer import frame_cuda
 
 
 @pytest.fixture(autouse=True)

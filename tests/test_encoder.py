@@ -7,8 +7,9 @@ import pytest
 import torch
 from rasterizer_cases import panel, random_scene, rig, turned_pose
 
-from lightfield_gs import Encoder, Gaussians, InputError, encode, skips
+from lightfield_gs import Encoder, Gaussians, InputError, encode
 from lightfield_gs.encoder_cpu import STAGES
+from lightfield_gs.rasterizer import skips
 
 SHOWN = panel("default lens")
 

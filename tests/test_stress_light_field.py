@@ -9,7 +9,7 @@ from rasterizer_cases import all_subpixels, reached
 from stress_cases import BACKENDS, BACKGROUND, CASES, EXACT, METHODS, SETTLED, check_gradients, one_thread, use_backend
 
 from lightfield_gs import Gaussians, encode, reference
-from lightfield_gs.quality import QUALITIES
+from lightfield_gs.rasterizer.quality import QUALITIES
 
 
 @pytest.fixture(params=BACKENDS)

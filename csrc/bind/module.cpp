@@ -325,7 +325,7 @@ void set_simd_target(const std::string& name) {
 
 PYBIND11_MODULE(_core, m) {
   using namespace lfgs;
-  m.doc() = "Native core of lightfield_gs; use lightfield_gs.ops instead.";
+  m.doc() = "Native core of lightfield_gs; use lightfield_gs.rasterizer.ops instead.";
   py::register_exception_translator([](std::exception_ptr p) {
     try {
       if (p) std::rethrow_exception(p);

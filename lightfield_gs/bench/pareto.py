@@ -25,7 +25,7 @@ from lightfield_gs.encoder import Encoder
 from lightfield_gs.io.photo import load_photo
 from lightfield_gs.panel import Panel
 from lightfield_gs.pruning import prune
-from lightfield_gs.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.rendering import encode
 from lightfield_gs.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians

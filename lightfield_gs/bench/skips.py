@@ -14,18 +14,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs import ops
 from lightfield_gs.bench.pareto import Subject, drawing
 from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.tables import aligned, in_ms, or_dash
 from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoder import Encoder
 from lightfield_gs.pruning import prune
-from lightfield_gs.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rasterizer import ops
+from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.rasterizer.workspace import Stats
 from lightfield_gs.rendering import background_tensor, encode, lens_arguments
 from lightfield_gs.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.workspace import Stats
 
 SCENES = ("cloud:65536",)
 OPACITY_CUT, LATTICE_ERROR = QUALITIES["fast"].opacity_cut, QUALITIES["high"].lattice_error

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> None:
 
     from lightfield_gs.io.scenes.ply import write_ply
     from lightfield_gs.lens import slow_way
-    from lightfield_gs.quality import Quality
+    from lightfield_gs.rasterizer.quality import Quality
     from lightfield_gs.rendering import encode
 
     if args.threads is not None:
@@ -136,7 +136,7 @@ def _outputs(args: argparse.Namespace) -> list[Path | None]:
 
 
 def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:
-    from lightfield_gs import skips
+    from lightfield_gs.rasterizer import skips
 
     each = stats["evaluations_per_subpixel"]
     lines = [f"pairs of tile and Gaussian: {stats['pairs']}", *skips.lines(stats.get("skipped", {}), gaussians)]

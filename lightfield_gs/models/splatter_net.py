@@ -23,7 +23,7 @@ from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirro
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
 from lightfield_gs.models.initializer import describe_pixels, mirror_image, network_input
 from lightfield_gs.models.unet import UNet
-from lightfield_gs.quality import OPACITY_CUT
+from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians
 
 PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"

@@ -17,9 +17,9 @@ sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 import cases
 import torch
 
-from lightfield_gs import frame_cuda, ops
 from lightfield_gs.models import group_norm
-from lightfield_gs.quality import EXACT, Quality
+from lightfield_gs.rasterizer import frame_cuda, ops
+from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rendering import lens_arguments
 
 

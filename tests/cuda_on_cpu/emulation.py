@@ -23,8 +23,9 @@ torch.cuda.Event = lambda: types.SimpleNamespace(record=lambda: None, synchroniz
 
 def use_cuda_stages() -> None:
     """Tensors on the CPU go through the CUDA stages, on one thread."""
-    from lightfield_gs import ops, sorted, sorted_plan
-    from lightfield_gs.workspace_cuda import CudaWorkspace
+    from lightfield_gs import sorted, sorted_plan
+    from lightfield_gs.rasterizer import ops
+    from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
     def workspace(scene, images, width, height, colour_order, stats, threads, **options):
         return CudaWorkspace(scene, images, width, height, colour_order, stats, **options)

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.quality import EXACT, Quality
-from lightfield_gs.workspace import Scene, Stats
+from lightfield_gs.rasterizer.quality import EXACT, Quality
+from lightfield_gs.rasterizer.workspace import Scene, Stats
 
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share
 _LEAST_PAIRS = 1 << 12

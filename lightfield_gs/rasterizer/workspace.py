@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from lightfield_gs import _core, skips
+from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.quality import Quality
+from lightfield_gs.rasterizer import skips
+from lightfield_gs.rasterizer.quality import Quality
 
 
 @dataclass

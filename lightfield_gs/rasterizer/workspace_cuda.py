@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from lightfield_gs import _core
-from lightfield_gs.quality import Quality
-from lightfield_gs.workspace import Scene, State, Stats
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.workspace import Scene, State, Stats
 
 
 class CudaWorkspace:

@@ -16,8 +16,8 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.lens import native_lens
-from lightfield_gs.quality import EXACT, Quality
-from lightfield_gs.workspace import Scene, State, Stats, Workspace, check
+from lightfield_gs.rasterizer.quality import EXACT, Quality
+from lightfield_gs.rasterizer.workspace import Scene, State, Stats, Workspace, check
 
 COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a rig
 # The same for frames on CUDA, which remember the order that was good enough
@@ -38,7 +38,7 @@ def _workspace(
 ) -> Any:
     """The workspace of the scene's device."""
     if scene.tensors[0].is_cuda:
-        from lightfield_gs.workspace_cuda import CudaWorkspace
+        from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
         return CudaWorkspace(scene, images, width, height, colour_order, stats, lens, state, compensated=compensated)
     return Workspace(scene, images, width, height, colour_order, stats, threads, state, compensated)
@@ -397,7 +397,7 @@ def frame_kind(job: LensArguments, quality: Quality, moving: bool = False) -> An
     """What frames of such arguments are known to need, on CUDA. moving: of one's own, for frames of changing rigs.
 
     Anti-aliased ones know neither lattices nor half precision, whatever the quality."""
-    from lightfield_gs.frame_cuda import kind_of, moving_kind
+    from lightfield_gs.rasterizer.frame_cuda import kind_of, moving_kind
 
     if job.antialiased:
         quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)
