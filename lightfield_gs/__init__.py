@@ -10,13 +10,13 @@ if TYPE_CHECKING:
     from lightfield_gs.encoder import Encoder
     from lightfield_gs.io.photo import load_photo
     from lightfield_gs.models import SplatterNet
-    from lightfield_gs.panel import Panel
+    from lightfield_gs.panels.panel import Panel
+    from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo_encoder import PhotoEncoder
     from lightfield_gs.pruning import prune
     from lightfield_gs.rasterizer.quality import Quality
     from lightfield_gs.rendering import encode, interlace, render
     from lightfield_gs.rgbd import from_depth
-    from lightfield_gs.rig import Rig
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
     from lightfield_gs.sorted_plan import SortedPlan
@@ -27,10 +27,10 @@ _HOMES = {
     "Encoder": "encoder",
     "Gaussians": "scene.gaussians",
     "InputError": "base.errors",
-    "Panel": "panel",
+    "Panel": "panels.panel",
     "PhotoEncoder": "photo_encoder",
     "Quality": "rasterizer.quality",
-    "Rig": "rig",
+    "Rig": "panels.rig",
     "SortedPlan": "sorted_plan",
     "SplatterNet": "models",
     "encode": "rendering",

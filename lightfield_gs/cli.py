@@ -29,7 +29,7 @@ from lightfield_gs.base.options import (
     VIEWS,
 )
 from lightfield_gs.commands.values import background, byte_size, camera_choice, numbers, threads, within
-from lightfield_gs.panel import DEFAULT_PANEL
+from lightfield_gs.panels.panel import DEFAULT_PANEL
 from lightfield_gs.scene.axes import UP_AXES
 
 _VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up")  # may begin with a minus sign

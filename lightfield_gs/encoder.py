@@ -14,9 +14,9 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
 from lightfield_gs.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoder_cuda import CudaFrames
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 
 

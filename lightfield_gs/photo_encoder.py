@@ -10,18 +10,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import framing, rendering
+from lightfield_gs import rendering
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
 from lightfield_gs.models import crop
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels import framing
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer import ops
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.workspace import Stats
-from lightfield_gs.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ import numpy as np
 
 from lightfield_gs.io.atomic import atomic_path, make_folder, remove_file
 from lightfield_gs.io.images import write_image
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig, reduced
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig, reduced
+from lightfield_gs.panels.simulate import simulate, unknown_of
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.simulate import simulate, unknown_of
 
 EYE_SEPARATION_MM = 63.0
 _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of the middle, in eye separations

@@ -10,8 +10,8 @@ from torch import Tensor
 from lightfield_gs import rendering
 from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
 
 

@@ -22,8 +22,8 @@ from torch import Tensor
 from lightfield_gs.reference_blend import Blend, Eye, Projection, Samples, Scene
 
 if TYPE_CHECKING:
-    from lightfield_gs.panel import Panel
-    from lightfield_gs.rig import Rig
+    from lightfield_gs.panels.panel import Panel
+    from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
 

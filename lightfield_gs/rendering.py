@@ -13,12 +13,12 @@ from lightfield_gs.base.arrays import Colour, bytes_of, dense_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
-from lightfield_gs.lens import lens_lists
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.lens import lens_lists
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer import ops, skips
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.workspace import Stats
-from lightfield_gs.rig import Rig
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.sorted import cameras_and_plan, encode_sorted

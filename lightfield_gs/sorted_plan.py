@@ -14,8 +14,8 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import dense_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.lens import lens_lists, native_lens
-from lightfield_gs.panel import MAX_VIEWS, Panel
+from lightfield_gs.panels.lens import lens_lists, native_lens
+from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels; every list is filled up to whole blocks
 _SUBPIXELS_PER_TILE = 224  # of one view, on the average

@@ -3,7 +3,7 @@
 import torch
 
 from lightfield_gs import cli
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.gaussians import Gaussians
 
 PANEL = Panel(

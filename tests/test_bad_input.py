@@ -13,11 +13,11 @@ from photo_cases import photo, tiny_net
 import lightfield_gs
 from lightfield_gs import Cameras, Encoder, PhotoEncoder, Quality, SortedPlan, from_depth, load_photo, prune
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.rendering import encode, interlace, render
-from lightfield_gs.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.simulate import simulate
 
 CAT = Path(lightfield_gs.__file__).parent / "data/cat.png"
 PANEL = Panel(width_px=24, height_px=16, views=4, line_number=7.3, slant_tan=0.2)

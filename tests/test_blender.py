@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from training.blender import render
 from training.blender.plan import fan, main, make_plan
 from training.data.images import read_view

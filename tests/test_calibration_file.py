@@ -9,9 +9,9 @@ from command_line import complaint, run
 
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.calibration_file import find_calibration
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.calibration_file import find_calibration
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 
 FLAT = {
     "configVersion": "3.0",

@@ -14,8 +14,8 @@ from PIL import Image
 
 from lightfield_gs import cli
 from lightfield_gs.io.images import read_image, read_info, write_image
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 
 # encode
@@ -295,7 +295,7 @@ def test_info_of_a_checkpoint(folder, capsys):
 
 
 def test_simulate(folder, capsys):
-    from lightfield_gs.simulate import simulate
+    from lightfield_gs.panels.simulate import simulate
 
     image = (PANEL.view_map() * 20).astype(np.uint8)
     write_image("o.png", image)

@@ -6,7 +6,8 @@ import torch
 from rasterizer_cases import random_scene
 from subject_cases import PANEL, UPRIGHT, blobs, directions, floaters, joined, room, thing
 
-from lightfield_gs import Rig, _core, framing
+from lightfield_gs import Rig, _core
+from lightfield_gs.panels import framing
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)

@@ -11,7 +11,7 @@ from command_line import PANEL, run, scene
 from lightfield_gs import cli
 from lightfield_gs.commands.panel import doubts_of_units
 from lightfield_gs.io.images import read_image, write_image
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.rig import Rig
 
 
 def notes(capsys, line: str) -> list[str]:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import config_names
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 
 TOY = dict(
     width_px=8,

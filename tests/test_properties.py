@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from rasterizer_cases import all_subpixels, random_scene, turned_pose
 
 from lightfield_gs import Encoder, Gaussians, InputError, Panel, Rig, encode, from_depth, interlace, reference, render
-from lightfield_gs.simulate import simulate
+from lightfield_gs.panels.simulate import simulate
 
 EXACT, SINGLE = 1e-8, 5e-4  # bounds of float64 and float32
 CERTAIN, SETTLED = 1e-6, 5e-3  # margins from which on every precision decides alike

@@ -15,8 +15,8 @@ from lightfield_gs import Cameras, Encoder, Gaussians, InputError, Panel, PhotoE
 from lightfield_gs.base import options
 from lightfield_gs.cli import build_parser
 from lightfield_gs.io import images
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.quality import QUALITIES, Quality
-from lightfield_gs.rig import Rig
 
 
 def fields(count=3, dtype=torch.float32) -> dict[str, Tensor]:

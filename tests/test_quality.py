@@ -9,7 +9,7 @@ from rasterizer_cases import PANELS, all_subpixels, alphas, panel, random_scene,
 
 from lightfield_gs import Encoder, Gaussians, InputError, Quality, _core, encode, reference
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.rasterizer.quality import QUALITIES
 from lightfield_gs.reference_blend import ALPHA_MIN
 

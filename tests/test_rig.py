@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 
 PANEL = Panel(

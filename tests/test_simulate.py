@@ -7,8 +7,8 @@ import pytest
 from rasterizer_cases import CELLS
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panel import Panel
-from lightfield_gs.simulate import simulate
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.simulate import simulate
 
 BASE = dict(
     width_px=600,

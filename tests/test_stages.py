@@ -5,7 +5,8 @@ import pytest
 import torch
 from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stacked
 
-from lightfield_gs import _core, encode, lens, reference, render
+from lightfield_gs import _core, encode, reference, render
+from lightfield_gs.panels import lens
 from lightfield_gs.rasterizer.quality import EXACT
 from lightfield_gs.reference_blend import Eye, Projection, Scene
 from lightfield_gs.scene.cameras import Cameras

@@ -7,7 +7,8 @@ import pytest
 import torch
 from subject_cases import PANEL, UPRIGHT, blobs, directions, floaters, joined, room, thing
 
-from lightfield_gs import Gaussians, InputError, Panel, Rig, framing, visible
+from lightfield_gs import Gaussians, InputError, Panel, Rig
+from lightfield_gs.panels import framing, visible
 
 
 def place(rig: Rig) -> np.ndarray:

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import bytes_of
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
 

@@ -19,7 +19,7 @@ from lightfield_gs.bench.timing import timed
 from lightfield_gs.io.photo import load_photo
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.models.splatter_net import PRETRAINED
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo_encoder import PhotoEncoder
 
 EXAMPLE = Path(__file__).parent.parent / "data" / "cat.png"

@@ -16,8 +16,8 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
 
 ZERO_DEPTH = 2.0

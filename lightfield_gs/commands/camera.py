@@ -11,8 +11,8 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.rig import load_rig
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import DEFAULT_UP, Up, stated_up
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def choose_rig(
 
     Raises InputError.
     """
-    from lightfield_gs import framing
+    from lightfield_gs.panels import framing
 
     if given.rig is not None:
         return given.rig.relative_to(gaussians.origin), given.said
@@ -107,7 +107,7 @@ def choose_rig(
 
 
 def _own_camera(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
-    from lightfield_gs.io.own_camera import photo_camera, stored_framing
+    from lightfield_gs.panels.own_camera import photo_camera, stored_framing
 
     try:
         if (stored := stored_framing(file.comments, panel)) is not None:
@@ -132,7 +132,7 @@ def _looking(
     panel: Panel,
     gaussians: Gaussians,
 ) -> Rig:
-    from lightfield_gs import framing
+    from lightfield_gs.panels import framing
 
     pose = Rig(pose, focal_px, principal_point_px, 1.0).relative_to(gaussians.origin).world_to_camera
     return framing.look_from(gaussians, panel, pose, focal_px, principal_point_px)
@@ -154,7 +154,7 @@ def axes_of(up: str | None, file: SceneFile) -> Up:
 
 def brought_along(file: SceneFile) -> list[tuple[str, str]]:
     """What a scene's file says of cameras, for `info`."""
-    from lightfield_gs.io.own_camera import photo_camera, stored_size
+    from lightfield_gs.panels.own_camera import photo_camera, stored_size
 
     try:
         if (size := stored_size(file.comments)) is not None:
@@ -167,7 +167,7 @@ def brought_along(file: SceneFile) -> list[tuple[str, str]]:
 
 def comments_of(args: argparse.Namespace, panel: Panel, file: SceneFile | None, rig: Rig | None) -> list[str]:
     """Lines for the header of a file of the Gaussians, so that it is seen as it was drawn; rig: in its coordinates."""
-    from lightfield_gs.io.own_camera import framing_comment
+    from lightfield_gs.panels.own_camera import framing_comment
 
     known = []
     if file is not None and (args.up or stated_up(file.comments)):

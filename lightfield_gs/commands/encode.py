@@ -20,10 +20,10 @@ from lightfield_gs.commands.rig import load_cameras
 from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
-    from lightfield_gs.rig import Rig
+    from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> None:
     import torch
 
     from lightfield_gs.io.scenes.ply import write_ply
-    from lightfield_gs.lens import slow_way
+    from lightfield_gs.panels.lens import slow_way
     from lightfield_gs.rasterizer.quality import Quality
     from lightfield_gs.rendering import encode
 

@@ -12,7 +12,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.io.yaml_file import MOST_BYTES
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -146,7 +146,7 @@ def _camera_file(path: Path) -> list[tuple[str, object]]:
 
 
 def _rig(path: Path) -> list[tuple[str, object]]:
-    from lightfield_gs.rig import Rig
+    from lightfield_gs.panels.rig import Rig
 
     return [("rig", path), *Rig.from_yaml(path).to_dict().items()]
 

@@ -7,8 +7,8 @@ import math
 from dataclasses import replace
 
 from lightfield_gs.base.complaint import note
-from lightfield_gs.panel import Panel
-from lightfield_gs.simulate import unknown_of
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.simulate import unknown_of
 
 _REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM", "pixel_pitch_mm": "give a panel that has it"}
 

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.complaint import note
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
-    from lightfield_gs.rig import Rig
+    from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.cameras import Cameras
 
 
 def load_rig(args: argparse.Namespace, panel: Panel) -> Rig | None:
     """The rig of --rig, if there is one; says where it looks like one of another panel. Raises InputError."""
-    from lightfield_gs.rig import Rig
+    from lightfield_gs.panels.rig import Rig
 
     if args.rig is None:
         return None

@@ -13,9 +13,9 @@ from lightfield_gs.commands.panel import at_distance, load_panel, why_no_eye
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.preview import to_integers
-from lightfield_gs.simulate import simulate
 
 _NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # what sub-pixels show does not hang on them
 

@@ -12,7 +12,7 @@ from lightfield_gs.io.captures.camera_files import is_camera_file
 from lightfield_gs.io.json_file import read_json
 from lightfield_gs.io.npy import open_array
 from lightfield_gs.io.yaml_file import check_keys
-from lightfield_gs.panel import MAX_VIEWS, Panel
+from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.cameras import Cameras

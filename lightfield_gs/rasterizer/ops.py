@@ -15,7 +15,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.lens import native_lens
+from lightfield_gs.panels.lens import native_lens
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.workspace import Scene, State, Stats, Workspace, check
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from lightfield_gs import _core
 
 if TYPE_CHECKING:
-    from lightfield_gs.rig import Rig
+    from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.gaussians import Gaussians
 
 

@@ -17,10 +17,10 @@ from PIL import Image
 from fuzzing.readers import CORPUS, READERS, SMALL_PANEL
 from lightfield_gs import Gaussians, Panel, Rig, SplatterNet
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.own_camera import framing_comment
 from lightfield_gs.io.scenes.ply import write_ply
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
+from lightfield_gs.panels.own_camera import framing_comment
 
 _RGB = ("red", "green", "blue")
 

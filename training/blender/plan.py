@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.rig import Rig
 from training.command import with_line_errors
 from training.data.transforms import OBJECT_DISTANCE, TO_OPENCV
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.cells import cell_table
+from lightfield_gs.panels.cells import cell_table
 
 if TYPE_CHECKING:
-    from lightfield_gs.panel import Panel
+    from lightfield_gs.panels.panel import Panel
 
 _SIZES = (8, 8 + 2 * _core.CELL_SUBPIXELS)  # of the first list: of stripes, of cells
 

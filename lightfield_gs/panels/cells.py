@@ -19,7 +19,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CELL_ROWS, CELL_RULES
 
 if TYPE_CHECKING:
-    from lightfield_gs.panel import Panel
+    from lightfield_gs.panels.panel import Panel
 
 PERIOD = 4  # every known pattern repeats after so many columns and rows
 _WORD = 1 << 64

@@ -13,7 +13,7 @@ import numpy as np
 from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.axes import DEFAULT_UP
 
 if TYPE_CHECKING:
@@ -89,9 +89,9 @@ class Rig:
         The zero plane is at the harmonic mean of robust near and far depths. With `world_to_camera` the camera stays
         where it is, otherwise it looks at the scene from in front, upright by `up`, the axis that points up: "x", "y",
         "z", "-x", "-y" or "-z". With -y, as in OpenCV axes, it looks along +z. What was left out of a scene that
-        surrounds what it is about is said in `notes`, a list to append to. See lightfield_gs.framing.frame.
+        surrounds what it is about is said in `notes`, a list to append to. See lightfield_gs.panels.framing.frame.
         """
-        from lightfield_gs.framing import frame
+        from lightfield_gs.panels.framing import frame
 
         return frame(gaussians, panel, world_to_camera, up=up, notes=notes)
 

@@ -15,7 +15,7 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import expect, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 
 _MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
 _SERIALS = ("serial", "hwid")  # of a calibration, and of the display that it is in

@@ -11,8 +11,8 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.cells import PERIOD, subpixel_offsets
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.cells import PERIOD, subpixel_offsets
+from lightfield_gs.panels.panel import Panel
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
 _ROWS_PER_CHUNK_PX = 16  # small temporaries stay in the cache

@@ -4,7 +4,7 @@ For row i from the top, column j and place k of a sub-pixel within its pixel, le
 (Shi et al., Photonics 2025, 12(3), 279, section 3; van Berkel 1999):
     D = 3 j + 3 i tan(slant) + k + phase            x = N frac(D / line_number)            n = floor(x)
 evaluated in wrapping 64-bit fixed point, so that every implementation agrees bit for bit. Panels whose sub-pixels do
-not stand in stripes: see lightfield_gs.cells.
+not stand in stripes: see lightfield_gs.panels.cells.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs import cells
 from lightfield_gs.base.checks import expect, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
 from lightfield_gs.base.paths import config_path
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
+from lightfield_gs.panels import cells
 
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
@@ -203,7 +203,7 @@ class Panel:
         disagree whether it is 0 or 0.5. Raises InputError when a value is missing or makes no sense, or says something
         of the optics that is not known here.
         """
-        from lightfield_gs.io.looking_glass import panel_fields
+        from lightfield_gs.panels.looking_glass import panel_fields
 
         return Panel._of_file(source, panel_fields(source, views, serial, flip_center))
 

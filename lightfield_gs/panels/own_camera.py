@@ -17,8 +17,8 @@ from lightfield_gs.base.checks import real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 
 _KEY = "lightfield-gs rig:"
 _PHOTO = {"extrinsic": 16, "intrinsic": 9, "image_size": 2}  # elements of SHARP, and how many numbers each has

@@ -10,12 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs import _core, reach, subject, visible
+from lightfield_gs import _core
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panel import Panel
-from lightfield_gs.reach import extent
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels import reach, subject, visible
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.reach import extent
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import DEFAULT_UP, upright
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -48,7 +49,7 @@ def frame(
     depths beyond which 5 % of the opacity lies.
     Where there is next to nothing for a while around the densest part of the scene, or the scene goes on on most sides
     of a small dense part, or a hull that is closed on all sides has something in it, that is the content
-    (lightfield_gs.subject).
+    (lightfield_gs.panels.subject).
     Without a camera, one looks at the content from in front, upright by `up`: the axis that points up, one of
     axes.UP_AXES, or three numbers. With -y, as in OpenCV axes, it looks along +z. It stands so far off that the
     content's height takes the angle that the panel subtends for its viewer (kept within 20..50 degrees; 30 when not
