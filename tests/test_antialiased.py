@@ -11,11 +11,11 @@ import torch
 from rasterizer_cases import all_subpixels, dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import Encoder, InputError, cli, encode, prune, reference, render
+from lightfield_gs.encoding.encode import lens_arguments
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.preview import contact_sheet
 from lightfield_gs.rasterizer.quality import QUALITIES
-from lightfield_gs.rendering import lens_arguments
 from lightfield_gs.scene.gaussians import Gaussians
 
 BACKGROUND = (0.1, 0.6, 0.3)

@@ -9,9 +9,9 @@ import torch
 from rasterizer_cases import random_scene, turned_pose
 
 from lightfield_gs import Cameras, InputError, Panel, render
+from lightfield_gs.encoding.view_files import read_cameras
 from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.view_files import read_cameras
 
 POSES = [turned_pose(0.3, -0.2), turned_pose(-0.1, 0.4)]
 PANEL = Panel(width_px=200, height_px=100, views=4, line_number=9.8, slant_tan=0.1, cone_deg=30)

@@ -49,7 +49,7 @@ def test_encode_prints_what_was_skipped(folder, capsys):
 
 
 def test_encode_is_the_library_call(folder, capsys):
-    from lightfield_gs.rendering import encode
+    from lightfield_gs.encoding.encode import encode
 
     run(capsys, "encode s.ply -o o.exr --panel p.yaml --save-rig r.yaml --background 0,0.5,1 --views continuous")
     gaussians = Gaussians.load("s.ply")
@@ -99,7 +99,7 @@ def cameras_json(path, cameras, **changes):
 def test_sorted_takes_cameras_a_view_map_and_a_budget(folder, capsys):
     from sorted_cases import random_map, toe_in
 
-    from lightfield_gs.rendering import encode
+    from lightfield_gs.encoding.encode import encode
 
     cameras, table = toe_in(PANEL, 7), random_map(PANEL, 7, 1)
     cameras_json(folder / "c.json", cameras)

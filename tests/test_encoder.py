@@ -8,7 +8,7 @@ import torch
 from rasterizer_cases import panel, random_scene, rig, turned_pose
 
 from lightfield_gs import Encoder, Gaussians, InputError, encode
-from lightfield_gs.encoder_cpu import STAGES
+from lightfield_gs.encoding.encoder_cpu import STAGES
 from lightfield_gs.rasterizer import skips
 
 SHOWN = panel("default lens")

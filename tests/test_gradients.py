@@ -5,7 +5,7 @@ import torch
 from rasterizer_cases import dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import InputError, encode, reference
-from lightfield_gs.rendering import lens_arguments
+from lightfield_gs.encoding.encode import lens_arguments
 from lightfield_gs.scene.gaussians import Gaussians
 
 GAUSSIANS = ("means", "quaternions", "scales", "opacities", "sh")

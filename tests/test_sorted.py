@@ -13,7 +13,7 @@ from rasterizer_cases import PANELS, all_subpixels, hard_scene, panel, random_sc
 from sorted_cases import oracle, random_map, toe_in
 
 from lightfield_gs import Cameras, InputError, Panel, SortedPlan, _core, encode, reference
-from lightfield_gs.sorted_plan import BLOCK
+from lightfield_gs.encoding.sorted_plan import BLOCK
 
 BACKGROUND = (0.1, 0.6, 0.3)
 SETTLED = 2e-3  # samples whose decisions came nearer to a threshold than this may differ in float32

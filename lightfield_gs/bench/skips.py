@@ -18,13 +18,13 @@ from lightfield_gs.bench.pareto import Subject, drawing
 from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.tables import aligned, in_ms, or_dash
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoder import Encoder
+from lightfield_gs.encoding.encode import background_tensor, encode, lens_arguments
+from lightfield_gs.encoding.encoder import Encoder
+from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.pruning import prune
 from lightfield_gs.rasterizer import ops
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.rasterizer.workspace import Stats
-from lightfield_gs.rendering import background_tensor, encode, lens_arguments
 from lightfield_gs.scene.gaussians import Gaussians
 
 SCENES = ("cloud:65536",)

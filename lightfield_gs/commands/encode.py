@@ -55,10 +55,10 @@ def run(args: argparse.Namespace) -> None:
     panel = load_panel(args)
     import torch
 
+    from lightfield_gs.encoding.encode import encode
     from lightfield_gs.io.scenes.ply import write_ply
     from lightfield_gs.panels.lens import slow_way
     from lightfield_gs.rasterizer.quality import Quality
-    from lightfield_gs.rendering import encode
 
     if args.threads is not None:
         _use_threads(args.threads)
@@ -176,7 +176,7 @@ def _check_options(args: argparse.Namespace) -> None:
 
 def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
     """The arguments of `encode` that only the method sorted has, those that were given."""
-    from lightfield_gs.io.view_files import read_view_map
+    from lightfield_gs.encoding.view_files import read_view_map
 
     views: dict[str, Any] = {}
     if args.cameras is not None:

@@ -23,8 +23,8 @@ def run(args: argparse.Namespace) -> None:
     panel = load_panel(args)
     device = choose_device(args.device)
 
+    from lightfield_gs.encoding.pruning import prune
     from lightfield_gs.io.scenes.ply import write_ply
-    from lightfield_gs.pruning import prune
 
     given = read_given(args, panel)
     watch.lap("start")

@@ -28,7 +28,7 @@ def load_rig(args: argparse.Namespace, panel: Panel) -> Rig | None:
 
 def load_cameras(args: argparse.Namespace, panel: Panel) -> Cameras:
     """Those of --cameras; says where they look as if they were in the wrong order, or made for another panel."""
-    from lightfield_gs.io.view_files import read_cameras
+    from lightfield_gs.encoding.view_files import read_cameras
 
     cameras = read_cameras(args.cameras, panel)
     _note_of_centre(args.cameras, cameras.principal_point_px.median(0).values.tolist(), panel)

@@ -17,10 +17,10 @@ sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 import cases
 import torch
 
+from lightfield_gs.encoding.encode import lens_arguments
 from lightfield_gs.models import group_norm
 from lightfield_gs.rasterizer import frame_cuda, ops
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rendering import lens_arguments
 
 
 def frame(kernel: str, name: str, degree: int, views: str) -> dict[str, object]:

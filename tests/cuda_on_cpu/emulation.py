@@ -23,7 +23,7 @@ torch.cuda.Event = lambda: types.SimpleNamespace(record=lambda: None, synchroniz
 
 def use_cuda_stages() -> None:
     """Tensors on the CPU go through the CUDA stages, on one thread."""
-    from lightfield_gs import sorted, sorted_plan
+    from lightfield_gs.encoding import sorted, sorted_plan
     from lightfield_gs.rasterizer import ops
     from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 

@@ -7,13 +7,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs import rendering
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
-from lightfield_gs.encoder_cpu import STAGES, CpuFrames
-from lightfield_gs.encoder_cuda import CudaFrames
+from lightfield_gs.encoding import encode as rendering
+from lightfield_gs.encoding.encoder_cpu import STAGES, CpuFrames
+from lightfield_gs.encoding.encoder_cuda import CudaFrames
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.quality import Quality

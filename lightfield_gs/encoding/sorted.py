@@ -16,11 +16,11 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import bytes_of
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.workspace import Scene, Stats, Workspace, check
 from lightfield_gs.scene.cameras import Cameras
-from lightfield_gs.sorted_plan import SortedPlan, panel_plan, views_shown
 
 _MOST_VIEWS = 4096  # in a chunk
 _MOST_PAIRS = (1 << 31) - 1

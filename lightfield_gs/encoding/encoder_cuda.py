@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from lightfield_gs import rendering
 from lightfield_gs.base.arrays import Colour
-from lightfield_gs.encoder_cpu import STAGES
+from lightfield_gs.encoding import encode as rendering
+from lightfield_gs.encoding.encoder_cpu import STAGES
 from lightfield_gs.rasterizer import ops
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.gaussians import Gaussians

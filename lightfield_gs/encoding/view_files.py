@@ -55,7 +55,7 @@ def read_view_map(path: str | Path, panel: Panel, views: int) -> np.ndarray:
     """Which of `views` views each sub-pixel shows, int32 [H,W,3] by image channel, -1 for none; a NumPy .npy file.
 
     Raises InputError that names the file."""
-    from lightfield_gs.sorted_plan import checked_view_map
+    from lightfield_gs.encoding.sorted_plan import checked_view_map
 
     table = open_array(path)
     try:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from lightfield_gs import rendering
 from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding import encode as rendering
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians

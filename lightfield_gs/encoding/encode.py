@@ -13,6 +13,8 @@ from lightfield_gs.base.arrays import Colour, bytes_of, dense_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
+from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
+from lightfield_gs.encoding.sorted_plan import SortedPlan, views_shown
 from lightfield_gs.panels.lens import lens_lists
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -21,8 +23,6 @@ from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.workspace import Stats
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.sorted import cameras_and_plan, encode_sorted
-from lightfield_gs.sorted_plan import SortedPlan, views_shown
 
 _DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
 MOST_THREADS = 1024

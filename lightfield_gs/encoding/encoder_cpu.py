@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lightfield_gs import _core, rendering
+from lightfield_gs import _core
 from lightfield_gs.base.arrays import Colour
+from lightfield_gs.encoding import encode as rendering
 from lightfield_gs.rasterizer import ops
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.workspace import Stats, Workspace
