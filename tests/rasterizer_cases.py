@@ -11,7 +11,7 @@ from lightfield_gs import reference
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import frustum_limits
-from lightfield_gs.reference_blend import ALPHA_MIN, Projection, Samples, Scene
+from lightfield_gs.reference.blend import ALPHA_MIN, Projection, Samples, Scene
 from lightfield_gs.scene.gaussians import Gaussians
 
 

@@ -11,7 +11,7 @@ from lightfield_gs import Encoder, Gaussians, InputError, Quality, _core, encode
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.rasterizer.quality import QUALITIES
-from lightfield_gs.reference_blend import ALPHA_MIN
+from lightfield_gs.reference.blend import ALPHA_MIN
 
 FLOAT_ERROR = 2e-4  # of exact float32 frames, and more where a sample sits on a threshold
 LENSES = [

@@ -8,7 +8,7 @@ from rasterizer_cases import PANELS, dense_views, panel, random_scene, rig, stac
 from lightfield_gs import _core, encode, reference, render
 from lightfield_gs.panels import lens
 from lightfield_gs.rasterizer.quality import EXACT
-from lightfield_gs.reference_blend import Eye, Projection, Scene
+from lightfield_gs.reference.blend import Eye, Projection, Scene
 from lightfield_gs.scene.cameras import Cameras
 
 HALF_LOG2E = 0.5 / np.log(2)

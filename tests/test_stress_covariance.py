@@ -13,7 +13,7 @@ from rasterizer_cases import all_subpixels
 from stress_cases import BACKGROUND, CASES, EXACT
 
 from lightfield_gs import encode, reference
-from lightfield_gs.reference_blend import ALPHA_MAX, ALPHA_MIN, LOW_PASS_PX2
+from lightfield_gs.reference.blend import ALPHA_MAX, ALPHA_MIN, LOW_PASS_PX2
 
 EXTREMES = [
     "blades of 1",

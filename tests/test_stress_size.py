@@ -12,7 +12,7 @@ from rasterizer_cases import random_scene, rig
 from stress_cases import BACKGROUND
 
 from lightfield_gs import Gaussians, encode, reference
-from lightfield_gs.reference_blend import LOW_PASS_PX2, Projection, Scene
+from lightfield_gs.reference.blend import LOW_PASS_PX2, Projection, Scene
 
 
 def on_one_pixel(count: int, opacity: float) -> Gaussians:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.reference_blend import harmonics, rotations
+from lightfield_gs.reference.blend import harmonics, rotations
 from lightfield_gs.scene.gaussians import SH_COEFFICIENTS
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 No tiles, no fits, no fixed-point phases: it shares nothing with the native rasterizer, so that each can be judged by
 the other, and autograd through it is the truth for gradients. Lens phase: van Berkel, "Image preparation for 3D-LCD",
-1999; the rig's offsets: Shi et al., Photonics 2025, 12(3), 279. The arithmetic is in reference_blend.
+1999; the rig's offsets: Shi et al., Photonics 2025, 12(3), 279. The arithmetic is in blend.py.
 
 Speed: 20,000 random sub-pixels of 262,144 Gaussians take less than ten seconds on two cores, in some 500 MB. Gaussians
 on a GPU are judged there.
@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.reference_blend import Blend, Eye, Projection, Samples, Scene
+from lightfield_gs.reference.blend import Blend, Eye, Projection, Samples, Scene
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
