@@ -11,13 +11,13 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.encoder import Encoder
     from lightfield_gs.encoding.pruning import prune
     from lightfield_gs.encoding.sorted_plan import SortedPlan
-    from lightfield_gs.io.photo import load_photo
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.photo_encoder import PhotoEncoder
+    from lightfield_gs.photo.encoder import PhotoEncoder
+    from lightfield_gs.photo.load import load_photo
+    from lightfield_gs.photo.rgbd import from_depth
     from lightfield_gs.rasterizer.quality import Quality
-    from lightfield_gs.rgbd import from_depth
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
 
@@ -28,15 +28,15 @@ _HOMES = {
     "Gaussians": "scene.gaussians",
     "InputError": "base.errors",
     "Panel": "panels.panel",
-    "PhotoEncoder": "photo_encoder",
+    "PhotoEncoder": "photo.encoder",
     "Quality": "rasterizer.quality",
     "Rig": "panels.rig",
     "SortedPlan": "encoding.sorted_plan",
     "SplatterNet": "models",
     "encode": "encoding.encode",
-    "from_depth": "rgbd",
+    "from_depth": "photo.rgbd",
     "interlace": "encoding.encode",
-    "load_photo": "io.photo",
+    "load_photo": "photo.load",
     "prune": "encoding.pruning",
     "render": "encoding.encode",
 }

@@ -10,11 +10,11 @@ from PIL import Image
 from plain_photos import COLUMNS, HEIGHT, ROWS, THING, WIDTH, photo, picture, round_thing, save
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io import photo as photos
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.photo import load_photo
-from lightfield_gs.io.pieces import Pieces
 from lightfield_gs.models.crop import Square, object_square
+from lightfield_gs.photo import load as photos
+from lightfield_gs.photo.load import load_photo
+from lightfield_gs.photo.pieces import Pieces
 from lightfield_gs.preview import to_integers
 
 
@@ -185,8 +185,8 @@ def test_encode_says_what_it_took_the_photo_for(folder, capsys):
 
 def test_strips_change_nothing(tmp_path, monkeypatch):
     """What keeps 50 megapixels small: the same, a few rows at a time."""
-    from lightfield_gs.io import colour, plain
     from lightfield_gs.models import crop
+    from lightfield_gs.photo import colour, plain
 
     path = save(tmp_path / "a.png", spoiled("noise 7"), icc_profile=matrix_profile(SRGB_GREEN, SRGB_RED, SRGB_BLUE))
     whole = photo(path).pixels
@@ -200,7 +200,7 @@ def test_strips_change_nothing(tmp_path, monkeypatch):
 
 
 def test_large_photos_are_cut_out_by_blocks_in_bytes(tmp_path, monkeypatch):
-    from lightfield_gs.io import colour, plain
+    from lightfield_gs.photo import colour, plain
 
     path = save(tmp_path / "a.png", picture()[:-1, :-1])
     whole = photo(path)

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from rgbd_scene import WALL_NORMAL, camera, view
 
 import lightfield_gs as lf
-from lightfield_gs.depth_edges import continue_behind, joined, slopes, snap_mixed
-from lightfield_gs.rgbd import focal_length_px, from_depth
+from lightfield_gs.photo.depth_edges import continue_behind, joined, slopes, snap_mixed
+from lightfield_gs.photo.rgbd import focal_length_px, from_depth
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 140.0
 
@@ -59,7 +59,7 @@ def test_views_from_the_side_are_those_of_the_scene(offset):
 
 def test_the_hidden_layer_is_what_fills(monkeypatch):
     """Without it a camera beside looks through the tear."""
-    from lightfield_gs import depth_edges
+    from lightfield_gs.photo import depth_edges
 
     image, depth = photo_and_depth()
     whole = from_depth(image, depth, (FOCAL, FOCAL))

@@ -29,8 +29,8 @@ from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line,
 from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.values import byte_size
 from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
-from lightfield_gs.io.photo import load_photo
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.photo.load import load_photo
 
 BENCH_METHODS = (*METHODS, *peers.PEERS)
 COUNTERS = (

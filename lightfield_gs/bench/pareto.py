@@ -24,9 +24,9 @@ from lightfield_gs.bench.timing import timed_in_turn
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
-from lightfield_gs.io.photo import load_photo
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.photo.load import load_photo
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.scene.gaussians import Gaussians
 

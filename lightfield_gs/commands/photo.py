@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.io.side_by_side import depth_side, halves, is_named_so
+from lightfield_gs.photo.side_by_side import depth_side, halves, is_named_so
 
 if TYPE_CHECKING:
-    from lightfield_gs.io.depth import DepthMap, DepthNumbers
     from lightfield_gs.io.images import Picture
-    from lightfield_gs.io.photo import Photo
+    from lightfield_gs.photo.depth import DepthMap, DepthNumbers
+    from lightfield_gs.photo.load import Photo
     from lightfield_gs.scene.gaussians import Gaussians
 
 # A depth map beside its photo, when nothing else is said: bright is near, as Looking Glass has it
@@ -32,8 +32,8 @@ def has_depth(args: argparse.Namespace) -> bool:
 def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaussians:
     """The Gaussians of the object in a photo, by the network. Raises InputError."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.io.photo import photo_of
     from lightfield_gs.models import SplatterNet
+    from lightfield_gs.photo.load import photo_of
 
     picture = read_picture(args.input)
     side = depth_side(picture.pixels)
@@ -64,8 +64,8 @@ def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaus
     import torch
 
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.io.photo import photo_of
-    from lightfield_gs.rgbd import check_depth_size, from_depth
+    from lightfield_gs.photo.load import photo_of
+    from lightfield_gs.photo.rgbd import check_depth_size, from_depth
 
     picture = read_picture(args.input)
     side = None if args.depth is not None else args.rgbd or depth_side(picture.pixels)
@@ -101,8 +101,8 @@ def _say(args: argparse.Namespace, photo: Photo, more: list[str], notes: list[st
 
 
 def _depth_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
-    from lightfield_gs.io.depth import depth_map, read_numbers
-    from lightfield_gs.io.orientation import turned_with_photo
+    from lightfield_gs.photo.depth import depth_map, read_numbers
+    from lightfield_gs.photo.orientation import turned_with_photo
 
     def turn(numbers: DepthNumbers):
         return turned_with_photo(
@@ -127,7 +127,7 @@ def _depth_file(args: argparse.Namespace, photo: Photo) -> DepthMap:
 
 
 def _depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> DepthMap:
-    from lightfield_gs.io.depth import depth_map, grey_numbers
+    from lightfield_gs.photo.depth import depth_map, grey_numbers
 
     numbers = grey_numbers(f"{args.input}: its {side} half", halves(args.input, picture.pixels, side)[1])
     limits = args.depth_range
@@ -152,7 +152,7 @@ def _depth_beside(args: argparse.Namespace, picture: Picture, side: str) -> Dept
 
 def _camera(args: argparse.Namespace, height: int, width: int, focal_px: float | None) -> tuple:
     """Focal lengths and principal point for from_depth, words for them, and notes; focal_px: of the depth's file."""
-    from lightfield_gs.rgbd import FIELD_OF_VIEW_DEG, focal_length_px
+    from lightfield_gs.photo.rgbd import FIELD_OF_VIEW_DEG, focal_length_px
 
     if args.intrinsics is not None:
         return args.intrinsics[:2], args.intrinsics[2:], *_checked_intrinsics(args.intrinsics, height, width)

@@ -19,7 +19,7 @@ import numpy as np
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.plain import cut_from_plain_background
+from lightfield_gs.photo.plain import cut_from_plain_background
 from training.command import with_line_errors
 from training.data.background import CHOICES, Choice
 from training.data.cache import square_of_view

@@ -12,8 +12,8 @@ from torch import Tensor
 from lightfield_gs.base.arrays import dense_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.depth_edges import continue_behind, slopes, snap_mixed
-from lightfield_gs.io.depth import FARTHEST
+from lightfield_gs.photo.depth import FARTHEST
+from lightfield_gs.photo.depth_edges import continue_behind, slopes, snap_mixed
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_PARTS
-from lightfield_gs.io.depth import channels_apart
 from lightfield_gs.io.images import as_floats
+from lightfield_gs.photo.depth import channels_apart
 
 _NAME = re.compile(r"(^|[^a-z0-9])rgbd$", re.IGNORECASE)
 _SAMPLES = 128  # a side: enough to see whether a half is grey

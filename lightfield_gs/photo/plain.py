@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lightfield_gs.io.pieces import Pieces, object_pieces
-from lightfield_gs.io.strips import strips
+from lightfield_gs.photo.pieces import Pieces, object_pieces
+from lightfield_gs.photo.strips import strips
 
 _BORDER_SHARE = 0.02  # of the shorter side, at least one pixel: what has to be plain
 _PLAIN_STD = 0.04  # largest spread of the border's colour, but for its outliers

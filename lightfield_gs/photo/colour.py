@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lightfield_gs.io.images import Picture, as_floats
-from lightfield_gs.io.strips import strips
+from lightfield_gs.photo.strips import strips
 
 _LINEAR_FORMATS = ("openexr", "hdr")
 _SRGB_GAMMA, _SAME_GAMMA = 2.2, 0.1

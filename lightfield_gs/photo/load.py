@@ -9,13 +9,13 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.background import background_removed
-from lightfield_gs.io.colour import in_srgb
 from lightfield_gs.io.images import Picture, as_floats, read_picture
-from lightfield_gs.io.orientation import turned_with_photo
-from lightfield_gs.io.pieces import object_pieces
-from lightfield_gs.io.plain import PlainCut, cut_from_plain_background, plain_background_mask
-from lightfield_gs.io.strips import strips
+from lightfield_gs.photo.background import background_removed
+from lightfield_gs.photo.colour import in_srgb
+from lightfield_gs.photo.orientation import turned_with_photo
+from lightfield_gs.photo.pieces import object_pieces
+from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, plain_background_mask
+from lightfield_gs.photo.strips import strips
 
 __all__ = ["Photo", "load_photo", "photo_of", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
