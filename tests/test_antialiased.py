@@ -14,9 +14,9 @@ from lightfield_gs import Encoder, InputError, cli, encode, prune, reference, re
 from lightfield_gs.encoding.encode import lens_arguments
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.preview import contact_sheet
 from lightfield_gs.rasterizer.quality import QUALITIES
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.show.preview import contact_sheet
 
 BACKGROUND = (0.1, 0.6, 0.3)
 SHAPES = {"specks": (1, 1, 1), "wires": (0.1, 30, 0.1), "discs": (10, 10, 1e-5), "mixed": (0.3, 4, 20)}

@@ -15,7 +15,7 @@ import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.photo.depth import depth_map, read_depth, read_numbers
-from lightfield_gs.preview import to_integers
+from lightfield_gs.show.preview import to_integers
 
 Z = np.array([[0.5, 1.0, 2.0], [4.0, 1.5, 0.8]])
 

@@ -14,7 +14,7 @@ from plain_photos import HEIGHT, THING, WIDTH, photo, picture, save
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.photo.load import load_photo
-from lightfield_gs.preview import to_integers
+from lightfield_gs.show.preview import to_integers
 
 SWAPPED = matrix_profile(SRGB_GREEN, SRGB_RED, SRGB_BLUE, name="swapped")
 

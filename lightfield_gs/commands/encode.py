@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> None:
             said.append(f"{args.save_gaussians}: the Gaussians in their own axes, with the framing and what is up")
         watch.lap("write")
         if args.preview is not None:
-            from lightfield_gs.preview import write_preview
+            from lightfield_gs.show.preview import write_preview
 
             write_preview(args.preview, image, gaussians, panel, rig, args.background, args.antialiased)
             watch.lap("preview")
@@ -130,7 +130,7 @@ def _outputs(args: argparse.Namespace) -> list[Path | None]:
     outputs = [args.output, args.save_rig, args.save_gaussians]
     if args.preview is None:
         return outputs
-    from lightfield_gs.preview import FILES
+    from lightfield_gs.show.preview import FILES
 
     return [*outputs, *(args.preview / name for name in FILES)]
 
@@ -204,7 +204,7 @@ def _bits(path: Path, bit_depth: int | None) -> int:
 def _stored(image: np.ndarray, bits: int) -> np.ndarray:
     if bits != 16:
         return image
-    from lightfield_gs.preview import to_integers
+    from lightfield_gs.show.preview import to_integers
 
     return to_integers(image, 16)
 

@@ -15,7 +15,7 @@ from lightfield_gs.io.images import check_image_path, read_image, read_info, wri
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.simulate import simulate
-from lightfield_gs.preview import to_integers
+from lightfield_gs.show.preview import to_integers
 
 _NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # what sub-pixels show does not hang on them
 
