@@ -28,7 +28,7 @@ from lightfield_gs.base.options import (
     QUALITY_NAMES,
     VIEWS,
 )
-from lightfield_gs.commands.values import background, byte_size, camera_choice, numbers, threads, within
+from lightfield_gs.commands.options.values import background, byte_size, camera_choice, numbers, threads, within
 from lightfield_gs.panels.panel import DEFAULT_PANEL
 from lightfield_gs.scene.axes import UP_AXES
 
@@ -87,9 +87,9 @@ def build_parser(command: Sequence[str] = ()) -> argparse.ArgumentParser:
     _add_up(info.add_argument)
     info.set_defaults(module="lightfield_gs.commands.info")
     bench = commands.add_parser("bench", help="measure speed and accuracy", allow_abbrev=False)
-    bench.set_defaults(module="lightfield_gs.bench.command")
+    bench.set_defaults(module="lightfield_gs.commands.bench")
     if list(command) == ["bench"]:
-        importlib.import_module("lightfield_gs.bench.command").add_arguments(bench)
+        importlib.import_module("lightfield_gs.commands.bench").add_arguments(bench)
     return parser
 
 

@@ -13,8 +13,9 @@ import torch
 from PIL import Image
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.bench import command, oracle, paper, pareto, photo, scenes, timing, training
+from lightfield_gs.bench import oracle, paper, pareto, photo, scenes, timing, training
 from lightfield_gs.cli import build_parser
+from lightfield_gs.commands import bench as command
 from lightfield_gs.encoding.encode import render
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from lightfield_gs import Panel
-from lightfield_gs.bench import command, skips
+from lightfield_gs.bench import skips
 from lightfield_gs.bench.pareto import Subject
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
+from lightfield_gs.commands import bench as command
 
 PANEL = Panel(width_px=192, height_px=96, views=6, line_number=6.3, slant_tan=0.2, cone_deg=20)
 # How far the pictures may be apart, in 1/255; the others skip what shows

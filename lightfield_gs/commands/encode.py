@@ -14,10 +14,10 @@ from lightfield_gs.base.complaint import note
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
-from lightfield_gs.commands.panel import load_panel, why_no_eye
-from lightfield_gs.commands.rig import load_cameras
-from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
+from lightfield_gs.commands.options.camera import choose_rig, comments_of, read_given
+from lightfield_gs.commands.options.panel import load_panel, why_no_eye
+from lightfield_gs.commands.options.rig import load_cameras
+from lightfield_gs.commands.options.scene import check_scene_options, check_scene_path, load_scene
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel

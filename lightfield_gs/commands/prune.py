@@ -7,9 +7,9 @@ import argparse
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
-from lightfield_gs.commands.panel import load_panel
-from lightfield_gs.commands.scene import check_scene_path, read_noted, say_origin
+from lightfield_gs.commands.options.camera import choose_rig, comments_of, read_given
+from lightfield_gs.commands.options.panel import load_panel
+from lightfield_gs.commands.options.scene import check_scene_path, read_noted, say_origin
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.panel import at_distance, load_panel, why_no_eye
+from lightfield_gs.commands.options.panel import at_distance, load_panel, why_no_eye
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.io.json_file import parse_json

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.photo import has_depth, photo_object, photo_scene
+from lightfield_gs.commands.options.photo import has_depth, photo_object, photo_scene
 from lightfield_gs.io.atomic import check_output_path
 
 if TYPE_CHECKING:

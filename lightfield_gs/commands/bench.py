@@ -27,7 +27,7 @@ from lightfield_gs.bench.pareto_plot import check_plot, plot
 from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, check_scene, load_scene
 from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line, table
 from lightfield_gs.bench.timing import machine
-from lightfield_gs.commands.values import byte_size
+from lightfield_gs.commands.options.values import byte_size
 from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.photo.load import load_photo

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.commands.rig import load_rig
+from lightfield_gs.commands.options.rig import load_rig
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import DEFAULT_UP, Up, stated_up
