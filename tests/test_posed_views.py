@@ -12,8 +12,8 @@ from srn_scene import FOCAL, HEIGHT, WIDTH, write_object
 from transforms_scene import CAMERA, edit, write_transforms
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.lens import COEFFICIENTS, distorted, share_beyond
 from training.data.images import find_cutout, read_view
-from training.data.lens import COEFFICIENTS, distorted, share_beyond
 from training.data.objects import read_object
 from training.data.validate import main, problems
 

@@ -19,13 +19,13 @@ from training_runs import losses, run_config, start
 from lightfield_gs import InputError
 from lightfield_gs.base.paths import config_names, config_path
 from lightfield_gs.models import ModelConfig, SplatterNet
+from lightfield_gs.reference.metrics import psnr_db, ssim
 from training import average, train
 from training.checkpoints import cut_log, load_checkpoint
 from training.config import OptimizerConfig, Stage, TrainingConfig
 from training.data.plan import Augmentation
 from training.distributed import join_team
 from training.losses import LossWeights, composite, roughness, total_loss, translucency
-from training.metrics import psnr_db, ssim
 from training.schedule import WeightAverage, learning_rate
 from training.trainer import Trainer
 

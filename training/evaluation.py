@@ -28,15 +28,15 @@ from tqdm import tqdm
 from lightfield_gs.base.checks import whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.captures.views import ObjectViews
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
+from lightfield_gs.reference.metrics import psnr_db, ssim
 from training.data.background import Choice
+from training.data.distance import OBJECT_DISTANCE, distance_doubt
 from training.data.images import find_cutout, read_view
 from training.data.objects import find_objects, folder_of, read_object
 from training.data.plan import relative_cameras
-from training.data.transforms import OBJECT_DISTANCE, distance_doubt
-from training.data.views import ObjectViews
-from training.metrics import psnr_db, ssim
 from training.ranges import MOST
 from training.rendering import render_card, render_views
 

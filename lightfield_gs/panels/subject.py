@@ -1,7 +1,7 @@
 """What a scene is about, where that is not all of it: far floaters, a sky, a room around an object, a capture that
 reaches far beyond what it was made of.
 
-Everything here is decided by Gaussians that count (see lightfield_gs.panels.framing), on a sample of a few thousand of them.
+Everything here is decided by Gaussians that count (see framing.py), on a sample of a few thousand of them.
 """
 
 from __future__ import annotations

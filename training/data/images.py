@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.lens import source_places, undistorted
+from lightfield_gs.io.captures.masks import read_mask
+from lightfield_gs.io.captures.views import ObjectViews
 from lightfield_gs.io.images import read_image, read_info
 from training.data.background import Background, Choice, border_of, find_background, premultiplied
-from training.data.lens import source_places, undistorted
-from training.data.masks import read_mask
-from training.data.views import ObjectViews
 
 
 @dataclass(frozen=True)

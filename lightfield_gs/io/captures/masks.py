@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.views import IMAGE_SUFFIXES
 from lightfield_gs.io.images import read_image
-from training.data.views import IMAGE_SUFFIXES
 
 FOLDER = "masks"
 

@@ -14,8 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
-from training.data.masks import masks_beside
-from training.data.views import IMAGE_SUFFIXES, ObjectViews, check_intrinsics, check_looking_at_object, check_pose
+from lightfield_gs.io.captures.masks import masks_beside
+from lightfield_gs.io.captures.views import (
+    IMAGE_SUFFIXES,
+    ObjectViews,
+    check_intrinsics,
+    check_looking_at_object,
+    check_pose,
+)
 
 PARTS = ("rgb", "pose", "intrinsics.txt")
 _AXES = "OpenCV axes, x right, y down, z forward: from OpenGL axes, negate the second and third column of each rotation"

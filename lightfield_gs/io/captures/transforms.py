@@ -14,8 +14,7 @@ and mask_path, likewise an image for each frame, white where the object is. With
 (masks.py). File names may have \\ between folders, and another case than the files.
 Everything else (aabb_scale, scale, offset, ...) is about other programs and is not read.
 
-The unit of length of such files is arbitrary: poses are scaled so that the cameras stand OBJECT_DISTANCE, on average,
-from the point they look at, where the network expects the object.
+The unit of length of such files is arbitrary; poses stay as the file has them.
 """
 
 from __future__ import annotations
@@ -27,15 +26,13 @@ import numpy as np
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.files import named_image
+from lightfield_gs.io.captures.lens import COEFFICIENTS, check_distortion
+from lightfield_gs.io.captures.masks import masks_beside
+from lightfield_gs.io.captures.views import ObjectViews, check_intrinsics, check_looking_at_object, check_pose
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_object as read_json
-from training.data.files import named_image
-from training.data.lens import COEFFICIENTS, check_distortion
-from training.data.masks import masks_beside
-from training.data.views import ObjectViews, check_intrinsics, check_looking_at_object, check_pose, depths_of_object
 
-OBJECT_DISTANCE = 1.3
-_NEAREST, _FARTHEST = 0.75, 1.33  # times that, of cameras that are not scaled: further off the network has no depths
 _LIMIT_BYTES = 64 << 20
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
@@ -70,7 +67,6 @@ def read_transforms(path: Path) -> ObjectViews:
                 f"{field}: bad intrinsics: expected the size of frames[0], {sizes[0][0]} x {sizes[0][1]}, "
                 f"got w x h of {size[0]} x {size[1]}; resize the images to one size"
             )
-    poses = _at_object_distance(path, poses)
     masks = _masks(fields, frames, path.parent, images)
     return ObjectViews(
         path.parent.name,
@@ -171,30 +167,3 @@ def _check_model(field: str, camera: dict[str, Any]) -> None:
             f"{field}: bad intrinsics: {unknown[0]}: expected a lens of {', '.join(COEFFICIENTS)} alone, "
             f"got {shown(camera[unknown[0]])}: undistort the images first"
         )
-
-
-def _at_object_distance(path: Path, poses: np.ndarray) -> np.ndarray:
-    """The poses [V,4,4], scaled about the origin so that the mean depth of the point looked at is OBJECT_DISTANCE."""
-    directions = poses[:, :3, 2]
-    spread, distance = np.linalg.norm(directions - directions.mean(0), axis=-1).max(), depths_of_object(poses).mean()
-    if spread < 1e-3 or distance <= 0:
-        raise InputError(
-            f"{path}: transform_matrix: the {len(poses)} cameras look in one direction, so that their "
-            "distance from the object is unknown: expected views from several sides"
-        )
-    scaled = poses.copy()
-    scaled[:, :3, 3] *= OBJECT_DISTANCE / distance
-    return scaled
-
-
-def distance_doubt(camera_to_world: np.ndarray) -> str | None:
-    """What to do about cameras [V,4,4] that stand elsewhere than the network expects, as they may in SRN layout."""
-    if len(camera_to_world) < 2:
-        return None
-    distance = depths_of_object(camera_to_world).mean()
-    if _NEAREST < distance / OBJECT_DISTANCE < _FARTHEST:
-        return None
-    return (
-        f"the cameras stand {distance:.2f} units from what they look at, the network expects it at "
-        f"{OBJECT_DISTANCE}: multiply the positions in the poses by {OBJECT_DISTANCE / distance:.3g}"
-    )

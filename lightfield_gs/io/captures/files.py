@@ -7,7 +7,7 @@ from typing import Any
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
-from training.data.views import IMAGE_SUFFIXES
+from lightfield_gs.io.captures.views import IMAGE_SUFFIXES
 
 
 def named_image(field: str, folder: Path, name: Any) -> Path:
