@@ -18,9 +18,9 @@ import torch
 from cuda_on_cpu import cases
 
 from lightfield_gs import Quality, encode, reference
+from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.rasterizer import frame_cuda
 from lightfield_gs.rasterizer.quality import QUALITIES
-from lightfield_gs.scene.gaussians import SH_CONSTANT
 
 FOLDER = Path(__file__).parent / "cuda_on_cpu"
 CSRC = FOLDER.parents[1] / "csrc"

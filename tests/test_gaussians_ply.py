@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.scenes.ply import write_ply
 from lightfield_gs.scene.files import read_scene
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -207,13 +206,13 @@ def test_comments_and_small_elements_are_kept(tmp_path):
 
 def test_written_comments_come_back(tmp_path):
     texts = ("Vertical Axis: z", "M\u00fcller", "")
-    write_ply(tmp_path / "a.ply", random_gaussians(), texts)
+    random_gaussians().save(tmp_path / "a.ply", texts)
     assert read_scene(tmp_path / "a.ply").comments == texts
     for bad in ("one\ntwo", "\ud800", "x" * (1 << 16), 3):
         with pytest.raises(InputError, match="comments"):
-            write_ply(tmp_path / "b.ply", random_gaussians(), [bad])
+            random_gaussians().save(tmp_path / "b.ply", [bad])
     with pytest.raises(InputError, match="comments"):
-        write_ply(tmp_path / "b.ply", random_gaussians(), "text")
+        random_gaussians().save(tmp_path / "b.ply", "text")
     assert not (tmp_path / "b.ply").exists()
 
 

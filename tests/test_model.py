@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightfield_gs import Cameras, InputError, render
+from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.models import ModelConfig, SplatterNet
 from lightfield_gs.models.composer import parameter_groups
 from lightfield_gs.models.crop import Square, crop_resize, object_square
 from lightfield_gs.models.initializer import describe_pixels
 from lightfield_gs.models.splatter_net import PRETRAINED
-from lightfield_gs.scene.gaussians import SH_CONSTANT
 
 TINY = {
     "image_size_px": 32,

@@ -8,10 +8,11 @@ import pytest
 import torch
 
 from lightfield_gs import reference
+from lightfield_gs.base.harmonics import harmonics, rotations
 from lightfield_gs.bench.scenes import cloud, sheet
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.reference.blend import Projection, Scene, harmonics, rotations
+from lightfield_gs.reference.blend import Projection, Scene
 from lightfield_gs.scene.gaussians import Gaussians
 
 PANEL = Panel(width_px=64, height_px=48, views=8, line_number=9.848282191911, slant_tan=1 / 6, phase=-3.25, cone_deg=40)

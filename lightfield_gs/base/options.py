@@ -31,3 +31,5 @@ DEPTH_PARTS: tuple[DepthPart, ...] = get_args(DepthPart)
 MAP_ORIENTATIONS: tuple[MapOrientation, ...] = get_args(MapOrientation)
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 DEVICES: tuple[Device, ...] = get_args(Device)
+
+DEFAULT_CONE_DEG = 40.0  # of a panel that does not say what its views span

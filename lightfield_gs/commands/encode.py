@@ -56,7 +56,6 @@ def run(args: argparse.Namespace) -> None:
     import torch
 
     from lightfield_gs.encoding.encode import encode
-    from lightfield_gs.io.scenes.ply import write_ply
     from lightfield_gs.panels.lens import slow_way
     from lightfield_gs.rasterizer.quality import Quality
 
@@ -103,7 +102,7 @@ def run(args: argparse.Namespace) -> None:
         if args.save_rig is not None:
             rig_of_file.to_yaml(args.save_rig)
         if args.save_gaussians is not None:
-            write_ply(args.save_gaussians, gaussians, comments_of(args, panel, file, rig_of_file))
+            gaussians.save(args.save_gaussians, comments_of(args, panel, file, rig_of_file))
             said.append(f"{args.save_gaussians}: the Gaussians in their own axes, with the framing and what is up")
         watch.lap("write")
         if args.preview is not None:

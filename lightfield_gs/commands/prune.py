@@ -24,7 +24,6 @@ def run(args: argparse.Namespace) -> None:
     device = choose_device(args.device)
 
     from lightfield_gs.encoding.pruning import prune
-    from lightfield_gs.io.scenes.ply import write_ply
 
     given = read_given(args, panel)
     watch.lap("start")
@@ -42,7 +41,7 @@ def run(args: argparse.Namespace) -> None:
             f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "
             "--contribution-cut or another --rig"
         )
-    write_ply(args.output, kept.to("cpu"), comments_of(args, panel, file, rig_of_file))
+    kept.to("cpu").save(args.output, comments_of(args, panel, file, rig_of_file))
     if args.save_rig is not None:
         rig_of_file.to_yaml(args.save_rig)
     watch.lap("write")

@@ -235,7 +235,10 @@ def encode(
         _report(counters, gaussians, panel, stats)
         if method == "direct":
             drawn = gaussians.count - stats["gaussians_culled"]
-            stats["skipped"] = {"gaussians": skips.culled(gaussians, rig, drawn, counters.pruned), **counters.skipped}
+            stats["skipped"] = {
+                "gaussians": skips.culled(gaussians, rig.world_to_camera, drawn, counters.pruned),
+                **counters.skipped,
+            }
     return image
 
 

@@ -9,10 +9,11 @@ from torch import Tensor
 
 from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.encoding import encode as rendering
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
+from lightfield_gs.scene.gaussians import Gaussians
 
 
 def prune(

@@ -14,8 +14,8 @@ from typing import Any
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import expect, shown
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEFAULT_CONE_DEG
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.panels.panel import Panel
 
 _MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
 _SERIALS = ("serial", "hwid")  # of a calibration, and of the display that it is in
@@ -80,7 +80,7 @@ def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[s
         flat.pop("viewCone", None)
         given = "not given" if cone is None else 0
         assume(
-            f"a viewing cone of {Panel.cone_deg:g} degrees, {where}: viewCone is {given}; on a display of "
+            f"a viewing cone of {DEFAULT_CONE_DEG:g} degrees, {where}: viewCone is {given}; on a display of "
             "another cone there is more depth than it can show, or less"
         )
     return flat

@@ -21,10 +21,11 @@ import numpy as np
 
 from lightfield_gs.base.checks import expect, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
+from lightfield_gs.base.options import DEFAULT_CONE_DEG, SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
 from lightfield_gs.base.paths import config_path
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
 from lightfield_gs.panels import cells
+from lightfield_gs.panels.looking_glass import panel_fields
 
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
@@ -69,7 +70,7 @@ class Panel:
     phase: float = 0.0
     subpixel_order: SubpixelOrder = "RGB"
     invert_views: bool = False
-    cone_deg: float = 40.0
+    cone_deg: float = DEFAULT_CONE_DEG
     viewing_distance_mm: float | None = None
     pixel_pitch_mm: float | None = None
     name: str = "panel"
@@ -203,8 +204,6 @@ class Panel:
         disagree whether it is 0 or 0.5. Raises InputError when a value is missing or makes no sense, or says something
         of the optics that is not known here.
         """
-        from lightfield_gs.panels.looking_glass import panel_fields
-
         return Panel._of_file(source, panel_fields(source, views, serial, flip_center))
 
     @staticmethod

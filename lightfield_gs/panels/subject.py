@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.harmonics import spiral
+
 _SAMPLE = 4096  # Gaussians that are looked at
 _PLACES = 128  # of them, where the densest place may be
 _DENSE_SHARE = 0.1  # of all: the ball that holds it and is smallest is the densest place
@@ -172,6 +174,4 @@ class _Hull:
 
 def _directions(count: int) -> Tensor:
     """Unit vectors [count, 3] spread evenly over the sphere."""
-    from lightfield_gs.scene.turning import spiral
-
     return torch.from_numpy(spiral(count))

@@ -8,10 +8,11 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.encoding.encode import render
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
-from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
+from lightfield_gs.scene.gaussians import Gaussians
 
 _SIZE_PX = 256  # longer side of the picture that is looked at: thin things must not blend with what is behind them
 _SHARE_SIZE_PX = 128  # and where only how much of it shows matters

@@ -12,10 +12,11 @@ from torch import Tensor
 from lightfield_gs.base.arrays import dense_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
 from lightfield_gs.photo.depth_edges import continue_behind, slopes, snap_mixed
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
-from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
+from lightfield_gs.scene.gaussians import Gaussians
 
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
 MAX_PIXELS = 1 << 24

@@ -10,15 +10,14 @@ from torch import Tensor
 from lightfield_gs import _core
 
 if TYPE_CHECKING:
-    from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.gaussians import Gaussians
 
 
-def culled(gaussians: Gaussians, rig: Rig, drawn: int, pruned: int) -> dict[str, int]:
+def culled(gaussians: Gaussians, world_to_camera: Any, drawn: int, pruned: int) -> dict[str, int]:
     """Gaussians that are not drawn, by the first reason that holds: behind (or nearer than the near plane), faint
     (opacity below 1/255), outside the panel from every camera of the rig (or of no shape: a quaternion of zeros; or
     nowhere above a raised opacity cut, or for anti-aliasing above 1/255), pruned (Quality.contribution_cut)."""
-    pose = torch.as_tensor(rig.world_to_camera, dtype=torch.float64, device=gaussians.means.device)
+    pose = torch.as_tensor(world_to_camera, dtype=torch.float64, device=gaussians.means.device)
     behind = gaussians.means.double() @ pose[2, :3] + pose[2, 3] < _core.NEAR_DEPTH
     faint = ~behind & (gaussians.opacities.double() * 255 < 1)
     counts = {"behind": int(behind.sum()), "faint": int(faint.sum()), "pruned": pruned}

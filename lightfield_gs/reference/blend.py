@@ -10,9 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import Tensor
+
+from lightfield_gs.base.harmonics import harmonics, rotations
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
@@ -95,48 +96,6 @@ class Blend:
         weight = self.weight.reshape(-1, *[1] * (values.dim() - 1))
         total = values.new_zeros(len(self.transmittance), *values.shape[1:])
         return total.index_add(0, self.sample, weight * values)
-
-
-def rotations(quaternions: Tensor) -> Tensor:
-    """Rotation matrices [N,3,3] of quaternions [N,4] (wxyz, any length but zero)."""
-    w, x, y, z = (quaternions / quaternions.norm(dim=-1, keepdim=True)).unbind(-1)
-    rows = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
-    )
-    return torch.stack(rows, -1).reshape(*quaternions.shape[:-1], 3, 3)
-
-
-def harmonics(directions: Tensor, count: int) -> Tensor:
-    """The first `count` (1, 4, 9, 16) real spherical harmonics [P,K] of unit directions [P,3], signs as in 3DGS."""
-    x, y, z = directions.unbind(-1)
-    k0, k1, k20, k21, k22, k30, k31, k32, k33 = (
-        float(np.sqrt(value / np.pi)) / 4 for value in (4, 12, 5, 60, 15, 7, 21 / 2, 105, 35 / 2)
-    )
-    basis = [torch.full_like(x, k0)]
-    if count > 1:
-        basis += [-k1 * y, k1 * z, -k1 * x]
-    if count > 4:
-        xx, yy, zz = x * x, y * y, z * z
-        basis += [k21 * x * y, -k21 * y * z, k20 * (2 * zz - xx - yy), -k21 * x * z, k22 * (xx - yy)]
-    if count > 9:
-        basis += [
-            -k33 * y * (3 * xx - yy),
-            2 * k32 * x * y * z,
-            -k31 * y * (4 * zz - xx - yy),
-            k30 * z * (2 * zz - 3 * xx - 3 * yy),
-            -k31 * x * (4 * zz - xx - yy),
-            k32 * z * (xx - yy),
-            -k33 * x * (xx - 3 * yy),
-        ]
-    return torch.stack(basis, -1)
 
 
 def square(vectors: Tensor) -> Tensor:

@@ -7,15 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.base.checks import expect
-from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.paths import checked_path
-from lightfield_gs.io.scenes import ply
-from lightfield_gs.io.scenes.ply_data import read_elements
-from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, read_header
+from lightfield_gs.io.scenes.stored import read_stored
 from lightfield_gs.scene.gaussians import Gaussians
-
-_OTHER_FORMATS = {".spz": "SPZ", ".splat": "splat", ".ksplat": "ksplat", ".sog": "SOG", ".json": "SOG or JSON"}
 
 
 @dataclass
@@ -44,19 +37,6 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False) -> SceneFile:
     Raises InputError when the file is not such a .ply, is cut, has wrong counts, lacks a property (it is named) or,
     without skip_invalid, holds a value that has no meaning (property, index and count are named).
     """
-    expect("skip_invalid", skip_invalid, bool)
-    path = checked_path(path)
-    if path.suffix.lower() in _OTHER_FORMATS:
-        raise InputError(
-            f"{path}: {_OTHER_FORMATS[path.suffix.lower()]} files are not supported in this version; "
-            "convert it to a standard 3DGS .ply"
-        )
-    try:
-        with open(path, "rb") as file:
-            header = read_header(path, file.read(HEADER_LIMIT_BYTES))
-        ply.check_header(path, header)
-        elements = read_elements(path, header)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    gaussians, notes = ply.gaussians_of(path, elements.pop("vertex"), skip_invalid)
-    return SceneFile(gaussians, header.comments, elements, notes)
+    stored = read_stored(path, skip_invalid=skip_invalid)
+    gaussians = Gaussians.of_arrays(stored.fields, stored.origin)
+    return SceneFile(gaussians, stored.comments, stored.elements, stored.notes)

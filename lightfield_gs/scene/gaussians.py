@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
 import torch
 
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
-
-SH_COEFFICIENTS = (1, 4, 9, 16)  # (degree + 1)^2, degree 0..3
-SH_CONSTANT = 0.28209479177387814  # the harmonic of degree 0, 1 / (2 sqrt(pi)): colour = 0.5 + constant * coefficient
+from lightfield_gs.base.harmonics import SH_COEFFICIENTS
+from lightfield_gs.io.scenes import ply
+from lightfield_gs.io.scenes.stored import read_stored
+from lightfield_gs.scene.turning import rotated_fields
 
 
 @dataclass
@@ -105,9 +108,9 @@ class Gaussians:
         rotation^T and the same translation sees of what is returned, exactly. Keeps batch, dtype, device and gradients.
         Raises InputError for what is no proper rotation.
         """
-        from lightfield_gs.scene.turning import rotated
-
-        return rotated(self, rotation)
+        self.validate_layout()
+        means, quaternions, sh, origin = rotated_fields(self.means, self.quaternions, self.sh, self.origin, rotation)
+        return replace(self, means=means, quaternions=quaternions, sh=sh, origin=origin)
 
     def validate(self) -> Gaussians:
         """Returns self.
@@ -179,24 +182,37 @@ class Gaussians:
         skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.scene.files.read_scene,
         which tells more of the file.
         """
-        from lightfield_gs.scene.files import read_scene
-
-        scene = read_scene(path, skip_invalid=skip_invalid)
-        for words in scene.notes:
+        stored = read_stored(path, skip_invalid=skip_invalid)
+        gaussians = Gaussians.of_arrays(stored.fields, stored.origin)
+        for words in stored.notes:
             warnings.warn(f"{path}: {words}", stacklevel=2)
-        if any(scene.gaussians.origin):
+        if any(gaussians.origin):
             warnings.warn(
-                f"{path}: the means are given from the origin {scene.gaussians.origin}; cameras in the "
+                f"{path}: the means are given from the origin {gaussians.origin}; cameras in the "
                 "file's coordinates fit after relative_to(gaussians.origin)",
                 stacklevel=2,
             )
-        return scene.gaussians
+        return gaussians
 
-    def save(self, path: str | Path) -> None:
-        """Writes a standard 3DGS .ply. See lightfield_gs.io.scenes.ply.write_ply."""
-        from lightfield_gs.io.scenes.ply import write_ply
+    @staticmethod
+    def of_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:
+        """Gaussians on the CPU that share the memory of the arrays; fields: as of `fields`, [N, ...]."""
+        return Gaussians(**{name: torch.from_numpy(array) for name, array in fields.items()}, origin=origin)
 
-        write_ply(path, self)
+    def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
+        """Writes one set of Gaussians as a standard 3DGS .ply, complete or not at all: float32, but for the centres of
+        Gaussians with an origin, which are written as double with the origin added.
+
+        comments: texts of one line each for the header, 64 KiB in all at most with it.
+        Raises InputError on a batch of sets, a set of none, on values that `validate` refuses, on comments that are no
+        single lines, or when it cannot be written.
+        """
+        if self.is_batched:
+            raise InputError(f"a .ply holds one set of Gaussians, got a batch of {self.means.shape[0]}; save one")
+        if self.count == 0:
+            raise InputError(f"{path}: there are no Gaussians to write; expected at least one")
+        values = self.detach().validate().fields()
+        ply.write(path, {name: value.cpu().double().numpy() for name, value in values.items()}, self.origin, comments)
 
 
 def _extremes(tensor: torch.Tensor) -> tuple[float, float]:

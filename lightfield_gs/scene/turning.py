@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import math
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,29 +11,24 @@ from torch import Tensor
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.reference.blend import harmonics, rotations
-from lightfield_gs.scene.gaussians import SH_COEFFICIENTS
+from lightfield_gs.base.harmonics import SH_COEFFICIENTS, harmonics, rotations, spiral
 
-if TYPE_CHECKING:
-    from lightfield_gs.scene.gaussians import Gaussians
-
+Origin = tuple[float, float, float]
 _DIRECTIONS = 64  # more than the 16 harmonics, spread evenly: their values determine the coefficients well
 _TOLERANCE = 1e-4  # of orthonormality, as for the poses of cameras
 
 
-def rotated(gaussians: Gaussians, rotation: Any) -> Gaussians:
-    """See Gaussians.rotated."""
-    gaussians.validate_layout()
-    matrix = rotation_matrix(rotation, gaussians.device)
-    like = gaussians.means
-    turn = _quaternion(matrix).to(like)
-    origin = matrix.detach().cpu() @ torch.tensor(gaussians.origin, dtype=torch.float64)
-    return replace(
-        gaussians,
-        means=like @ matrix.T.to(like),
-        quaternions=_product(turn, gaussians.quaternions),
-        sh=harmonics_rotation(matrix, gaussians.sh.shape[-2]).to(like) @ gaussians.sh,
-        origin=tuple((origin + 0.0).tolist()),
+def rotated_fields(
+    means: Tensor, quaternions: Tensor, sh: Tensor, origin: Origin, rotation: Any
+) -> tuple[Tensor, Tensor, Tensor, Origin]:
+    """Means, quaternions, harmonics and origin of Gaussians that are turned; see Gaussians.rotated."""
+    matrix = rotation_matrix(rotation, means.device)
+    turned = matrix.detach().cpu() @ torch.tensor(origin, dtype=torch.float64)
+    return (
+        means @ matrix.T.to(means),
+        _product(_quaternion(matrix).to(means), quaternions),
+        harmonics_rotation(matrix, sh.shape[-2]).to(means) @ sh,
+        tuple((turned + 0.0).tolist()),
     )
 
 
@@ -77,16 +70,6 @@ def harmonics_rotation(rotation: Tensor, count: int) -> Tensor:
             parts.append(torch.from_numpy(inverse).to(rotation) @ before[:, first:last])
             first = last
     return torch.block_diag(*parts)
-
-
-@functools.cache
-def spiral(count: int) -> np.ndarray:
-    """Unit vectors [count, 3] spread evenly: a spiral of equal steps in height and of the golden angle."""
-    steps = np.arange(count)
-    heights = 1 - (2 * steps + 1) / count
-    angles = steps * math.pi * (3 - math.sqrt(5))
-    radii = np.sqrt(1 - heights**2)
-    return np.stack([radii * np.cos(angles), radii * np.sin(angles), heights], 1)
 
 
 @functools.cache

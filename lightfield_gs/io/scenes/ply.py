@@ -11,15 +11,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.scenes import doubts, filter_3d
 from lightfield_gs.io.scenes.invalid import check_or_skip
 from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, Element, Header
-from lightfield_gs.scene.gaussians import SH_CONSTANT, Gaussians
 
 _CENTRE = ("x", "y", "z")
 _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -83,8 +82,11 @@ def _rest_names(names: Sequence[str]) -> list[str]:
     return [f"f_rest_{i}" for i in range(sum(name.startswith("f_rest_") for name in names))]
 
 
-def gaussians_of(path: Path, records: np.ndarray, skip_invalid: bool = False) -> tuple[Gaussians, list[str]]:
-    """The Gaussians of the vertices, whose header has been checked, and notes on what looks wrong in them.
+def fields_of(
+    path: Path, records: np.ndarray, skip_invalid: bool = False
+) -> tuple[dict[str, np.ndarray], tuple[float, float, float], list[str]]:
+    """The five fields of the Gaussians (see scene/gaussians.py) as float32 arrays, of vertices whose header has been
+    checked; the origin that their centres are given from; and notes on what looks wrong in them.
 
     An infinite logit is the opacity 1 or, as what underflows float32, the smallest normal number, which is never drawn;
     so opacities are in (0, 1]. Scales likewise: the log -inf is a flat disc.
@@ -111,7 +113,7 @@ def gaussians_of(path: Path, records: np.ndarray, skip_invalid: bool = False) ->
     notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]
     for name in ("scales", "opacities"):
         np.maximum(fields[name], _TINY, out=fields[name])
-    return Gaussians(*(torch.from_numpy(array) for array in fields.values()), origin), notes
+    return fields, origin, notes
 
 
 def _columns(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
@@ -157,40 +159,31 @@ def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
     return sh, notes
 
 
-def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
-    """Writes one set of Gaussians as a standard 3DGS .ply, complete or not at all: float32, but for the centres of
-    Gaussians with an origin, which are written as double with the origin added.
-
-    comments: texts of one line each for the header, 64 KiB in all at most with it.
-    Raises InputError on a batch of sets, a set of none, on values that `Gaussians.validate` refuses, on comments that
-    are no single lines, or when it cannot be written.
-    """
-    if gaussians.is_batched:
-        raise InputError(f"a .ply holds one set of Gaussians, got a batch of {gaussians.means.shape[0]}; save one")
-    if gaussians.count == 0:
-        raise InputError(f"{path}: there are no Gaussians to write; expected at least one")
-    arrays = {name: tensor.cpu().double().numpy() for name, tensor in gaussians.detach().validate().fields().items()}
-    count, coefficients = gaussians.count, gaussians.sh.shape[-2]
+def write(
+    path: str | Path, fields: dict[str, np.ndarray], origin: tuple[float, float, float], comments: Sequence[str] = ()
+) -> None:
+    """Writes the float64 fields of N >= 1 valid Gaussians; see Gaussians.save. Raises InputError."""
+    count, coefficients = fields["sh"].shape[:2]
     with np.errstate(divide="ignore"):
-        logits = np.log(arrays["opacities"]) - np.log1p(-arrays["opacities"])
-    rest = arrays["sh"][:, 1:].transpose(0, 2, 1).reshape(count, 3 * (coefficients - 1))
+        logits = np.log(fields["opacities"]) - np.log1p(-fields["opacities"])
+    rest = fields["sh"][:, 1:].transpose(0, 2, 1).reshape(count, 3 * (coefficients - 1))
     names = ["nx", "ny", "nz", *_DC, *(f"f_rest_{i}" for i in range(rest.shape[1])), *_SHAPE]
-    rows = np.empty(count, [("centre", "<f8" if any(gaussians.origin) else "<f4", 3), ("rest", "<f4", len(names))])
-    rows["centre"] = arrays["means"] + gaussians.origin
+    rows = np.empty(count, [("centre", "<f8" if any(origin) else "<f4", 3), ("rest", "<f4", len(names))])
+    rows["centre"] = fields["means"] + origin
     np.concatenate(
         [
             np.zeros((count, 3)),
-            arrays["sh"][:, 0],
+            fields["sh"][:, 0],
             rest,
             np.clip(logits, -1e3, _MAX_LOGIT)[:, None],
-            np.log(arrays["scales"]),
-            arrays["quaternions"],
+            np.log(fields["scales"]),
+            fields["quaternions"],
         ],
         1,
         out=rows["rest"],
         casting="same_kind",
     )
-    kinds = dict.fromkeys(_CENTRE, "double" if any(gaussians.origin) else "float") | dict.fromkeys(names, "float")
+    kinds = dict.fromkeys(_CENTRE, "double" if any(origin) else "float") | dict.fromkeys(names, "float")
     header = _header(count, kinds, comments)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write(header)
