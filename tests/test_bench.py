@@ -16,8 +16,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import oracle, paper, pareto, photo, scenes, timing, training
 from lightfield_gs.cli import build_parser
 from lightfield_gs.commands import bench as command
-from lightfield_gs.encoding.encode import render
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.rasterizer.images import render
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.scene.gaussians import Gaussians
 
