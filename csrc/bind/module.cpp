@@ -8,7 +8,7 @@
 #include "hwy/highway.h"
 #include "hwy/targets.h"
 #include "math/footprint.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 #ifdef LFGS_WITH_CUDA
 #include "cuda/architectures.h"
 #include "cuda/group_norm.h"

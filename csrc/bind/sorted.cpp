@@ -1,6 +1,6 @@
 // The part of the module for sub-pixels sorted by view.
 #include "bind/addresses.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 #ifdef LFGS_WITH_CUDA
 #include "cuda/stages.h"
 #endif

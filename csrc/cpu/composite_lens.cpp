@@ -14,7 +14,7 @@
 #include "hwy/cache_control.h"
 #include "math/colour_polynomial.h"
 #include "math/image_byte.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "cpu/composite_lens.cpp"

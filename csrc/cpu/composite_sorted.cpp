@@ -9,7 +9,7 @@
 #include "base/parallel.h"
 #include "cpu/tile_lists.h"
 #include "math/image_byte.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "cpu/composite_sorted.cpp"

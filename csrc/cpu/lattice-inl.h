@@ -18,7 +18,7 @@
 #include "math/footprint.h"
 #include "math/lattice_plan.h"
 #include "math/quality.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace lfgs {

@@ -1,7 +1,7 @@
 // What composite draws for the panel, or differentiates.
 #pragma once
 
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 namespace lfgs {
 

@@ -6,7 +6,7 @@
 #include <cstdint>
 
 #include "math/footprint.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 #include "scene/lens.h"
 
 namespace lfgs {

@@ -9,7 +9,7 @@
 #include "math/footprint.h"
 #include "math/harmonics.h"
 #include "math/saturate.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 namespace lfgs {
 namespace {

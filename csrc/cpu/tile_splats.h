@@ -6,7 +6,7 @@
 #include "base/parallel.h"
 #include "math/footprint.h"
 #include "math/inverse_root.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 namespace lfgs {
 

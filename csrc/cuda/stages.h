@@ -1,11 +1,11 @@
-// The stages and their reverses on a CUDA device: the CPU's stages (pipeline/stages.h) with device pointers and a
+// The stages and their reverses on a CUDA device: the CPU's stages (stages/stages.h) with device pointers and a
 // stream. Nothing here allocates or waits; the caller asks for the sizes of temporary storage first.
 #pragma once
 
 #include <cstdint>
 
 #include "base/config.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 namespace lfgs::cuda {
 
