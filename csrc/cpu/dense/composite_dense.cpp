@@ -9,7 +9,7 @@
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "cpu/composite_dense.cpp"
+#define HWY_TARGET_INCLUDE "cpu/dense/composite_dense.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
