@@ -70,7 +70,7 @@ def build(csrc: Path, out: Path, includes: list[str]) -> Path:
             copy.write_text(host_code(path))
             sources += [copy] if path.suffix == ".cu" else []
     sources += sorted((csrc / "bind").glob("*.cpp"))
-    sources += [csrc / "cpu/plan_sorted.cpp", csrc / "base/parallel.cpp"]
+    sources += [csrc / "cpu/sorted/plan_sorted.cpp", csrc / "base/parallel.cpp"]
     include = [f"-I{p}" for p in (HERE / "include", out / "src", csrc, sysconfig.get_paths()["include"], *includes)]
 
     def compile_(source: Path) -> str:

@@ -12,7 +12,7 @@
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "cpu/composite_sorted.cpp"
+#define HWY_TARGET_INCLUDE "cpu/sorted/composite_sorted.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
 #include "hwy/aligned_allocator.h"
 #include "hwy/cache_control.h"
