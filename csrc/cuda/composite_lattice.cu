@@ -1,4 +1,4 @@
-// Composite of a light-field frame where the light field is smooth: twin of cpu/lens_lattice-inl.h on the device.
+// Composite of a light-field frame where the light field is smooth: twin of cpu/lens/lens_lattice-inl.h on the device.
 //
 // A tile is one of the kernel that the frame chose, with that kernel's lists. A warp lays a coarse lattice in
 // (x, y, view) through every section of it. Where that pays a block draws the nodes, all channels at once, and the

@@ -10,7 +10,7 @@
 #include <algorithm>
 #include <cstring>
 
-#include "cpu/lens_tile-inl.h"
+#include "cpu/lens/lens_tile-inl.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();

@@ -7,22 +7,22 @@
 #include <vector>
 
 #include "base/parallel.h"
-#include "cpu/lens_job.h"
-#include "cpu/lens_run.h"
+#include "cpu/lens/lens_job.h"
+#include "cpu/lens/lens_run.h"
 #include "cpu/tile_lists.h"
-#include "cpu/tile_splats.h"
+#include "cpu/lens/tile_splats.h"
 #include "hwy/cache_control.h"
 #include "math/colour_polynomial.h"
 #include "math/image_byte.h"
 #include "stages/stages.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "cpu/composite_lens.cpp"
+#define HWY_TARGET_INCLUDE "cpu/lens/composite_lens.cpp"
 #include "hwy/foreach_target.h"  // IWYU pragma: keep
 #include "hwy/highway.h"
-#include "cpu/lens_blend-inl.h"
-#include "cpu/lens_lattice-inl.h"
-#include "cpu/lens_tile-inl.h"
+#include "cpu/lens/lens_blend-inl.h"
+#include "cpu/lens/lens_lattice-inl.h"
+#include "cpu/lens/lens_tile-inl.h"
 #include "math/blend-inl.h"
 
 HWY_BEFORE_NAMESPACE();

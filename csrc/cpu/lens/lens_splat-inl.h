@@ -9,8 +9,8 @@
 
 #include <cmath>
 
-#include "cpu/lens_tile-inl.h"
-#include "cpu/tile_splats.h"
+#include "cpu/lens/lens_tile-inl.h"
+#include "cpu/lens/tile_splats.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
 #include "math/quality.h"

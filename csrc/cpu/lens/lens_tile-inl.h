@@ -14,7 +14,7 @@
 #include <cmath>
 #include <vector>
 
-#include "cpu/lens_layout.h"
+#include "cpu/lens/lens_layout.h"
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"

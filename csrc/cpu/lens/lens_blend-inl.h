@@ -10,10 +10,10 @@
 #include <algorithm>
 #include <type_traits>
 
-#include "cpu/lens_job.h"
-#include "cpu/lens_lines-inl.h"
-#include "cpu/lens_splat-inl.h"
-#include "cpu/lens_tile-inl.h"
+#include "cpu/lens/lens_job.h"
+#include "cpu/lens/lens_lines-inl.h"
+#include "cpu/lens/lens_splat-inl.h"
+#include "cpu/lens/lens_tile-inl.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
 

@@ -12,9 +12,9 @@
 #include <cstring>
 #include <vector>
 
-#include "cpu/lattice-inl.h"
-#include "cpu/lens_run.h"
-#include "cpu/lens_splat-inl.h"
+#include "cpu/lens/lattice-inl.h"
+#include "cpu/lens/lens_run.h"
+#include "cpu/lens/lens_splat-inl.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();

@@ -5,7 +5,7 @@
 #include <cstring>
 #include <vector>
 
-#include "cpu/lens_layout.h"
+#include "cpu/lens/lens_layout.h"
 #include "math/lattice_plan.h"
 
 namespace lfgs {
