@@ -47,7 +47,7 @@ target_sources(_core PRIVATE
   csrc/cuda/composite_dense.cu
   csrc/cuda/composite_lens.cu
   csrc/cuda/composite_sorted.cu
-  csrc/cuda/group_norm.cu)
+  csrc/network/group_norm.cu)
 target_compile_definitions(_core PRIVATE LFGS_WITH_CUDA)
 # GLM's calls can otherwise vanish from device code with only a warning (20011..20015); 20012 is noise of GLM itself
 target_compile_options(_core PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr

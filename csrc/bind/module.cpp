@@ -11,7 +11,7 @@
 #include "stages/stages.h"
 #ifdef LFGS_WITH_CUDA
 #include "cuda/architectures.h"
-#include "cuda/group_norm.h"
+#include "network/group_norm.h"
 #include "cuda/stages.h"
 #endif
 

@@ -1,5 +1,5 @@
 // A block normalises a group of an image: it reads it twice, the second time from the cache.
-#include "cuda/group_norm.h"
+#include "network/group_norm.h"
 
 #include "cuda/blend.cuh"
 #include "cuda/check.h"
