@@ -32,7 +32,7 @@ set_target_properties(_core PROPERTIES
 
 target_sources(_core PRIVATE
   csrc/bind/lens_frame.cpp
-  csrc/cuda/architectures.cu
+  csrc/cuda/common/architectures.cu
   csrc/cuda/project.cu
   csrc/cuda/project_lens.cu
   csrc/cuda/lens_frame.cu

@@ -10,7 +10,7 @@
 #include "math/footprint.h"
 #include "stages/stages.h"
 #ifdef LFGS_WITH_CUDA
-#include "cuda/architectures.h"
+#include "cuda/common/architectures.h"
 #include "network/group_norm.h"
 #include "cuda/stages.h"
 #endif

@@ -9,8 +9,8 @@
 #include <algorithm>
 #include <bit>
 
-#include "cuda/check.h"
-#include "cuda/gaussian_io.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/gaussian_io.cuh"
 #include "cuda/stages.h"
 #include "math/footprint.h"
 

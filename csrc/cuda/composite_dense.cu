@@ -1,9 +1,9 @@
 // Stage composite for ordinary images on the device, and its reverse: a block per tile of 16 x 16 pixels, a warp per
 // patch of 8 x 4 of them, a thread per pixel, splats nearest first in both directions. A warp passes over the splats
 // that cannot touch its patch.
-#include "cuda/blend.cuh"
-#include "cuda/check.h"
-#include "cuda/gaussian_io.cuh"
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/gaussian_io.cuh"
 #include "cuda/stages.h"
 #include "math/footprint.h"
 

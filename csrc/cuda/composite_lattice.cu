@@ -5,7 +5,7 @@
 // middles of cells; where these show that it is as good as asked for, it interpolates the tile's sub-pixels. Tiles that
 // are refused are left to the kernel chosen. Some rows of tiles go first: where few of theirs fit, the rows between do
 // without trying.
-#include "cuda/check.h"
+#include "cuda/common/check.h"
 #include "cuda/lattice_errors.cuh"
 #include "cuda/lattice_interpolate.cuh"
 #include "cuda/lattice_rows.cuh"

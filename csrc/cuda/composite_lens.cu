@@ -1,8 +1,8 @@
 // Stage composite for the panel on the device: pixel tiles swept over the whole rig. A block has a tile of 32 x 16
 // pixels, a warp 16 x 4 of them, a lane two pixels one below the other: six sub-pixels, each at its own offset.
-#include "cuda/blend.cuh"
-#include "cuda/check.h"
-#include "cuda/compensated.cuh"
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/compensated.cuh"
 #include "cuda/stages.h"
 #include "math/colour_polynomial.h"
 #include "math/footprint.h"

@@ -1,9 +1,9 @@
 // What the kernels that composite a light-field frame share: their lists, the hand-out of tiles, storing of pixels.
 #pragma once
 
-#include "cuda/blend.cuh"
-#include "cuda/check.h"
-#include "cuda/halves.cuh"
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/halves.cuh"
 #include "cuda/lens_frame.h"
 #include "math/projection.h"
 

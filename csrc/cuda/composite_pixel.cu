@@ -11,7 +11,7 @@
 // are evaluated as they are written, *carefully*. Where half precision will do, samples are pairs of halves.
 #include <type_traits>
 
-#include "cuda/check.h"
+#include "cuda/common/check.h"
 #include "cuda/composite_lens.cuh"
 #include "cuda/lens_plan.cuh"
 #include "cuda/pixel_fit.cuh"

@@ -1,8 +1,8 @@
 // Stage composite on the device for sub-pixels sorted by view, each view an ordinary camera: a block per (view, tile),
 // a thread per sub-pixel. A warp's sub-pixels lie close together, for the lists run along the columns: it looks only at
 // the splats that may touch the box around them.
-#include "cuda/blend.cuh"
-#include "cuda/check.h"
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
 #include "cuda/stages.h"
 
 namespace lfgs::cuda {

@@ -7,7 +7,7 @@
 #include <cuda_fp16.h>
 
 #include "cuda/composite_lens.cuh"
-#include "cuda/halves.cuh"
+#include "cuda/common/halves.cuh"
 #include "cuda/lattice.cuh"
 #include "cuda/lattice_planner.cuh"
 #include "cuda/lens_optics.cuh"

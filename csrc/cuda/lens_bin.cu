@@ -3,9 +3,9 @@
 // fill it. Which tiles those are, of pixels or of lenses, the frame has decided on the device.
 #include <algorithm>
 
-#include "cuda/blend.cuh"
-#include "cuda/check.h"
-#include "cuda/gaussian_io.cuh"
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/gaussian_io.cuh"
 #include "cuda/lens_frame.h"
 #include "cuda/lens_optics.cuh"
 #include "cuda/strip.cuh"

@@ -6,7 +6,7 @@
 
 #include "base/error.h"
 #include "cuda/lattice.cuh"
-#include "cuda/lens_rig.cuh"
+#include "cuda/common/lens_rig.cuh"
 #include "cuda/root_series.cuh"
 
 namespace lfgs::cuda {

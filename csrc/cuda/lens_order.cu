@@ -6,8 +6,8 @@
 // counts as the largest, and needs no place. Short lists are sorted by a warp each, long ones by a block.
 #include <algorithm>
 
-#include "cuda/blend.cuh"
-#include "cuda/check.h"
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
 #include "cuda/lens_frame.h"
 
 namespace lfgs::cuda {

@@ -6,7 +6,7 @@
 // where s2 = 3/4 s1^2, p3 where s1 = 0.
 #pragma once
 
-#include "cuda/blend.cuh"
+#include "cuda/common/blend.cuh"
 #include "cuda/lens_frame.h"
 #include "cuda/lens_optics.cuh"
 #include "cuda/root_series.cuh"

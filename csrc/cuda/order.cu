@@ -3,7 +3,7 @@
 
 #include <bit>
 
-#include "cuda/check.h"
+#include "cuda/common/check.h"
 #include "cuda/stages.h"
 
 namespace lfgs::cuda {

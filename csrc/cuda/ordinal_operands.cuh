@@ -1,9 +1,9 @@
 // What the kernel of composite_ordinal.cu multiplies: the layout of its shared memory, numbers as halves, tensor cores.
 #pragma once
 
-#include "cuda/blend.cuh"
+#include "cuda/common/blend.cuh"
 #include "cuda/composite_lens.cuh"
-#include "cuda/halves.cuh"
+#include "cuda/common/halves.cuh"
 #include "cuda/lens_optics.cuh"
 
 namespace lfgs::cuda {

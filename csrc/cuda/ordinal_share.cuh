@@ -1,7 +1,7 @@
 // The share of its opacity that an anti-aliased splat has within an ordinal, see math/compensation.h.
 #pragma once
 
-#include "cuda/halves.cuh"
+#include "cuda/common/halves.cuh"
 #include "cuda/root_series.cuh"
 
 namespace lfgs::cuda {

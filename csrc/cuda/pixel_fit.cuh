@@ -3,9 +3,9 @@
 
 #include <type_traits>
 
-#include "cuda/compensated.cuh"
+#include "cuda/common/compensated.cuh"
 #include "cuda/composite_lens.cuh"
-#include "cuda/halves.cuh"
+#include "cuda/common/halves.cuh"
 #include "cuda/lens_optics.cuh"
 #include "cuda/lens_plan.cuh"
 

@@ -9,7 +9,7 @@
 // polynomial in its place.
 #pragma once
 
-#include "cuda/halves.cuh"
+#include "cuda/common/halves.cuh"
 #include "cuda/pixel_samples.cuh"
 
 namespace lfgs::cuda {

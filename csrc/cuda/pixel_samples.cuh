@@ -1,7 +1,7 @@
 // Samples of a warp's patch in composite_pixel.cu: where a lane's stand, what they hold, and how a Gaussian is added.
 #pragma once
 
-#include "cuda/compensated.cuh"
+#include "cuda/common/compensated.cuh"
 #include "cuda/composite_lens.cuh"
 #include "cuda/lens_optics.cuh"
 #include "cuda/pixel_fit.cuh"

@@ -1,8 +1,8 @@
 // Stage project for ordinary images on the device: a thread per (image, Gaussian). Arithmetic is float; double, of
 // anti-aliased scenes.
-#include "cuda/check.h"
-#include "cuda/compensated.cuh"
-#include "cuda/gaussian_io.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/compensated.cuh"
+#include "cuda/common/gaussian_io.cuh"
 #include "cuda/stages.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"

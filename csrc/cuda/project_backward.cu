@@ -1,11 +1,11 @@
 // Reverse of stage project on the device. Ordinary images: a thread per (scene, Gaussian) goes through the cameras of
 // its scene in order. Lens: a thread per Gaussian.
-#include "cuda/check.h"
-#include "cuda/blend.cuh"
-#include "cuda/gaussian_io.cuh"
-#include "cuda/lens_rig.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/blend.cuh"
+#include "cuda/common/gaussian_io.cuh"
+#include "cuda/common/lens_rig.cuh"
 #include "cuda/stages.h"
-#include "cuda/widened.cuh"
+#include "cuda/common/widened.cuh"
 #include "math/harmonics.h"
 #include "math/saturate.h"
 

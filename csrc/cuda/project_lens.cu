@@ -1,12 +1,12 @@
 // Stage project for the lens sensor on the device: a thread per Gaussian. Arithmetic is float, but
 // for where the mean is seen.
-#include "cuda/check.h"
-#include "cuda/compensated.cuh"
-#include "cuda/gaussian_io.cuh"
-#include "cuda/halves.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/compensated.cuh"
+#include "cuda/common/gaussian_io.cuh"
+#include "cuda/common/halves.cuh"
 #include "cuda/lens_frame.h"
 #include "cuda/lens_plan.cuh"
-#include "cuda/lens_rig.cuh"
+#include "cuda/common/lens_rig.cuh"
 #include "cuda/stages.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"

@@ -1,7 +1,7 @@
 // How r = S^(-1/2) of a splat varies along the rig, and what of it kernels may leave out.
 #pragma once
 
-#include "cuda/blend.cuh"
+#include "cuda/common/blend.cuh"
 #include "cuda/lens_frame.h"
 
 namespace lfgs::cuda {

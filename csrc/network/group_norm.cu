@@ -1,8 +1,8 @@
 // A block normalises a group of an image: it reads it twice, the second time from the cache.
 #include "network/group_norm.h"
 
-#include "cuda/blend.cuh"
-#include "cuda/check.h"
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
 
 namespace lfgs::cuda {
 namespace {

@@ -1,4 +1,4 @@
-#include "cuda/architectures.h"
+#include "cuda/common/architectures.h"
 
 namespace lfgs::cuda {
 

@@ -1,7 +1,7 @@
 // Splats of anti-aliased scenes on the device, see math/compensation.h.
 #pragma once
 
-#include "cuda/widened.cuh"
+#include "cuda/common/widened.cuh"
 #include "math/projection.h"
 
 namespace lfgs::cuda {
