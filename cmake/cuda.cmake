@@ -41,9 +41,9 @@ target_sources(_core PRIVATE
   csrc/cuda/composite_lattice.cu
   csrc/cuda/composite_pixel.cu
   csrc/cuda/composite_ordinal.cu
-  csrc/cuda/project_backward.cu
-  csrc/cuda/order.cu
-  csrc/cuda/bin.cu
+  csrc/cuda/stages/project_backward.cu
+  csrc/cuda/stages/order.cu
+  csrc/cuda/stages/bin.cu
   csrc/cuda/composite_dense.cu
   csrc/cuda/composite_lens.cu
   csrc/cuda/composite_sorted.cu

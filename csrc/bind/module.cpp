@@ -12,7 +12,7 @@
 #ifdef LFGS_WITH_CUDA
 #include "cuda/common/architectures.h"
 #include "network/group_norm.h"
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 #endif
 
 namespace py = pybind11;

@@ -2,7 +2,7 @@
 #include "bind/addresses.h"
 #include "stages/stages.h"
 #ifdef LFGS_WITH_CUDA
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 #endif
 
 namespace py = pybind11;

@@ -4,7 +4,7 @@
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 #include "math/footprint.h"
 
 namespace lfgs::cuda {

@@ -3,7 +3,7 @@
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/compensated.cuh"
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 #include "math/colour_polynomial.h"
 #include "math/footprint.h"
 

@@ -3,7 +3,7 @@
 // the splats that may touch the box around them.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 
 namespace lfgs::cuda {
 namespace {

@@ -7,7 +7,7 @@
 #include <cstdint>
 
 #include "base/config.h"
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 
 namespace lfgs::cuda {
 

@@ -3,7 +3,7 @@
 #include "cuda/common/check.h"
 #include "cuda/common/compensated.cuh"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"
 

@@ -7,7 +7,7 @@
 #include "cuda/lens_frame.h"
 #include "cuda/lens_plan.cuh"
 #include "cuda/common/lens_rig.cuh"
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"
 

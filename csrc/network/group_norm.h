@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 
 namespace lfgs::cuda {
 

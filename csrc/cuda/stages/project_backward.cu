@@ -4,7 +4,7 @@
 #include "cuda/common/blend.cuh"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/common/lens_rig.cuh"
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 #include "cuda/common/widened.cuh"
 #include "math/harmonics.h"
 #include "math/saturate.h"

@@ -4,7 +4,7 @@
 #include <bit>
 
 #include "cuda/common/check.h"
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 
 namespace lfgs::cuda {
 namespace {
