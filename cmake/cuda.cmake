@@ -33,7 +33,7 @@ set_target_properties(_core PROPERTIES
 target_sources(_core PRIVATE
   csrc/bind/lens_frame.cpp
   csrc/cuda/common/architectures.cu
-  csrc/cuda/project.cu
+  csrc/cuda/dense/project_dense.cu
   csrc/cuda/project_lens.cu
   csrc/cuda/lens_frame.cu
   csrc/cuda/lens_bin.cu
@@ -44,7 +44,7 @@ target_sources(_core PRIVATE
   csrc/cuda/stages/project_backward.cu
   csrc/cuda/stages/order.cu
   csrc/cuda/stages/bin.cu
-  csrc/cuda/composite_dense.cu
+  csrc/cuda/dense/composite_dense.cu
   csrc/cuda/composite_lens.cu
   csrc/cuda/composite_sorted.cu
   csrc/network/group_norm.cu)
