@@ -46,7 +46,7 @@ target_sources(_core PRIVATE
   csrc/cuda/stages/bin.cu
   csrc/cuda/dense/composite_dense.cu
   csrc/cuda/composite_lens.cu
-  csrc/cuda/composite_sorted.cu
+  csrc/cuda/sorted/composite_sorted.cu
   csrc/network/group_norm.cu)
 target_compile_definitions(_core PRIVATE LFGS_WITH_CUDA)
 # GLM's calls can otherwise vanish from device code with only a warning (20011..20015); 20012 is noise of GLM itself
