@@ -34,10 +34,10 @@ target_sources(_core PRIVATE
   csrc/bind/lens_frame.cpp
   csrc/cuda/common/architectures.cu
   csrc/cuda/dense/project_dense.cu
-  csrc/cuda/project_lens.cu
-  csrc/cuda/lens_frame.cu
-  csrc/cuda/lens_bin.cu
-  csrc/cuda/lens_order.cu
+  csrc/cuda/frame/project_lens.cu
+  csrc/cuda/frame/lens_frame.cu
+  csrc/cuda/frame/lens_bin.cu
+  csrc/cuda/frame/lens_order.cu
   csrc/cuda/composite_lattice.cu
   csrc/cuda/composite_pixel.cu
   csrc/cuda/composite_ordinal.cu

@@ -1,5 +1,5 @@
-// The light-field frame of the CUDA backend for Python; see cuda/lens_frame.h and frame_cuda.py.
-#include "cuda/lens_frame.h"
+// The light-field frame of the CUDA backend for Python; see cuda/frame/lens_frame.h and frame_cuda.py.
+#include "cuda/frame/lens_frame.h"
 
 #include <pybind11/stl.h>
 

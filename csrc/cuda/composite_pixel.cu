@@ -12,12 +12,12 @@
 #include <type_traits>
 
 #include "cuda/common/check.h"
-#include "cuda/composite_lens.cuh"
-#include "cuda/lens_plan.cuh"
+#include "cuda/frame/composite_frame.cuh"
+#include "cuda/frame/lens_plan.cuh"
 #include "cuda/pixel_fit.cuh"
 #include "cuda/pixel_half.cuh"
 #include "cuda/pixel_samples.cuh"
-#include "cuda/strip.cuh"
+#include "cuda/frame/strip.cuh"
 
 namespace lfgs::cuda {
 namespace {

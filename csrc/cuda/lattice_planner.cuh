@@ -4,9 +4,9 @@
 
 #include <new>
 
-#include "cuda/composite_lens.cuh"
-#include "cuda/lattice.cuh"
-#include "cuda/lens_plan.cuh"
+#include "cuda/frame/composite_frame.cuh"
+#include "cuda/frame/lattice.cuh"
+#include "cuda/frame/lens_plan.cuh"
 
 namespace lfgs::cuda {
 

@@ -6,11 +6,11 @@
 
 #include <cuda_fp16.h>
 
-#include "cuda/composite_lens.cuh"
+#include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
-#include "cuda/lattice.cuh"
+#include "cuda/frame/lattice.cuh"
 #include "cuda/lattice_planner.cuh"
-#include "cuda/lens_optics.cuh"
+#include "cuda/frame/lens_optics.cuh"
 
 namespace lfgs::cuda {
 namespace {

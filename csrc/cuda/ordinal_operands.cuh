@@ -2,9 +2,9 @@
 #pragma once
 
 #include "cuda/common/blend.cuh"
-#include "cuda/composite_lens.cuh"
+#include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
-#include "cuda/lens_optics.cuh"
+#include "cuda/frame/lens_optics.cuh"
 
 namespace lfgs::cuda {
 

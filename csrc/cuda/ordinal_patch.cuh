@@ -3,7 +3,7 @@
 #pragma once
 
 #include "cuda/ordinal_operands.cuh"
-#include "cuda/strip.cuh"
+#include "cuda/frame/strip.cuh"
 
 namespace lfgs::cuda {
 

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "cuda/common/halves.cuh"
-#include "cuda/root_series.cuh"
+#include "cuda/frame/root_series.cuh"
 
 namespace lfgs::cuda {
 

@@ -3,7 +3,7 @@
 
 #include "cuda/ordinal_patch.cuh"
 #include "cuda/ordinal_share.cuh"
-#include "cuda/root_series.cuh"
+#include "cuda/frame/root_series.cuh"
 
 namespace lfgs::cuda {
 

@@ -4,10 +4,10 @@
 #include <type_traits>
 
 #include "cuda/common/compensated.cuh"
-#include "cuda/composite_lens.cuh"
+#include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
-#include "cuda/lens_optics.cuh"
-#include "cuda/lens_plan.cuh"
+#include "cuda/frame/lens_optics.cuh"
+#include "cuda/frame/lens_plan.cuh"
 
 namespace lfgs::cuda {
 

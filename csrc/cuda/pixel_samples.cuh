@@ -2,8 +2,8 @@
 #pragma once
 
 #include "cuda/common/compensated.cuh"
-#include "cuda/composite_lens.cuh"
-#include "cuda/lens_optics.cuh"
+#include "cuda/frame/composite_frame.cuh"
+#include "cuda/frame/lens_optics.cuh"
 #include "cuda/pixel_fit.cuh"
 
 namespace lfgs::cuda {

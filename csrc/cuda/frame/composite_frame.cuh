@@ -4,7 +4,7 @@
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/halves.cuh"
-#include "cuda/lens_frame.h"
+#include "cuda/frame/lens_frame.h"
 #include "math/projection.h"
 
 namespace lfgs::cuda {

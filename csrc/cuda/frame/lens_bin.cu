@@ -6,9 +6,9 @@
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/lens_frame.h"
-#include "cuda/lens_optics.cuh"
-#include "cuda/strip.cuh"
+#include "cuda/frame/lens_frame.h"
+#include "cuda/frame/lens_optics.cuh"
+#include "cuda/frame/strip.cuh"
 
 namespace lfgs::cuda {
 namespace {

@@ -8,7 +8,7 @@
 
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
-#include "cuda/lens_frame.h"
+#include "cuda/frame/lens_frame.h"
 
 namespace lfgs::cuda {
 namespace {

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "cuda/common/blend.cuh"
-#include "cuda/lens_frame.h"
+#include "cuda/frame/lens_frame.h"
 
 namespace lfgs::cuda {
 

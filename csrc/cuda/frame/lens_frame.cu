@@ -1,13 +1,13 @@
 // Sizes of a light-field frame and the layout of its work buffer.
-#include "cuda/lens_frame.h"
+#include "cuda/frame/lens_frame.h"
 
 #include <algorithm>
 #include <cmath>
 
 #include "base/error.h"
-#include "cuda/lattice.cuh"
+#include "cuda/frame/lattice.cuh"
 #include "cuda/common/lens_rig.cuh"
-#include "cuda/root_series.cuh"
+#include "cuda/frame/root_series.cuh"
 
 namespace lfgs::cuda {
 namespace {

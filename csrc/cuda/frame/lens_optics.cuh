@@ -1,7 +1,7 @@
 // Which sub-pixel belongs to which lens and sees the rig from where: twin of scene/lens.h for kernels.
 #pragma once
 
-#include "cuda/lens_frame.h"
+#include "cuda/frame/lens_frame.h"
 
 namespace lfgs::cuda {
 

@@ -7,9 +7,9 @@
 #pragma once
 
 #include "cuda/common/blend.cuh"
-#include "cuda/lens_frame.h"
-#include "cuda/lens_optics.cuh"
-#include "cuda/root_series.cuh"
+#include "cuda/frame/lens_frame.h"
+#include "cuda/frame/lens_optics.cuh"
+#include "cuda/frame/root_series.cuh"
 #include "math/constants.h"
 #include "math/footprint.h"
 #include "math/lattice_plan.h"
