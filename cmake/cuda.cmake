@@ -45,7 +45,7 @@ target_sources(_core PRIVATE
   csrc/cuda/stages/order.cu
   csrc/cuda/stages/bin.cu
   csrc/cuda/dense/composite_dense.cu
-  csrc/cuda/composite_lens.cu
+  csrc/cuda/lens/composite_lens.cu
   csrc/cuda/sorted/composite_sorted.cu
   csrc/network/group_norm.cu)
 target_compile_definitions(_core PRIVATE LFGS_WITH_CUDA)
