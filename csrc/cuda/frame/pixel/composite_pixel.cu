@@ -14,9 +14,9 @@
 #include "cuda/common/check.h"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/lens_plan.cuh"
-#include "cuda/pixel_fit.cuh"
-#include "cuda/pixel_half.cuh"
-#include "cuda/pixel_samples.cuh"
+#include "cuda/frame/pixel/pixel_fit.cuh"
+#include "cuda/frame/pixel/pixel_half.cuh"
+#include "cuda/frame/pixel/pixel_samples.cuh"
 #include "cuda/frame/strip.cuh"
 
 namespace lfgs::cuda {

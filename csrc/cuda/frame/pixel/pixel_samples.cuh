@@ -4,7 +4,7 @@
 #include "cuda/common/compensated.cuh"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/lens_optics.cuh"
-#include "cuda/pixel_fit.cuh"
+#include "cuda/frame/pixel/pixel_fit.cuh"
 
 namespace lfgs::cuda {
 

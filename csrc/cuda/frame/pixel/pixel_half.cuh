@@ -10,7 +10,7 @@
 #pragma once
 
 #include "cuda/common/halves.cuh"
-#include "cuda/pixel_samples.cuh"
+#include "cuda/frame/pixel/pixel_samples.cuh"
 
 namespace lfgs::cuda {
 
