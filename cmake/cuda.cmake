@@ -40,7 +40,7 @@ target_sources(_core PRIVATE
   csrc/cuda/frame/lens_order.cu
   csrc/cuda/composite_lattice.cu
   csrc/cuda/frame/pixel/composite_pixel.cu
-  csrc/cuda/composite_ordinal.cu
+  csrc/cuda/frame/ordinal/composite_ordinal.cu
   csrc/cuda/stages/project_backward.cu
   csrc/cuda/stages/order.cu
   csrc/cuda/stages/bin.cu

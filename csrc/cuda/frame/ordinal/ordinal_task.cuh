@@ -1,8 +1,8 @@
 // A warp's task in composite_ordinal.cu: its patch at one ordinal after another, from the hits to the samples.
 #pragma once
 
-#include "cuda/ordinal_patch.cuh"
-#include "cuda/ordinal_share.cuh"
+#include "cuda/frame/ordinal/ordinal_patch.cuh"
+#include "cuda/frame/ordinal/ordinal_share.cuh"
 #include "cuda/frame/root_series.cuh"
 
 namespace lfgs::cuda {

@@ -12,7 +12,7 @@
 // takes one contiguous quarter of a task's hits; over is associative, the quarters are joined once.
 #include <cuda_fp16.h>
 
-#include "cuda/ordinal_task.cuh"
+#include "cuda/frame/ordinal/ordinal_task.cuh"
 
 namespace lfgs::cuda {
 namespace {

@@ -2,7 +2,7 @@
 // its samples hold.
 #pragma once
 
-#include "cuda/ordinal_operands.cuh"
+#include "cuda/frame/ordinal/ordinal_operands.cuh"
 #include "cuda/frame/strip.cuh"
 
 namespace lfgs::cuda {
