@@ -38,7 +38,7 @@ target_sources(_core PRIVATE
   csrc/cuda/frame/lens_frame.cu
   csrc/cuda/frame/lens_bin.cu
   csrc/cuda/frame/lens_order.cu
-  csrc/cuda/composite_lattice.cu
+  csrc/cuda/frame/lattice/composite_lattice.cu
   csrc/cuda/frame/pixel/composite_pixel.cu
   csrc/cuda/frame/ordinal/composite_ordinal.cu
   csrc/cuda/stages/project_backward.cu

@@ -2,7 +2,7 @@
 // once, or fills a tile with the background.
 #pragma once
 
-#include "cuda/lattice_tile.cuh"
+#include "cuda/frame/lattice/lattice_tile.cuh"
 
 namespace lfgs::cuda {
 namespace {

@@ -3,7 +3,7 @@
 // side, in halves. (A row of a tile of lenses has more nodes for fewer sub-pixels: see lattice_interpolate.cuh.)
 #pragma once
 
-#include "cuda/lattice_tile.cuh"
+#include "cuda/frame/lattice/lattice_tile.cuh"
 
 namespace lfgs::cuda {
 namespace {

@@ -1,7 +1,7 @@
 // Errors of a lattice at the middles of its cells, and nodes moved for them; twin of LatticeErrors on the CPU.
 #pragma once
 
-#include "cuda/lattice_tile.cuh"
+#include "cuda/frame/lattice/lattice_tile.cuh"
 
 namespace lfgs::cuda {
 namespace {

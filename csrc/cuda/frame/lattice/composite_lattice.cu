@@ -6,9 +6,9 @@
 // are refused are left to the kernel chosen. Some rows of tiles go first: where few of theirs fit, the rows between do
 // without trying.
 #include "cuda/common/check.h"
-#include "cuda/lattice_errors.cuh"
-#include "cuda/lattice_interpolate.cuh"
-#include "cuda/lattice_rows.cuh"
+#include "cuda/frame/lattice/lattice_errors.cuh"
+#include "cuda/frame/lattice/lattice_interpolate.cuh"
+#include "cuda/frame/lattice/lattice_rows.cuh"
 
 namespace lfgs::cuda {
 namespace {
