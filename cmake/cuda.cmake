@@ -31,7 +31,8 @@ set_target_properties(_core PROPERTIES
   CUDA_ARCHITECTURES "${architectures}" CUDA_STANDARD 20 CUDA_STANDARD_REQUIRED ON CUDA_RUNTIME_LIBRARY Static)
 
 target_sources(_core PRIVATE
-  csrc/bind/lens_frame.cpp
+  csrc/bind/cuda.cpp
+  csrc/bind/frame.cpp
   csrc/cuda/common/architectures.cu
   csrc/cuda/dense/project_dense.cu
   csrc/cuda/frame/project_lens.cu
