@@ -34,20 +34,22 @@ target_sources(_core PRIVATE
   csrc/bind/cuda.cpp
   csrc/bind/frame.cpp
   csrc/cuda/common/architectures.cu
-  csrc/cuda/dense/project_dense.cu
-  csrc/cuda/frame/project_lens.cu
-  csrc/cuda/frame/lens_frame.cu
-  csrc/cuda/frame/lens_bin.cu
-  csrc/cuda/frame/lens_order.cu
-  csrc/cuda/frame/lattice/composite_lattice.cu
-  csrc/cuda/frame/pixel/composite_pixel.cu
-  csrc/cuda/frame/ordinal/composite_ordinal.cu
-  csrc/cuda/stages/project_backward.cu
-  csrc/cuda/stages/order.cu
   csrc/cuda/stages/bin.cu
+  csrc/cuda/stages/order.cu
   csrc/cuda/dense/composite_dense.cu
+  csrc/cuda/dense/project_dense.cu
+  csrc/cuda/dense/project_dense_backward.cu
   csrc/cuda/lens/composite_lens.cu
+  csrc/cuda/lens/project_lens.cu
+  csrc/cuda/lens/project_lens_backward.cu
   csrc/cuda/sorted/composite_sorted.cu
+  csrc/cuda/frame/lens_bin.cu
+  csrc/cuda/frame/lens_frame.cu
+  csrc/cuda/frame/lens_order.cu
+  csrc/cuda/frame/project_frame.cu
+  csrc/cuda/frame/lattice/composite_lattice.cu
+  csrc/cuda/frame/ordinal/composite_ordinal.cu
+  csrc/cuda/frame/pixel/composite_pixel.cu
   csrc/network/group_norm.cu)
 target_compile_definitions(_core PRIVATE LFGS_WITH_CUDA)
 # GLM's calls can otherwise vanish from device code with only a warning (20011..20015); 20012 is noise of GLM itself

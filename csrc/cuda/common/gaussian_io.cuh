@@ -1,10 +1,11 @@
-// Reading one Gaussian, and reading and writing one splat, on the device.
+// Reading one Gaussian and writing its gradient, reading and writing one splat, on the device.
 #pragma once
 
 #include <cstdint>
 
 #include "math/harmonics.h"
 #include "math/projection.h"
+#include "math/saturate.h"
 #include "scene/gaussians.h"
 
 namespace lfgs::cuda {
@@ -29,6 +30,16 @@ __device__ inline void read_harmonics(const Gaussians<const float>& g, int64_t i
 #pragma unroll
     for (int k = 0; k < 3 * kMaxShCount; ++k) sh[k] = k < numbers ? from[k] : 0;
   }
+}
+
+// Writes the gradient of one Gaussian, but for its harmonics; g.quaternion is that of the unit quaternion.
+template <class R>
+__device__ void store_gradient(const Shape<float>& shape, const Shape<R>& g, const Gaussians<float>& out, int64_t i) {
+  const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);
+  for (int c = 0; c < 3; ++c)
+    out.means[3 * i + c] = saturated<float>(g.mean[c]), out.scales[3 * i + c] = saturated<float>(g.scale[c]);
+  for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] = saturated<float>(g_quaternion[c]);
+  out.opacities[i] = saturated<float>(g.opacity);
 }
 
 // A splat is three vectors of 16 bytes in memory.

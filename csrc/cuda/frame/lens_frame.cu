@@ -6,7 +6,7 @@
 
 #include "base/error.h"
 #include "cuda/frame/lattice.cuh"
-#include "cuda/common/lens_rig.cuh"
+#include "cuda/lens/lens_rig.cuh"
 #include "cuda/frame/root_series.cuh"
 
 namespace lfgs::cuda {

@@ -1,36 +1,32 @@
-// Stage project for the lens sensor on the device: a thread per Gaussian. Arithmetic is float, but
-// for where the mean is seen.
-#include "cuda/common/check.h"
+// Projection for the lens sensor on the device, a Gaussian at a time: what project_lens and frame_project do alike.
+// Arithmetic is float, but for where the mean is seen.
+#pragma once
+
+#include <string>
+#include <type_traits>
+
+#include "base/error.h"
 #include "cuda/common/compensated.cuh"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/common/halves.cuh"
-#include "cuda/frame/lens_frame.h"
-#include "cuda/frame/lens_plan.cuh"
-#include "cuda/common/lens_rig.cuh"
-#include "cuda/stages/stages.h"
+#include "cuda/lens/lens_rig.cuh"
 #include "math/footprint.h"
 #include "math/harmonics.h"
-
-#include <algorithm>
-#include <cstddef>
-#include <type_traits>
+#include "stages/stages.h"
 
 namespace lfgs::cuda {
-namespace {
-
-using glm::vec3;
-constexpr int kThreads = 128;
 
 // What interpolation at the three nodes of order 2 leaves of a colour at most. Cameras on a line see a mean from
 // directions on a great circle, where the bands above 0 are a trigonometric polynomial of degree 3: it is at most
 // sqrt(15 / 4 pi) times their norm, by the addition theorem, its derivatives 3, 9, 27 times as much (Bernstein). The
 // angle's own, an arctangent of s, are at most slope, 0.65 slope^2, 2 slope^3; the error is f''' / 24.
-__device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const vec3& mean, const View<float>& rig) {
+__device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const glm::vec3& mean,
+                                       const View<float>& rig) {
   constexpr float kBound = 2.31f;
   float square = 0;
 #pragma unroll
   for (int k = 3; k < 3 * kMaxShCount; ++k) square = fmaf(sh[k], sh[k], square);
-  const vec3 right = eye_at(rig, 1) - rig.centre(), across = glm::cross(mean - rig.centre(), right);
+  const glm::vec3 right = eye_at(rig, 1) - rig.centre(), across = glm::cross(mean - rig.centre(), right);
   const float reach = glm::dot(right, right), slope = reach * rsqrtf(glm::dot(across, across));
   return reach > 0 ? kBound * slope * slope * slope * sqrtf(square) : 0.f;
 }
@@ -38,18 +34,18 @@ __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const
 // The colour polynomial of one drawn splat: values at the nodes -> Chebyshev coefficients -> the powers it needs, at
 // least those up to the second. The first one's fourth number says the order again, for who would wait for it.
 template <int Order>
-__device__ void store_colours(const Gaussians<const float>& gaussians, const vec3& mean, const View<float>& rig,
-                              const BasisTable& basis, float tolerance, int64_t i, const Splats<float>& out,
-                              unsigned* error) {
+__device__ inline void store_colours(const Gaussians<const float>& gaussians, const glm::vec3& mean,
+                                     const View<float>& rig, const BasisTable& basis, float tolerance, int64_t i,
+                                     const Splats<float>& out, unsigned* error) {
   constexpr int kNodes = Order + 1;
   float sh[3 * kMaxShCount];  // read once, in registers
   read_harmonics(gaussians, i, sh);
-  vec3 chebyshev[kNodes];
+  glm::vec3 chebyshev[kNodes];
 #pragma unroll
-  for (int k = 0; k < kNodes; ++k) chebyshev[k] = vec3(0);
+  for (int k = 0; k < kNodes; ++k) chebyshev[k] = glm::vec3(0);
 #pragma unroll 1
   for (int j = 0; j < kNodes; ++j) {
-    const vec3 value = sh_colour<float>(3, sh, mean, eye_at(rig, basis.nodes[j]));
+    const glm::vec3 value = sh_colour<float>(3, sh, mean, eye_at(rig, basis.nodes[j]));
 #pragma unroll
     for (int k = 0; k < kNodes; ++k) chebyshev[k] += basis.to_chebyshev[k * kNodes + j] * value;
   }
@@ -70,26 +66,26 @@ __device__ void store_colours(const Gaussians<const float>& gaussians, const vec
   float4* colours = reinterpret_cast<float4*>(out.colours) + i * kNodes;
 #pragma unroll 1
   for (int p = 0; p <= kept; ++p) {
-    vec3 power(0);
+    glm::vec3 power(0);
 #pragma unroll
     for (int k = 0; k < kNodes; ++k)
       if (k <= kept) power += basis.to_powers[p * kNodes + k] * chebyshev[k];
-    if (kept == 0) power = glm::max(power, vec3(0));
+    if (kept == 0) power = glm::max(power, glm::vec3(0));
     colours[p] = make_float4(power.x, power.y, power.z, p == 0 ? float(kept) : 0.f);
   }
   for (int p = kept + 1; p <= 2; ++p) colours[p] = make_float4(0, 0, 0, 0);
 }
 
 // One colour for all cameras.
-__device__ void store_colour(const Gaussians<const float>& gaussians, int64_t i, const Splats<float>& out) {
+__device__ inline void store_colour(const Gaussians<const float>& gaussians, int64_t i, const Splats<float>& out) {
   const float* sh = gaussians.sh + 3 * i;
-  const vec3 colour = glm::max(sh_colour<float>(0, sh, vec3(0, 0, 1), vec3(0)), vec3(0));
+  const glm::vec3 colour = glm::max(sh_colour<float>(0, sh, glm::vec3(0, 0, 1), glm::vec3(0)), glm::vec3(0));
   reinterpret_cast<float4*>(out.colours)[i] = make_float4(colour.x, colour.y, colour.z, 0);
 }
 
 // Where the mean is seen, in double: on a panel of thousands of pixels the last digits of a float show in small splats,
 // by a dB. Returns what rounding took from u0 and v0.
-__device__ float2 place(const View<double>& rig, const vec3& mean, Splat<float>& splat) {
+__device__ inline float2 place_mean(const View<double>& rig, const glm::vec3& mean, Splat<float>& splat) {
   const glm::dvec3 t = rig.rotation * glm::dvec3(mean) + rig.translation;
   const double iz = 1 / t.z, u = rig.fx * t.x * iz + rig.cx, v = rig.fy * t.y * iz + rig.cy;
   splat.u0 = float(u), splat.v0 = float(v), splat.du = float(rig.sweep * rig.fx * (rig.inverse_zero_depth - iz));
@@ -114,7 +110,7 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
     splat = compensated_splat(rigs.exact, shape, out.compensations[i]);
   else
     splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
-  const float2 rest = splat.reach_y >= 0 ? place(rigs.exact, shape.mean, splat) : make_float2(0, 0);
+  const float2 rest = splat.reach_y >= 0 ? place_mean(rigs.exact, shape.mean, splat) : make_float2(0, 0);
   const bool pruned = least_light > 0 && light_of(splat) < least_light;
   if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut, by_patches);
   cull_outside(splat, width_px, height_px);
@@ -129,40 +125,6 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   else
     store_colours<Order>(gaussians, shape.mean, rig, basis, tolerance, i, out, error);
   return splat;
-}
-
-template <int Order, bool kAntialiased>
-__global__ void project_lens_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig, int64_t width_px,
-                                    int64_t height_px, const __grid_constant__ BasisTable basis, float tolerance,
-                                    Splats<float> out, uint64_t* keys, unsigned* error) {
-  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
-  if (i >= gaussians.count) return;
-  const Splat<float> splat = store_splat<Order, kAntialiased>(gaussians, rig, width_px, height_px, basis, tolerance,
-                                                              float(kLog2MinAlpha), false, 0, i, out, nullptr, error);
-  keys[i] = splat.reach_y >= 0 ? __float_as_uint(splat.depth) : ~uint64_t(0);
-}
-
-template <int Order, bool kAntialiased>
-__global__ void frame_project_kernel(Gaussians<const float> gaussians, const __grid_constant__ LensFrame frame,
-                                     const __grid_constant__ Rig rig, const __grid_constant__ BasisTable basis) {
-  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
-  Splat<float> splat;
-  splat.reach_y = -1;
-  if (i < gaussians.count) {
-    splat = store_splat<Order, kAntialiased>(gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis,
-                                             frame.tolerance, frame.cut, frame.in_half, frame.least_light, i,
-                                             frame.splats, frame.depths, &frame.state->colour_error);
-    if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
-  }
-  const unsigned stride = sample_stride(gaussians.count);
-  if (blockIdx.x % stride) return;
-  add_to_sums(frame, splat);
-  __threadfence();
-  __syncthreads();
-  if (threadIdx.x == 0 && atomicAdd(&frame.state->blocks_summed, 1u) == (gridDim.x - 1) / stride) {
-    __threadfence();
-    choose_kernel<kAntialiased>(frame);
-  }
 }
 
 // Calls run with the order of the colours, and whether opacities are compensated, as compile-time constants.
@@ -186,39 +148,6 @@ void with_order(int order, bool antialiased, const Run& run) {
       return with(std::integral_constant<int, 16>());
   }
   throw Error("colour order on CUDA must be 0, 2, 4, 8, 12 or 16, not " + std::to_string(order));
-}
-
-}  // namespace
-
-void project_lens(const Gaussians<const float>& gaussians, const View<double>& rig, const Lens& lens, double tolerance,
-                  const Splats<float>& out, uint64_t* keys, float* error, Stream stream) {
-  if (gaussians.count == 0) return;
-  const BasisTable basis{ColourBasis(out.colour_order)};
-  const unsigned blocks = unsigned(blocks_for(gaussians.count, kThreads));
-  with_order(out.colour_order, rig.antialiased, [&](auto order, auto antialiased) {
-    project_lens_kernel<order, antialiased><<<blocks, kThreads, 0, cudaStream_t(stream)>>>(
-        gaussians, Rig(rig), lens.width_px, lens.height_px, basis, float(tolerance), out, keys,
-        reinterpret_cast<unsigned*>(error));
-  });
-  check_launch("project_lens");
-}
-
-void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream) {
-  require(gaussians.count == frame.splats.count && gaussians.sh_degree == frame.sh_degree,
-          "a frame for " + std::to_string(frame.splats.count) + " Gaussians of degree " +
-              std::to_string(frame.sh_degree) + " got " + std::to_string(gaussians.count) + " of degree " +
-              std::to_string(gaussians.sh_degree));
-  const size_t first = keep_lists ? offsetof(FrameState, colour_error) : 0;
-  const size_t end = keep_lists ? sizeof(FrameState) : frame.cleared_bytes;
-  check(cudaMemsetAsync(reinterpret_cast<char*>(frame.state) + first, 0, end - first, cudaStream_t(stream)),
-        "project: clear the state");
-  const BasisTable basis{ColourBasis(frame.splats.colour_order)};
-  const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // of none too, one chooses
-  with_order(frame.splats.colour_order, frame.rig.antialiased, [&](auto order, auto antialiased) {
-    frame_project_kernel<order, antialiased>
-        <<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(gaussians, frame, Rig(frame.rig), basis);
-  });
-  check_launch("frame_project");
 }
 
 }  // namespace lfgs::cuda

@@ -1,11 +1,10 @@
-// Reverse of stage project on the device. Ordinary images: a thread per (scene, Gaussian) goes through the cameras of
-// its scene in order. Lens: a thread per Gaussian.
-#include "cuda/common/check.h"
+// Reverse of stage project for ordinary images on the device: a thread per (scene, Gaussian) goes through the cameras
+// of its scene in order.
 #include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/common/lens_rig.cuh"
-#include "cuda/stages/stages.h"
 #include "cuda/common/widened.cuh"
+#include "cuda/stages/stages.h"
 #include "math/harmonics.h"
 #include "math/saturate.h"
 
@@ -33,15 +32,6 @@ __device__ Splat<R> splat_gradient(const Splat<float>& s, const float* slot_grad
   g.log2_opacity = sum[0], g.tau = -sum[2], g.c0 = -sum[4], g.S0 = sum[5], g.depth = sum[6];
   colour = vec3(sum[7], sum[8], sum[9]);
   return g;
-}
-
-template <class R>
-__device__ void store(const Shape<float>& shape, const Shape<R>& g, const Gaussians<float>& out, int64_t i) {
-  const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);
-  for (int c = 0; c < 3; ++c)
-    out.means[3 * i + c] = saturated<float>(g.mean[c]), out.scales[3 * i + c] = saturated<float>(g.scale[c]);
-  for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] = saturated<float>(g_quaternion[c]);
-  out.opacities[i] = saturated<float>(g.opacity);
 }
 
 // Whether a splat is so long that its covariance has few digits left in float: rho^2 / (1 - rho^2), rho the correlation
@@ -131,64 +121,7 @@ __global__ void __launch_bounds__(kThreads, 3)
     }
     __syncthreads();
   }
-  if (real) store(shape, g, g_own, i);
-}
-
-template <bool kAntialiased>
-__global__ void __launch_bounds__(kThreads)
-    project_lens_backward_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig,
-                                 const __grid_constant__ BasisTable basis, Splats<float> splats,
-                                 const SlotRange* slot_ranges, const float* slot_gradients, Gaussians<float> out) {
-  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
-  if (i >= gaussians.count) return;
-  const SlotRange slots = slot_ranges[i];
-  if (slots.first == slots.last) return;
-  const Splat<float> s = splats.splats[i];
-  const int order = basis.order, nodes = order + 1, sharp = kLensSums + 3 * nodes, kept = splats.orders[i];
-  constexpr int kSharp = kAntialiased ? kCompensationFields : 0;
-  const int all_sums = sharp + kSharp;
-  double sum[kLensSums + 3 * (kMaxColourOrder + 1) + kSharp];
-  for (int f = 0; f < all_sums; ++f) sum[f] = 0;
-  for (int64_t slot = slots.first; slot < slots.last; ++slot)
-    for (int f = 0; f < all_sums; ++f) sum[f] += slot_gradients[slot * all_sums + f];
-
-  // In double: the covariance of a long needle has no digits left in float, and there is but one projection a Gaussian
-  Splat<double> g_splat{};
-  g_splat.u0 = -sum[3], g_splat.du = -sum[4], g_splat.c0 = -sum[5], g_splat.c1 = -sum[6];
-  g_splat.v0 = 2 * s.tau * sum[1] + s.c0 * sum[3] + s.c1 * sum[4];
-  g_splat.log2_opacity = sum[0], g_splat.tau = -sum[2];
-  g_splat.S0 = sum[7], g_splat.S1 = sum[8], g_splat.S2 = sum[9];
-  const Shape<float> shape = shape_of(gaussians, i);
-  const Shape<double> exact = widened(shape);
-  Shape<double> g{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
-  ViewAdjoint<double> unused;
-  const Projection<double> projection(rig.exact, exact);
-  Compensation<double> g_sharp{};
-  if constexpr (kAntialiased) {
-    Splat<double> again = projection.splat(rig.exact, exact.opacity);
-    const double most = projection.compensate(again, g_sharp);
-    g_sharp = {sum[sharp] / most, sum[sharp + 1] / most, sum[sharp + 2] / most};
-  }
-  projection.adjoint<kAntialiased>(rig.exact, exact, g_splat, g, unused, g_sharp);
-
-  // Powers of s -> Chebyshev -> node values -> harmonics
-  const float* colours = splats.colours + i * nodes * kColourStride;
-  vec3 g_chebyshev[kMaxColourOrder + 1];
-  for (int k = 0; k <= kept; ++k) {
-    g_chebyshev[k] = vec3(0);
-    for (int p = 0; p <= k; ++p)
-      for (int c = 0; c < 3; ++c)
-        if (kept || colours[c] > 0)
-          g_chebyshev[k][c] += basis.to_powers[p * nodes + k] * float(sum[kLensSums + 3 * p + c]);
-  }
-  const int64_t first = 3 * gaussians.sh_count() * i;
-  for (int j = 0; j < nodes; ++j) {
-    vec3 g_value(0);
-    for (int k = 0; k <= kept; ++k) g_value += basis.to_chebyshev[k * nodes + j] * g_chebyshev[k];
-    g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean,
-                                eye_at(rig.rounded, basis.nodes[j]), g_value, out.sh + first);
-  }
-  store(shape, g, out, i);
+  if (real) store_gradient(shape, g, g_own, i);
 }
 
 }  // namespace
@@ -204,16 +137,6 @@ void project_dense_backward(const Gaussians<const float>& gaussians, const Camer
   kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, splats, slot_ranges, slot_gradients, out,
                                                         view_partials);
   check_launch("project_dense_backward");
-}
-
-void project_lens_backward(const Gaussians<const float>& gaussians, const View<double>& rig,
-                           const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
-                           const Gaussians<float>& out, Stream stream) {
-  if (gaussians.count == 0) return;
-  const auto kernel = splats.compensations ? project_lens_backward_kernel<true> : project_lens_backward_kernel<false>;
-  kernel<<<unsigned(blocks_for(gaussians.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(
-      gaussians, Rig(rig), BasisTable{ColourBasis(splats.colour_order)}, splats, slot_ranges, slot_gradients, out);
-  check_launch("project_lens_backward");
 }
 
 }  // namespace lfgs::cuda
