@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.options import Compression
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
@@ -218,12 +218,10 @@ def _straight(pixels: np.ndarray, channel: int) -> np.ndarray:
 def _checked_file(path: str | Path) -> Path:
     """The path of a file that is there, can be read and is not empty; raises InputError."""
     path = checked_path(path)
-    try:
+    with reading(path):
         if path.stat().st_size == 0 or not path.is_file():
             raise InputError(f"{path} is no image: it is empty or not a file")
         path.open("rb").close()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     return path
 
 

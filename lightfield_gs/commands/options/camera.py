@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.commands.options.rig import load_rig
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -109,13 +109,11 @@ def choose_rig(
 def _own_camera(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
     from lightfield_gs.panels.own_camera import photo_camera, stored_framing
 
-    try:
+    with named(path):
         if (stored := stored_framing(file.comments, panel)) is not None:
             return stored[0].relative_to(gaussians.origin), [f"camera: {stored[1]} ({_OTHERS})"]
         if (camera := photo_camera(file.elements)) is None:
             return None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     return (
         _looking(camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), panel, gaussians),
         [
