@@ -52,7 +52,7 @@ STAGES = {"plan", "project", "order", "bin", "composite"}
 
 
 def arguments(*words: str) -> argparse.Namespace:
-    return build_parser(["bench"]).parse_args(["bench", *words])
+    return build_parser("bench").parse_args(["bench", *words])
 
 
 @pytest.mark.parametrize("kind, size, seed", [("sheet", 1, 0), ("sheet", 37, 5), ("cloud", 1, 0), ("cloud", 1234, 8)])
