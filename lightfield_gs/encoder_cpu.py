@@ -106,4 +106,4 @@ def _has_places(work: Workspace, order: Tensor, drawn: Tensor) -> bool:
     touches no band."""
     places = torch.zeros(work.scene.count, dtype=torch.bool)
     places[order[0, : int(drawn)].long()] = True
-    return not bool(((work.splats[0, :, _core.SPLAT_FIELDS - 2] >= 0) & ~places).any())
+    return not bool(((work.splats[0, :, _core.SPLAT_REACH_INDEX] >= 0) & ~places).any())

@@ -272,7 +272,7 @@ class Workspace:
         )
         self.stats.count(counters)
         if self.stats.device is not None:
-            self.stats.pruned = int((self.splats[..., _core.SPLAT_FIELDS - 2] == _core.PRUNED).sum())
+            self.stats.pruned = int((self.splats[..., _core.SPLAT_REACH_INDEX] == _core.PRUNED).sum())
             self.stats.skipped = skips.of_lens(counters, self.orders, self.splats, self.colour_order)
 
     def dense_backward(
