@@ -22,7 +22,7 @@ def listed(text: str) -> str:
         if found and found[1] not in _STAYS:
             if not in_item:
                 lines.append("")
-            lines.append(f"- **`{found[1]}`**: {line[found.end():]}")
+            lines.append(f"- **`{found[1]}`**: {line[found.end() :]}")
             in_item = True
         elif in_item and line and not line[0].isspace() and _begins_a_sentence(line, lines[-1]):
             lines += ["", line]
