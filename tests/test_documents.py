@@ -1,8 +1,9 @@
 """README.md and docs/: what they tell a reader to run runs, what they point at is there, and nothing is said twice.
 
-Commands run in this process, one document after the other, each in a folder of its own with stand-ins for the files that
-it names. What would take minutes is made small: the panel, the scenes and repeats of benchmarks, the steps and networks
-of training runs. Options that a document gives are kept, but for the names of panels, benchmark scenes and networks.
+Commands run in this process, one document after the other, each in a folder of its own with stand-ins for the files
+that it names. What would take minutes is made small: the panel, the scenes and repeats of benchmarks, the steps and
+networks of training runs. Options that a document gives are kept, but for the names of panels, benchmark scenes and
+networks.
 """
 
 from __future__ import annotations
@@ -13,12 +14,15 @@ import runpy
 import shlex
 import shutil
 import subprocess
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import yaml
 from command_line import PANEL, scene
 from documents import DOCUMENTS, LANGUAGES, REASONS, ROOT, anchors, blocks, links, named_paths, prose, sentences
@@ -27,6 +31,9 @@ from srn_scene import write_object
 
 import lightfield_gs
 from lightfield_gs import Panel, Rig, cli
+from lightfield_gs.bench import pareto
+from lightfield_gs.bench import training as training_step
+from lightfield_gs.bench.oracle import oracle_samples
 from lightfield_gs.encoding.view_files import read_cameras
 
 SMALL = replace(PANEL, views=96)  # documents name views of the default panel
@@ -36,9 +43,14 @@ by_name = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.n
 
 
 @pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder that a document's commands run in: a reader's own files under the names that documents give them."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(training_step, "OBJECTS", 1)
+    monkeypatch.setattr(training_step, "SIZE_PX", 16)
+    monkeypatch.setattr(pareto, "oracle_samples", partial(oracle_samples, count=20))
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # nothing here has work for more
     _write_photos()
     _write_scene()
     _write_panels()
@@ -46,7 +58,8 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         write_object(Path(folder), seed=number)
     shutil.copytree(ROOT / "configs", "configs")
     Path("tiny.yaml").write_text(yaml.safe_dump({"image_size_px": 16, "features": 8, "unet": UNET}))
-    return tmp_path
+    yield tmp_path
+    torch.set_num_threads(threads)
 
 
 def _write_photos() -> None:
@@ -109,7 +122,7 @@ def _small_bench(words: list[str]) -> list[str]:
         words += ["--oracle-samples", "20"]
     if kind in ("light-field", "paper", "pareto", "skips") and "--scene" not in words:
         words += ["--scene", "sheet:8"]
-    return [*words, "--photo", "photo.png"] if kind == "pareto" else words
+    return [*words, "--cone", "40"] if kind == "pareto" else words
 
 
 def _run_lightfield_gs(words: list[str]) -> None:
@@ -117,7 +130,7 @@ def _run_lightfield_gs(words: list[str]) -> None:
     assert cli.main(_small_bench(words) if words[0] == "bench" else words) == 0, words
 
 
-SHORT_RUN = "--stages [{steps:_1,_image_size_px:_16,_objects:_2}] --targets 1 --validation_objects 1 --validate_every 1"
+SHORT_RUN = "--stages [{steps:~1,~image_size_px:~32,~objects:~2}] --targets 1 --validation_objects 1 --validate_every 1"
 SHORTER = {
     "training.data.make_small": "--objects 1",
     "training.train": f"{SHORT_RUN} --optimizer.warmup_steps 1",
@@ -128,7 +141,7 @@ SHORTER = {
 
 def _run_module(module: str, words: list[str]) -> None:
     """A command of training/, as long as it takes to try it."""
-    words = words + [word.replace("_", " ") if "{" in word else word for word in SHORTER.get(module, "").split()]
+    words = words + [word.replace("~", " ") for word in SHORTER.get(module, "").split()]
     if module == "training.train" and "configs/training/finetune.yaml" not in words:
         words += ["--model", "tiny.yaml"]
     assert import_module(module).main(words) == 0, (module, words)
