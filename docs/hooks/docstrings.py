@@ -6,43 +6,55 @@ Other lines of a docstring flow on into paragraphs, as everywhere in Markdown.
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
 import griffe
 
-_ITEM = re.compile(r"([a-z_]\w*(?:, [a-z_]\w*)*(?: \[[^\]]*\])?): +(?=\S)")
-_STAYS = ("https", "http")
+_ITEM = re.compile(r"([a-z_]\w*(?:, [a-z_]\w*)*): +(?=\S)")
 
 
-def listed(text: str) -> str:
-    """The text with a list in place of lines that begin with names of parameters."""
+def listed(text: str, names: Collection[str]) -> str:
+    """The text with a list in place of lines that begin with some of the names."""
     lines: list[str] = []
     in_item = False
     for line in text.splitlines():
         found = _ITEM.match(line)
-        if found and found[1] not in _STAYS:
-            if not in_item:
-                lines.append("")
+        if found and set(found[1].split(", ")) <= set(names):
+            lines += [] if in_item else [""]
             lines.append(f"- **`{found[1]}`**: {line[found.end() :]}")
             in_item = True
-        elif in_item and line and not line[0].isspace() and _begins_a_sentence(line, lines[-1]):
-            lines += ["", line]
-            in_item = False
-        elif in_item and line:
+        elif in_item and line and not _begins_a_sentence(line, lines[-1]):
             lines.append(f"  {line.strip()}")
         else:
-            lines.append(line)
+            lines += ["", line] if in_item else [line]
             in_item = False
     return "\n".join(lines)
 
 
 def _begins_a_sentence(line: str, before: str) -> bool:
-    """Whether a line that stands at the margin goes on with the docstring's own text, and not with the item before."""
+    """Whether a line goes on with the docstring's own text, and not with the item before."""
     return line[0].isupper() and before.rstrip().endswith((".", ")"))
 
 
-class Listed(griffe.Extension):
-    """Rewrites every docstring of what is documented."""
+def _names(obj: griffe.Object) -> Collection[str]:
+    """What a docstring may describe: a function's parameters; a class's fields and what it is made with."""
+    if obj.is_function:
+        return [parameter.name for parameter in obj.parameters]
+    if obj.is_class:
+        made_with = obj.members["__init__"].parameters if "__init__" in obj.members else ()
+        return [*obj.members, *(parameter.name for parameter in made_with)]
+    return ()
 
-    def on_object(self, *, obj: griffe.Object, **_: object) -> None:
+
+class Listed(griffe.Extension):
+    """Rewrites the docstrings of what is documented."""
+
+    def on_package(self, *, pkg: griffe.Module, **_: object) -> None:
+        self._rewrite(pkg)
+
+    def _rewrite(self, obj: griffe.Object) -> None:
         if obj.docstring:
-            obj.docstring.value = listed(obj.docstring.value)
+            obj.docstring.value = listed(obj.docstring.value, _names(obj))
+        for member in obj.members.values():
+            if not member.is_alias:
+                self._rewrite(member)
