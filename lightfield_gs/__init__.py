@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lightfield_gs.base.errors import InputError
-    from lightfield_gs.encoding.encode import encode, interlace, render
+    from lightfield_gs.encoding.encode import encode, interlace
     from lightfield_gs.encoding.encoder import Encoder
     from lightfield_gs.encoding.pruning import prune
     from lightfield_gs.encoding.sorted_plan import SortedPlan
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.encoder import PhotoEncoder
     from lightfield_gs.photo.load import load_photo
     from lightfield_gs.photo.rgbd import from_depth
+    from lightfield_gs.rasterizer.images import render
     from lightfield_gs.rasterizer.quality import Quality
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
@@ -38,7 +39,7 @@ _HOMES = {
     "interlace": "encoding.encode",
     "load_photo": "photo.load",
     "prune": "encoding.pruning",
-    "render": "encoding.encode",
+    "render": "rasterizer.images",
 }
 # Spelled out for type checkers, which take no other name as public, and do not run what would make this list of that
 __all__ = [

@@ -11,8 +11,8 @@ import torch
 from rasterizer_cases import all_subpixels, dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import Encoder, InputError, cli, encode, prune, reference, render
-from lightfield_gs.encoding.encode import lens_arguments
 from lightfield_gs.io.images import read_image, read_info
+from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.quality import QUALITIES
 from lightfield_gs.scene.gaussians import Gaussians
@@ -123,7 +123,7 @@ def dense_inputs(scene: Gaussians, width: int, height: int) -> tuple[list[torch.
 
 def lens_inputs(scene: Gaussians, **changes) -> tuple[list[torch.Tensor], tuple]:
     shown = panel(**changes)
-    arguments = lens_arguments(shown, rig(shown, 0.1, -0.15), True)
+    arguments = lens_view(shown, rig(shown, 0.1, -0.15), True).lists()
     fields = [*scene.fields().values(), torch.tensor(BACKGROUND, dtype=torch.float64)]
     return [t.clone().requires_grad_() for t in fields], (*arguments, True)
 

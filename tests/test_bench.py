@@ -16,8 +16,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import oracle, paper, pareto, photo, scenes, timing, training
 from lightfield_gs.cli import build_parser
 from lightfield_gs.commands import bench as command
-from lightfield_gs.encoding.encode import render
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.rasterizer.images import render
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -52,7 +52,7 @@ STAGES = {"plan", "project", "order", "bin", "composite"}
 
 
 def arguments(*words: str) -> argparse.Namespace:
-    return build_parser(["bench"]).parse_args(["bench", *words])
+    return build_parser("bench").parse_args(["bench", *words])
 
 
 @pytest.mark.parametrize("kind, size, seed", [("sheet", 1, 0), ("sheet", 37, 5), ("cloud", 1, 0), ("cloud", 1234, 8)])

@@ -9,8 +9,8 @@ from lightfield_gs import encode
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import peers
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
-from lightfield_gs.encoding.encode import render
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 

@@ -25,8 +25,8 @@ MOST = {
 }
 SPARED = {
     "nothing new": "project, order, bin, composite",
-    "other colours": "order, bin",
-    "zero plane moved": "order",
+    "other colours": "no stage",
+    "zero plane moved": "no stage",
     "all new": "no stage",
 }
 

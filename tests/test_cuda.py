@@ -126,11 +126,11 @@ def test_a_frame_with_too_few_places_is_drawn_right(scene, kernel, monkeypatch):
     monkeypatch.setattr(frame_cuda, "forced_kernel", kernel)
     panel = Panel(**{**LENS, "views": 95})
     expected = encode(on_gpu(scene), panel, rig(panel))
-    kind = next(reversed(frame_cuda._kinds.values()))
-    kind.capacity, kind.noted = 10, None
+    known = next(reversed(frame_cuda._known.values()))
+    known.capacity, known.noted = 10, None
     assert most_apart(encode(on_gpu(scene), panel, rig(panel)), expected) <= 1  # other batches, other rounding
     torch.cuda.synchronize()
-    assert kind.adapt() and kind.capacity > 10
+    assert known.adapt() and known.capacity > 10
 
 
 @pytest.mark.parametrize("kernel", _core.cuda.FRAME_KERNELS if hasattr(_core, "cuda") else [])
@@ -239,7 +239,7 @@ def test_an_encode_can_be_captured_once_its_kind_is_known(scene):
     with torch.cuda.graph(graph):
         image = encode(scene, panel, rig(panel))
     image.zero_()
-    known = next(reversed(frame_cuda._kinds.values())).host
+    known = next(reversed(frame_cuda._known.values())).host
     torch.cuda.synchronize()
     known.zero_()
     graph.replay()

@@ -15,7 +15,7 @@ from lightfield_gs.rasterizer import frame_cuda
 
 @pytest.fixture(autouse=True)
 def no_room_of_other_tests() -> None:
-    frame_cuda._kinds.clear()
+    frame_cuda._known.clear()
 
 
 @pytest.fixture(params=[0, 1, 3])
@@ -62,7 +62,7 @@ def test_an_encoder_repeats_what_may_have_changed(scene, versioned):
         image = encoder(scene)
         torch.cuda.synchronize()
         expected = encode(scene, panel, encoder.rig, background=BACKGROUND)
-        orders = [kind.colour_order for kind in (encoder._frames.kind, next(reversed(frame_cuda._kinds.values())))]
+        orders = [known.colour_order for known in (encoder._frames.frames, next(reversed(frame_cuda._known.values())))]
         if orders[0] > orders[1]:  # frames of a moving zero plane keep the highest so far: other roundings, no more
             assert most_apart(image, expected) <= 1
             assert (image != expected).float().mean() < 255 * 4 * frame_cuda._COLOUR_TOLERANCE

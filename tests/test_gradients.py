@@ -5,7 +5,7 @@ import torch
 from rasterizer_cases import dense_views, panel, random_scene, rig, stacked
 
 from lightfield_gs import InputError, encode, reference
-from lightfield_gs.encoding.encode import lens_arguments
+from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.scene.gaussians import Gaussians
 
 GAUSSIANS = ("means", "quaternions", "scales", "opacities", "sh")
@@ -164,7 +164,7 @@ def lens_inputs(name, count, degree, *, continuous=False, dtype=torch.float64, s
     fan = rig(shown, 0.1, -0.15, (0.53, 0.44))
     gaussians = random_scene(count, degree, seed=20, dtype=dtype, **(scene or {}))
     moving = [*gaussians.fields().values(), background_of(dtype=dtype)]
-    return leaves(moving), lens_arguments(shown, fan, continuous), (shown, fan)
+    return leaves(moving), lens_view(shown, fan, continuous).lists(), (shown, fan)
 
 
 def lens(*arguments):

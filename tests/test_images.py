@@ -3,9 +3,7 @@
 import json
 import os
 import struct
-import threading
 import zlib
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -170,30 +168,6 @@ def test_what_is_no_image(tmp_path, data, suffix, capfd):
         read_image(path)
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
     assert capfd.readouterr().err == ""
-
-
-def test_threads_that_read_at_once_leave_stderr_as_it_was():
-    """The first to begin is the first to end."""
-    before, (first_began, second_began, first_ended) = os.fstat(2), (threading.Event() for _ in range(3))
-
-    def first():
-        with images._NATIVE_STDERR_SILENCED:
-            first_began.set()
-            assert second_began.wait(20)
-        assert not os.path.sameopenfile(2, kept)  # the second still reads
-        first_ended.set()
-
-    def second():
-        assert first_began.wait(20)
-        with images._NATIVE_STDERR_SILENCED:
-            second_began.set()
-            assert first_ended.wait(20)
-
-    with open(os.dup(2), "wb") as file, ThreadPoolExecutor(2) as pool:
-        kept = file.fileno()
-        for done in [pool.submit(first), pool.submit(second)]:
-            done.result()
-    assert os.path.samestat(os.fstat(2), before)
 
 
 def test_cut_and_damaged_images(tmp_path, capfd):

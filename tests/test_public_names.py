@@ -75,10 +75,10 @@ def test_options_are_words_that_checkers_know():
 )
 def test_the_command_line_takes_the_same_words(option, words):
     for word in words:
-        args = build_parser().parse_args(["encode", "s.ply", "-o", "o.png", f"--{option}", word])
+        args = build_parser("encode").parse_args(["encode", "s.ply", "-o", "o.png", f"--{option}", word])
         assert getattr(args, option.replace("-", "_")) == word
     with pytest.raises(InputError, match="invalid choice"):
-        build_parser().parse_args(["encode", "s.ply", "-o", "o.png", f"--{option}", "other"])
+        build_parser("encode").parse_args(["encode", "s.ply", "-o", "o.png", f"--{option}", "other"])
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="needs typing.get_overloads")

@@ -26,7 +26,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from lightfield_gs.base.checks import whole_number
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.views import ObjectViews
 from lightfield_gs.models import SplatterNet
@@ -127,10 +127,8 @@ def compare_object(
     if len(views.image_paths) < 2:
         raise InputError(f"{path}: expected at least two views, one to predict the others from, got one")
     source = source_view(path, views.camera_to_world, source)
-    try:
+    with named(path):
         azimuths = azimuths_from_source(views.camera_to_world, source)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     if path not in decoded:
         decoded[path] = _frames(views, background).to(device)
     frames = decoded[path] / 255

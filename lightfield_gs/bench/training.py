@@ -18,9 +18,9 @@ from lightfield_gs.bench import peers
 from lightfield_gs.bench.scenes import ZERO_DEPTH, sheet
 from lightfield_gs.bench.tables import in_ms
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoding.encode import render
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 

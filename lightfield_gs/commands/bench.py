@@ -18,7 +18,7 @@ from typing import Any
 import torch
 
 from lightfield_gs.base.device import choose_device
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.options import METHODS
 from lightfield_gs.bench import paper, pareto, peers, photo, skips, training
 from lightfield_gs.bench.measure import measure
@@ -342,10 +342,8 @@ def _one_thread_count(args: argparse.Namespace, threads: list[int | None]) -> in
 def _check_photos(photos: list[str]) -> None:
     """Raises InputError before the first is measured: what was measured until then would be lost."""
     for path in photos:
-        try:
+        with named("--photo"):
             load_photo(path)
-        except InputError as error:
-            raise InputError(f"--photo: {error}") from None
 
 
 def _check_scenes(scenes: Sequence[str], sh_degrees: Sequence[int | None] = (None,)) -> None:

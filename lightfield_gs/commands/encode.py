@@ -13,11 +13,20 @@ import numpy as np
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.camera import choose_rig, comments_of, read_given
-from lightfield_gs.commands.options.panel import load_panel, why_no_eye
+from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
+from lightfield_gs.commands.options.panel import add_panel, load_panel, why_no_eye
+from lightfield_gs.commands.options.photo import add_depth
 from lightfield_gs.commands.options.rig import load_cameras
-from lightfield_gs.commands.options.scene import check_scene_options, check_scene_path, load_scene
+from lightfield_gs.commands.options.scene import (
+    add_antialiased,
+    add_skip_invalid,
+    check_scene_options,
+    check_scene_path,
+    load_scene,
+)
+from lightfield_gs.commands.options.values import background, byte_size, threads
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel
@@ -25,6 +34,104 @@ from lightfield_gs.panels.panel import Panel
 if TYPE_CHECKING:
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.gaussians import Gaussians
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs encode`."""
+    parser.description = "Encodes a photo of one object, or a scene of 3D Gaussians, for a slanted-lenticular panel."
+    add = parser.add_argument
+    add(
+        "input",
+        type=Path,
+        metavar="INPUT",
+        help="a photo of an object (RGBA, or RGB with a plain background, --mask "
+        "or --remove-background), a photo of a scene with --depth, or a standard 3DGS .ply",
+    )
+    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
+    add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
+    add_camera(add)
+    add(
+        "--cameras",
+        type=Path,
+        metavar="JSON",
+        help="one camera for each view, the right-most eye's first, for --method sorted, in place of a rig: "
+        "world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of "
+        "the panel)",
+    )
+    add(
+        "--view-map",
+        type=Path,
+        metavar="NPY",
+        help="the view of each sub-pixel, for --method sorted, in place of the panel's lens: int32 [H,W,3], 0..N-1, or "
+        "-1 for the background",
+    )
+    add("--save-rig", type=Path, metavar="YAML", help="write the rig that was used")
+    add("--mask", type=Path, metavar="IMAGE", help="cut-out of a photo, of its size: bright or opaque on the object")
+    add(
+        "--remove-background",
+        action="store_true",
+        help="cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)",
+    )
+    add_depth(add)
+    add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
+    add(
+        "--save-gaussians",
+        type=Path,
+        metavar="PLY",
+        help="write the scene as a 3DGS .ply, in its own axes, with the framing: encoding it gives the same picture",
+    )
+    add_skip_invalid(add)
+    add(
+        "--method",
+        choices=METHODS,
+        default="direct",
+        help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
+        "picture a view, then interlaced (slow; for comparison)",
+    )
+    add(
+        "--memory-budget",
+        type=byte_size,
+        metavar="SIZE",
+        help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
+        "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)",
+    )
+    add(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)",
+    )
+    add(
+        "--views",
+        choices=VIEWS,
+        default="integer",
+        help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)",
+    )
+    add(
+        "--quality",
+        choices=QUALITY_NAMES,
+        default="exact",
+        help="less time for more error, of --method direct (default exact)",
+    )
+    add_antialiased(add)
+    add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
+    add(
+        "--preview",
+        type=Path,
+        metavar="DIR",
+        help="write views.png, look-around.webp and, where the "
+        "panel has a pixel pitch and a viewing distance (see there), left-eye.png and right-eye.png",
+    )
+    add(
+        "--bit-depth",
+        type=int,
+        choices=(8, 16, 32),
+        metavar="BITS",
+        help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32",
+    )
+    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
+    add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
+    add("--stats", action="store_true", help="print what was drawn and what was skipped")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.commands.options.camera import add_up
+from lightfield_gs.commands.options.panel import add_device_serial
+from lightfield_gs.commands.options.scene import add_skip_invalid
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.io.yaml_file import MOST_BYTES
@@ -18,6 +21,19 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _CAMERAS_SHOWN = 20
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs info`."""
+    parser.add_argument(
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="a .ply, an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file",
+    )
+    add_device_serial(parser.add_argument)
+    add_skip_invalid(parser.add_argument)
+    add_up(parser.add_argument)
 
 
 def run(args: argparse.Namespace) -> None:

@@ -11,11 +11,13 @@ from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
-from lightfield_gs.encoding import encode as rendering
+from lightfield_gs.encoding.encode import check_options, encode
 from lightfield_gs.encoding.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoding.encoder_cuda import CudaFrames
+from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.images import background_tensor
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -27,12 +29,11 @@ class Encoder:
     set between frames, and the rig altered: a moving zero plane, another cone, another pose. The others are what kept
     stages and graphs were made for: they can be read only. No gradients. Raises InputError.
 
-    Stages whose input is what it was in the frame before are not repeated, and the image is the same to the bit:
-    nothing changed: the image is there already; other colours: no order, no bins; another rig with the same pose: no
-    order. `stats` tells: {"frames": n, "reused": {stage: frames that did without it}}.
+    What the frame before shows already is not drawn again, and the image is the same to the bit. `stats` tells:
+    {"frames": n, "reused": {stage: frames that did without it}}.
 
-    On the CPU values are compared with copies, so any change is seen. Each image is a tensor of its own. From frame to
-    frame it keeps projected Gaussians, bins and, where nothing changes, an image.
+    On the CPU values are compared with copies, so any change is seen. Each image is a tensor of its own. Where nothing
+    has changed the image is there already, and where only the background has, all but the composite is.
 
     On CUDA a comparison would wait for the device. The whole frame, from the Gaussians to the image, is one CUDA graph,
     captured for the tensors of the first call and replayed in full as long as the same tensors come, whose values may
@@ -58,12 +59,12 @@ class Encoder:
         versioned: bool = False,
         antialiased: bool = False,
     ):
-        rendering.check_options("direct", views, output)
+        check_options("direct", views, output)
         expect("panel", panel, Panel)
         expect("rig", rig, Rig)
         expect("versioned", versioned, bool)
         expect("antialiased", antialiased, bool)
-        rendering.background_tensor(background, torch.empty(0))
+        background_tensor(background, torch.empty(0))
         self._panel, self._views, self._output = panel, views, output
         self._quality, self._versioned, self._antialiased = Quality.of(quality), versioned, antialiased
         if output == "float64" and not self.quality.is_exact:
@@ -120,7 +121,7 @@ class Encoder:
             and all(t.dtype == torch.float32 and t.is_contiguous() for t in gaussians.fields().values())
         ):
             self.stats["frames"] += 1
-            return rendering.encode(
+            return encode(
                 gaussians,
                 self.panel,
                 self.rig,
@@ -137,8 +138,8 @@ class Encoder:
                 if on_cuda
                 else CpuFrames(precision, as_bytes, self.quality, self.antialiased)
             )
-        arguments = rendering.lens_arguments(self.panel, self.rig, self.views == "continuous")
-        image, kept = self._frames.draw(gaussians, self.background, arguments)
+        view = lens_view(self.panel, self.rig, self.views == "continuous")
+        image, kept = self._frames.draw(gaussians, self.background, view)
         self.stats["frames"] += 1
         for stage in kept:
             self.stats["reused"][stage] += 1

@@ -10,7 +10,7 @@ from torch import Tensor
 from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
-from lightfield_gs.encoding import encode as rendering
+from lightfield_gs.encoding.encode import encode
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
@@ -61,6 +61,6 @@ def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: boo
         means, *shape, grey = (t.clone() if t.is_inference() else t for t in (means, *shape, grey))
         scene = Gaussians(means, *shape, grey.requires_grad_())
         output = str(means.dtype).removeprefix("torch.")
-        image = rendering.encode(scene, panel, rig, output=output, antialiased=antialiased)
+        image = encode(scene, panel, rig, output=output, antialiased=antialiased)
         (gradient,) = torch.autograd.grad(image, grey, torch.ones_like(image))
     return gradient.double().sum((1, 2)) / SH_CONSTANT

@@ -19,7 +19,10 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.workspace import Scene, Stats, Workspace, check
+from lightfield_gs.rasterizer.scene import Scene, check
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace_cpu import CpuWorkspace
+from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 from lightfield_gs.scene.cameras import Cameras
 
 _MOST_VIEWS = 4096  # in a chunk
@@ -106,20 +109,26 @@ class _CpuStages:
         tile_lists = 24 * self.bands + self.threads * (32768 + 3 * (most * (8 + 4 * tiles) + 16 * (tiles + 1)))
         return lists + max(order, bins, tile_lists)
 
-    def workspace(self, scene: Scene, views: int, stats: Stats) -> Workspace:
-        return Workspace(scene, views, self.plan.width_px, self.plan.height_px, 0, stats, self.threads)
+    def workspace(self, scene: Scene, views: int, stats: Stats) -> CpuWorkspace:
+        return CpuWorkspace(scene, views, self.plan.width_px, self.plan.height_px, 0, stats, self.threads)
 
-    def counts(self, work: Workspace) -> Counts:
+    def counts(self, work: CpuWorkspace) -> Counts:
         per_band = work.band_offsets.diff()
-        return work.pairs, int(per_band.max()) if per_band.numel() else 0
+        return work.pair_count, int(per_band.max()) if per_band.numel() else 0
 
     def composite(
-        self, work: Workspace, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+        self, work: CpuWorkspace, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
     ) -> None:
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
         work.stats.count(
             self.scene.core.composite_sorted(
-                work.native, work.bins, cameras, native, background.data_ptr(), *_floats_or_bytes(out), self.threads
+                work.splats.native,
+                work.bins,
+                cameras,
+                native,
+                background.data_ptr(),
+                *_floats_or_bytes(out),
+                self.threads,
             )
         )
 
@@ -145,8 +154,6 @@ class _CudaStages:
         return keys + _PAIR_BYTES * pairs + fill + (16 + 64) * views * self.plan.tiles
 
     def workspace(self, scene: Scene, views: int, stats: Stats) -> Any:
-        from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
-
         return CudaWorkspace(
             scene, views, self.plan.width_px, self.plan.height_px, 0, stats, lens=False, tile=self.plan.tile
         )
@@ -159,10 +166,10 @@ class _CudaStages:
         heaviest = torch.argsort((pairs + 1) * lists[0].diff(), descending=True)
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
         _core.cuda.composite_sorted(
-            work.native,
+            work.splats.native,
             work.image,
             work.ranges,
-            work.pairs,
+            work.pair_lists,
             native,
             heaviest.data_ptr(),
             background.data_ptr(),

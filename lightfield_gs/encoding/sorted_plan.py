@@ -14,7 +14,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.arrays import dense_tensor
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.panels.lens import lens_lists, native_lens
+from lightfield_gs.panels.lens import lens_of
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
 BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels; every list is filled up to whole blocks
@@ -170,7 +170,7 @@ def views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]
 
 
 def _core_map(panel: Panel) -> Any:
-    return _core.ViewMap(native_lens(*lens_lists(panel)))
+    return _core.ViewMap(lens_of(panel).native())
 
 
 def _tile(views: int, width_px: int, device_type: str) -> Any:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.captures.camera_files import is_camera_file
 from lightfield_gs.io.json_file import read_json
 from lightfield_gs.io.npy import open_array
@@ -45,10 +45,8 @@ def read_cameras(path: str | Path, panel: Panel) -> Cameras:
             + ", ".join(f"{name} {count}" for name, count in counts.items())
         )
     _check_poses(f"{path}: world_to_camera", arrays["world_to_camera"])
-    try:
+    with named(path):
         return Cameras(*(torch.from_numpy(array) for array in arrays.values()), panel.width_px, panel.height_px)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def read_view_map(path: str | Path, panel: Panel, views: int) -> np.ndarray:
@@ -58,10 +56,8 @@ def read_view_map(path: str | Path, panel: Panel, views: int) -> np.ndarray:
     from lightfield_gs.encoding.sorted_plan import checked_view_map
 
     table = open_array(path)
-    try:
+    with named(path):
         return checked_view_map(table, panel, views)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _numbers(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, fields
 from fractions import Fraction
 from functools import lru_cache
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.checks import expect, real_number, shown, whole_number
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.options import DEFAULT_CONE_DEG, SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
 from lightfield_gs.base.paths import config_path
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
@@ -209,10 +210,8 @@ class Panel:
     @staticmethod
     def _of_file(source: object, data: dict[str, Any]) -> Panel:
         """A panel of these fields; what is wrong with them is told with the name of the file that they are from."""
-        try:
+        with named(source) if isinstance(source, (str, Path)) else nullcontext():
             return Panel(**data)
-        except InputError as error:
-            raise InputError(f"{source}: {error}" if isinstance(source, (str, Path)) else str(error)) from None
 
     def to_dict(self) -> dict[str, Any]:
         """The fields that are known, as from_yaml reads them; those of cells where there are any."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.yaml_file import read_mapping, write_mapping
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.axes import DEFAULT_UP
@@ -56,10 +56,8 @@ class Rig:
         """A rig from a YAML file with the fields of this class (cone_deg may be missing). Raises InputError."""
         required = ("world_to_camera", "focal_px", "principal_point_px", "zero_depth")
         data = read_mapping(path, required, ("cone_deg",))
-        try:
+        with named(path):
             return Rig(**data)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as from_yaml reads them."""

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.harmonics import SH_CONSTANT
-from lightfield_gs.encoding.encode import render
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
+from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
 
 _SIZE_PX = 256  # longer side of the picture that is looked at: thin things must not blend with what is behind them

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,19 +14,19 @@ from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
-from lightfield_gs.encoding import encode as rendering
+from lightfield_gs.encoding.encode import check_options, encode
 from lightfield_gs.models import crop
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
 from lightfield_gs.panels import framing
+from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer import ops
+from lightfield_gs.rasterizer.frame_cuda import Frames
+from lightfield_gs.rasterizer.images import background_tensor
+from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.workspace import Stats
+from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
-
-if TYPE_CHECKING:
-    from lightfield_gs.rasterizer.frame_cuda import FrameKind
 
 _WARM_UP = 2  # calls before a capture: libraries load and choose their algorithms
 
@@ -51,10 +51,10 @@ class PhotoEncoder:
         quality: QualityName | Quality = "exact",
     ):
         self.quality = Quality.of(quality)
-        rendering.check_options("direct", views, output)
+        check_options("direct", views, output)
         expect("net", net, SplatterNet)
         expect("panel", panel, Panel)
-        rendering.background_tensor(background, torch.empty(0))
+        background_tensor(background, torch.empty(0))
         if output == "float64":
             raise InputError("a PhotoEncoder puts out uint8 or float32, got 'float64'")
         self.panel, self.views, self.background, self.output = panel, views, background, output
@@ -64,7 +64,7 @@ class PhotoEncoder:
         self.gaussians: Gaussians | None = None
         self.rig: Rig | None = None
         self._captured: _Capture | None = None
-        self._kind: FrameKind | None = None
+        self._frames: Frames | None = None
 
     @torch.no_grad()
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
@@ -91,7 +91,7 @@ class PhotoEncoder:
         with stats.stage("framing"):
             self.rig = framing.frame_photo(self.gaussians, self.panel)
         with stats.stage("encode"):
-            return rendering.encode(
+            return encode(
                 self.gaussians,
                 self.panel,
                 self.rig,
@@ -117,16 +117,12 @@ class PhotoEncoder:
 
     def _draw_frame(self) -> Tensor:
         """The frame's kernels as ordinary launches: the rig, another for each photo, is part of their arguments."""
-        background = rendering.background_tensor(self.background, self.gaussians.means).reshape(-1)
-        job = ops.LensArguments(
-            *self.gaussians.fields().values(),
-            background,
-            *rendering.lens_arguments(self.panel, self.rig, self.views == "continuous"),
-        )
-        if self._kind is None:
-            self._kind = ops.frame_kind(job, self.quality, moving=True)
-        self._kind.rig, self._kind.lens = job.rig, job.lens
-        return ops.draw_frame(job, self._kind, self.output == "uint8", Stats())
+        background = background_tensor(self.background, self.gaussians.means).reshape(-1)
+        view = lens_view(self.panel, self.rig, self.views == "continuous")
+        job = LensJob(self.gaussians.fields().values(), background, view)
+        if self._frames is None:
+            self._frames = Frames(job, self.quality)
+        return self._frames.draw(job, self.output == "uint8")
 
 
 class _Capture:

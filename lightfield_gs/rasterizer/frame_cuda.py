@@ -8,6 +8,7 @@ right, every tile looking through all splats, and the next frame reserves more.
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -15,10 +16,13 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import EXACT, Quality
-from lightfield_gs.rasterizer.workspace import Scene, Stats
+from lightfield_gs.rasterizer.stats import Stats
 
-_SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share
+_SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share; of changing rigs
+# Polynomial orders tried for colours that vary over a rig; the order that was good enough is remembered
+COLOUR_ORDERS = (2, 4, 8, 12, 16)
 _LEAST_PAIRS = 1 << 12
 _MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # numbered with 32 bits
 _MOST_KNOWN = 64
@@ -34,25 +38,17 @@ def _colour_tolerances(quality: Quality) -> tuple[float, float]:
 
 
 class Frame:
-    """One light-field frame: its work buffer, from torch's allocator, and its stages, on torch's stream."""
+    """A light-field image in the making: its work buffer, from torch's allocator, and its stages, on torch's stream."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        rig: Any,
-        lens: Any,
-        colour_order: int,
-        quality: Quality,
-        capacity: int,
-        kernel: str | None = None,
-    ):
-        self.scene = scene
+    def __init__(self, job: LensJob, quality: Quality, colour_order: int, capacity: int, kernel: str | None = None):
+        """capacity: pairs that there is room for. kernel: one of _core.cuda.FRAME_KERNELS (None: chosen by cost)."""
+        self.scene = scene = job.scene
         self.native = _core.cuda.LensFrame(
             gaussians=scene.count,
             sh_degree=scene.degree,
             colour_order=colour_order,
-            rig=rig,
-            lens=lens,
+            rig=job.native.rig,
+            lens=job.native.lens,
             capacity=capacity,
             quality=quality.native,
             tolerance=_colour_tolerances(quality)[1],
@@ -115,40 +111,56 @@ def _free_bytes(device: torch.device) -> int:
     return torch.cuda.mem_get_info(device)[0] + kept
 
 
-class FrameKind:
-    """Frames of one rig, lens, device and number of Gaussians: what they needed so far.
+class Frames:
+    """Frames of scenes of one kind and quality, by whatever rigs: draws them, and remembers what they needed.
 
-    rig and lens may be replaced between frames (see moving_kind).
+    Their colour polynomials have the highest order that a frame before needed. Where rigs change, colours may so differ
+    from those of `frames_of` by the errors of both, each at most twice the tolerance: once what the order leaves, once
+    the powers left out. A frame that needs a higher one than those before is drawn with theirs, and the next with its
+    own.
     """
 
-    def __init__(
-        self,
-        device: torch.device,
-        rig: Any,
-        lens: Any,
-        colour_orders: tuple[int, ...],
-        quality: Quality,
-        kernel: str | None,
-        slack: float = _SLACK,
-    ):
-        self.device, self.slack = device, slack
-        self.rig, self.lens, self.orders, self.quality, self.kernel = rig, lens, colour_orders, quality, kernel
+    def __init__(self, job: LensJob, quality: Quality, slack: float = _MOVING_SLACK):
+        """job: any of them; slack: pairs to reserve beyond those of the last frame, as a share.
+
+        Anti-aliased ones know neither lattices nor half precision, whatever the quality.
+        """
+        if job.antialiased:
+            quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)
+        self.device, self.quality, self.slack = job.scene.tensors[0].device, quality, slack
+        self.orders = (0,) if job.scene.degree == 0 else COLOUR_ORDERS
         self.capacity: int | None = None
-        self.colour_order = colour_orders[0]
+        self.colour_order = self.orders[0]
+        self.kernel = forced_kernel
         self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
         self.noted: torch.cuda.Event | None = None  # after it `host` holds the state of a frame
 
-    def draws(self, scene: Scene) -> bool:
-        """Whether it may draw such a scene; of any number of Gaussians, if it is one's own."""
-        return scene.tensors[0].device == self.device and (scene.degree == 0) == (self.orders == (0,))
+    def takes(self, job: LensJob) -> bool:
+        """Whether it may draw such a scene; of any number of Gaussians."""
+        return job.scene.tensors[0].device == self.device and (job.scene.degree == 0) == (self.orders == (0,))
 
-    def frame(self, scene: Scene) -> Frame:
+    def draw(
+        self, job: LensJob, as_bytes: bool = False, stats: Stats | None = None, out: Tensor | None = None
+    ) -> Tensor:
+        """The image [H, W, 3], in `out` where it is given. Fills `stats`."""
+        stats = stats or Stats()
+        with job.scene.guard:
+            with stats.stage("plan"):
+                frame, out = self.frame(job), job.image(as_bytes) if out is None else out
+            frame.draw(job.background, out, stats)
+            if not torch.cuda.is_current_stream_capturing():  # the user's graph may outlive these, whose memory it is
+                self.note(frame)
+            if stats.device is not None:
+                stats.count_frame(frame.state(), frame.work)
+        return out
+
+    def frame(self, job: LensJob) -> Frame:
         """A frame that is large enough, as far as known. The first waits for the device, later ones do not."""
         if self.capacity is None:
-            self._learn(scene)
+            self._learn(job)
         elif not torch.cuda.is_current_stream_capturing():
             self.adapt()
-        return self._frame(scene, self.capacity)
+        return self._frame(job, self.capacity)
 
     def note(self, frame: Frame) -> None:
         """Has the frame's state copied to the host, for adapt."""
@@ -168,14 +180,14 @@ class FrameKind:
         self.noted = None
         return self._needs(_state_of(self.host))
 
-    def _learn(self, scene: Scene) -> None:
+    def _learn(self, job: LensJob) -> None:
         if torch.cuda.is_current_stream_capturing():
             raise InputError(
                 "the first frame of a kind waits for the device, which a stream that captures a graph "
                 "must not: encode once before the capture"
             )
         while True:
-            frame = self._frame(scene, 0)
+            frame = self._frame(job, 0)
             frame.project()
             frame.bin()  # without places it only says how many pairs there are
             order = self.colour_order
@@ -193,35 +205,21 @@ class FrameKind:
             self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
         return before != (self.capacity, self.colour_order)
 
-    def _frame(self, scene: Scene, capacity: int) -> Frame:
-        return Frame(scene, self.rig, self.lens, self.colour_order, self.quality, capacity, self.kernel)
+    def _frame(self, job: LensJob, capacity: int) -> Frame:
+        return Frame(job, self.quality, self.colour_order, capacity, self.kernel)
 
 
-_kinds: OrderedDict[tuple, FrameKind] = OrderedDict()
+_known: OrderedDict[tuple, Frames] = OrderedDict()
 forced_kernel: str | None = None  # of _core.cuda.FRAME_KERNELS; None: chosen by cost. For tests and measurements
 
 
-def kind_of(
-    scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...], quality: Quality
-) -> FrameKind:
-    """The kind of frames of a scene; numbers: what rig and lens were made of. Remembers the last 64."""
-    key = (scene.tensors[0].device, scene.count, scene.degree, numbers, quality, forced_kernel)
-    if key not in _kinds:
-        _kinds[key] = FrameKind(scene.tensors[0].device, rig, lens, colour_orders, quality, forced_kernel)
-        while len(_kinds) > _MOST_KNOWN:
-            _kinds.popitem(last=False)
-    _kinds.move_to_end(key)
-    return _kinds[key]
-
-
-def moving_kind(
-    scene: Scene, numbers: tuple, rig: Any, lens: Any, colour_orders: tuple[int, ...], quality: Quality
-) -> FrameKind:
-    """A kind to be kept by who draws scenes of one size, each with a rig of its own: it reserves generously.
-
-    Its colour polynomials have the highest order that a frame before needed; those of kind_of the one that their own
-    rig needs. Where both are high enough, colours of the two differ by the errors of both, each at most twice the
-    tolerance: once what the order leaves, once the powers left out. A frame that needs a higher one than those before
-    is drawn with theirs, and the next with its own.
-    """
-    return FrameKind(scene.tensors[0].device, rig, lens, colour_orders, quality, forced_kernel, _MOVING_SLACK)
+def frames_of(job: LensJob, quality: Quality) -> Frames:
+    """The frames of one view, number of Gaussians and quality. Remembers the last 64 of them."""
+    scene = job.scene
+    key = (scene.tensors[0].device, scene.count, scene.degree, job.view, job.antialiased, quality, forced_kernel)
+    if key not in _known:
+        _known[key] = Frames(job, quality, _SLACK)
+        while len(_known) > _MOST_KNOWN:
+            _known.popitem(last=False)
+    _known.move_to_end(key)
+    return _known[key]

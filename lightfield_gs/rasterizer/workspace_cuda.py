@@ -1,4 +1,4 @@
-"""The stages of a render on a CUDA device, float32: what workspace.Workspace is on the CPU."""
+"""The stages of a render on a CUDA device, float32: what workspace_cpu.CpuWorkspace is there."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from lightfield_gs import _core
+from lightfield_gs.rasterizer.lens_view import NativeView
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.workspace import Scene, State, Stats
+from lightfield_gs.rasterizer.scene import Scene, State
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import Splats
 
 
 class CudaWorkspace:
@@ -30,43 +33,31 @@ class CudaWorkspace:
         tile: Any = None,
         compensated: bool = False,
     ):
-        """compensated: of an anti-aliased light field, whose opacities change over the rig."""
-        n, self.scene, self.images, self.stats, self.items = scene.count, scene, images, stats, images * scene.count
+        self.scene, self.images, self.stats, self.items = scene, images, stats, images * scene.count
         self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
         self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
         self.ranges_bytes = 16 * self.image.tiles()  # of tiles
         self.lists_bytes = self.ranges_bytes + 8 * self.items  # before those of the pairs
         if state is None:
-            self.splats, self.colours = (scene.new(*shape) for shape in State.shapes(images, n, colour_order))
             self.keys = scene.new(self.items, dtype=torch.int64)
         else:
-            self.splats, self.colours, lists = state.check(images, scene, colour_order, self.lists_bytes)
-            self._use_lists(lists)
-        self.orders = scene.new(images, n if lens else 0, dtype=torch.int32)
-        self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if compensated else None
-        self.native = scene.core.Splats(
-            images,
-            n,
-            colour_order,
-            self.splats.data_ptr(),
-            self.colours.data_ptr(),
-            self.orders.data_ptr(),
-            self.compensations.data_ptr() if compensated else 0,
-        )
+            state = state.check(images, scene, colour_order, self.lists_bytes)
+            self._use_lists(state.lists)
+        self.splats = Splats(scene, images, colour_order, lens, compensated, state)
 
     def _use_lists(self, lists: Tensor, unsorted: Tensor | None = None) -> None:
         """Bytes: range of each tile [tiles, 2] int64, of slots of each splat [I, N, 2] int32, then slots and splats of
         the sorted pairs, int32. unsorted [4, pairs] int32: tiles, sorted tiles, slots and their splats, which only the
         filling needs. Kept as addresses: parts of tensors take the host longer, and here the device waits for it.
         """
-        self.lists, self.count = lists, (lists.numel() - self.lists_bytes) // 8
+        self.lists, self.pair_count = lists, (lists.numel() - self.lists_bytes) // 8
         self.ranges, sorted_slots = lists.data_ptr(), lists.data_ptr() + self.lists_bytes
         self.slot_ranges = self.ranges + self.ranges_bytes
         tiles, sorted_tiles, slots, slot_splats = (
-            0 if unsorted is None else unsorted.data_ptr() + 4 * self.count * row for row in range(4)
+            0 if unsorted is None else unsorted.data_ptr() + 4 * self.pair_count * row for row in range(4)
         )
-        self.pairs = _core.cuda.Pairs(
-            self.count, tiles, sorted_tiles, slots, sorted_slots, slot_splats, sorted_slots + 4 * self.count
+        self.pair_lists = _core.cuda.Pairs(
+            self.pair_count, tiles, sorted_tiles, slots, sorted_slots, slot_splats, sorted_slots + 4 * self.pair_count
         )
 
     def tile_ranges(self) -> Tensor:
@@ -74,20 +65,19 @@ class CudaWorkspace:
         return self.lists[: self.ranges_bytes].view(torch.int64).view(-1, 2)
 
     def state(self) -> State:
-        return State(self.splats, self.colours, self.lists)
+        return State(self.splats.splats, self.splats.colours, self.lists)
 
     def project_dense(self, cameras: Any) -> None:
-        _core.cuda.project_dense(self.scene.native(), cameras, self.native, self.keys.data_ptr(), self.stream)
+        _core.cuda.project_dense(self.scene.native(), cameras, self.splats.native, self.keys.data_ptr(), self.stream)
 
-    def project_lens(self, rig: Any, lens: Any, quality: Quality) -> float:
-        """The largest estimated error of a colour polynomial."""
+    def project_lens(self, view: NativeView, quality: Quality) -> float:
         error = self.scene.new(1, zero=True)
         _core.cuda.project_lens(
             self.scene.native(),
-            rig,
-            lens,
+            view.rig,
+            view.lens,
             quality.colour_error,
-            self.native,
+            self.splats.native,
             self.keys.data_ptr(),
             error.data_ptr(),
             self.stream,
@@ -95,16 +85,13 @@ class CudaWorkspace:
         return float(error) if self.scene.degree > 0 else 0.0
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
-        """admit: asked once `pair_count` is known, whether to go on; returns its answer.
-
-        The pairs are counted first, so that the host, which has to know their number, learns it while the device sorts.
-        """
+        """The pairs are counted first: the host, which has to know their number, learns it while the device sorts."""
         scene, cuda, items = self.scene, _core.cuda, self.items
         with self.stats.stage("bin"):
             counts, pairs = scene.new(items, dtype=torch.int32), scene.new(1, dtype=torch.int64, zero=True)
             total = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
             cuda.bin_count(
-                self.native,
+                self.splats.native,
                 self.image,
                 counts.data_ptr(),
                 pairs.data_ptr(),
@@ -139,12 +126,12 @@ class CudaWorkspace:
             self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), unsorted)
             self.lists[: self.ranges_bytes].zero_()
             cuda.bin_fill(
-                self.native,
+                self.splats.native,
                 self.image,
                 indices.data_ptr(),
                 counts.data_ptr(),
                 ends.data_ptr(),
-                self.pairs,
+                self.pair_lists,
                 self.ranges,
                 self.slot_ranges,
                 scratch.data_ptr(),
@@ -156,9 +143,7 @@ class CudaWorkspace:
             self.stats.images += self.images
             self.stats.gaussians_drawn += int((self.keys != -1).sum())
         self.stats.add_buffers(
-            self.splats,
-            self.colours,
-            self.orders,
+            *self.splats.buffers(),
             self.keys,
             sorted_keys,
             indices,
@@ -174,27 +159,33 @@ class CudaWorkspace:
 
     def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
         _core.cuda.composite_dense(
-            self.native, self.image, self.ranges, self.pairs, background.data_ptr(), out, self.stream
+            self.splats.native, self.image, self.ranges, self.pair_lists, background.data_ptr(), out, self.stream
         )
 
-    def composite_lens(self, lens: Any, _: Quality, background: Tensor, out: Tensor) -> None:
+    def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], float32. Images of bytes are frames (frame_cuda)."""
         _core.cuda.composite_lens(
-            self.native, self.image, self.ranges, self.pairs, lens, background.data_ptr(), out.data_ptr(), self.stream
+            self.splats.native,
+            self.image,
+            self.ranges,
+            self.pair_lists,
+            view.lens,
+            background.data_ptr(),
+            out.data_ptr(),
+            self.stream,
         )
 
     def dense_backward(
         self, cameras: Any, background: Tensor, images: Any, gradients: Any
     ) -> tuple[list[Tensor], Tensor, Tensor]:
-        """Gradients of the five fields, of the background in parts [I * parts, 3], and of the cameras [I, 4, 4]."""
         scene, cuda = self.scene, _core.cuda
-        slots = scene.new(self.count, cuda.DENSE_SUMS)
+        slots = scene.new(self.pair_count, cuda.DENSE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
         cuda.composite_dense_backward(
-            self.native,
+            self.splats.native,
             self.image,
             self.ranges,
-            self.pairs,
+            self.pair_lists,
             images,
             gradients,
             slots.data_ptr(),
@@ -206,7 +197,7 @@ class CudaWorkspace:
         cuda.project_dense_backward(
             scene.native(),
             cameras,
-            self.native,
+            self.splats.native,
             self.slot_ranges,
             slots.data_ptr(),
             native,
@@ -216,19 +207,18 @@ class CudaWorkspace:
         return out, g_background, functional.pad(views.sum(1), (0, 0, 0, 1))
 
     def lens_backward(
-        self, rig: Any, lens: Any, background: Tensor, image: Tensor, g_image: Tensor
+        self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
     ) -> tuple[list[Tensor], Tensor]:
-        """Gradients of the five fields, and of the background in parts [parts, 3]."""
         scene, cuda = self.scene, _core.cuda
-        sharp = 0 if self.compensations is None else _core.COMPENSATION_FIELDS
-        slots = scene.new(self.count, cuda.LENS_SUMS + 3 * self.colours.shape[2] + sharp)
+        sharp = 0 if self.splats.compensations is None else _core.COMPENSATION_FIELDS
+        slots = scene.new(self.pair_count, cuda.LENS_SUMS + 3 * self.splats.colours.shape[2] + sharp)
         g_background = scene.new(self.image.tiles(), 3)
         cuda.composite_lens_backward(
-            self.native,
+            self.splats.native,
             self.image,
             self.ranges,
-            self.pairs,
-            lens,
+            self.pair_lists,
+            view.lens,
             image.data_ptr(),
             g_image.data_ptr(),
             slots.data_ptr(),
@@ -237,6 +227,6 @@ class CudaWorkspace:
         )
         out, native = scene.gradients()
         cuda.project_lens_backward(
-            scene.native(), rig, self.native, self.slot_ranges, slots.data_ptr(), native, self.stream
+            scene.native(), view.rig, self.splats.native, self.slot_ranges, slots.data_ptr(), native, self.stream
         )
         return out, g_background

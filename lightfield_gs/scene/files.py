@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.io.scenes.stored import read_stored
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, of_arrays
 
 
 @dataclass
@@ -38,5 +38,5 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False) -> SceneFile:
     without skip_invalid, holds a value that has no meaning (property, index and count are named).
     """
     stored = read_stored(path, skip_invalid=skip_invalid)
-    gaussians = Gaussians.of_arrays(stored.fields, stored.origin)
+    gaussians = of_arrays(stored.fields, stored.origin)
     return SceneFile(gaussians, stored.comments, stored.elements, stored.notes)

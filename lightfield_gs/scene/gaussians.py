@@ -183,7 +183,7 @@ class Gaussians:
         which tells more of the file.
         """
         stored = read_stored(path, skip_invalid=skip_invalid)
-        gaussians = Gaussians.of_arrays(stored.fields, stored.origin)
+        gaussians = of_arrays(stored.fields, stored.origin)
         for words in stored.notes:
             warnings.warn(f"{path}: {words}", stacklevel=2)
         if any(gaussians.origin):
@@ -193,11 +193,6 @@ class Gaussians:
                 stacklevel=2,
             )
         return gaussians
-
-    @staticmethod
-    def of_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:
-        """Gaussians on the CPU that share the memory of the arrays; fields: as of `fields`, [N, ...]."""
-        return Gaussians(**{name: torch.from_numpy(array) for name, array in fields.items()}, origin=origin)
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
         """Writes one set of Gaussians as a standard 3DGS .ply, complete or not at all: float32, but for the centres of
@@ -232,3 +227,8 @@ def _complain(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str
     """Raises InputError for the first index where `good` is false."""
     index = tuple(int(i) for i in (~good).nonzero()[0])
     raise InputError(f"{name}{list(index)}: expected {expected}, got {tensor[index].tolist()}")
+
+
+def of_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:
+    """Gaussians on the CPU that share the memory of the arrays; fields: as of Gaussians.fields, [N, ...]."""
+    return Gaussians(**{name: torch.from_numpy(array) for name, array in fields.items()}, origin=origin)

@@ -96,7 +96,7 @@ def _views(
     antialiased: bool,
 ) -> list[np.ndarray]:
     """`count` views spread over the fan, left-most camera first, each uint8 [h, w, 3]."""
-    from lightfield_gs.encoding.encode import render
+    from lightfield_gs.rasterizer.images import render
 
     small_panel, small_rig = reduced(panel, rig, width_px)
     positions = np.linspace(panel.views - 0.5, 0.5, count)

@@ -3,23 +3,55 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.commands.options.rig import load_rig
+from lightfield_gs.commands.options.values import camera_choice
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.axes import DEFAULT_UP, Up, stated_up
+from lightfield_gs.scene.axes import DEFAULT_UP, UP_AXES, Up, stated_up
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 _OTHERS = "another: --camera, --rig, --up"
+
+
+def add_camera(add: Callable[..., argparse.Action]) -> None:
+    """The cameras of the views, of a scene that has a file; without any, framed automatically."""
+    add(
+        "--rig",
+        type=Path,
+        metavar="YAML",
+        help="cameras of the views, in the file's own axes (default: those that "
+        "the file brings along, else framed automatically)",
+    )
+    add(
+        "--camera",
+        type=camera_choice,
+        metavar="FILE[:INDEX]",
+        help="centre camera of the views, in the file's own "
+        "axes: one of a cameras.json (3D Gaussian splatting), of a transforms.json (NeRF), or a rig; its picture is "
+        "fitted to the panel (default index 0)",
+    )
+    add_up(add)
+
+
+def add_up(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--up",
+        choices=UP_AXES,
+        metavar="AXIS",
+        help="axis that points up in the file, x, y, z, -x, -y or -z, for "
+        "automatic framing; the Gaussians stay as they are (default: what the file says, else -y)",
+    )
 
 
 @dataclass(frozen=True)
@@ -109,13 +141,11 @@ def choose_rig(
 def _own_camera(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
     from lightfield_gs.panels.own_camera import photo_camera, stored_framing
 
-    try:
+    with named(path):
         if (stored := stored_framing(file.comments, panel)) is not None:
             return stored[0].relative_to(gaussians.origin), [f"camera: {stored[1]} ({_OTHERS})"]
         if (camera := photo_camera(file.elements)) is None:
             return None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     return (
         _looking(camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), panel, gaussians),
         [

@@ -4,13 +4,39 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 from lightfield_gs.base.complaint import note
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.commands.options.values import within
+from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.simulate import unknown_of
 
 _REMEDIES = {"viewing_distance_mm": "give --viewing-distance MM", "pixel_pitch_mm": "give a panel that has it"}
+
+
+def add_panel(add: Callable[..., argparse.Action], purpose: str) -> None:
+    """The panel that is drawn for, and what it is seen from."""
+    add(
+        "--panel",
+        default=DEFAULT_PANEL,
+        metavar="PANEL",
+        help=f"name of a profile, a .yaml or a Looking Glass visual.json (default {DEFAULT_PANEL})",
+    )
+    add_device_serial(add)
+    add_viewing_distance(add, f"distance of the viewer from the panel, in place of the panel's own: {purpose}")
+
+
+def add_device_serial(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--device-serial",
+        metavar="SERIAL",
+        help="which display, where a Looking Glass .json has calibrations of several",
+    )
+
+
+def add_viewing_distance(add: Callable[..., argparse.Action], help: str) -> None:
+    add("--viewing-distance", type=within(1e-3, 1e9, "mm"), metavar="MM", help=help)
 
 
 def load_panel(args: argparse.Namespace) -> Panel:

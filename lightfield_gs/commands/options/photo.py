@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, MAP_ORIENTATIONS
 from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.values import numbers
 from lightfield_gs.photo.side_by_side import depth_side, halves, is_named_so
 
 if TYPE_CHECKING:
@@ -22,6 +26,69 @@ if TYPE_CHECKING:
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)
 _OFF_CENTRE = 0.1  # of the photo's sides: where a principal point is farther off the middle, it may be another photo's
 _USUAL_ANGLES_DEG, _ANGLES_DEG = (10.0, 130.0), (1.0, 175.0)  # of the longer side; beyond the latter in other units
+
+
+def add_depth(add: Callable[..., argparse.Action]) -> None:
+    """The depth map of a photo, and what its numbers mean."""
+    add(
+        "--depth",
+        type=Path,
+        metavar="FILE",
+        help="depth map of the photo, of its size: the whole scene is shown, "
+        "without the network; a grey .png (8 or 16 bits), .exr or .tif, or a .npy or .npz of numbers [H,W]",
+    )
+    add(
+        "--depth-kind",
+        choices=DEPTH_KINDS,
+        help="what its numbers are: distance, along the camera's "
+        "axis (default), or disparity, 1 / distance, as most networks give it (bright is near)",
+    )
+    add(
+        "--depth-range",
+        type=numbers(2),
+        metavar="NEAR,FAR",
+        help="distances, in any unit, at the ends of the file's "
+        "full scale (0..255, 0..65535, floats 0..1); their ratio sets how deep the scene looks",
+    )
+    add(
+        "--depth-scale",
+        type=float,
+        metavar="S",
+        help="in place of a range: distance = S * number, or S / number of a "
+        "disparity; 0.001 for millimetres to metres (default for floats: 1); the distance 0 is no measurement",
+    )
+    add(
+        "--depth-invalid",
+        choices=DEPTH_INVALID,
+        help="what infinite distances and the disparity 0 are: far away "
+        "(default), or holes, as NaN and the distance 0 always are",
+    )
+    add(
+        "--rgbd",
+        choices=DEPTH_PARTS,
+        help="in place of --depth: the half of the photo that is its depth map (found by "
+        "itself for names like photo_rgbd.png); bright is near and --depth-range 1,1.6 when not said",
+    )
+    add(
+        "--map-orientation",
+        choices=MAP_ORIENTATIONS,
+        help="of --mask and --depth for a photo that its Exif "
+        "orientation turns: as the photo's file has its pixels, or as it is seen (default: by their size)",
+    )
+    add(
+        "--fov",
+        type=float,
+        metavar="DEG",
+        help="angle that the photo's longer side takes, degrees (default 60, "
+        "unless the depth map's .npz has a focal length)",
+    )
+    add(
+        "--intrinsics",
+        type=numbers(4),
+        metavar="FX,FY,CX,CY",
+        help="in place of --fov: focal lengths and principal "
+        "point of the photo, in its pixels, from the outer corner of the first",
+    )
 
 
 def has_depth(args: argparse.Namespace) -> bool:

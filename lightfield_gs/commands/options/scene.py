@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,23 @@ if TYPE_CHECKING:
 _SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 _PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
 _DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
+
+
+def add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--skip-invalid",
+        action="store_true",
+        help="leave out Gaussians whose values have no meaning (not finite, a rotation of zeros), and say how many",
+    )
+
+
+def add_antialiased(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--antialiased",
+        action="store_true",
+        help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's "
+        "antialiased mode), which look too bright and too thick without: what a pixel blurs becomes fainter by as much",
+    )
 
 
 def check_scene_options(args: argparse.Namespace) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lightfield_gs.base.checks import expect
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.scenes import ply
 from lightfield_gs.io.scenes.ply_data import read_elements
@@ -54,7 +54,5 @@ def read_stored(path: str | Path, *, skip_invalid: bool = False) -> StoredScene:
         raise InputError(
             f"{path}: {_UNREAD[suffix]} files are not supported in this version; convert it to a standard 3DGS .ply"
         )
-    try:
+    with reading(path):
         return READERS.get(suffix, _read_ply)(path, skip_invalid)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
