@@ -114,5 +114,5 @@ $(VENV)/.installed: pyproject.toml $(NATIVE_SOURCES) $(VENV)/.python
 
 # What the extra `docs` names, and not the package once more, which would be compiled for it.
 $(VENV)/.docs: pyproject.toml $(VENV)/.python
-	$(BIN)/python -m pip install -q -c constraints.txt $$(sed -n "s/^docs = \[\(.*\)\]/\1/p" pyproject.toml | tr -d '",')
+	$(BIN)/python -m pip install -q -c constraints.txt $$(sed -n "s/^docs = \[\(.*\)\].*/\1/p" pyproject.toml | tr -d '",')
 	@touch $@

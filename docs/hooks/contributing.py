@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,12 @@ SOURCE = "CONTRIBUTING.md"
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
-    """Appends CONTRIBUTING.md to the page of that name; its links into docs/ are links to pages here."""
+    """Appends CONTRIBUTING.md, but for its title, to the page of that name; links into docs/ lead to pages here."""
     source = Path(config["config_file_path"]).parent / SOURCE
     if page.file.src_uri != SOURCE.lower() or not source.is_file():
         return markdown
-    return f"{markdown}\n{source.read_text(encoding='utf-8').replace('](docs/', '](')}"
+    text = re.sub(r"\A# .*\n", "", source.read_text(encoding="utf-8"))
+    return f"{markdown}\n{text.replace('](docs/', '](')}"
 
 
 def on_serve(server: Any, *, config: Any, **_: Any) -> None:
