@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <vector>
 
 #include "base/error.h"
@@ -20,6 +21,8 @@ namespace {
 void bind_constants(py::module_ m) {
   m.attr("BAND_ROWS") = kBandRows;
   m.attr("SPLAT_FIELDS") = kSplatFields;
+  static_assert(offsetof(Splat<float>, reach_y) == kSplatReachIndex * sizeof(float));
+  m.attr("SPLAT_REACH_INDEX") = kSplatReachIndex;
   m.attr("PRUNED") = kPruned;
   m.attr("NEAR_DEPTH") = kNearDepth;
   m.attr("COLOUR_STRIDE") = kColourStride;

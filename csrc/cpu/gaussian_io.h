@@ -41,10 +41,6 @@ inline Splat<double> projected(const View<double>& view, const Shape<double>& sh
   return splat;
 }
 
-inline Splat<double> splat_gradient(const double* g) {
-  return {g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8], g[9], g[10], g[11]};
-}
-
 template <class T>
 void add_gradient(const Shape<double>& shape, const Shape<double>& g, const Gaussians<T>& out, int64_t i) {
   const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);

@@ -23,11 +23,26 @@ constexpr int kColourStride = 4;  // r, g, b and padding: what a vector look-up 
 
 inline int64_t band_count(int64_t height_px) { return (height_px + kBandRows - 1) / kBandRows; }
 
-// Numbers of a pair's gradient: the fields of Splat, then (order + 1) colours of 3, then for a lens those of
-// Compensation, if it has one.
+// Numbers of a pair's gradient, or of a sum over some: see PairGradient.
 inline int pair_gradient_size(int colour_order, bool compensated = false) {
   return kSplatFields + 3 * (colour_order + 1) + (compensated ? kCompensationFields : 0);
 }
+
+// What they are: those of the splat's fields, of its colours by power of s, and for an anti-aliased lens those of its
+// compensation.
+template <class T>
+struct PairGradient {
+  T* numbers;
+  int colour_order = 0;
+
+  Splat<T>& splat() const { return *reinterpret_cast<Splat<T>*>(numbers); }
+  T* colours() const { return numbers + kSplatFields; }  // [order + 1, 3]
+  Compensation<T>& compensation() const {
+    return *reinterpret_cast<Compensation<T>*>(colours() + 3 * (colour_order + 1));
+  }
+};
+static_assert(sizeof(Splat<float>) == kSplatFields * sizeof(float));
+static_assert(sizeof(Compensation<float>) == kCompensationFields * sizeof(float));
 
 struct Counters {
   int64_t pairs = 0;        // (tile, splat)

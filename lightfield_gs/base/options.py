@@ -32,4 +32,19 @@ MAP_ORIENTATIONS: tuple[MapOrientation, ...] = get_args(MapOrientation)
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 DEVICES: tuple[Device, ...] = get_args(Device)
 
+# What only one method of `encode` takes, for the function and for the command, whose options have the same names
+ONLY_FOR: dict[str, Method] = {
+    "cameras": "sorted",
+    "view_map": "sorted",
+    "memory_budget": "sorted",
+    "quality": "direct",
+    "out": "direct",
+}
+
+
+def of_other_methods(method: str, **given: object) -> list[tuple[str, Method]]:
+    """Which of these (None: not given) the method does not take, and the one that does."""
+    return [(name, ONLY_FOR[name]) for name, value in given.items() if value is not None and ONLY_FOR[name] != method]
+
+
 DEFAULT_CONE_DEG = 40.0  # of a panel that does not say what its views span

@@ -13,7 +13,7 @@ import numpy as np
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS
+from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS, of_other_methods
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
 from lightfield_gs.commands.options.panel import add_panel, load_panel, why_no_eye
@@ -252,16 +252,12 @@ def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:
 def _check_options(args: argparse.Namespace) -> None:
     """Raises InputError where options do not go together."""
     check_scene_options(args)
-    if args.method != "sorted":
-        for option, value in (
-            ("--cameras", args.cameras),
-            ("--view-map", args.view_map),
-            ("--memory-budget", args.memory_budget),
-        ):
-            if value is not None:
-                raise InputError(f"{option} is for --method sorted, not {args.method}")
-    if args.quality != "exact" and args.method != "direct":
-        raise InputError(f"--quality {args.quality} is for --method direct, not {args.method}; leave out one of them")
+    quality = None if args.quality == "exact" else args.quality
+    given = {"cameras": args.cameras, "view_map": args.view_map, "memory_budget": args.memory_budget}
+    for name, its in of_other_methods(args.method, **given, quality=quality):
+        if name == "quality":
+            raise InputError(f"--quality {quality} is for --method {its}, not {args.method}; leave out one of them")
+        raise InputError(f"--{name.replace('_', '-')} is for --method {its}, not {args.method}")
     for option, value in (("--cameras", args.cameras), ("--view-map", args.view_map)):
         if value is not None and args.views == "continuous":
             raise InputError(

@@ -11,7 +11,7 @@ from torch import Tensor
 from lightfield_gs.base.arrays import Colour, dense_tensor
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views
+from lightfield_gs.base.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views, of_other_methods
 from lightfield_gs.encoding.classic import encode_classic
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
@@ -31,6 +31,14 @@ from lightfield_gs.scene.gaussians import Gaussians
 _DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
 MOST_THREADS = 1024
 _MOST_BYTES = 1 << 62
+_BY_A_RIG = ": the other methods draw the panel's own views by a rig"
+_WHY_NOT = {
+    "cameras": _BY_A_RIG,
+    "view_map": _BY_A_RIG,
+    "memory_budget": _BY_A_RIG,
+    "quality": ": that is exact only",
+    "out": "",
+}
 
 
 def encode(
@@ -97,14 +105,26 @@ def encode(
         threads = whole_number("threads", threads, 1, MOST_THREADS)
     if memory_budget is not None:
         memory_budget = whole_number("memory_budget (bytes)", memory_budget, 1, _MOST_BYTES)
-    _check_sorted_only(method, views, rig, cameras, view_map, memory_budget)
-    if not quality.is_exact and (method != "direct" or output == "float64"):
+    for name, its in of_other_methods(
+        method,
+        cameras=cameras,
+        view_map=view_map,
+        memory_budget=memory_budget,
+        quality=None if quality.is_exact else quality,
+        out=out,
+    ):
+        raise InputError(f"{name}= is for method {its!r}, not {method!r}{_WHY_NOT[name]}")
+    if method != "sorted" and rig is None:
+        raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
+    if memory_budget is not None and views == "continuous":
         raise InputError(
-            f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
-            f"{output!r}: those are exact only"
+            "memory_budget goes with integer views: cameras for all distinct places within a lens have no "
+            "bound; use method direct, which takes little memory, or integer views"
         )
+    if not quality.is_exact and output == "float64":
+        raise InputError("quality is for output 'uint8' or 'float32', not 'float64': that is exact only")
     if out is not None:
-        _check_out(out, method, output, panel, gaussians.device)
+        _check_out(out, output, panel, gaussians.device)
     precision = torch.float64 if output == "float64" else torch.float32
     gaussians = gaussians.to(dtype=precision)
     colour = background_tensor(background, gaussians.means).reshape(-1)
@@ -156,11 +176,9 @@ def encode(
     return image
 
 
-def _check_out(out: Tensor, method: Method, output: Output, panel: Panel, device: torch.device) -> None:
+def _check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -> None:
     """Raises InputError for what an image cannot be drawn over."""
     expect("out", out, Tensor)
-    if method != "direct":
-        raise InputError(f"out is for method 'direct', not {method!r}")
     expected = (panel.height_px, panel.width_px, 3), _DTYPES[output], device
     if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:
         raise InputError(
@@ -232,26 +250,6 @@ def _refuse_with_gradients(**given: bool) -> None:
     """Raises InputError for the first option that was given: the operator with gradients has none of them."""
     for name in (name for name, is_given in given.items() if is_given):
         raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")
-
-
-def _check_sorted_only(
-    method: Method, views: Views, rig: Rig | None, cameras: Cameras | None, view_map: Any, memory_budget: int | None
-) -> None:
-    """Raises InputError where arguments of one method meet another."""
-    if method != "sorted":
-        for name, value in (("cameras", cameras), ("view_map", view_map), ("memory_budget", memory_budget)):
-            if value is not None:
-                raise InputError(
-                    f"{name}= is for method 'sorted', not {method!r}: the other methods draw the panel's "
-                    "own views by a rig"
-                )
-        if rig is None:
-            raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
-    if memory_budget is not None and views == "continuous":
-        raise InputError(
-            "memory_budget goes with integer views: cameras for all distinct places within a lens have no "
-            "bound; use method direct, which takes little memory, or integer views"
-        )
 
 
 def _report(counters: Stats, gaussians: Gaussians, panel: Panel, out: dict[str, Any]) -> None:

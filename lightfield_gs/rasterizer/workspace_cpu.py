@@ -105,7 +105,7 @@ class CpuWorkspace:
         self.stats.count(counters)
         if self.stats.device is not None:
             splats = self.splats
-            self.stats.pruned = int((splats.splats[..., _core.SPLAT_FIELDS - 2] == _core.PRUNED).sum())
+            self.stats.pruned = int((splats.splats[..., _core.SPLAT_REACH_INDEX] == _core.PRUNED).sum())
             self.stats.skipped = skips.of_lens(counters, splats.orders, splats.splats, splats.colour_order)
 
     def dense_backward(

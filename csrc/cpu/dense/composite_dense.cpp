@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "base/parallel.h"
+#include "cpu/dispatch.h"
 #include "cpu/tile_lists.h"
 #include "stages/stages.h"
 
@@ -14,6 +15,7 @@
 #include "hwy/aligned_allocator.h"
 #include "hwy/highway.h"
 #include "cpu/patches-inl.h"
+#include "math/over-inl.h"
 
 #ifndef LFGS_COMPOSITE_DENSE_ONCE
 #define LFGS_COMPOSITE_DENSE_ONCE
@@ -110,10 +112,9 @@ void ForwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s) {
   });
 }
 
-// dL/dalpha_i = T_i v_i - (total - prefix_i) / (1 - alpha_i), where v is what a unit of weight adds to the loss: the
-// sum over all later samples and the background follows from the total, so the walk is front to back as well.
+// See OverAdjoint for the formula.
 template <class T>
-void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& splat, T* out) {
+void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& splat, const PairGradient<T>& out) {
   using Tile = DenseTile<T>;
   using V = typename Tile::V;
   const Tag<T> d;
@@ -124,12 +125,8 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
     V dx, dy;
     const V power = s.power(hn::Load(d, tile.x + i), hn::Load(d, tile.y + i), dx, dy);
     V alpha = Alpha(d, power);
-    const V before = hn::Load(d, tile.transmittance + i);
-    const V after = hn::NegMulAdd(alpha, before, before);
-    const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
-    hn::Store(hn::IfThenZeroElse(stop, after), d, tile.transmittance + i);
-    alpha = hn::IfThenZeroElse(stop, alpha);
-    if (HWY_UNLIKELY(hn::AllTrue(d, stop))) tile.patches.close(patch);
+    V before;
+    if (HWY_UNLIKELY(hn::AllTrue(d, OverAgain(d, alpha, tile.transmittance + i, before)))) tile.patches.close(patch);
 
     const V weight = hn::Mul(alpha, before);
     V v = hn::Zero(d);
@@ -138,18 +135,13 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
       v = hn::MulAdd(g, s.channel[k], v);
       g_channel[k] = hn::MulAdd(g, weight, g_channel[k]);
     }
-    const V prefix = hn::MulAdd(weight, v, hn::Load(d, tile.prefix + i));
-    hn::Store(prefix, d, tile.prefix + i);
-    const V later =
-        hn::Mul(hn::Sub(hn::Load(d, tile.total + i), prefix), Reciprocal(d, hn::Sub(hn::Set(d, T(1)), alpha)));
-    const V g_alpha = hn::MulSub(before, v, later);
+    const V g_alpha = OverAdjoint<true>(d, alpha, before, weight, v, tile.total + i, tile.prefix + i);
     const auto free = hn::And(hn::Gt(alpha, hn::Zero(d)), hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
-    const V g_power = hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
-    sums.Add(g_power, dy, hn::Mul(dx, s.inverse_S));
+    sums.Add(ExponentAdjoint(d, g_alpha, alpha, free), dy, hn::Mul(dx, s.inverse_S));
   });
-  sums.Reduce(d, splat, out);
-  out[kSplatFields - 1] += hn::GetLane(hn::SumOfLanes(d, g_channel[3]));
-  for (int k = 0; k < 3; ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_channel[k]));
+  sums.Reduce(d, splat, out.splat());
+  out.splat().depth += hn::GetLane(hn::SumOfLanes(d, g_channel[3]));
+  for (int k = 0; k < 3; ++k) out.colours()[k] += hn::GetLane(hn::SumOfLanes(d, g_channel[k]));
 }
 
 template <class T>
@@ -225,14 +217,15 @@ void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, Dense
         continue;
       }
       const int64_t own_band = band - rows_of(splat, job.height_px).first / kBandRows;
-      BackwardSplat(tile, s, splat, job.pair_gradients + (job.first_pair[index] + own_band) * pair_gradient_size(0));
+      const int64_t pair = job.first_pair[index] + own_band;
+      BackwardSplat(tile, s, splat, PairGradient<T>{job.pair_gradients + pair * pair_gradient_size(0)});
     }
     if (!job.backward) FinishForward(job, tile);
   }
 }
 
 template <class T>
-Counters CompositeDenseImpl(const DenseJob<T>& job) {
+Counters CompositeDense(const DenseJob<T>& job) {
   const int64_t items = job.splats.images * band_count(job.height_px);
   std::vector<TileLists> lists(size_t(std::max(job.threads, 1)));
   std::vector<Counters> counters(lists.size());
@@ -249,8 +242,7 @@ Counters CompositeDenseImpl(const DenseJob<T>& job) {
   return sum;
 }
 
-Counters CompositeDenseF32(const DenseJob<float>& job) { return CompositeDenseImpl(job); }
-Counters CompositeDenseF64(const DenseJob<double>& job) { return CompositeDenseImpl(job); }
+LFGS_FOR_EVERY_TARGET(CompositeDense, DenseJob)
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs
@@ -260,11 +252,7 @@ HWY_AFTER_NAMESPACE();
 namespace lfgs {
 namespace {
 
-HWY_EXPORT(CompositeDenseF32);
-HWY_EXPORT(CompositeDenseF64);
-
-Counters dispatch(const DenseJob<float>& job) { return HWY_DYNAMIC_DISPATCH(CompositeDenseF32)(job); }
-Counters dispatch(const DenseJob<double>& job) { return HWY_DYNAMIC_DISPATCH(CompositeDenseF64)(job); }
+LFGS_DISPATCH(CompositeDense, DenseJob)
 
 }  // namespace
 

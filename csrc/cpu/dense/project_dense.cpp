@@ -48,6 +48,7 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
     const Gaussians<const T> scene = gaussians.slice(b * n);
     const Gaussians<T> g_scene = out.slice(b * n);
     std::vector<double> sum(size);
+    const PairGradient<double> g_pair{sum.data()};
     std::vector<Shape<double>> over_views(end - begin, Shape<double>{dvec3(0), glm::dvec4(0), dvec3(0), 0});
     for (int64_t v = 0; v < cameras.per_scene; ++v) {
       const int64_t image = b * cameras.per_scene + v;
@@ -62,7 +63,7 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
         const Shape<double> shape = shape_of(scene, i);
         Shape<double>& g = over_views[i - begin];
         const Projection<double> projection(view, shape);
-        Splat<double> g_splat = splat_gradient(sum.data());
+        Splat<double> g_splat = g_pair.splat();
         if (view.antialiased) {
           const Compensation<double> g_sharp = projection.compensate_adjoint(g_splat);
           projection.adjoint<true>(view, shape, g_splat, g, g_view, g_sharp);
@@ -73,7 +74,7 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
         // Colours, through their clamp at zero
         const T* colour = splats.colours + (image * n + i) * kColourStride;
         dvec3 g_colour(0);
-        for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? sum[kSplatFields + c] : 0.0;
+        for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_pair.colours()[c] : 0.0;
         const int64_t k = 3 * scene.sh_count() * i;
         const dvec3 g_mean =
             sh_colour_adjoint(scene.sh_degree, scene.sh + k, shape.mean, eye, g_colour, g_scene.sh + k);

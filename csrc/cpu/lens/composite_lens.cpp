@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "base/parallel.h"
+#include "cpu/dispatch.h"
 #include "cpu/lens/lens_job.h"
 #include "cpu/lens/lens_run.h"
 #include "cpu/tile_lists.h"
@@ -219,7 +220,8 @@ class LensBands {
       }
       const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
       const int64_t pair = job_.first_pair[*id] + own_band;
-      T* out = job_.pair_gradients + pair * pair_gradient_size(job_.splats.colour_order, antialiased_);
+      const int order = job_.splats.colour_order;
+      const PairGradient<T> out{job_.pair_gradients + pair * pair_gradient_size(order, antialiased_), order};
       antialiased_ ? BackwardSplat<true>(job_, tile_, *id, out) : BackwardSplat<false>(job_, tile_, *id, out);
     }
     if (job_.backward)
@@ -261,7 +263,7 @@ class LensBands {
 };
 
 template <class T>
-Counters CompositeLensImpl(LensJob<T> job) {
+Counters CompositeLens(LensJob<T> job) {
   if (!LensLattice::knows(*job.lens)) job.quality.lattice = 0;
   const LensScene<T> scene(job);
   std::vector<std::unique_ptr<LensBands<T>>> workers(size_t(std::max(job.threads, 1)));
@@ -289,8 +291,7 @@ Counters CompositeLensImpl(LensJob<T> job) {
   return sum;
 }
 
-Counters CompositeLensF32(const LensJob<float>& job) { return CompositeLensImpl(job); }
-Counters CompositeLensF64(const LensJob<double>& job) { return CompositeLensImpl(job); }
+LFGS_FOR_EVERY_TARGET(CompositeLens, LensJob)
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs
@@ -300,11 +301,7 @@ HWY_AFTER_NAMESPACE();
 namespace lfgs {
 namespace {
 
-HWY_EXPORT(CompositeLensF32);
-HWY_EXPORT(CompositeLensF64);
-
-Counters dispatch(const LensJob<float>& job) { return HWY_DYNAMIC_DISPATCH(CompositeLensF32)(job); }
-Counters dispatch(const LensJob<double>& job) { return HWY_DYNAMIC_DISPATCH(CompositeLensF64)(job); }
+LFGS_DISPATCH(CompositeLens, LensJob)
 
 }  // namespace
 

@@ -16,6 +16,7 @@
 #include "cpu/lens/lens_tile-inl.h"
 #include "hwy/highway.h"
 #include "math/blend-inl.h"
+#include "math/over-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace lfgs {
@@ -177,16 +178,16 @@ struct ShareSums {
     S0 = hn::Add(S0, of_S), S1 = hn::Add(S1, S_s), S2 = hn::MulAdd(S_s, s, S2);
   }
   // To the splat's gradient and that of its compensation.
-  HWY_INLINE void Reduce(D d, hn::TFromD<D>* HWY_RESTRICT splat, hn::TFromD<D>* HWY_RESTRICT compensation) const {
+  HWY_INLINE void Reduce(D d, Splat<hn::TFromD<D>>& splat, Compensation<hn::TFromD<D>>& compensation) const {
     auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
-    splat[4] += sum(S0), splat[5] += sum(S1), splat[6] += sum(S2);
-    compensation[0] += sum(D0), compensation[1] += sum(D1), compensation[2] += sum(D2);
+    splat.S0 += sum(S0), splat.S1 += sum(S1), splat.S2 += sum(S2);
+    compensation.D0 += sum(D0), compensation.D1 += sum(D1), compensation.D2 += sum(D2);
   }
 };
 
-// See BackwardSplat of the dense sensor for the formula; here a sample has one channel.
+// See OverAdjoint for the formula; here a sample has one channel.
 template <bool kAntialiased, class T>
-void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out) {
+void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const PairGradient<T>& out) {
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
@@ -210,9 +211,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out)
       alpha = SharedAlpha(d, power, share.at(s, inverse_S), footprint.cut, hn::Set(d, T(kMinAlpha)));
     else
       alpha = Alpha(d, power);
-    const V before = hn::Load(d, &tile.transmittance[i]);
-    const V after = hn::NegMulAdd(alpha, before, before);
-    const auto stop = hn::Lt(after, hn::Set(d, T(kMinTransmittance)));
+    V before;
+    const auto stop = OverAgain(d, alpha, &tile.transmittance[i], before);
     const V g = hn::Load(d, &tile.gradient[i]);
     const auto channel = hn::Load(di, &tile.channel[i]);
     if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
@@ -220,21 +220,16 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out)
       hn::Store(hn::Add(hn::Load(d, &tile.colour[i]), hn::IfThenElseZero(stop, before)), d, &tile.colour[i]);
       if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(vector);
     }
-    hn::Store(hn::IfThenZeroElse(stop, after), d, &tile.transmittance[i]);
-    alpha = hn::IfThenZeroElse(stop, alpha);
     const auto lit = hn::Gt(alpha, hn::Zero(d));
     if (hn::AllFalse(d, lit)) return;
     touched = true;
 
     const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s) : ColourAt<-1>(d, colour, order, channel, s);
     const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
-    const V prefix = hn::MulAdd(weight, v, hn::Load(d, &tile.prefix[i]));
-    hn::Store(prefix, d, &tile.prefix[i]);
-    const V later = hn::Div(hn::Sub(hn::Load(d, &tile.total[i]), prefix), hn::Sub(hn::Set(d, T(1)), alpha));
-    const V g_alpha = hn::MulSub(before, v, later);
+    const V g_alpha = OverAdjoint<false>(d, alpha, before, weight, v, &tile.total[i], &tile.prefix[i]);
     auto free = hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha)));
     if constexpr (kAntialiased) free = hn::Lt(alpha, hn::Set(d, T(kMaxAlpha)));
-    const V g_power = hn::IfThenElseZero(hn::And(lit, free), hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, T(kLn2))));
+    const V g_power = ExponentAdjoint(d, g_alpha, alpha, hn::And(lit, free));
     sums.Add(g_power, dy, hn::Mul(dx, inverse_S), s);
     if constexpr (kAntialiased) share_sums.Add(d, g_power, share.sharp(s), inverse_S, s);
 
@@ -252,9 +247,9 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, T* out)
     for (; list < end; ++list) reverse(*list, rows, hn::Load(d, of_group.dy));
   });
   if (!touched) return;
-  sums.Reduce(d, splat, out);
-  if constexpr (kAntialiased) share_sums.Reduce(d, out, out + kSplatFields + 3 * (job.splats.colour_order + 1));
-  for (int k = 0; k < 3 * (order + 1); ++k) out[kSplatFields + k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
+  sums.Reduce(d, splat, out.splat());
+  if constexpr (kAntialiased) share_sums.Reduce(d, out.splat(), out.compensation());
+  for (int k = 0; k < 3 * (order + 1); ++k) out.colours()[k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
 }
 
 // Fills what the reverse reads at every sample.

@@ -12,15 +12,6 @@ namespace lfgs {
 
 using glm::dvec3;
 
-namespace {
-
-dvec3 eye_at(const View<double>& rig, const Lens& lens, double s) {
-  dvec3 right(rig.rotation[0][0], rig.rotation[1][0], rig.rotation[2][0]);
-  return rig.centre() + s * lens.reach() * right;
-}
-
-}  // namespace
-
 template <class T>
 double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                     const Quality& quality, double tolerance, const Splats<T>& out, int threads) {
@@ -30,7 +21,7 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
   const double least_light = quality.least_light(lens.width_px, lens.height_px, n);
   std::vector<double> worst(std::max(threads, 1), 0.0);
   parallel_for_chunks(n, kGrain, threads, [&](int64_t begin, int64_t end, int worker) {
-    std::vector<dvec3> value(nodes), chebyshev(nodes);
+    std::vector<dvec3> chebyshev(nodes);
     for (int64_t i = begin; i < end; ++i) {
       const Shape<double> shape = shape_of(gaussians, i);
       Compensation<double> compensation{};
@@ -47,12 +38,8 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
 
       // Values at the nodes -> Chebyshev coefficients
       const T* sh = gaussians.sh + 3 * gaussians.sh_count() * i;
-      for (int j = 0; j < nodes; ++j)
-        value[j] = sh_colour<double>(gaussians.sh_degree, sh, shape.mean, eye_at(rig, lens, basis.nodes[j]));
-      for (int k = 0; k < nodes; ++k) {
-        chebyshev[k] = dvec3(0);
-        for (int j = 0; j < nodes; ++j) chebyshev[k] += basis.to_chebyshev[k * nodes + j] * value[j];
-      }
+      auto value = [&](double s) { return sh_colour<double>(gaussians.sh_degree, sh, shape.mean, rig.eye_at(s)); };
+      chebyshev_of_values(basis, nodes, value, chebyshev.data());
       auto size = [&](int k) {
         return std::max({std::abs(chebyshev[k].x), std::abs(chebyshev[k].y), std::abs(chebyshev[k].z)});
       };
@@ -65,8 +52,7 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
       out.orders[i] = kept;
       T* colours = out.colours + i * nodes * kColourStride;
       for (int p = 0; p <= kept; ++p) {
-        dvec3 power(0);
-        for (int k = p; k <= kept; ++k) power += basis.to_powers[p * nodes + k] * chebyshev[k];
+        const dvec3 power = power_of_chebyshev(basis, nodes, p, kept, p, kept + 1, chebyshev.data());
         for (int c = 0; c < 3; ++c) colours[p * kColourStride + c] = T(kept ? power[c] : std::max(0.0, power[c]));
       }
     }
@@ -82,6 +68,7 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
   const ColourBasis basis(order);
   parallel_for_chunks(gaussians.count, kGrain, threads, [&](int64_t begin, int64_t end, int) {
     std::vector<double> sum(size);
+    const PairGradient<double> g_pair{sum.data(), order};
     std::vector<dvec3> g_chebyshev(nodes);
     ViewAdjoint<double> unused;
     for (int64_t i = begin; i < end; ++i) {
@@ -91,34 +78,25 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
       const Shape<double> shape = shape_of(gaussians, i);
       Shape<double> g{dvec3(0), glm::dvec4(0), dvec3(0), 0};
       const Projection<double> projection(rig, shape);
-      const Splat<double> g_splat = splat_gradient(sum.data());
+      const Splat<double> g_splat = g_pair.splat();
       if (rig.antialiased) {
         Splat<double> again = projection.splat(rig, shape.opacity);
         Compensation<double> sharp;
-        const double most = projection.compensate(again, sharp), *g_sharp = &sum[size_t(size - kCompensationFields)];
+        const double most = projection.compensate(again, sharp);
+        const Compensation<double>& g_sharp = g_pair.compensation();
         projection.adjoint<true>(rig, shape, g_splat, g, unused,
-                                 {g_sharp[0] / most, g_sharp[1] / most, g_sharp[2] / most});
+                                 {g_sharp.D0 / most, g_sharp.D1 / most, g_sharp.D2 / most});
       } else {
         projection.adjoint(rig, shape, g_splat, g, unused);
       }
 
-      // Powers of s -> Chebyshev -> node values -> harmonics
-      const int kept = splats.orders[i];
       const T* colours = splats.colours + i * nodes * kColourStride;
-      for (int k = 0; k <= kept; ++k) {
-        g_chebyshev[k] = dvec3(0);
-        for (int p = 0; p <= k; ++p)
-          for (int c = 0; c < 3; ++c)
-            if (kept || colours[c] > 0)
-              g_chebyshev[k][c] += basis.to_powers[p * nodes + k] * sum[kSplatFields + 3 * p + c];
-      }
       const int64_t first = 3 * gaussians.sh_count() * i;
-      for (int j = 0; j < nodes; ++j) {
-        dvec3 g_value(0);
-        for (int k = 0; k <= kept; ++k) g_value += basis.to_chebyshev[k * nodes + j] * g_chebyshev[k];
-        g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean,
-                                    eye_at(rig, lens, basis.nodes[j]), g_value, out.sh + first);
-      }
+      auto to_harmonics = [&](double s, const dvec3& g_value) {
+        g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean, rig.eye_at(s), g_value,
+                                    out.sh + first);
+      };
+      colour_fit_adjoint(basis, nodes, splats.orders[i], g_pair.colours(), colours, g_chebyshev.data(), to_harmonics);
       add_gradient(shape, g, out, i);
     }
   });

@@ -7,6 +7,7 @@
 
 #include "base/error.h"
 #include "base/parallel.h"
+#include "cpu/dispatch.h"
 #include "cpu/tile_lists.h"
 #include "math/image_byte.h"
 #include "stages/stages.h"
@@ -18,6 +19,7 @@
 #include "hwy/cache_control.h"
 #include "hwy/highway.h"
 #include "cpu/patches-inl.h"
+#include "math/over-inl.h"
 
 #ifndef LFGS_COMPOSITE_SORTED_ONCE
 #define LFGS_COMPOSITE_SORTED_ONCE
@@ -165,7 +167,7 @@ std::vector<int64_t> HeaviestFirst(const SortedJob<T>& job) {
 }
 
 template <class T>
-Counters CompositeSortedImpl(const SortedJob<T>& job) {
+Counters CompositeSorted(const SortedJob<T>& job) {
   const std::vector<int64_t> groups = HeaviestFirst(job);
   const int64_t views = job.splats.images, bands = band_count(job.height_px);
   std::vector<TileLists> lists(size_t(std::max(job.threads, 1)));
@@ -186,8 +188,7 @@ Counters CompositeSortedImpl(const SortedJob<T>& job) {
   return sum;
 }
 
-Counters CompositeSortedF32(const SortedJob<float>& job) { return CompositeSortedImpl(job); }
-Counters CompositeSortedF64(const SortedJob<double>& job) { return CompositeSortedImpl(job); }
+LFGS_FOR_EVERY_TARGET(CompositeSorted, SortedJob)
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs
@@ -197,11 +198,7 @@ HWY_AFTER_NAMESPACE();
 namespace lfgs {
 namespace {
 
-HWY_EXPORT(CompositeSortedF32);
-HWY_EXPORT(CompositeSortedF64);
-
-Counters dispatch(const SortedJob<float>& job) { return HWY_DYNAMIC_DISPATCH(CompositeSortedF32)(job); }
-Counters dispatch(const SortedJob<double>& job) { return HWY_DYNAMIC_DISPATCH(CompositeSortedF64)(job); }
+LFGS_DISPATCH(CompositeSorted, SortedJob)
 
 }  // namespace
 

@@ -1,4 +1,5 @@
-// What happens at one sample on the device: alpha, over, the early stop, storing. Twin of math/blend-inl.h.
+// What happens at one sample on the device: alpha, over, the early stop, storing; and the reverse. Twin of
+// math/blend-inl.h and math/over-inl.h.
 #pragma once
 
 #include <cstdint>
@@ -42,6 +43,22 @@ __device__ inline void over(float alpha, float& transmittance, float& rest, floa
   } else {
     transmittance = after;
   }
+}
+
+// The same splat on the way back: the sample's transmittance loses what it lost to over(), and where the sample ended
+// before the splat, alpha becomes zero. Returns the weight.
+__device__ inline float over_again(float& alpha, float& transmittance) {
+  const float before = transmittance, after = before - alpha * before;
+  const bool open = after >= float(kMinTransmittance);
+  alpha = open ? alpha : 0.f, transmittance = open ? after : 0.f;
+  return alpha * before;
+}
+
+// dL/dalpha of a splat, see math/over-inl.h: v is what a unit of its weight adds to the loss, `later` the sum of all
+// that is behind it. kEstimate: divides by an estimate; the lens sensor divides, as on the CPU.
+template <bool kEstimate>
+__device__ inline float over_adjoint(float alpha, float before, float v, float later) {
+  return before * v - (kEstimate ? later * fast_reciprocal(1 - alpha) : later / (1 - alpha));
 }
 
 __device__ inline float remaining(float transmittance, float rest) { return transmittance > 0 ? transmittance : rest; }

@@ -133,18 +133,16 @@ struct Sample {
   float4 gradient;  // of r, g, b, depth
   float transmittance, behind;
 
-  // The gradient of the exponent at this sample, over ln 2 (x), and the weight of the splat there (y); see the CPU's
-  // BackwardSplat for the formula. Moves the sample behind the splat.
+  // The gradient of the exponent at this sample, over ln 2 (x), and the weight of the splat there (y); see
+  // over_adjoint() for the formula. Moves the sample behind the splat.
   __device__ float2 pass(const Staged& s, float x, float y) {
     const float power = s.power(x, y), before = transmittance;
-    float alpha = alpha_of(power), after = before - alpha * before;
-    const bool open = after >= float(kMinTransmittance);
-    alpha = open ? alpha : 0.f, transmittance = open ? after : 0.f;
-    const float weight = alpha * before;
+    float alpha = alpha_of(power);
+    const float weight = over_again(alpha, transmittance);
     const float v =
         gradient.x * s.colour.x + gradient.y * s.colour.y + gradient.z * s.colour.z + gradient.w * s.colour.w;
     behind -= weight * v;
-    const float g_alpha = before * v - behind * fast_reciprocal(1 - alpha);
+    const float g_alpha = over_adjoint<true>(alpha, before, v, behind);
     return make_float2(power < float(kLog2MaxAlpha) ? g_alpha * alpha : 0.f, weight);
   }
 };
@@ -162,26 +160,27 @@ __device__ Sample sample_at(const Pixel& pixel, DenseImages<const float> images,
 }
 
 // Sums over a patch for one splat, a lane for each row of it: effects and gradients are those of the row's pixels, its
-// middle at (x, y). Rows are joined over the lanes kHits apart. Numbers: exponent * (1, dy, dy^2), dx * (1, dy), S,
-// depth, r, g, b.
+// middle at (x, y). Rows are joined over the lanes kHits apart.
 __device__ void sum_over_patch(const Staged& s, const float2* effects, const float4* gradients, float x, float y,
                                float (&sums)[kDenseSums]) {
-  float moments[3] = {}, colour[4] = {};  // moments: of the distance from the middle
+  float moments[3] = {}, depth = 0, colour[3] = {};  // moments: of the distance from the middle
 #pragma unroll
   for (int i = 0; i < kPatchWidth; ++i) {
     const float2 effect = effects[i];
     const float4 gradient = gradients[i];
     const float across = i - 0.5f * (kPatchWidth - 1);
     moments[0] += effect.x, moments[1] += across * effect.x, moments[2] += across * across * effect.x;
-    colour[0] += effect.y * gradient.w, colour[1] += effect.y * gradient.x;
-    colour[2] += effect.y * gradient.y, colour[3] += effect.y * gradient.z;
+    depth += effect.y * gradient.w, colour[0] += effect.y * gradient.x;
+    colour[1] += effect.y * gradient.y, colour[2] += effect.y * gradient.z;
   }
   for (float& moment : moments) moment *= float(kLn2);
   const float dy = y - s.place.y, dx = x - s.place.x - s.place.z * dy, g = moments[0];
   const float gx = -2 * s.size.y * (moments[1] + dx * g);
-  sums[0] = g, sums[1] = g * dy, sums[2] = g * dy * dy, sums[3] = gx, sums[4] = gx * dy;
-  sums[5] = s.size.y * s.size.y * (moments[2] + dx * (2 * moments[1] + dx * g));
-  for (int c = 0; c < 4; ++c) sums[6 + c] = colour[c];
+  sums[kPowerSum] = g, sums[kPowerDySum] = g * dy, sums[kPowerDy2Sum] = g * dy * dy;
+  sums[kXSum] = gx, sums[kXDySum] = gx * dy;
+  sums[kSSum] = s.size.y * s.size.y * (moments[2] + dx * (2 * moments[1] + dx * g));
+  sums[kDepthSum] = depth;
+  for (int c = 0; c < 3; ++c) sums[kColourSum + c] = colour[c];
 #pragma unroll
   for (int f = 0; f < kDenseSums; ++f)
     for (int step = kHits; step < 32; step *= 2) sums[f] += __shfl_xor_sync(kAll, sums[f], step);

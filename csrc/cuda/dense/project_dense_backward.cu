@@ -5,6 +5,7 @@
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/common/widened.cuh"
 #include "cuda/stages/stages.h"
+#include "math/gradient_sums.h"
 #include "math/harmonics.h"
 #include "math/saturate.h"
 
@@ -26,11 +27,9 @@ __device__ Splat<R> splat_gradient(const Splat<float>& s, const float* slot_grad
       sum[2 * f] += two.x, sum[2 * f + 1] += two.y;
     }
   }
-  Splat<R> g{};
-  g.u0 = -sum[3];
-  g.v0 = 2 * s.tau * sum[1] + s.c0 * sum[3];
-  g.log2_opacity = sum[0], g.tau = -sum[2], g.c0 = -sum[4], g.S0 = sum[5], g.depth = sum[6];
-  colour = vec3(sum[7], sum[8], sum[9]);
+  Splat<R> g = dense_gradient_of(s, sum);
+  g.depth = sum[kDepthSum];
+  colour = vec3(sum[kColourSum], sum[kColourSum + 1], sum[kColourSum + 2]);
   return g;
 }
 

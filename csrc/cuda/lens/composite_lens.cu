@@ -139,9 +139,8 @@ __global__ void __launch_bounds__(kThreads)
     }
 }
 
-// The reverse; see the CPU's BackwardSplat for the formula. A sample's `colour` holds the prefix. Sums over a tile:
-// first within each warp, then over the warps, always in the same order. Numbers of a slot: exponent * (1, dy, dy^2),
-// dx * (1, s, dy, s dy), S * (1, s, s^2), then r, g, b times each power of s, then D * (1, s, s^2).
+// The reverse; see over_adjoint() for the formula. A sample's `colour` holds the prefix. Sums over a tile: first within
+// each warp, then over the warps, always in the same order.
 template <bool kAntialiased>
 __global__ void __launch_bounds__(kThreads)
     composite_lens_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
@@ -205,17 +204,18 @@ __global__ void __launch_bounds__(kThreads)
           lit = true;
           const float value = colour_at(colour, order, sample), v = g[r][c] * value;
           sample.colour += weight * v;
-          const float g_alpha = before * v - (total[r][c] - sample.colour) / (1 - alpha);
+          const float g_alpha = over_adjoint<false>(alpha, before, v, total[r][c] - sample.colour);
           const float gp = power < float(kLog2MaxAlpha) ? g_alpha * alpha * float(kLn2) : 0.f;
           const float e = dx * inverse_S, gx = -2 * gp * e, gS = gp * e * e;
-          sums[0] += gp, sums[1] += gp * dy, sums[2] += gp * dy * dy;
-          sums[3] += gx, sums[4] += gx * sample.s, sums[5] += gx * dy, sums[6] += gx * sample.s * dy;
-          sums[7] += gS, sums[8] += gS * sample.s, sums[9] += gS * sample.s * sample.s;
+          sums[kPowerSum] += gp, sums[kPowerDySum] += gp * dy, sums[kPowerDy2Sum] += gp * dy * dy;
+          sums[kXSum] += gx, sums[kXsSum] += gx * sample.s;
+          sums[kXDySum] += gx * dy, sums[kXsDySum] += gx * sample.s * dy;
+          sums[kSSum] += gS, sums[kSsSum] += gS * sample.s, sums[kSs2Sum] += gS * sample.s * sample.s;
           if constexpr (kAntialiased) {
             // log2 of the share is (log2 D - log2 S) / 2
             const float half = gp * float(0.5 / kLn2), gD = half / sharpness(compensation, sample.s);
             const float of_S = -half * inverse_S;
-            sums[7] += of_S, sums[8] += of_S * sample.s, sums[9] += of_S * sample.s * sample.s;
+            sums[kSSum] += of_S, sums[kSsSum] += of_S * sample.s, sums[kSs2Sum] += of_S * sample.s * sample.s;
             of_D.D0 += gD, of_D.D1 += gD * sample.s, of_D.D2 += gD * sample.s * sample.s;
           }
           // Order 0 was clamped, and is masked, at projection

@@ -39,10 +39,4 @@ struct Rig {
   explicit Rig(const View<double>& rig) : exact(rig), rounded(cuda::rounded(rig)) {}
 };
 
-// Where the camera at the normalized offset s stands; view.sweep is the rig's reach.
-__device__ inline glm::vec3 eye_at(const View<float>& rig, float s) {
-  const glm::vec3 right(rig.rotation[0][0], rig.rotation[1][0], rig.rotation[2][0]);
-  return rig.centre() + s * rig.sweep * right;
-}
-
 }  // namespace lfgs::cuda

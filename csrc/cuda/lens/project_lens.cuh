@@ -26,7 +26,7 @@ __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const
   float square = 0;
 #pragma unroll
   for (int k = 3; k < 3 * kMaxShCount; ++k) square = fmaf(sh[k], sh[k], square);
-  const glm::vec3 right = eye_at(rig, 1) - rig.centre(), across = glm::cross(mean - rig.centre(), right);
+  const glm::vec3 right = rig.eye_at(1) - rig.centre(), across = glm::cross(mean - rig.centre(), right);
   const float reach = glm::dot(right, right), slope = reach * rsqrtf(glm::dot(across, across));
   return reach > 0 ? kBound * slope * slope * slope * sqrtf(square) : 0.f;
 }
@@ -41,14 +41,8 @@ __device__ inline void store_colours(const Gaussians<const float>& gaussians, co
   float sh[3 * kMaxShCount];  // read once, in registers
   read_harmonics(gaussians, i, sh);
   glm::vec3 chebyshev[kNodes];
-#pragma unroll
-  for (int k = 0; k < kNodes; ++k) chebyshev[k] = glm::vec3(0);
-#pragma unroll 1
-  for (int j = 0; j < kNodes; ++j) {
-    const glm::vec3 value = sh_colour<float>(3, sh, mean, eye_at(rig, basis.nodes[j]));
-#pragma unroll
-    for (int k = 0; k < kNodes; ++k) chebyshev[k] += basis.to_chebyshev[k * kNodes + j] * value;
-  }
+  auto value = [&](float s) { return sh_colour<float>(3, sh, mean, rig.eye_at(s)); };
+  chebyshev_of_values(basis, kNodes, value, chebyshev);
   auto size = [&](int k) { return fmaxf(fabsf(chebyshev[k].x), fmaxf(fabsf(chebyshev[k].y), fabsf(chebyshev[k].z))); };
   // Errors are positive, so their bits order like the numbers
   const float left = Order == 2 ? parabola_error(sh, mean, rig) : size(Order) + size(Order - 1);
@@ -66,10 +60,7 @@ __device__ inline void store_colours(const Gaussians<const float>& gaussians, co
   float4* colours = reinterpret_cast<float4*>(out.colours) + i * kNodes;
 #pragma unroll 1
   for (int p = 0; p <= kept; ++p) {
-    glm::vec3 power(0);
-#pragma unroll
-    for (int k = 0; k < kNodes; ++k)
-      if (k <= kept) power += basis.to_powers[p * kNodes + k] * chebyshev[k];
+    glm::vec3 power = power_of_chebyshev(basis, kNodes, p, kept, 0, kNodes, chebyshev);
     if (kept == 0) power = glm::max(power, glm::vec3(0));
     colours[p] = make_float4(power.x, power.y, power.z, p == 0 ? float(kept) : 0.f);
   }

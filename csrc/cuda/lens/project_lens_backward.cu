@@ -4,6 +4,7 @@
 #include "cuda/common/widened.cuh"
 #include "cuda/lens/lens_rig.cuh"
 #include "cuda/stages/stages.h"
+#include "math/gradient_sums.h"
 #include "math/harmonics.h"
 
 namespace lfgs::cuda {
@@ -31,11 +32,7 @@ __global__ void __launch_bounds__(kThreads)
     for (int f = 0; f < all_sums; ++f) sum[f] += slot_gradients[slot * all_sums + f];
 
   // In double: the covariance of a long needle has no digits left in float, and there is but one projection a Gaussian
-  Splat<double> g_splat{};
-  g_splat.u0 = -sum[3], g_splat.du = -sum[4], g_splat.c0 = -sum[5], g_splat.c1 = -sum[6];
-  g_splat.v0 = 2 * s.tau * sum[1] + s.c0 * sum[3] + s.c1 * sum[4];
-  g_splat.log2_opacity = sum[0], g_splat.tau = -sum[2];
-  g_splat.S0 = sum[7], g_splat.S1 = sum[8], g_splat.S2 = sum[9];
+  const Splat<double> g_splat = lens_gradient_of(s, sum);
   const Shape<float> shape = shape_of(gaussians, i);
   const Shape<double> exact = widened(shape);
   Shape<double> g{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
@@ -49,23 +46,14 @@ __global__ void __launch_bounds__(kThreads)
   }
   projection.adjoint<kAntialiased>(rig.exact, exact, g_splat, g, unused, g_sharp);
 
-  // Powers of s -> Chebyshev -> node values -> harmonics
   const float* colours = splats.colours + i * nodes * kColourStride;
-  vec3 g_chebyshev[kMaxColourOrder + 1];
-  for (int k = 0; k <= kept; ++k) {
-    g_chebyshev[k] = vec3(0);
-    for (int p = 0; p <= k; ++p)
-      for (int c = 0; c < 3; ++c)
-        if (kept || colours[c] > 0)
-          g_chebyshev[k][c] += basis.to_powers[p * nodes + k] * float(sum[kLensSums + 3 * p + c]);
-  }
   const int64_t first = 3 * gaussians.sh_count() * i;
-  for (int j = 0; j < nodes; ++j) {
-    vec3 g_value(0);
-    for (int k = 0; k <= kept; ++k) g_value += basis.to_chebyshev[k * nodes + j] * g_chebyshev[k];
-    g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean,
-                                eye_at(rig.rounded, basis.nodes[j]), g_value, out.sh + first);
-  }
+  vec3 g_chebyshev[kMaxColourOrder + 1];
+  auto to_harmonics = [&](float s, const vec3& g_value) {
+    g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean, rig.rounded.eye_at(s), g_value,
+                                out.sh + first);
+  };
+  colour_fit_adjoint(basis, nodes, kept, sum + kLensSums, colours, g_chebyshev, to_harmonics);
   store_gradient(shape, g, out, i);
 }
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "base/config.h"
+#include "math/gradient_sums.h"
 #include "stages/stages.h"
 
 namespace lfgs::cuda {
@@ -79,8 +80,13 @@ void composite_sorted(const Splats<float>& splats, const Image& image, const int
                       uint8_t* out8, Stream stream);
 
 // --- the reverses. Every slot is written by one block in a fixed order, and sums run in slot order: the same
-// bits in every run. slot_gradients [pairs, kDenseSums]; tile_background [I * tiles, 3].
-constexpr int kDenseSums = 10, kLensSums = 10;  // lens: and 3 for each power of s in the colours, 3 for compensations
+// bits in every run. slot_gradients [pairs, numbers of a slot]; tile_background [I * tiles, 3].
+//
+// Numbers of a slot: of ordinary images, the first kDenseFootprintSums of FootprintSum, then the gradients of depth, r,
+// g and b. Of the lens all of FootprintSum, those of r, g, b for each power of s, and of an anti-aliased scene those of
+// D.
+constexpr int kDepthSum = kDenseFootprintSums, kColourSum = kDepthSum + 1, kDenseSums = kColourSum + 3;
+constexpr int kLensSums = kLensFootprintSums;
 void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                               const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
                               float* slot_gradients, float* tile_background, Stream stream);

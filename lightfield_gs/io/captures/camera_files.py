@@ -9,7 +9,6 @@ fl_x, fl_y or camera_angle_x, camera_angle_y (radians), cx, cy.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,14 +17,14 @@ import numpy as np
 
 from lightfield_gs.base.checks import real_number, shown
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.lens import COEFFICIENTS
+from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths
+from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_json
 
 LIMIT_BYTES = 256 << 20
-_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
 _ORTHONORMAL = 1e-3  # how far rows may be off: numbers of a few digits are made a rotation again
 _MAX_SIZE_PX = 1 << 20
-_DISTORTIONS = ("k1", "k2", "k3", "k4", "p1", "p2")
-_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 _SIZE_SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # what file_path may leave out
 
 
@@ -136,9 +135,9 @@ def _frame(where: str, fields: dict[str, Any], images: _Images) -> FileCamera:
         raise InputError(f"{where}.transform_matrix: expected 4 rows of 4 numbers, got {list(matrix.shape)}")
     rotation = _rotation(f"{where}.transform_matrix", matrix[:3, :3])
     model = fields.get("camera_model", "PINHOLE")
-    if model not in _PINHOLES or fields.get("is_fisheye") is True:
+    if model not in MODELS or fields.get("is_fisheye") is True:
         raise InputError(
-            f"{where}.camera_model: expected a pinhole camera ({', '.join(_PINHOLES)}), got "
+            f"{where}.camera_model: expected a pinhole camera ({', '.join(MODELS)}), got "
             f"{shown(model)}; a panel shows flat perspective only"
         )
     width, height, assumed = _size(where, fields, images)
@@ -147,10 +146,10 @@ def _frame(where: str, fields: dict[str, Any], images: _Images) -> FileCamera:
         side / 2 if fields.get(key) is None else _number(where, fields, key, -1e9, 1e9)
         for key, side in zip(("cx", "cy"), (width, height))
     )
-    distorted = any(fields.get(key) is not None and _number(where, fields, key, -1e9, 1e9) for key in _DISTORTIONS)
+    distorted = any(fields.get(key) is not None and _number(where, fields, key, -1e9, 1e9) for key in COEFFICIENTS)
     name = shown(fields.get("file_path", "")).strip("'\"")
     return FileCamera(
-        name, _pose(rotation @ _FROM_OPENGL, matrix[:3, 3]), focal, centre, width, height, assumed, distorted
+        name, _pose(rotation @ TO_OPENCV[:3, :3], matrix[:3, 3]), focal, centre, width, height, assumed, distorted
     )
 
 
@@ -169,19 +168,14 @@ def _size(where: str, fields: dict[str, Any], images: _Images) -> tuple[float, f
 
 
 def _focal(where: str, fields: dict[str, Any], width: float, height: float) -> tuple[float, float]:
-    """(fx, fy); the one that is missing equals the other: square pixels."""
-    found = []
-    for length, angle, size in (("fl_x", "camera_angle_x", width), ("fl_y", "camera_angle_y", height)):
-        if fields.get(length) is not None:
-            found.append(_number(where, fields, length, 1e-6, 1e9))
-        elif fields.get(angle) is not None:
-            found.append(size / 2 / math.tan(_number(where, fields, angle, 1e-6, 3.14159) / 2))
-        else:
-            found.append(None)
-    if found == [None, None]:
+    def number(key: str) -> float | None:
+        low, high = (1e-6, 3.14159) if key.startswith("camera_angle") else (1e-6, 1e9)
+        return None if fields.get(key) is None else _number(where, fields, key, low, high)
+
+    found = focal_lengths(number, width, height)
+    if found is None:
         raise InputError(f"{where}.fl_x: missing: expected fl_x (pixels) or camera_angle_x (radians)")
-    x, y = found
-    return (y, y) if x is None else (x, x) if y is None else (x, y)
+    return found
 
 
 class _Images:
@@ -193,8 +187,6 @@ class _Images:
         self.tried: set[str] = set()
 
     def size_of(self, name: Any) -> tuple[float, float] | None:
-        from lightfield_gs.io.images import read_info
-
         if self.known is None and isinstance(name, str) and "\0" not in name and name not in self.tried:
             self.tried.add(name)
             found = (

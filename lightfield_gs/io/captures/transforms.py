@@ -9,7 +9,7 @@ camera-to-world, OpenGL axes: x right, y up, z backward). The camera, at the top
     cx, cy                              pixels from the outer corner of the first pixel; default: the middle
     k1 k2 k3 k4 p1 p2                   lens distortion (lens.py), taken out of the images when they are read; the
                                         camera stays the same: fl_x ... cy are those of the undistorted image, too
-    camera_model                        one of _MODELS; fisheyes and others are refused
+    camera_model                        one of MODELS; fisheyes and others are refused
 and mask_path, likewise an image for each frame, white where the object is. Without it, masks are looked for in masks/
 (masks.py). File names may have \\ between folders, and another case than the files.
 Everything else (aabb_scale, scale, offset, ...) is about other programs and is not read.
@@ -19,6 +19,7 @@ The unit of length of such files is arbitrary; poses stay as the file has them.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,12 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.files import named_image
 from lightfield_gs.io.captures.lens import COEFFICIENTS, check_distortion
 from lightfield_gs.io.captures.masks import masks_beside
+from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths
 from lightfield_gs.io.captures.views import ObjectViews, check_intrinsics, check_looking_at_object, check_pose
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_object as read_json
 
 _LIMIT_BYTES = 64 << 20
-TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 _FISHEYE = ("is_fisheye", "fisheye")
 _OTHER_COEFFICIENTS = ("k5", "k6", "s1", "s2", "s3", "s4", "b1", "b2", "p3", "p4")
 _AXES = "OpenGL axes, x right, y up, z backward: from OpenCV axes, negate the second and third column of each rotation"
@@ -114,38 +114,26 @@ def _camera(
 
     def number(key: str) -> float | None:
         value = frame.get(key, shared.get(key))
-        if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e12):
-            return value
-        raise InputError(f"{field}: {key}: expected a number, got {shown(value)}")
-
-    def focal(length_key: str, angle_key: str, size: float) -> float | None:
-        length, angle = number(length_key), number(angle_key)
-        if length is not None or angle is None:
-            return length
-        if not 0 < angle < np.pi:
-            raise InputError(f"{field}: bad intrinsics: {angle_key}: expected 0 to pi radians, got {angle:g}")
-        return size / 2 / np.tan(angle / 2)
+        if value is None:
+            return None
+        if not isinstance(value, (int, float)) or isinstance(value, bool) or not abs(value) < 1e12:
+            raise InputError(f"{field}: {key}: expected a number, got {shown(value)}")
+        if key.startswith("camera_angle") and not 0 < value < math.pi:
+            raise InputError(f"{field}: bad intrinsics: {key}: expected 0 to pi radians, got {value:g}")
+        return value
 
     _check_model(field, {**shared, **frame})
     width, height = number("w"), number("h")
     if width is None or height is None:
         info = read_info(first_image)
         width, height = info.width_px if width is None else width, info.height_px if height is None else height
-    fx, fy = focal("fl_x", "camera_angle_x", width), focal("fl_y", "camera_angle_y", height)
-    if fx is None and fy is None:
+    found = focal_lengths(number, width, height)
+    if found is None:
         raise InputError(
             f"{field}: bad intrinsics: missing focal length: give fl_x (pixels) or camera_angle_x (radians)"
         )
     cx, cy = number("cx"), number("cy")
-    intrinsics = np.array(
-        [
-            fy if fx is None else fx,
-            fx if fy is None else fy,
-            width / 2 if cx is None else cx,
-            height / 2 if cy is None else cy,
-        ],
-        np.float64,
-    )
+    intrinsics = np.array([*found, width / 2 if cx is None else cx, height / 2 if cy is None else cy], np.float64)
     check_intrinsics(field, intrinsics, width, height)
     lens = np.array([number(key) or 0 for key in COEFFICIENTS], np.float64)
     if lens.any():
@@ -157,9 +145,9 @@ def _check_model(field: str, camera: dict[str, Any]) -> None:
     """Raises InputError for a camera that this reader cannot draw, by its model's name or further coefficients."""
     model = camera.get("camera_model") or "PINHOLE"
     fisheye = [key for key in _FISHEYE if camera.get(key)]
-    if model not in _MODELS or fisheye:
+    if model not in MODELS or fisheye:
         raise InputError(
-            f"{field}: bad intrinsics: camera_model: expected one of {', '.join(_MODELS)}, got "
+            f"{field}: bad intrinsics: camera_model: expected one of {', '.join(MODELS)}, got "
             f"{fisheye[0] if fisheye else shown(model)}: undistort the images first"
         )
     if unknown := [key for key in _OTHER_COEFFICIENTS if camera.get(key)]:
