@@ -7,7 +7,7 @@ DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 
-.PHONY: setup demo test suite sanitize sanitize-threads sanitized-module sanitize-cuda fuzz bench clean
+.PHONY: setup demo test suite sanitize sanitize-threads sanitized-module sanitize-cuda fuzz bench docs clean
 
 setup: $(VENV)/.installed
 
@@ -72,11 +72,15 @@ fuzz: setup
 	$(BIN)/python -m pip install -q atheris || echo "make: no atheris for this Python; random changes instead"
 	cd tests && PYTHONPATH=$(CURDIR):$(CURDIR)/tests ../$(BIN)/python -m fuzzing --inputs $(FUZZ_INPUTS)
 
+# The pages of docs/ as a website, with the reference that is made of docstrings: build/docs/index.html.
+docs: setup $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 bench: setup
 	$(BIN)/lightfield-gs bench --scene sheet:128,sheet:512,cloud:262144 --cone 5,40 --json bench.json
 
 clean:
-	rm -rf build demo bench.json $(VENV)/.installed
+	rm -rf build demo bench.json $(VENV)/.installed $(VENV)/.docs
 
 # Compiler, and headers that CMake would else download: installed as root, named otherwise.
 $(VENV)/.system:
@@ -106,4 +110,9 @@ $(VENV)/.python: constraints.txt | $(VENV)/.system
 
 $(VENV)/.installed: pyproject.toml $(NATIVE_SOURCES) $(VENV)/.python
 	$(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[test]'
+	@touch $@
+
+# What the extra `docs` names, and not the package once more, which would be compiled for it.
+$(VENV)/.docs: pyproject.toml $(VENV)/.python
+	$(BIN)/python -m pip install -q -c constraints.txt $$(sed -n "s/^docs = \[\(.*\)\].*/\1/p" pyproject.toml | tr -d '",')
 	@touch $@

@@ -45,7 +45,7 @@ def scene(means, scales=0.01, opacities=0.9) -> Gaussians:
 
 
 def project(rig: Rig, panel: Panel, point, s: float = 0.0) -> np.ndarray:
-    """Pixel of a world point in the view with offset s (DESIGN, section 4)."""
+    """Pixel of a world point in the view with offset s (docs/design.md, "Where the cameras stand")."""
     x, y, z = rig.world_to_camera[:3, :3] @ point + rig.world_to_camera[:3, 3]
     (fx, fy), (cx, cy) = rig.focal_px, rig.principal_point_px
     return np.array([fx * (x - s) / z + cx + fx * s / rig.zero_depth, fy * y / z + cy])

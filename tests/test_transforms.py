@@ -217,7 +217,7 @@ def test_two_layouts_in_one_folder(tmp_path):
 
 @pytest.mark.slow
 def test_from_own_data_to_own_checkpoint(tmp_path, capsys):
-    """The commands of the README, on a network small enough to train in seconds."""
+    """The commands of docs/training.md, on a network small enough to train in seconds."""
     for name in ("train/a", "train/b", "val/c"):
         write_transforms(tmp_path / name, seed=ord(name[-1]))
     assert main([str(tmp_path)]) == 0

@@ -28,7 +28,8 @@ def simulate(
     spread_subpixels: full width at half maximum of what a lens lights, > 0; more than 1 is crosstalk.
     threads: number of threads; None: one a core.
 
-    The eye reaches the sub-pixel at xi = X - Y tan(theta) through the place a on its lens (DESIGN, section 3):
+    The eye reaches the sub-pixel at xi = X - Y tan(theta) through the place a on its lens
+    (docs/design.md, "What an eye sees"):
         a = D_mid/P_e + (xi z + xi_eye L_g) / ((z + L_g) p_h),   L_g = P_e p_sub L/E,   p_h = P_e p_sub L/(L + L_g)
     E = 2 L tan(cone/2). It is lit by a Gaussian of frac(a) - 1/2. At z = L the eye sees the view N (1/2 - xi_eye/E)
     everywhere. On a panel with invert_views the lens plane lies behind the pixels (L_g < 0), so that right eyes still

@@ -135,7 +135,7 @@ def subpixel_colours(
     """Colours that chosen sub-pixels of a light-field image must have, float64 [M].
 
     rows, columns: 0-based pixels [M]; channels: image channels [M], 0 red to 2 blue. continuous: fractional views.
-    antialiased: see rendering.encode.
+    antialiased: see lightfield_gs.encode.
     With return_margin also [M]: how near, relatively, a decision about the sample came to its threshold (alpha = 1/255
     or transmittance = 1e-4), at most 0.1; below some 1e-4 a float32 program may rightly decide otherwise.
     """
