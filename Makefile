@@ -7,7 +7,7 @@ DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 
-.PHONY: setup demo test suite sanitize sanitize-threads sanitized-module sanitize-cuda fuzz bench docs clean
+.PHONY: setup demo test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda lint fuzz bench docs clean FORCE
 
 setup: $(VENV)/.installed
 
@@ -16,30 +16,25 @@ demo: setup
 	mkdir -p demo
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
 
-# Two at a time, each on one thread: the suite seldom has work for two cores, and a thread that waits for another would
-# wait for the other program as well.
-test: setup
-	OMP_NUM_THREADS=1 $(MAKE) --no-print-directory -j2 suite sanitize
+# The suite: tests side by side, one process a core and each on one thread, for a thread that waits for another would wait
+# for the other processes as well; then, one by one, those that compare times. Tests of one group (xdist_group), which
+# share what takes long to make, are in one process.
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
+BESIDE := --numprocesses auto --maxprocesses 8 --dist loadgroup
 
-suite: setup
-	$(BIN)/python -m pytest -q tests
+test: setup
+	$(PYTEST) $(BESIDE) -m "not alone" tests
+	$(PYTEST) -m alone tests
 
 # The suite with the native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code, but for
-# the tests of a module of their own and those of a program that never calls it; and the stages on several threads under
-# ThreadSanitizer. In parts, the longest first, so that two cores stay busy to the end. --capture=sys, or pytest keeps to
-# itself what a sanitizer says at the end; how far a process grows is another matter there.
-NOT_SANITIZED := tests/test_cuda_on_cpu.py tests/test_sanitize_cuda.py
-SANITIZED_stress := $(sort $(wildcard tests/test_stress_*.py))
-SANITIZED_quality := tests/test_quality.py tests/test_lens.py
-SANITIZED_rest := $(filter-out $(NOT_SANITIZED) $(SANITIZED_stress) $(SANITIZED_quality),$(sort $(wildcard tests/test_*.py)))
-SANITIZED_PARTS := $(addprefix sanitize-,rest stress quality)
+# the tests that have nothing to do with it (the marker not_sanitized); and the stages on several threads under
+# ThreadSanitizer. --capture=sys, or pytest keeps to itself what a sanitizer says at the end.
 CONFIGURE = PATH=$(CURDIR)/$(BIN):$$PATH cmake -G Ninja -S . -DCMAKE_BUILD_TYPE=Release -DLFGS_CUDA=OFF \
   -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dpybind11_DIR=$$($(BIN)/python -m pybind11 --cmakedir) \
   -DSKBUILD_PROJECT_VERSION_FULL=$$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 PRELOAD = $(foreach library,libasan.so libubsan.so libstdc++.so,$(shell g++ -print-file-name=$(library)))
 
-.PHONY: $(SANITIZED_PARTS)
-sanitize: sanitize-threads $(SANITIZED_PARTS)
+sanitize: sanitize-threads sanitize-suite
 
 # MAKEFLAGS=, or ninja complains that it cannot share make's jobs.
 sanitize-threads: setup
@@ -51,10 +46,18 @@ sanitized-module: setup
 	$(CONFIGURE) -B build/sanitize -DLFGS_SANITIZE=address,undefined
 	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/sanitize --target _core
 
-$(SANITIZED_PARTS): sanitize-%: sanitized-module
+sanitize-suite: sanitized-module
 	LD_PRELOAD="$(PRELOAD)" ASAN_OPTIONS=detect_leaks=0:quarantine_size_mb=16 UBSAN_OPTIONS=print_stacktrace=1 \
 	  LFGS_CORE=$$(ls build/sanitize/_core*.so) \
-	  $(BIN)/python -m pytest -q --capture=sys -k "not process_grows" $(SANITIZED_$*)
+	  $(PYTEST) $(BESIDE) --capture=sys -m "not not_sanitized" tests
+
+# What is read rather than run: style and types, with the versions of the extra "dev".
+CLANG_FORMATTED = $(shell find csrc tests/native tests/cuda_on_cpu -name '*.cpp' -o -name '*.h' -o -name '*.cu' -o -name '*.cuh')
+lint: setup $(VENV)/.dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/clang-format --dry-run -Werror $(CLANG_FORMATTED)
+	$(BIN)/mypy
 
 # The tests of the GPU under the tools of compute-sanitizer, on a machine that has one: PYTHON has the package, built for
 # it, and pytest. CUDA_TOOLS, and CUDA_SECONDS for each, where a run may last only so long: the next one goes on with it.
@@ -80,7 +83,7 @@ bench: setup
 	$(BIN)/lightfield-gs bench --scene sheet:128,sheet:512,cloud:262144 --cone 5,40 --json bench.json
 
 clean:
-	rm -rf build demo bench.json $(VENV)/.installed $(VENV)/.docs
+	rm -rf build demo bench.json $(VENV)/.installed $(VENV)/.docs $(VENV)/.dev
 
 # Compiler, and headers that CMake would else download: installed as root, named otherwise.
 $(VENV)/.system:
@@ -108,11 +111,16 @@ $(VENV)/.python: constraints.txt | $(VENV)/.system
 	$(BIN)/python -m pip install -q -c constraints.txt scikit-build-core pybind11 ninja
 	@touch $@
 
-$(VENV)/.installed: pyproject.toml $(NATIVE_SOURCES) $(VENV)/.python
+# Where files lie is known to the installation; what is in them is read anew every time.
+$(VENV)/.files: FORCE
+	@mkdir -p $(VENV) && find lightfield_gs training -name '*.py' | sort > $@.now
+	@cmp -s $@.now $@ && rm $@.now || mv $@.now $@
+
+$(VENV)/.installed: pyproject.toml $(NATIVE_SOURCES) $(VENV)/.files $(VENV)/.python
 	$(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[test]'
 	@touch $@
 
-# What the extra `docs` names, and not the package once more, which would be compiled for it.
-$(VENV)/.docs: pyproject.toml $(VENV)/.python
-	$(BIN)/python -m pip install -q -c constraints.txt $$(sed -n "s/^docs = \[\(.*\)\].*/\1/p" pyproject.toml | tr -d '",')
+# What the extras `docs` and `dev` name, and not the package once more, which would be compiled for it.
+$(VENV)/.docs $(VENV)/.dev: $(VENV)/.%: pyproject.toml $(VENV)/.python
+	$(BIN)/python -m pip install -q -c constraints.txt $$(sed -n "s/^$* = \[\(.*\)\].*/\1/p" pyproject.toml | tr -d '",')
 	@touch $@

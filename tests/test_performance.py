@@ -105,6 +105,8 @@ def test_counters_are_the_stored_ones(frame):
 
 
 @pytest.mark.slow
+@pytest.mark.alone
+@pytest.mark.not_sanitized
 @pytest.mark.parametrize("name", RATIOS)
 def test_no_method_has_become_slower_beside_another(name):
     stored = json.loads(STORED.read_text())["ratios"][name]

@@ -12,6 +12,8 @@ from types import SimpleNamespace
 import pytest
 import sanitize_cuda
 
+pytestmark = pytest.mark.not_sanitized
+
 TOOL = """#!{python}
 import os, subprocess, sys
 if sys.argv[1:] == ["--version"]:

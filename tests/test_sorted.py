@@ -257,6 +257,7 @@ print(status("VmHWM") - before - image.numel())
 """
 
 
+@pytest.mark.not_sanitized
 @pytest.mark.parametrize("budget", [120_000_000, 40_000_000])
 def test_the_process_grows_by_no_more_than_the_budget(budget):
     try:

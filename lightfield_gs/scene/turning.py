@@ -46,8 +46,9 @@ def rotation_matrix(rotation: Any, device: torch.device | str = "cpu") -> Tensor
         if not bool(given.any()):
             raise InputError("rotation: expected a quaternion of any length but zero, got 0, 0, 0, 0")
         return rotations((given / given.abs().max())[None])[0]
-    error = float((given @ given.T - torch.eye(3).to(given)).abs().max())
-    if not error <= _TOLERANCE or float(torch.linalg.det(given)) < 0:
+    values = given.detach()  # torch warns of numbers that are taken out of a gradient's graph
+    error = float((values @ values.T - torch.eye(3).to(values)).abs().max())
+    if not error <= _TOLERANCE or float(torch.linalg.det(values)) < 0:
         raise InputError(
             "rotation: expected orthonormal rows and determinant +1 (no scale, shear or mirroring), got "
             f"{shown(given.tolist())}"

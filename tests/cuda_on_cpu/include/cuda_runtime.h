@@ -2,8 +2,6 @@
 // logic of kernels, not for their speed; races and memory of the device are not seen.
 #pragma once
 
-#include <ucontext.h>
-
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -98,10 +96,10 @@ struct Block {
   int threads, current = 0, arrived = 0;
   bool all = true, any = false, was_all = true, was_any = false;
   unsigned round = 0;
-  std::vector<ucontext_t> fibers;
+  std::vector<void*> fibers;  // where the stack of each one ends
   std::vector<char> done;
   std::vector<Warp> warps;
-  ucontext_t main;
+  void* main;
 };
 inline Block* block;
 inline dim3 block_index, block_size, grid_size;
@@ -114,7 +112,23 @@ inline dim3 thread_index() {
   return {t % block_size.x, t / block_size.x % block_size.y, t / (block_size.x * block_size.y)};
 }
 inline int lane() { return block->current % 32; }
-inline void yield() { swapcontext(&block->fibers[block->current], &block->main); }
+
+// Goes on with what runs on another stack: keeps the registers that a call preserves (System V, x86-64) on this one,
+// and takes them from the other. swapcontext does the same, and asks the system for the signal mask each time, which
+// took most of the time of the kernels with tensor cores.
+__attribute__((naked, noinline)) inline void switch_stack(void** from, void* to) {
+  asm("push %rbp\n push %rbx\n push %r12\n push %r13\n push %r14\n push %r15\n"
+      "mov %rsp, (%rdi)\n mov %rsi, %rsp\n"
+      "pop %r15\n pop %r14\n pop %r13\n pop %r12\n pop %rbx\n pop %rbp\n ret");
+}
+// A stack on which switch_stack finds six registers, and `begin` to return to, aligned as if it had been called.
+inline void* new_stack(char* memory, size_t bytes, void (*begin)()) {
+  void** top = reinterpret_cast<void**>((size_t(memory) + bytes) / 16 * 16);
+  top[-1] = nullptr, top[-2] = reinterpret_cast<void*>(begin);
+  return std::fill_n(top - 8, 6, nullptr), top - 8;
+}
+
+inline void yield() { switch_stack(&block->fibers[block->current], block->main); }
 inline void enter() {
   (*body)();
   block->done[block->current] = true;
@@ -156,18 +170,13 @@ inline void run_block(int threads) {
   block = &b;
   b.fibers.resize(threads), b.done.assign(threads, false), b.warps.resize((threads + 31) / 32);
   if (threads % 32) b.warps.back().size = threads % 32;
-  for (int t = 0; t < threads; ++t) {
-    getcontext(&b.fibers[t]);
-    b.fibers[t].uc_stack.ss_sp = stacks[t].data(), b.fibers[t].uc_stack.ss_size = kStackBytes;
-    b.fibers[t].uc_link = &b.main;
-    makecontext(&b.fibers[t], enter, 0);
-  }
+  for (int t = 0; t < threads; ++t) b.fibers[t] = new_stack(stacks[t].data(), kStackBytes, enter);
   for (int left = threads, waits = 0; left > 0;) {
     const int before = left;
     for (int t = 0; t < threads; ++t) {
       if (b.done[t]) continue;
       b.current = t;
-      swapcontext(&b.main, &b.fibers[t]);
+      switch_stack(&b.main, b.fibers[t]);
       left -= b.done[t];
     }
     waits = left == before ? waits + 1 : 0;
