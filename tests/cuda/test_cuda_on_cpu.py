@@ -22,7 +22,7 @@ from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.rasterizer import frame_cuda
 from lightfield_gs.rasterizer.quality import QUALITIES
 
-FOLDER = Path(__file__).parent / "cuda_on_cpu"
+FOLDER = Path(__file__).parents[1] / "cuda_on_cpu"
 CSRC = FOLDER.parents[1] / "csrc"
 
 if platform.machine() != "x86_64" or shutil.which("g++") is None or not Path("/usr/include/hwy").exists():
