@@ -11,7 +11,17 @@ from torch import Tensor
 from lightfield_gs.base.arrays import Colour, dense_tensor
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import METHODS, OUTPUTS, VIEWS, Method, Output, QualityName, Views, of_other_methods
+from lightfield_gs.base.options import (
+    METHODS,
+    ONLY_FOR,
+    OUTPUTS,
+    VIEWS,
+    Method,
+    Output,
+    QualityName,
+    Views,
+    of_other_methods,
+)
 from lightfield_gs.encoding.classic import encode_classic
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
@@ -32,13 +42,7 @@ _DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUT
 MOST_THREADS = 1024
 _MOST_BYTES = 1 << 62
 _BY_A_RIG = ": the other methods draw the panel's own views by a rig"
-_WHY_NOT = {
-    "cameras": _BY_A_RIG,
-    "view_map": _BY_A_RIG,
-    "memory_budget": _BY_A_RIG,
-    "quality": ": that is exact only",
-    "out": "",
-}
+_WHY_NOT = {"cameras": _BY_A_RIG, "view_map": _BY_A_RIG, "memory_budget": _BY_A_RIG, "out": ""}
 
 
 def encode(
@@ -105,14 +109,8 @@ def encode(
         threads = whole_number("threads", threads, 1, MOST_THREADS)
     if memory_budget is not None:
         memory_budget = whole_number("memory_budget (bytes)", memory_budget, 1, _MOST_BYTES)
-    for name, its in of_other_methods(
-        method,
-        cameras=cameras,
-        view_map=view_map,
-        memory_budget=memory_budget,
-        quality=None if quality.is_exact else quality,
-        out=out,
-    ):
+    given = {"cameras": cameras, "view_map": view_map, "memory_budget": memory_budget, "out": out}
+    for name, its in of_other_methods(method, **given):
         raise InputError(f"{name}= is for method {its!r}, not {method!r}{_WHY_NOT[name]}")
     if method != "sorted" and rig is None:
         raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
@@ -121,8 +119,11 @@ def encode(
             "memory_budget goes with integer views: cameras for all distinct places within a lens have no "
             "bound; use method direct, which takes little memory, or integer views"
         )
-    if not quality.is_exact and output == "float64":
-        raise InputError("quality is for output 'uint8' or 'float32', not 'float64': that is exact only")
+    if not quality.is_exact and (method != ONLY_FOR["quality"] or output == "float64"):
+        raise InputError(
+            f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
+            f"{output!r}: those are exact only"
+        )
     if out is not None:
         _check_out(out, output, panel, gaussians.device)
     precision = torch.float64 if output == "float64" else torch.float32
