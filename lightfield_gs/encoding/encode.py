@@ -9,20 +9,12 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour, dense_tensor
-from lightfield_gs.base.checks import expect, whole_number
+from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import (
-    METHODS,
-    ONLY_FOR,
-    OUTPUTS,
-    VIEWS,
-    Method,
-    Output,
-    QualityName,
-    Views,
-    of_other_methods,
-)
+from lightfield_gs.base.options import Method, Output, QualityName, Views
+from lightfield_gs.encoding.arguments import DTYPES, check_options, check_out, check_together, check_types
 from lightfield_gs.encoding.classic import encode_classic
+from lightfield_gs.encoding.direct import encode_direct
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
 from lightfield_gs.panels.lens import lens_view
@@ -30,19 +22,10 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer import skips
 from lightfield_gs.rasterizer.images import background_tensor
-from lightfield_gs.rasterizer.lens import draw_lens
-from lightfield_gs.rasterizer.lens_job import LensJob
-from lightfield_gs.rasterizer.lens_view import LensView
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
-
-_DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
-MOST_THREADS = 1024
-_MOST_BYTES = 1 << 62
-_BY_A_RIG = ": the other methods draw the panel's own views by a rig"
-_WHY_NOT = {"cameras": _BY_A_RIG, "view_map": _BY_A_RIG, "memory_budget": _BY_A_RIG, "out": ""}
 
 
 def encode(
@@ -90,119 +73,35 @@ def encode(
     Raises InputError.
     """
     check_options(method, views, output)
-    for name, value, kinds in (
-        ("gaussians", gaussians, (Gaussians,)),
-        ("panel", panel, (Panel,)),
-        ("rig", rig, (Rig, type(None))),
-        ("cameras", cameras, (Cameras, type(None))),
-        ("stats", stats, (dict, type(None))),
-        ("antialiased", antialiased, (bool,)),
-    ):
-        expect(name, value, *kinds)
-    gaussians.validate_layout()
-    quality = Quality.of(quality)
-    if gaussians.is_batched:
-        raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
-    if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
-        gaussians.validate()  # looking at values waits for the device
-    if threads is not None:
-        threads = whole_number("threads", threads, 1, MOST_THREADS)
-    if memory_budget is not None:
-        memory_budget = whole_number("memory_budget (bytes)", memory_budget, 1, _MOST_BYTES)
-    given = {"cameras": cameras, "view_map": view_map, "memory_budget": memory_budget, "out": out}
-    for name, its in of_other_methods(method, **given):
-        raise InputError(f"{name}= is for method {its!r}, not {method!r}{_WHY_NOT[name]}")
-    if method != "sorted" and rig is None:
-        raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
-    if memory_budget is not None and views == "continuous":
-        raise InputError(
-            "memory_budget goes with integer views: cameras for all distinct places within a lens have no "
-            "bound; use method direct, which takes little memory, or integer views"
-        )
-    if not quality.is_exact and (method != ONLY_FOR["quality"] or output == "float64"):
-        raise InputError(
-            f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
-            f"{output!r}: those are exact only"
-        )
+    check_types(gaussians, panel, rig, cameras, stats, antialiased)
+    quality, continuous, as_bytes = Quality.of(quality), views == "continuous", output == "uint8"
+    threads, memory_budget = check_together(
+        method, views, output, rig, quality, threads, memory_budget, cameras=cameras, view_map=view_map, out=out
+    )
     if out is not None:
-        _check_out(out, output, panel, gaussians.device)
-    precision = torch.float64 if output == "float64" else torch.float32
-    gaussians = gaussians.to(dtype=precision)
+        check_out(out, output, panel, gaussians.device)
+    gaussians = gaussians.to(dtype=torch.float64 if output == "float64" else torch.float32)
     colour = background_tensor(background, gaussians.means).reshape(-1)
     counters = Stats(device=gaussians.device if stats is not None else None)
-    if method == "classic":
+    if method == "direct":
+        view = lens_view(panel, rig, continuous)
+        counted = None if stats is None else counters
+        image = encode_direct(gaussians, view, colour, output, quality, threads, counted, out, antialiased)
+    elif method == "classic":
         image = encode_classic(
-            gaussians, panel, rig, views == "continuous", colour, _DTYPES[output], threads, counters, antialiased
-        )
-    elif method == "sorted":
-        with counters.stage("plan"):
-            chosen = cameras_and_plan(panel, rig, cameras, view_map, views == "continuous", gaussians.device)
-        image = encode_sorted(
-            gaussians.fields().values(),
-            *chosen,
-            memory_budget,
-            colour,
-            output == "uint8",
-            threads or torch.get_num_threads(),
-            counters,
-            antialiased,
-        )
-    elif _wants_gradients(output, gaussians, colour):
-        _refuse_with_gradients(
-            quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
-        )
-        image = torch.ops.lightfield_gs.render_lens(
-            *gaussians.fields().values(), colour, *lens_view(panel, rig, views == "continuous").lists(), antialiased
+            gaussians, panel, rig, continuous, colour, DTYPES[output], threads, counters, antialiased
         )
     else:
-        image = _direct(
-            gaussians,
-            lens_view(panel, rig, views == "continuous"),
-            colour,
-            output,
-            quality,
-            threads,
-            counters,
-            out,
-            antialiased,
-        )
+        with counters.stage("plan"):
+            seen, plan = cameras_and_plan(panel, rig, cameras, view_map, continuous, gaussians.device)
+        image = encode_sorted(gaussians, seen, plan, memory_budget, colour, as_bytes, threads, counters, antialiased)
     if stats is not None:
-        _report(counters, gaussians, panel, stats)
+        stats.update(counters.report(gaussians.count, image.numel()))
         if method == "direct":
             drawn = gaussians.count - stats["gaussians_culled"]
-            stats["skipped"] = {
-                "gaussians": skips.culled(gaussians, rig.world_to_camera, drawn, counters.pruned),
-                **counters.skipped,
-            }
+            culled = skips.culled(gaussians, rig.world_to_camera, drawn, counters.pruned)
+            stats["skipped"] = {"gaussians": culled, **counters.skipped}
     return image
-
-
-def _check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -> None:
-    """Raises InputError for what an image cannot be drawn over."""
-    expect("out", out, Tensor)
-    expected = (panel.height_px, panel.width_px, 3), _DTYPES[output], device
-    if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:
-        raise InputError(
-            f"out must be a contiguous {expected[1]} tensor {list(expected[0])} on {device} without "
-            f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
-            f"{', with gradients' if out.requires_grad else ''}"
-        )
-    if out.is_cuda and out.data_ptr() % 2:
-        raise InputError(
-            "out must begin at an even address on CUDA, got a part of another tensor at an odd one; give "
-            "a tensor of its own"
-        )
-
-
-def check_options(method: str, views: str, output: str) -> None:
-    """Raises InputError for what `encode` does not know."""
-    for name, value in (("method", method), ("views", views), ("output", output)):
-        expect(name, value, str)
-    if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
-        raise InputError(
-            f"encode takes method {METHODS}, views {VIEWS} and output {OUTPUTS}, got {method!r}, "
-            f"{views!r} and {output!r}"
-        )
 
 
 def interlace(views: Tensor, panel: Panel) -> Tensor:
@@ -218,55 +117,3 @@ def interlace(views: Tensor, panel: Panel) -> Tensor:
         raise InputError(f"views must be {list(expected)} for this panel, got {list(views.shape)}")
     numbers = torch.from_numpy(panel.view_map()).to(device=views.device, dtype=torch.int64)
     return views.gather(0, numbers.unsqueeze(0)).squeeze(0)
-
-
-def _direct(
-    gaussians: Gaussians,
-    view: LensView,
-    background: Tensor,
-    output: Output,
-    quality: Quality,
-    threads: int | None,
-    stats: Stats,
-    out: Tensor | None,
-    antialiased: bool,
-) -> Tensor:
-    """The image without gradients."""
-    with torch.no_grad():
-        with stats.stage("plan"):
-            job = LensJob(gaussians.fields().values(), background, view, antialiased)
-        return draw_lens(job, output == "uint8", quality, stats, threads, out)
-
-
-def _wants_gradients(output: Output, gaussians: Gaussians, background: Tensor) -> bool:
-    """Whether torch is to follow how an image came about; bytes have no gradients."""
-    return (
-        output != "uint8"
-        and torch.is_grad_enabled()
-        and any(t.requires_grad for t in (*gaussians.fields().values(), background))
-    )
-
-
-def _refuse_with_gradients(**given: bool) -> None:
-    """Raises InputError for the first option that was given: the operator with gradients has none of them."""
-    for name in (name for name, is_given in given.items() if is_given):
-        raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")
-
-
-def _report(counters: Stats, gaussians: Gaussians, panel: Panel, out: dict[str, Any]) -> None:
-    evaluations = None if gaussians.means.is_cuda else counters.evaluations
-    per_subpixel = None if evaluations is None else evaluations / (3 * panel.width_px * panel.height_px)
-    culled = gaussians.count - counters.gaussians_drawn // max(counters.images, 1)
-    out.update(
-        stages_ms=dict(counters.stages_ms),
-        pairs=counters.pairs,
-        evaluations=evaluations,
-        evaluations_per_subpixel=per_subpixel,
-        work_bytes=counters.work_bytes,
-        gaussians_culled=culled,
-        colour_error=counters.colour_error,
-    )
-    if counters.kernel is not None:
-        out["kernel"] = counters.kernel
-    if counters.memory_bytes:
-        out.update(memory_bytes=counters.memory_bytes, memory_bytes_unchunked=counters.memory_bytes_unchunked)

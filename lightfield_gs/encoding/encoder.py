@@ -11,7 +11,8 @@ from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
-from lightfield_gs.encoding.encode import check_options, encode
+from lightfield_gs.encoding.arguments import check_options
+from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoding.encoder_cuda import CudaFrames
 from lightfield_gs.panels.lens import lens_view

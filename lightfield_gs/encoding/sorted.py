@@ -24,6 +24,7 @@ from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace_cpu import CpuWorkspace
 from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_VIEWS = 4096  # in a chunk
 _MOST_PAIRS = (1 << 31) - 1
@@ -184,13 +185,13 @@ def _floats_or_bytes(out: Tensor) -> tuple[int, int]:
 
 @torch.no_grad()
 def encode_sorted(
-    fields: list[Tensor],
+    gaussians: Gaussians,
     cameras: Cameras,
     plan: SortedPlan,
     budget: int | None,
     background: Tensor,
     as_bytes: bool,
-    threads: int,
+    threads: int | None,
     stats: Stats,
     antialiased: bool = False,
 ) -> Tensor:
@@ -202,7 +203,7 @@ def encode_sorted(
     the states of Table 3 of the paper, image being the sorted sub-pixels. Raises InputError when not even one
     view fits the budget.
     """
-    scene = Scene(*(field.unsqueeze(0) for field in fields))
+    scene = Scene(*(field.unsqueeze(0) for field in gaussians.fields().values()))
     device = scene.tensors[0].device
     if plan.device_type != device.type:
         raise InputError(
@@ -214,7 +215,9 @@ def encode_sorted(
     if plan.hidden:
         out[:] = bytes_of(background.clone()) if as_bytes else background
     with scene.guard:
-        _Encoding(scene, cameras, plan, budget, background, threads, stats, antialiased).run(out)
+        _Encoding(scene, cameras, plan, budget, background, threads or torch.get_num_threads(), stats, antialiased).run(
+            out
+        )
     return out
 
 

@@ -14,7 +14,8 @@ from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
-from lightfield_gs.encoding.encode import check_options, encode
+from lightfield_gs.encoding.arguments import check_options
+from lightfield_gs.encoding.encode import encode
 from lightfield_gs.models import crop
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
 from lightfield_gs.panels import framing

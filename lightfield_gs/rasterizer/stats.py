@@ -73,3 +73,21 @@ class Stats:
         self.pairs += counters.pairs
         self.evaluations += counters.evaluations
         self.work_bytes += counters.scratch_bytes
+
+    def report(self, gaussians: int, subpixels: int) -> dict[str, Any]:
+        """What `encode` tells in its stats; gaussians: how many there are. Evaluations are not counted on CUDA."""
+        on_cuda = self.device is not None and self.device.type == "cuda"
+        found: dict[str, Any] = {
+            "stages_ms": dict(self.stages_ms),
+            "pairs": self.pairs,
+            "evaluations": None if on_cuda else self.evaluations,
+            "evaluations_per_subpixel": None if on_cuda else self.evaluations / subpixels,
+            "work_bytes": self.work_bytes,
+            "gaussians_culled": gaussians - self.gaussians_drawn // max(self.images, 1),
+            "colour_error": self.colour_error,
+        }
+        if self.kernel is not None:
+            found["kernel"] = self.kernel
+        if self.memory_bytes:
+            found |= {"memory_bytes": self.memory_bytes, "memory_bytes_unchunked": self.memory_bytes_unchunked}
+        return found

@@ -1,0 +1,107 @@
+"""What `encode` and an Encoder can be asked for, checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.checks import expect, whole_number
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, Views, of_other_methods
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
+
+DTYPES: dict[Output, torch.dtype] = {name: getattr(torch, name) for name in OUTPUTS}
+MOST_THREADS = 1024
+_MOST_BYTES = 1 << 62
+_BY_A_RIG = ": the other methods draw the panel's own views by a rig"
+_WHY_NOT = {"cameras": _BY_A_RIG, "view_map": _BY_A_RIG, "memory_budget": _BY_A_RIG, "out": ""}
+
+
+def check_options(method: str, views: str, output: str) -> None:
+    """Raises InputError for what `encode` does not know."""
+    for name, value in (("method", method), ("views", views), ("output", output)):
+        expect(name, value, str)
+    if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
+        raise InputError(
+            f"encode takes method {METHODS}, views {VIEWS} and output {OUTPUTS}, got {method!r}, "
+            f"{views!r} and {output!r}"
+        )
+
+
+def check_types(
+    gaussians: Gaussians, panel: Panel, rig: Rig | None, cameras: Cameras | None, stats: Any, antialiased: bool
+) -> None:
+    """Raises InputError for what is of no type that `encode` takes, and for Gaussians that cannot be drawn."""
+    for name, value, kinds in (
+        ("gaussians", gaussians, (Gaussians,)),
+        ("panel", panel, (Panel,)),
+        ("rig", rig, (Rig, type(None))),
+        ("cameras", cameras, (Cameras, type(None))),
+        ("stats", stats, (dict, type(None))),
+        ("antialiased", antialiased, (bool,)),
+    ):
+        expect(name, value, *kinds)
+    gaussians.validate_layout()
+    if gaussians.is_batched:
+        raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
+    if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
+        gaussians.validate()  # looking at values waits for the device
+
+
+def check_together(
+    method: Method,
+    views: Views,
+    output: Output,
+    rig: Rig | None,
+    quality: Quality,
+    threads: int | None,
+    memory_budget: int | None,
+    **given: Any,
+) -> tuple[int | None, int | None]:
+    """threads and memory_budget as whole numbers. Raises InputError for those out of their ranges, and where arguments
+    of one method meet another.
+
+    given: the other arguments that one method alone takes (base/options.py).
+    """
+    if threads is not None:
+        threads = whole_number("threads", threads, 1, MOST_THREADS)
+    if memory_budget is not None:
+        memory_budget = whole_number("memory_budget (bytes)", memory_budget, 1, _MOST_BYTES)
+    for name, its in of_other_methods(method, memory_budget=memory_budget, **given):
+        raise InputError(f"{name}= is for method {its!r}, not {method!r}{_WHY_NOT[name]}")
+    if method != "sorted" and rig is None:
+        raise InputError(f"method {method!r} needs a rig (Rig.frame makes one)")
+    if memory_budget is not None and views == "continuous":
+        raise InputError(
+            "memory_budget goes with integer views: cameras for all distinct places within a lens have no "
+            "bound; use method direct, which takes little memory, or integer views"
+        )
+    if not quality.is_exact and (method != ONLY_FOR["quality"] or output == "float64"):
+        raise InputError(
+            f"quality is for method 'direct' and output 'uint8' or 'float32', not {method!r} and "
+            f"{output!r}: those are exact only"
+        )
+    return threads, memory_budget
+
+
+def check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -> None:
+    """Raises InputError for what an image cannot be drawn over."""
+    expect("out", out, Tensor)
+    expected = (panel.height_px, panel.width_px, 3), DTYPES[output], device
+    if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:
+        raise InputError(
+            f"out must be a contiguous {expected[1]} tensor {list(expected[0])} on {device} without "
+            f"gradients, got {out.dtype} {list(out.shape)} on {out.device}, strides {out.stride()}"
+            f"{', with gradients' if out.requires_grad else ''}"
+        )
+    if out.is_cuda and out.data_ptr() % 2:
+        raise InputError(
+            "out must begin at an even address on CUDA, got a part of another tensor at an odd one; give "
+            "a tensor of its own"
+        )

@@ -1,0 +1,48 @@
+"""The method `direct`: the sub-pixels alone, by one projection and one sort for all cameras of a rig."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Output
+from lightfield_gs.rasterizer.lens import draw_lens
+from lightfield_gs.rasterizer.lens_job import LensJob
+from lightfield_gs.rasterizer.lens_view import LensView
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.scene.gaussians import Gaussians
+
+
+def encode_direct(
+    gaussians: Gaussians,
+    view: LensView,
+    background: Tensor,
+    output: Output,
+    quality: Quality,
+    threads: int | None,
+    stats: Stats | None,
+    out: Tensor | None,
+    antialiased: bool,
+) -> Tensor:
+    """The image [H, W, 3], by the operator with a reverse where torch is to follow how it came about. See encode.
+
+    Raises InputError for what that operator has not.
+    """
+    fields = list(gaussians.fields().values())
+    follows = torch.is_grad_enabled() and any(t.requires_grad for t in (*fields, background))
+    if follows and output != "uint8":  # bytes have no gradients
+        _refuse(quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None)
+        return torch.ops.lightfield_gs.render_lens(*fields, background, *view.lists(), antialiased)
+    stats = stats or Stats()
+    with torch.no_grad():
+        with stats.stage("plan"):
+            job = LensJob(fields, background, view, antialiased)
+        return draw_lens(job, output == "uint8", quality, stats, threads, out)
+
+
+def _refuse(**given: bool) -> None:
+    """Raises InputError for the first that was given."""
+    for name in (name for name, is_given in given.items() if is_given):
+        raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")
