@@ -7,7 +7,7 @@ DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 
-.PHONY: setup demo test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda lint fuzz bench clean
+.PHONY: setup demo test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda lint fuzz bench docs clean FORCE
 
 setup: $(VENV)/.installed
 
@@ -53,7 +53,7 @@ sanitize-suite: sanitized-module
 
 # What is read rather than run: style and types, with the versions of the extra "dev".
 CLANG_FORMATTED = $(shell find csrc tests/native tests/cuda_on_cpu -name '*.cpp' -o -name '*.h' -o -name '*.cu' -o -name '*.cuh')
-lint: $(VENV)/.dev
+lint: setup $(VENV)/.dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/clang-format --dry-run -Werror $(CLANG_FORMATTED)
@@ -75,11 +75,15 @@ fuzz: setup
 	$(BIN)/python -m pip install -q atheris || echo "make: no atheris for this Python; random changes instead"
 	cd tests && PYTHONPATH=$(CURDIR):$(CURDIR)/tests ../$(BIN)/python -m fuzzing --inputs $(FUZZ_INPUTS)
 
+# The pages of docs/ as a website, with the reference that is made of docstrings: build/docs/index.html.
+docs: setup $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 bench: setup
 	$(BIN)/lightfield-gs bench --scene sheet:128,sheet:512,cloud:262144 --cone 5,40 --json bench.json
 
 clean:
-	rm -rf build demo bench.json $(VENV)/.installed
+	rm -rf build demo bench.json $(VENV)/.installed $(VENV)/.docs $(VENV)/.dev
 
 # Compiler, and headers that CMake would else download: installed as root, named otherwise.
 $(VENV)/.system:
@@ -107,10 +111,16 @@ $(VENV)/.python: constraints.txt | $(VENV)/.system
 	$(BIN)/python -m pip install -q -c constraints.txt scikit-build-core pybind11 ninja
 	@touch $@
 
-$(VENV)/.installed: pyproject.toml $(NATIVE_SOURCES) $(VENV)/.python
+# Where files lie is known to the installation; what is in them is read anew every time.
+$(VENV)/.files: FORCE
+	@mkdir -p $(VENV) && find lightfield_gs training -name '*.py' | sort > $@.now
+	@cmp -s $@.now $@ && rm $@.now || mv $@.now $@
+
+$(VENV)/.installed: pyproject.toml $(NATIVE_SOURCES) $(VENV)/.files $(VENV)/.python
 	$(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[test]'
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/.installed
-	$(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[test,dev]'
+# What the extras `docs` and `dev` name, and not the package once more, which would be compiled for it.
+$(VENV)/.docs $(VENV)/.dev: $(VENV)/.%: pyproject.toml $(VENV)/.python
+	$(BIN)/python -m pip install -q -c constraints.txt $$(sed -n "s/^$* = \[\(.*\)\].*/\1/p" pyproject.toml | tr -d '",')
 	@touch $@

@@ -31,23 +31,26 @@ set_target_properties(_core PROPERTIES
   CUDA_ARCHITECTURES "${architectures}" CUDA_STANDARD 20 CUDA_STANDARD_REQUIRED ON CUDA_RUNTIME_LIBRARY Static)
 
 target_sources(_core PRIVATE
-  csrc/bind/lens_frame.cpp
-  csrc/cuda/architectures.cu
-  csrc/cuda/project.cu
-  csrc/cuda/project_lens.cu
-  csrc/cuda/lens_frame.cu
-  csrc/cuda/lens_bin.cu
-  csrc/cuda/lens_order.cu
-  csrc/cuda/composite_lattice.cu
-  csrc/cuda/composite_pixel.cu
-  csrc/cuda/composite_ordinal.cu
-  csrc/cuda/project_backward.cu
-  csrc/cuda/order.cu
-  csrc/cuda/bin.cu
-  csrc/cuda/composite_dense.cu
-  csrc/cuda/composite_lens.cu
-  csrc/cuda/composite_sorted.cu
-  csrc/cuda/group_norm.cu)
+  csrc/bind/cuda.cpp
+  csrc/bind/frame.cpp
+  csrc/cuda/common/architectures.cu
+  csrc/cuda/stages/bin.cu
+  csrc/cuda/stages/order.cu
+  csrc/cuda/dense/composite_dense.cu
+  csrc/cuda/dense/project_dense.cu
+  csrc/cuda/dense/project_dense_backward.cu
+  csrc/cuda/lens/composite_lens.cu
+  csrc/cuda/lens/project_lens.cu
+  csrc/cuda/lens/project_lens_backward.cu
+  csrc/cuda/sorted/composite_sorted.cu
+  csrc/cuda/frame/lens_bin.cu
+  csrc/cuda/frame/lens_frame.cu
+  csrc/cuda/frame/lens_order.cu
+  csrc/cuda/frame/project_frame.cu
+  csrc/cuda/frame/lattice/composite_lattice.cu
+  csrc/cuda/frame/ordinal/composite_ordinal.cu
+  csrc/cuda/frame/pixel/composite_pixel.cu
+  csrc/network/group_norm.cu)
 target_compile_definitions(_core PRIVATE LFGS_WITH_CUDA)
 # GLM's calls can otherwise vanish from device code with only a warning (20011..20015); 20012 is noise of GLM itself
 target_compile_options(_core PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr

@@ -6,39 +6,40 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lightfield_gs.cameras import Cameras
-    from lightfield_gs.encoder import Encoder
-    from lightfield_gs.errors import InputError
-    from lightfield_gs.gaussians import Gaussians
-    from lightfield_gs.io.photo import load_photo
+    from lightfield_gs.base.errors import InputError
+    from lightfield_gs.encoding.encode import encode, interlace
+    from lightfield_gs.encoding.encoder import Encoder
+    from lightfield_gs.encoding.pruning import prune
+    from lightfield_gs.encoding.sorted_plan import SortedPlan
     from lightfield_gs.models import SplatterNet
-    from lightfield_gs.panel import Panel
-    from lightfield_gs.photo_encoder import PhotoEncoder
-    from lightfield_gs.pruning import prune
-    from lightfield_gs.quality import Quality
-    from lightfield_gs.rendering import encode, interlace, render
-    from lightfield_gs.rgbd import from_depth
-    from lightfield_gs.rig import Rig
-    from lightfield_gs.sorted_plan import SortedPlan
+    from lightfield_gs.panels.panel import Panel
+    from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.photo.encoder import PhotoEncoder
+    from lightfield_gs.photo.load import load_photo
+    from lightfield_gs.photo.rgbd import from_depth
+    from lightfield_gs.rasterizer.images import render
+    from lightfield_gs.rasterizer.quality import Quality
+    from lightfield_gs.scene.cameras import Cameras
+    from lightfield_gs.scene.gaussians import Gaussians
 
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
 _HOMES = {
-    "Cameras": "cameras",
-    "Encoder": "encoder",
-    "Gaussians": "gaussians",
-    "InputError": "errors",
-    "Panel": "panel",
-    "PhotoEncoder": "photo_encoder",
-    "Quality": "quality",
-    "Rig": "rig",
-    "SortedPlan": "sorted_plan",
+    "Cameras": "scene.cameras",
+    "Encoder": "encoding.encoder",
+    "Gaussians": "scene.gaussians",
+    "InputError": "base.errors",
+    "Panel": "panels.panel",
+    "PhotoEncoder": "photo.encoder",
+    "Quality": "rasterizer.quality",
+    "Rig": "panels.rig",
+    "SortedPlan": "encoding.sorted_plan",
     "SplatterNet": "models",
-    "encode": "rendering",
-    "from_depth": "rgbd",
-    "interlace": "rendering",
-    "load_photo": "io.photo",
-    "prune": "pruning",
-    "render": "rendering",
+    "encode": "encoding.encode",
+    "from_depth": "photo.rgbd",
+    "interlace": "encoding.encode",
+    "load_photo": "photo.load",
+    "prune": "encoding.pruning",
+    "render": "rasterizer.images",
 }
 # Spelled out for type checkers, which take no other name as public, and do not run what would make this list of that
 __all__ = [

@@ -13,8 +13,8 @@ from PIL import Image
 from tqdm import tqdm
 
 from lightfield_gs import Panel, PhotoEncoder, SplatterNet, load_photo
-from lightfield_gs.preview import to_integers
-from lightfield_gs.simulate import simulate
+from lightfield_gs.panels.simulate import simulate
+from lightfield_gs.show.preview import to_integers
 
 TILE_PX = 360
 WHITE = 250  # of 255, and above

@@ -3,8 +3,8 @@
 import torch
 
 from lightfield_gs import cli
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.scene.gaussians import Gaussians
 
 PANEL = Panel(
     width_px=96,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.data.cache import load_set
 from training.data.objects import find_objects
 from training.data.validate import main, problems

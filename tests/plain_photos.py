@@ -8,8 +8,8 @@ import numpy as np
 from PIL import Image
 
 from lightfield_gs.io.images import read_picture
-from lightfield_gs.io.photo import Photo, photo_of
-from lightfield_gs.preview import to_integers
+from lightfield_gs.photo.load import Photo, photo_of
+from lightfield_gs.show.preview import to_integers
 
 HEIGHT, WIDTH, GREY = 240, 320, 0.92
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from lightfield_gs import reference
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference import frustum_limits
-from lightfield_gs.reference_blend import ALPHA_MIN, Projection, Samples, Scene
-from lightfield_gs.rig import Rig
+from lightfield_gs.reference.blend import ALPHA_MIN, Projection, Samples, Scene
+from lightfield_gs.scene.gaussians import Gaussians
 
 
 def random_scene(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from lightfield_gs.cameras import Cameras
+from lightfield_gs.scene.cameras import Cameras
 
 BALL, RADIUS = np.array([0.1, -0.05, 1.5]), 0.3
 WALL_POINT, WALL_NORMAL = np.array([0, 0, 2.2]), np.array([-0.8, 0.3, 1.0])

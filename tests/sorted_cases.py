@@ -9,7 +9,7 @@ import torch
 from rasterizer_cases import turned_pose
 
 from lightfield_gs import Cameras, Panel, reference
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians
 
 
 def toe_in(panel: Panel, count: int, span: float = 0.9, focal: float = 1.4) -> Cameras:

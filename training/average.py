@@ -12,7 +12,7 @@ from pathlib import Path
 
 import torch
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.models import SplatterNet
 from training.command import with_line_errors
 

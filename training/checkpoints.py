@@ -9,8 +9,8 @@ from typing import Any
 
 import torch
 
-from lightfield_gs.commands.complaint import is_out_of_memory
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.complaint import is_out_of_memory
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from training.config import TrainingConfig
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
-from lightfield_gs.commands.complaint import complain
+from lightfield_gs.base.complaint import complain
 
 Main = Callable[[list[str] | None], int]
 

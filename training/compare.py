@@ -30,7 +30,7 @@ from pathlib import Path
 
 import torch
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError, named
 from training.command import with_line_errors
 from training.compare_report import is_finished, write_report
 from training.config import TrainingConfig
@@ -68,10 +68,8 @@ class Experiment:
 def _run_of(common: TrainingConfig, name: str, arm: Arm, data_root: Path) -> TrainingConfig:
     """The run of an arm. Raises InputError for fields out of range and cones that may leave sources without target."""
     changes = {field: value for field, value in dataclasses.asdict(arm).items() if value is not None}
-    try:
+    with named(f"arms: {name}"):
         run = dataclasses.replace(common, output_dir=str(Path(common.output_dir) / name), **changes)
-    except InputError as error:
-        raise InputError(f"arms: {name}: {error}") from None
     reach = min(run.azimuth_deg, run.elevation_deg)
     if run.neighbour_deg > reach:
         raise InputError(

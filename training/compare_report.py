@@ -11,8 +11,8 @@ from typing import Any
 
 from torch import Tensor
 
-from lightfield_gs.commands.device import choose_device
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.json_file import parse_json, read_object
 from lightfield_gs.models import SplatterNet

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.data.background import Choice
 from training.data.plan import Augmentation
 from training.losses import LossWeights

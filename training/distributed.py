@@ -14,8 +14,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from lightfield_gs.commands.device import choose_device
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
 
 # The others wait while the first process decodes the data or scores the weights.
 _PATIENCE = timedelta(hours=2)

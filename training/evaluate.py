@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.commands.complaint import note
+from lightfield_gs.base.complaint import note
 from training.command import with_line_errors
 from training.data.background import CHOICES
 
@@ -85,7 +85,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--limit", type=int, help="score only so many objects, spread evenly over the folder")
     options = parser.parse_args(arguments)
-    from lightfield_gs.commands.device import choose_device
+    from lightfield_gs.base.device import choose_device
     from lightfield_gs.io.atomic import atomic_path, check_output_path
     from lightfield_gs.models import SplatterNet
     from training.evaluation import score_folder

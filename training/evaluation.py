@@ -25,18 +25,18 @@ import torch.nn.functional as F
 from torch import Tensor
 from tqdm import tqdm
 
-from lightfield_gs.checks import whole_number
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import whole_number
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.captures.views import ObjectViews
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
+from lightfield_gs.reference.metrics import psnr_db, ssim
 from training.data.background import Choice
+from training.data.distance import OBJECT_DISTANCE, distance_doubt
 from training.data.images import find_cutout, read_view
 from training.data.objects import find_objects, folder_of, read_object
 from training.data.plan import relative_cameras
-from training.data.transforms import OBJECT_DISTANCE, distance_doubt
-from training.data.views import ObjectViews
-from training.metrics import psnr_db, ssim
 from training.ranges import MOST
 from training.rendering import render_card, render_views
 
@@ -127,10 +127,8 @@ def compare_object(
     if len(views.image_paths) < 2:
         raise InputError(f"{path}: expected at least two views, one to predict the others from, got one")
     source = source_view(path, views.camera_to_world, source)
-    try:
+    with named(path):
         azimuths = azimuths_from_source(views.camera_to_world, source)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     if path not in decoded:
         decoded[path] = _frames(views, background).to(device)
     frames = decoded[path] / 255

@@ -13,19 +13,19 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from lightfield_gs.commands.complaint import note
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import make_folder
 from training.checkpoints import cut_log, load_checkpoint, save_checkpoint
 from training.config import TrainingConfig
 from training.data.batches import make_batch
 from training.data.cache import CachedSet, load_set
+from training.data.distance import distance_doubt
 from training.data.objects import find_objects
 from training.data.partners import find_partners
 from training.data.plan import BatchPlan, BatchPlanner
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
-from training.data.transforms import distance_doubt
 from training.distributed import Team, join_team
 from training.evaluation import score_folder
 from training.log import RunLog

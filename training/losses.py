@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lightfield_gs.errors import InputError
-from training.metrics import ssim
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.reference.metrics import ssim
 from training.ranges import check_ranges
 
 _LEAST_ERROR = 1e-4  # of an image, 40 dB: better ones count no more in the logarithm

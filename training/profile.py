@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from itertools import islice
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.command import with_line_errors
 from training.config import TrainingConfig
 from training.data.batches import make_batch

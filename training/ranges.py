@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lightfield_gs.checks import real_number, whole_number
+from lightfield_gs.base.checks import real_number, whole_number
 
 MOST = 10**9  # for counts that nothing else bounds
 

@@ -10,7 +10,7 @@ import dataclasses
 import sys
 from typing import TYPE_CHECKING
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.command import with_line_errors
 from training.config import TrainingConfig
 from training.loop import train

@@ -5,6 +5,10 @@
 
 #if defined(__CUDACC__)
 #define LFGS_HD __host__ __device__ inline
+#define LFGS_UNROLL _Pragma("unroll")  // the next loop, whose numbers then stay in registers
+#define LFGS_NO_UNROLL _Pragma("unroll 1")
 #else
 #define LFGS_HD inline
+#define LFGS_UNROLL
+#define LFGS_NO_UNROLL
 #endif

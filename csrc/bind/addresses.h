@@ -5,6 +5,9 @@
 
 #include <cstdint>
 
+#include "scene/gaussians.h"
+#include "stages/stages.h"
+
 namespace lfgs {
 
 using Address = uintptr_t;
@@ -15,7 +18,14 @@ T* at(Address address) {
   return reinterpret_cast<T*>(address);
 }
 
-void bind_lens_frame(pybind11::module_ m);  // of the CUDA backend
-void bind_sorted(pybind11::module_ root);   // after the types of module.cpp
+// Python has one type for what a stage reads and what it writes.
+template <class T>
+Gaussians<const T> read_only(const Gaussians<T>& g) {
+  return {g.count, g.sh_degree, g.means, g.quaternions, g.scales, g.opacities, g.sh};
+}
+template <class T>
+DenseImages<const T> read_only(const DenseImages<T>& i) {
+  return {i.image, i.alpha, i.depth};
+}
 
 }  // namespace lfgs

@@ -1,14 +1,33 @@
 // The part of the module for sub-pixels sorted by view.
 #include "bind/addresses.h"
-#include "pipeline/stages.h"
+#include "bind/parts.h"
+#include "stages/stages.h"
 #ifdef LFGS_WITH_CUDA
-#include "cuda/stages.h"
+#include "cuda/stages/stages.h"
 #endif
 
 namespace py = pybind11;
 
 namespace lfgs {
 namespace {
+
+void bind_plan(py::module_ root) {
+  root.def(
+      "plan_sorted_count",
+      [](const ViewMap& map, const SubpixelTile& tile, Address places, int64_t views, Address counts, int threads) {
+        plan_sorted_count(map, tile, at<int32_t>(places), views, at<int32_t>(counts), threads);
+      },
+      NoGil(), py::arg("map"), py::arg("tile"), py::arg("places"), py::arg("views"), py::arg("counts"),
+      py::arg("threads"));
+  root.def(
+      "plan_sorted_fill",
+      [](const ViewMap& map, const SubpixelTile& tile, Address places, int64_t views, Address starts, Address codes,
+         int threads) {
+        plan_sorted_fill(map, tile, at<int32_t>(places), views, at<int64_t>(starts), at<uint16_t>(codes), threads);
+      },
+      NoGil(), py::arg("map"), py::arg("tile"), py::arg("places"), py::arg("views"), py::arg("starts"),
+      py::arg("codes"), py::arg("threads"));
+}
 
 template <class T>
 void bind_composite(py::module_ m) {
@@ -19,21 +38,23 @@ void bind_composite(py::module_ m) {
         return composite_sorted<T>(splats, bins, cameras, lists, at<T>(background), at<T>(out), at<uint8_t>(out8),
                                    threads);
       },
-      NoGil());
+      NoGil(), py::arg("splats"), py::arg("bins"), py::arg("cameras"), py::arg("lists"), py::arg("background"),
+      py::arg("out"), py::arg("out8"), py::arg("threads"));
 }
 
 }  // namespace
 
-void bind_sorted(py::module_ root) {
+void bind_sorted_types(py::module_ root) {
   root.attr("SUBPIXEL_BLOCK") = kSubpixelBlock;
   py::class_<SubpixelTile>(root, "SubpixelTile")
       .def(py::init([](int width_px, int row_bits) { return SubpixelTile{width_px, row_bits}; }), py::arg("width_px"),
            py::arg("row_bits"))
       .def_readonly("width_px", &SubpixelTile::width_px)
       .def_property_readonly("height_px", &SubpixelTile::height_px)
-      .def("count", &SubpixelTile::count);
+      .def("count", &SubpixelTile::count, py::arg("image_width_px"), py::arg("image_height_px"));
   py::class_<ViewMap>(root, "ViewMap")
-      .def(py::init([](const Lens& lens) { return ViewMap{lens.width_px, lens.height_px, lens.views, nullptr, lens}; }))
+      .def(py::init([](const Lens& lens) { return ViewMap{lens.width_px, lens.height_px, lens.views, nullptr, lens}; }),
+           py::arg("lens"))
       .def(py::init([](int64_t width_px, int64_t height_px, int64_t views, Address table) {
              return ViewMap{width_px, height_px, views, at<int32_t>(table), Lens{}};
            }),
@@ -43,31 +64,26 @@ void bind_sorted(py::module_ root) {
              return SubpixelLists{tile, at<int64_t>(starts), at<uint16_t>(codes)};
            }),
            py::arg("tile"), py::arg("starts"), py::arg("codes"));
-  root.def(
-      "plan_sorted_count",
-      [](const ViewMap& map, const SubpixelTile& tile, Address places, int64_t views, Address counts, int threads) {
-        plan_sorted_count(map, tile, at<int32_t>(places), views, at<int32_t>(counts), threads);
-      },
-      NoGil());
-  root.def(
-      "plan_sorted_fill",
-      [](const ViewMap& map, const SubpixelTile& tile, Address places, int64_t views, Address starts, Address codes,
-         int threads) {
-        plan_sorted_fill(map, tile, at<int32_t>(places), views, at<int64_t>(starts), at<uint16_t>(codes), threads);
-      },
-      NoGil());
+}
+
+void bind_sorted(py::module_ root) {
+  bind_plan(root);
   bind_composite<float>(root.attr("float32"));
   bind_composite<double>(root.attr("float64"));
+}
+
 #ifdef LFGS_WITH_CUDA
-  root.attr("cuda").cast<py::module_>().def(
+void bind_sorted_cuda(py::module_ m) {
+  m.def(
       "composite_sorted",
       [](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,
          const SubpixelLists& lists, Address order, Address background, Address out, Address out8, Address stream) {
         cuda::composite_sorted(splats, image, at<int64_t>(ranges), pairs, lists, at<int64_t>(order),
                                at<float>(background), at<float>(out), at<uint8_t>(out8), at<void>(stream));
       },
-      NoGil());
-#endif
+      NoGil(), py::arg("splats"), py::arg("image"), py::arg("ranges"), py::arg("pairs"), py::arg("lists"),
+      py::arg("order"), py::arg("background"), py::arg("out"), py::arg("out8"), py::arg("stream"));
 }
+#endif
 
 }  // namespace lfgs

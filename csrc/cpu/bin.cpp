@@ -4,7 +4,7 @@
 
 #include "base/parallel.h"
 #include "math/footprint.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 namespace lfgs {
 namespace {

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "base/parallel.h"
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 namespace lfgs {
 namespace {

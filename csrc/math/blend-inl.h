@@ -1,4 +1,4 @@
-// What happens at one vector of samples: weight, alpha, over. Shared by both sensors; included once per SIMD target.
+// Arithmetic at one vector of samples: powers of two, colours, alpha. Shared by all sensors; included once per target.
 // float runs on full vectors; double on one lane, with the C library's exp2, as the exact twin.
 
 #if defined(LFGS_MATH_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
@@ -88,87 +88,6 @@ template <class D>
 HWY_INLINE hn::Vec<D> Alpha(D d, hn::Vec<D> power) {
   return Alpha(d, power, hn::Set(d, hn::TFromD<D>(kLog2MinAlpha)));
 }
-
-// One splat over a vector of samples: `weight` is its share of the light of each, which their transmittances lose. A
-// sample whose transmittance would fall too low ends here: what it still lets through is kept in `rest` for the
-// background. Returns whether a sample ended and with it the last of the vector.
-template <class D>
-HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmittance, hn::TFromD<D>* HWY_RESTRICT rest,
-                     hn::Vec<D>& weight) {
-  const auto before = hn::Load(d, transmittance);
-  weight = hn::Mul(alpha, before);
-  auto after = hn::Sub(before, weight);
-  bool done = false;
-  const auto stop = hn::Lt(after, hn::Set(d, hn::TFromD<D>(kMinTransmittance)));
-  if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
-    hn::BlendedStore(before, hn::And(stop, hn::Gt(before, hn::Zero(d))), d, rest);
-    weight = hn::IfThenZeroElse(stop, weight);
-    after = hn::IfThenZeroElse(stop, after);
-    done = hn::AllTrue(d, hn::Eq(after, hn::Zero(d)));
-  }
-  hn::Store(after, d, transmittance);
-  return done;
-}
-
-// Gradient sums of one splat over the samples it touches, a vector each; see Splat for the fields.
-template <class D>
-struct SplatSums {
-  using V = hn::Vec<D>;
-  using T = hn::TFromD<D>;
-  V power, power_dy, power_dy2;  // of the exponent, times 1, dy, dy^2
-  V x, x_s, x_dy, x_s_dy;        // of dx = px - m
-  V S, S_s, S_s2;                // of S(s)
-
-  explicit HWY_INLINE SplatSums(D d) {
-    power = power_dy = power_dy2 = x = x_s = x_dy = x_s_dy = S = S_s = S_s2 = hn::Zero(d);
-  }
-
-  // One camera: g is the gradient of power = log2 o - tau dy^2 - dx^2 / S, e = dx / S.
-  HWY_INLINE void Add(V g, V dy, V e) {
-    AddRows(g, dy);
-    const V ge = hn::Mul(g, e);
-    x = hn::Sub(x, hn::Add(ge, ge));
-    x_dy = hn::NegMulAdd(hn::Add(ge, ge), dy, x_dy);
-    S = hn::MulAdd(ge, e, S);
-  }
-  // A swept splat at the sample's offset s.
-  HWY_INLINE void Add(V g, V dy, V e, V s) {
-    AddRows(g, dy);
-    const V ge = hn::Mul(g, e), gx = hn::Neg(hn::Add(ge, ge)), gx_s = hn::Mul(gx, s);
-    x = hn::Add(x, gx);
-    x_s = hn::Add(x_s, gx_s);
-    x_dy = hn::MulAdd(gx, dy, x_dy);
-    x_s_dy = hn::MulAdd(gx_s, dy, x_s_dy);
-    const V gS = hn::Mul(ge, e), gS_s = hn::Mul(gS, s);
-    S = hn::Add(S, gS);
-    S_s = hn::Add(S_s, gS_s);
-    S_s2 = hn::MulAdd(gS_s, s, S_s2);
-  }
-
-  // Adds the splat's gradient to the numbers at `out`, in the order of its fields.
-  HWY_INLINE void Reduce(D d, const Splat<T>& s, T* HWY_RESTRICT out) const {
-    auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
-    const T gx = sum(x), gx_s = sum(x_s);
-    out[0] -= gx;
-    out[1] -= gx_s;
-    out[2] += 2 * s.tau * sum(power_dy) + s.c0 * gx + s.c1 * gx_s;
-    out[3] += sum(power);
-    out[4] += sum(S);
-    out[5] += sum(S_s);
-    out[6] += sum(S_s2);
-    out[7] -= sum(power_dy2);
-    out[8] -= sum(x_dy);
-    out[9] -= sum(x_s_dy);
-  }
-
- private:
-  HWY_INLINE void AddRows(V g, V dy) {
-    power = hn::Add(power, g);
-    const V g_dy = hn::Mul(g, dy);
-    power_dy = hn::Add(power_dy, g_dy);
-    power_dy2 = hn::MulAdd(g_dy, dy, power_dy2);
-  }
-};
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs

@@ -1,10 +1,11 @@
 // Colour of a Gaussian as seen from everywhere along a rig: a polynomial in the normalized offset s in [-1, 1], from
-// its values at Chebyshev nodes.
+// its values at Chebyshev nodes. The fit, values -> Chebyshev coefficients -> powers of s, and its adjoint.
 #pragma once
 
 #include <cmath>
 #include <vector>
 
+#include "base/config.h"
 #include "base/error.h"
 #include "math/constants.h"
 
@@ -35,5 +36,51 @@ struct ColourBasis {
       for (int p = 0; p <= k; ++p) power(p, k) = (p ? 2 * power(p - 1, k - 1) : 0) - power(p, k - 2);
   }
 };
+
+// Below, Basis is a ColourBasis or what a kernel has of it, and V a colour.
+
+// Chebyshev coefficients of the polynomial that is value(s) at the nodes. Loops over coefficients are unrolled on the
+// device, where `nodes` is a constant.
+template <class V, class Basis, class Value>
+LFGS_HD void chebyshev_of_values(const Basis& basis, int nodes, const Value& value, V* chebyshev) {
+  LFGS_UNROLL
+  for (int k = 0; k < nodes; ++k) chebyshev[k] = V(0);
+  LFGS_NO_UNROLL
+  for (int j = 0; j < nodes; ++j) {
+    const V at_node = value(basis.nodes[j]);
+    LFGS_UNROLL
+    for (int k = 0; k < nodes; ++k) chebyshev[k] += basis.to_chebyshev[k * nodes + j] * at_node;
+  }
+}
+
+// The coefficient of s^p, of the Chebyshev coefficients up to `kept`. Only those in [first, end) are looked at: p and
+// kept + 1 would do, but constants let a loop be unrolled.
+template <class V, class Basis>
+LFGS_HD V power_of_chebyshev(const Basis& basis, int nodes, int p, int kept, int first, int end, const V* chebyshev) {
+  V power(0);
+  LFGS_UNROLL
+  for (int k = first; k < end; ++k)
+    if (k <= kept) power += basis.to_powers[p * nodes + k] * chebyshev[k];
+  return power;
+}
+
+// Adjoint of both: g_powers [kept + 1, 3] -> visit(s, gradient of the value there) at every node. Order 0 was clamped
+// at zero, so a channel counts only where `colours`, what the fit gave, is above. g_chebyshev: room for kept + 1.
+template <class V, class Basis, class G, class T, class Visit>
+LFGS_HD void colour_fit_adjoint(const Basis& basis, int nodes, int kept, const G* g_powers, const T* colours,
+                                V* g_chebyshev, const Visit& visit) {
+  using R = typename V::value_type;
+  for (int k = 0; k <= kept; ++k) {
+    g_chebyshev[k] = V(0);
+    for (int p = 0; p <= k; ++p)
+      for (int c = 0; c < 3; ++c)
+        if (kept || colours[c] > 0) g_chebyshev[k][c] += basis.to_powers[p * nodes + k] * R(g_powers[3 * p + c]);
+  }
+  for (int j = 0; j < nodes; ++j) {
+    V g_value(0);
+    for (int k = 0; k <= kept; ++k) g_value += basis.to_chebyshev[k * nodes + j] * g_chebyshev[k];
+    visit(basis.nodes[j], g_value);
+  }
+}
 
 }  // namespace lfgs

@@ -26,7 +26,7 @@ struct Splat {
   T reach_y;  // half height of the footprint in rows; negative: not drawn
   T depth;    // view-space z
 };
-constexpr int kSplatFields = 12;
+constexpr int kSplatFields = 12, kSplatReachIndex = 10;  // of reach_y
 
 template <class T, class R>
 LFGS_HD Splat<T> splat_cast(const Splat<R>& s) {

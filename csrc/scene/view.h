@@ -16,12 +16,17 @@ struct View {
   R fx = 1, fy = 1, cx = 0, cy = 0;  // pixels
   R x_low = -1, x_high = 1;          // Jacobian clamp of X/Z and Y/Z, taken at the rig's centre (offset 0)
   R y_low = -1, y_high = 1;
-  R offset = 0;              // where this camera stands in its rig; only the clamp needs it
-  R sweep = 0;               // 1: the projection is a polynomial in s; 0: one camera
+  R offset = 0;  // where this camera stands in its rig; only the clamp needs it
+  R sweep = 0;   // of a rig its reach, the offset at s = 1: the projection is a polynomial in s; 0: one camera
   R inverse_zero_depth = 0;  // rig only
   bool antialiased = false;  // opacities compensated for the blur, see math/compensation.h
 
   LFGS_HD glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }
+  // Where the camera at the normalized offset s of a rig stands.
+  LFGS_HD glm::vec<3, R> eye_at(R s) const {
+    const glm::vec<3, R> right(rotation[0][0], rotation[1][0], rotation[2][0]);
+    return centre() + s * sweep * right;
+  }
 };
 
 // world_to_camera: 16 numbers, row-major; intrinsics: fx, fy, cx, cy; limits: x_low, x_high, y_low, y_high, offset.

@@ -13,11 +13,11 @@ from torch import Tensor
 
 from lightfield_gs.bench.peers import PEERS
 from lightfield_gs.bench.timing import timed
-from lightfield_gs.encoder import Encoder
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.panel import Panel
-from lightfield_gs.rendering import encode
-from lightfield_gs.rig import Rig
+from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encoder import Encoder
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
 
 
 @dataclass(frozen=True)

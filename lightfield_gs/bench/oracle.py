@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
 
 ORACLE_SAMPLES = 20_000
 ORACLE_SEED = 1

@@ -21,14 +21,14 @@ from lightfield_gs.bench.photo import network
 from lightfield_gs.bench.scenes import benchmark_rig, cone_degrees, load_scene
 from lightfield_gs.bench.tables import aligned, in_ms, or_dash
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoder import Encoder
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.io.photo import load_photo
-from lightfield_gs.panel import Panel
-from lightfield_gs.pruning import prune
-from lightfield_gs.quality import EXACT, QUALITIES, Quality
-from lightfield_gs.rendering import encode
-from lightfield_gs.rig import Rig
+from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encoder import Encoder
+from lightfield_gs.encoding.pruning import prune
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.photo.load import load_photo
+from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.scene.gaussians import Gaussians
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
 KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut", "evaluation_error")

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 
 COLUMNS = 4

@@ -13,12 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.arrays import bytes_of
-from lightfield_gs.cameras import Cameras
-from lightfield_gs.errors import InputError
-from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
-from lightfield_gs.panel import Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
 
 GSPLAT_OPTIONS = {"packed": False, "rasterize_mode": "classic", "eps2d": 0.3, "near_plane": 0.01, "radius_clip": 0.0}
 BYTES_PER_PIXEL = 20  # of gsplat's image, its coverage and its last index

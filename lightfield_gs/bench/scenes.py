@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
-from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
-from lightfield_gs.panel import Panel
-from lightfield_gs.paths import checked_path
-from lightfield_gs.rig import Rig
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.base.paths import checked_path
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
 
 ZERO_DEPTH = 2.0
 NARROW_PX = 40.0  # disparity over all views of a point at 4/5 of the zero plane's depth, cone "narrow"

@@ -14,18 +14,21 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs import ops
 from lightfield_gs.bench.pareto import Subject, drawing
 from lightfield_gs.bench.scenes import with_harmonics
 from lightfield_gs.bench.tables import aligned, in_ms, or_dash
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.encoder import Encoder
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.pruning import prune
-from lightfield_gs.quality import EXACT, QUALITIES, Quality
-from lightfield_gs.rendering import background_tensor, encode, lens_arguments
-from lightfield_gs.rig import Rig
-from lightfield_gs.workspace import Stats
+from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encoder import Encoder
+from lightfield_gs.encoding.pruning import prune
+from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.frame_cuda import Frames
+from lightfield_gs.rasterizer.images import background_tensor
+from lightfield_gs.rasterizer.lens import draw_lens
+from lightfield_gs.rasterizer.lens_job import COLOUR_ORDERS, LensJob
+from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
+from lightfield_gs.scene.gaussians import Gaussians
 
 SCENES = ("cloud:65536",)
 OPACITY_CUT, LATTICE_ERROR = QUALITIES["fast"].opacity_cut, QUALITIES["high"].lattice_error
@@ -215,16 +218,14 @@ def _colour_orders(subject: Subject) -> Skip:
 
 def _colours(subject: Subject, quality: Quality) -> Draw:
     """Draws with polynomials up to one order, whatever their error."""
-    order, background = ops.COLOUR_ORDERS[0], background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
-    job = ops.LensArguments(
-        *subject.gaussians.fields().values(), background, *lens_arguments(subject.panel, subject.rig, False)
-    )
+    order, background = COLOUR_ORDERS[0], background_tensor((1.0, 1.0, 1.0), subject.gaussians.means)
+    job = LensJob(subject.gaussians.fields().values(), background, lens_view(subject.panel, subject.rig))
     if subject.gaussians.means.is_cuda:
-        kind = ops.frame_kind(job, quality, moving=True)
-        kind.orders, kind.colour_order = (order,), order
-        return partial(ops.draw_frame, job, kind, True, Stats())
+        frames = Frames(job, quality)
+        frames.orders, frames.colour_order = (order,), order
+        return partial(frames.draw, job, True)
     job.colour_orders = (order,)
-    return partial(ops.draw_lens, job, True, quality, Stats(), torch.get_num_threads())
+    return partial(draw_lens, job, True, quality)
 
 
 @dataclass

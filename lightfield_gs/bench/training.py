@@ -18,11 +18,11 @@ from lightfield_gs.bench import peers
 from lightfield_gs.bench.scenes import ZERO_DEPTH, sheet
 from lightfield_gs.bench.tables import in_ms
 from lightfield_gs.bench.timing import timed_in_turn
-from lightfield_gs.cameras import Cameras
-from lightfield_gs.gaussians import Gaussians
-from lightfield_gs.panel import Panel
-from lightfield_gs.rendering import render
-from lightfield_gs.rig import Rig
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.images import render
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
 
 OBJECTS, SCENES, VIEWS, SIZE_PX = 8, 32, 4, 128
 CONE_DEG = 40.0

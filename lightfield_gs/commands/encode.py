@@ -10,21 +10,128 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
-from lightfield_gs.commands.complaint import note
-from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.panel import load_panel, why_no_eye
-from lightfield_gs.commands.rig import load_cameras
-from lightfield_gs.commands.scene import check_scene_options, check_scene_path, load_scene
-from lightfield_gs.commands.stopwatch import Stopwatch
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS, of_other_methods
+from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
+from lightfield_gs.commands.options.panel import add_panel, load_panel, why_no_eye
+from lightfield_gs.commands.options.photo import add_depth
+from lightfield_gs.commands.options.rig import load_cameras
+from lightfield_gs.commands.options.scene import (
+    add_antialiased,
+    add_skip_invalid,
+    check_scene_options,
+    check_scene_path,
+    load_scene,
+)
+from lightfield_gs.commands.options.values import background, byte_size, threads
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
-    from lightfield_gs.gaussians import Gaussians
-    from lightfield_gs.rig import Rig
+    from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.scene.gaussians import Gaussians
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs encode`."""
+    parser.description = "Encodes a photo of one object, or a scene of 3D Gaussians, for a slanted-lenticular panel."
+    add = parser.add_argument
+    add(
+        "input",
+        type=Path,
+        metavar="INPUT",
+        help="a photo of an object (RGBA, or RGB with a plain background, --mask "
+        "or --remove-background), a photo of a scene with --depth, or a standard 3DGS .ply",
+    )
+    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
+    add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
+    add_camera(add)
+    add(
+        "--cameras",
+        type=Path,
+        metavar="JSON",
+        help="one camera for each view, the right-most eye's first, for --method sorted, in place of a rig: "
+        "world_to_camera [N,4,4] (OpenCV axes, scene units), focal_px [N,2] and principal_point_px [N,2] (pixels of "
+        "the panel)",
+    )
+    add(
+        "--view-map",
+        type=Path,
+        metavar="NPY",
+        help="the view of each sub-pixel, for --method sorted, in place of the panel's lens: int32 [H,W,3], 0..N-1, or "
+        "-1 for the background",
+    )
+    add("--save-rig", type=Path, metavar="YAML", help="write the rig that was used")
+    add("--mask", type=Path, metavar="IMAGE", help="cut-out of a photo, of its size: bright or opaque on the object")
+    add(
+        "--remove-background",
+        action="store_true",
+        help="cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)",
+    )
+    add_depth(add)
+    add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
+    add(
+        "--save-gaussians",
+        type=Path,
+        metavar="PLY",
+        help="write the scene as a 3DGS .ply, in its own axes, with the framing: encoding it gives the same picture",
+    )
+    add_skip_invalid(add)
+    add(
+        "--method",
+        choices=METHODS,
+        default="direct",
+        help="direct: all sub-pixels in one pass; sorted: view by view, for any --cameras and --view-map; classic: a "
+        "picture a view, then interlaced (slow; for comparison)",
+    )
+    add(
+        "--memory-budget",
+        type=byte_size,
+        metavar="SIZE",
+        help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
+        "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)",
+    )
+    add(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)",
+    )
+    add(
+        "--views",
+        choices=VIEWS,
+        default="integer",
+        help="integer: N views; continuous: every sub-pixel its own viewpoint (default integer)",
+    )
+    add(
+        "--quality",
+        choices=QUALITY_NAMES,
+        default="exact",
+        help="less time for more error, of --method direct (default exact)",
+    )
+    add_antialiased(add)
+    add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
+    add(
+        "--preview",
+        type=Path,
+        metavar="DIR",
+        help="write views.png, look-around.webp and, where the "
+        "panel has a pixel pitch and a viewing distance (see there), left-eye.png and right-eye.png",
+    )
+    add(
+        "--bit-depth",
+        type=int,
+        choices=(8, 16, 32),
+        metavar="BITS",
+        help="8, 16 or 32 (float: .exr, .tif); default 8, .exr 32",
+    )
+    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
+    add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
+    add("--stats", action="store_true", help="print what was drawn and what was skipped")
 
 
 def run(args: argparse.Namespace) -> None:
@@ -55,10 +162,9 @@ def run(args: argparse.Namespace) -> None:
     panel = load_panel(args)
     import torch
 
-    from lightfield_gs.io.ply import write_ply
-    from lightfield_gs.lens import slow_way
-    from lightfield_gs.quality import Quality
-    from lightfield_gs.rendering import encode
+    from lightfield_gs.encoding.encode import encode
+    from lightfield_gs.panels.lens import slow_way
+    from lightfield_gs.rasterizer.quality import Quality
 
     if args.threads is not None:
         _use_threads(args.threads)
@@ -103,11 +209,11 @@ def run(args: argparse.Namespace) -> None:
         if args.save_rig is not None:
             rig_of_file.to_yaml(args.save_rig)
         if args.save_gaussians is not None:
-            write_ply(args.save_gaussians, gaussians, comments_of(args, panel, file, rig_of_file))
+            gaussians.save(args.save_gaussians, comments_of(args, panel, file, rig_of_file))
             said.append(f"{args.save_gaussians}: the Gaussians in their own axes, with the framing and what is up")
         watch.lap("write")
         if args.preview is not None:
-            from lightfield_gs.preview import write_preview
+            from lightfield_gs.show.preview import write_preview
 
             write_preview(args.preview, image, gaussians, panel, rig, args.background, args.antialiased)
             watch.lap("preview")
@@ -130,13 +236,13 @@ def _outputs(args: argparse.Namespace) -> list[Path | None]:
     outputs = [args.output, args.save_rig, args.save_gaussians]
     if args.preview is None:
         return outputs
-    from lightfield_gs.preview import FILES
+    from lightfield_gs.show.preview import FILES
 
     return [*outputs, *(args.preview / name for name in FILES)]
 
 
 def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:
-    from lightfield_gs import skips
+    from lightfield_gs.rasterizer import skips
 
     each = stats["evaluations_per_subpixel"]
     lines = [f"pairs of tile and Gaussian: {stats['pairs']}", *skips.lines(stats.get("skipped", {}), gaussians)]
@@ -146,16 +252,12 @@ def _stats_lines(stats: dict[str, Any], gaussians: int) -> list[str]:
 def _check_options(args: argparse.Namespace) -> None:
     """Raises InputError where options do not go together."""
     check_scene_options(args)
-    if args.method != "sorted":
-        for option, value in (
-            ("--cameras", args.cameras),
-            ("--view-map", args.view_map),
-            ("--memory-budget", args.memory_budget),
-        ):
-            if value is not None:
-                raise InputError(f"{option} is for --method sorted, not {args.method}")
-    if args.quality != "exact" and args.method != "direct":
-        raise InputError(f"--quality {args.quality} is for --method direct, not {args.method}; leave out one of them")
+    quality = None if args.quality == "exact" else args.quality
+    given = {"cameras": args.cameras, "view_map": args.view_map, "memory_budget": args.memory_budget}
+    for name, its in of_other_methods(args.method, **given, quality=quality):
+        if name == "quality":
+            raise InputError(f"--quality {quality} is for --method {its}, not {args.method}; leave out one of them")
+        raise InputError(f"--{name.replace('_', '-')} is for --method {its}, not {args.method}")
     for option, value in (("--cameras", args.cameras), ("--view-map", args.view_map)):
         if value is not None and args.views == "continuous":
             raise InputError(
@@ -176,7 +278,7 @@ def _check_options(args: argparse.Namespace) -> None:
 
 def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:
     """The arguments of `encode` that only the method sorted has, those that were given."""
-    from lightfield_gs.io.view_files import read_view_map
+    from lightfield_gs.encoding.view_files import read_view_map
 
     views: dict[str, Any] = {}
     if args.cameras is not None:
@@ -204,7 +306,7 @@ def _bits(path: Path, bit_depth: int | None) -> int:
 def _stored(image: np.ndarray, bits: int) -> np.ndarray:
     if bits != 16:
         return image
-    from lightfield_gs.preview import to_integers
+    from lightfield_gs.show.preview import to_integers
 
     return to_integers(image, 16)
 

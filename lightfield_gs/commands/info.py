@@ -8,16 +8,32 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.commands.options.camera import add_up
+from lightfield_gs.commands.options.panel import add_device_serial
+from lightfield_gs.commands.options.scene import add_skip_invalid
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.io.yaml_file import MOST_BYTES
-from lightfield_gs.panel import Panel
+from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 _CAMERAS_SHOWN = 20
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs info`."""
+    parser.add_argument(
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="a .ply, an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file",
+    )
+    add_device_serial(parser.add_argument)
+    add_skip_invalid(parser.add_argument)
+    add_up(parser.add_argument)
 
 
 def run(args: argparse.Namespace) -> None:
@@ -55,9 +71,9 @@ def describe(
 def _scene(path: Path, skip_invalid: bool, up: str | None) -> list[tuple[str, object]]:
     import torch
 
-    from lightfield_gs.commands.camera import axes_of, brought_along
     from lightfield_gs.commands.encode import scene_hash
-    from lightfield_gs.commands.scene import read_noted
+    from lightfield_gs.commands.options.camera import axes_of, brought_along
+    from lightfield_gs.commands.options.scene import read_noted
 
     file = read_noted(path, skip_invalid)
     scene = file.gaussians
@@ -121,7 +137,7 @@ def _is_rig(path: Path) -> bool:
 
 
 def _is_camera_file(path: Path) -> bool:
-    from lightfield_gs.io.camera_files import LIMIT_BYTES, is_camera_file
+    from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
     from lightfield_gs.io.json_file import read_json
 
     return is_camera_file(read_json(path, LIMIT_BYTES))
@@ -129,7 +145,7 @@ def _is_camera_file(path: Path) -> bool:
 
 def _camera_file(path: Path) -> list[tuple[str, object]]:
     """The cameras by the index that --camera takes; of many the first."""
-    from lightfield_gs.io.camera_files import read_camera_file
+    from lightfield_gs.io.captures.camera_files import read_camera_file
 
     cameras = read_camera_file(path)
     facts: list[tuple[str, object]] = [("cameras", len(cameras))]
@@ -146,7 +162,7 @@ def _camera_file(path: Path) -> list[tuple[str, object]]:
 
 
 def _rig(path: Path) -> list[tuple[str, object]]:
-    from lightfield_gs.rig import Rig
+    from lightfield_gs.panels.rig import Rig
 
     return [("rig", path), *Rig.from_yaml(path).to_dict().items()]
 

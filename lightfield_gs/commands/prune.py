@@ -3,14 +3,52 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from lightfield_gs.commands.camera import choose_rig, comments_of, read_given
-from lightfield_gs.commands.device import choose_device
-from lightfield_gs.commands.panel import load_panel
-from lightfield_gs.commands.scene import check_scene_path, read_noted, say_origin
-from lightfield_gs.commands.stopwatch import Stopwatch
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEVICES
+from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
+from lightfield_gs.commands.options.panel import add_panel, load_panel
+from lightfield_gs.commands.options.scene import (
+    add_antialiased,
+    add_skip_invalid,
+    check_scene_path,
+    read_noted,
+    say_origin,
+)
+from lightfield_gs.commands.options.values import within
 from lightfield_gs.io.atomic import check_output_path, check_outputs
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs prune`."""
+    parser.description = (
+        "Writes a scene without the Gaussians that contribute least to its image on a panel, from all "
+        "viewpoints of the panel: it is drawn faster from then on."
+    )
+    add = parser.add_argument
+    add("input", type=Path, metavar="INPUT", help="a standard 3DGS .ply")
+    add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene without them")
+    add_skip_invalid(add)
+    add(
+        "--contribution-cut",
+        type=within(0, 1),
+        default=3e-4,
+        metavar="SHARE",
+        help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)",
+    )
+    add_antialiased(add)
+    add_panel(add, "for framing, as `encode` takes it")
+    add_camera(add)
+    add(
+        "--save-rig",
+        type=Path,
+        metavar="YAML",
+        help="write the rig that was used: automatic framing may see a pruned scene otherwise",
+    )
+    add("--device", choices=DEVICES, default="auto", help="where the scene is drawn (default auto)")
 
 
 def run(args: argparse.Namespace) -> None:
@@ -23,8 +61,7 @@ def run(args: argparse.Namespace) -> None:
     panel = load_panel(args)
     device = choose_device(args.device)
 
-    from lightfield_gs.io.ply import write_ply
-    from lightfield_gs.pruning import prune
+    from lightfield_gs.encoding.pruning import prune
 
     given = read_given(args, panel)
     watch.lap("start")
@@ -42,7 +79,7 @@ def run(args: argparse.Namespace) -> None:
             f"{args.output}: nothing would be left of {scene.count} Gaussians; give a smaller "
             "--contribution-cut or another --rig"
         )
-    write_ply(args.output, kept.to("cpu"), comments_of(args, panel, file, rig_of_file))
+    kept.to("cpu").save(args.output, comments_of(args, panel, file, rig_of_file))
     if args.save_rig is not None:
         rig_of_file.to_yaml(args.save_rig)
     watch.lap("write")

@@ -6,22 +6,55 @@ import argparse
 import math
 from pathlib import Path
 
-from lightfield_gs.commands.complaint import note
-from lightfield_gs.commands.panel import at_distance, load_panel, why_no_eye
-from lightfield_gs.commands.stopwatch import Stopwatch
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.panel import (
+    add_device_serial,
+    add_viewing_distance,
+    at_distance,
+    load_panel,
+    why_no_eye,
+)
+from lightfield_gs.commands.options.values import numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.panel import Panel
-from lightfield_gs.preview import to_integers
-from lightfield_gs.simulate import simulate
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.simulate import simulate
 
 _NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # what sub-pixels show does not hang on them
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs simulate`."""
+    parser.description = "The picture that an eye sees of an encoded image through the lenses, one sample a lens."
+    add = parser.add_argument
+    add("image", type=Path, metavar="IMAGE", help="an encoded image, as `encode` writes it")
+    add("--panel", metavar="PANEL", help="name, .yaml or visual.json (default: the profile stored in the image)")
+    add_device_serial(add)
+    add_viewing_distance(add, "distance from which the panel shows one view all over, in place of the panel's own")
+    add(
+        "--eye",
+        type=numbers(3),
+        required=True,
+        metavar="X,Y,Z",
+        help="place of the eye in mm from the panel's centre: right, up, towards the viewer",
+    )
+    add(
+        "--spread",
+        type=within(0.01, 1000, "sub-pixels"),
+        default=1.0,
+        metavar="SUBPIXELS",
+        help="width of what a lens lights, in sub-pixels; more is crosstalk (default 1)",
+    )
+    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr")
+
+
 def run(args: argparse.Namespace) -> None:
     """Simulates one eye before args.image. Raises InputError."""
+    from lightfield_gs.show.preview import to_integers
+
     watch = Stopwatch(args.began)
     path = check_image_path(args.output)
     check_outputs((path,), (args.image, args.panel))

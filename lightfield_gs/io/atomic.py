@@ -9,8 +9,8 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from lightfield_gs.errors import InputError
-from lightfield_gs.paths import checked_path
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.paths import checked_path
 
 
 def check_output_path(path: str | Path) -> Path:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 
 if TYPE_CHECKING:
     from PIL import Image

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,14 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.base.options import Compression
+from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.atomic import atomic_path, check_output_path
 from lightfield_gs.io.heif import decoded_heif, is_heif, opened_heif
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
+from lightfield_gs.io.png_chunks import png_damage
 from lightfield_gs.io.png_colour import png_colour
-from lightfield_gs.options import Compression
-from lightfield_gs.paths import checked_path
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
@@ -180,10 +179,10 @@ def read_picture(path: str | Path, turn: bool = True) -> Picture:
     read_image does. turn: see read_image."""
     path = _checked_file(path)
     if is_heif(path):
-        with opened_heif(path, partial(_check_size, path)) as image, _NATIVE_STDERR_SILENCED:
+        with opened_heif(path, partial(_check_size, path)) as image:
             pixels, orientation, colour = decoded_heif(path, image)
         return _picture(pixels, orientation, colour, turn)
-    with _opened(path) as source, _NATIVE_STDERR_SILENCED:
+    with _opened(path, pixels=True) as source:
         spec = source.spec()
         sample_type = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float")
         pixels = source.read_image(0, 0, 0, spec.nchannels, sample_type)
@@ -219,25 +218,24 @@ def _straight(pixels: np.ndarray, channel: int) -> np.ndarray:
 def _checked_file(path: str | Path) -> Path:
     """The path of a file that is there, can be read and is not empty; raises InputError."""
     path = checked_path(path)
-    try:
+    with reading(path):
         if path.stat().st_size == 0 or not path.is_file():
             raise InputError(f"{path} is no image: it is empty or not a file")
         path.open("rb").close()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     return path
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator:
-    """An open ImageInput whose size has been checked."""
+def _opened(path: Path, pixels: bool = False) -> Iterator:
+    """An open ImageInput whose size has been checked; pixels: they are to be read."""
     import OpenImageIO as oiio
 
+    if damage := png_damage(path, pixels):
+        raise InputError(f"{path} is damaged or cut: {damage}")
     _check_size(path, *_webp_size(path))  # OpenImageIO decodes a WebP when it opens it
     config = oiio.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1
-    with _NATIVE_STDERR_SILENCED:
-        source = oiio.ImageInput.open(str(path), config)
+    source = oiio.ImageInput.open(str(path), config)
     if source is None:
         reason = _first_line(oiio.geterror)  # if it stays there, it is printed when the program ends
         refuse_stand_in(path)
@@ -312,29 +310,3 @@ def _first_line(complaint: Callable[[], str]) -> str:
     except UnicodeDecodeError as error:
         text = error.object.decode(errors="replace")
     return next((line.strip()[:200] for line in text.splitlines() if line.strip()), "no reason given")
-
-
-class _SilencedStderr:
-    """Hides what image libraries print by themselves, while any thread is inside; the same text reaches the error
-    message."""
-
-    def __init__(self) -> None:
-        self._lock, self._inside, self._saved = threading.Lock(), 0, -1
-
-    def __enter__(self) -> None:
-        with self._lock:
-            if self._inside == 0:
-                with open(os.devnull, "wb") as nothing:
-                    self._saved = os.dup(2)
-                    os.dup2(nothing.fileno(), 2)
-            self._inside += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if self._inside == 0:  # each putting back what it found would leave the others' nothing there
-                os.dup2(self._saved, 2)
-                os.close(self._saved)
-
-
-_NATIVE_STDERR_SILENCED = _SilencedStderr()

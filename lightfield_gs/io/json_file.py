@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.text_file import read_text
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 
 _START_BYTES = 512
 _POINTER = b"version https://git-lfs.github.com/spec/"

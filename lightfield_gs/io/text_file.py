@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
-from lightfield_gs.paths import checked_path
 
 
 def read_text(path: str | Path, limit_bytes: int, kind: str) -> str:

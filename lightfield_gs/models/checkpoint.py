@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.models.config import ModelConfig
 
-if TYPE_CHECKING:
-    from lightfield_gs.models.splatter_net import SplatterNet
-
 _CONFIG_KEY = "lightfield_gs.model_config"
 
 
-def save_weights(net: SplatterNet, path: Path, notes: dict[str, str]) -> None:
-    """Write the weights of net to path; the file appears complete or not at all. notes: further metadata."""
+def save_weights(path: Path, config: ModelConfig, state: Mapping[str, Tensor], notes: dict[str, str]) -> None:
+    """Write the weights of a network to path; the file appears complete or not at all. notes: further metadata."""
     from safetensors.torch import save
 
-    weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in net.state_dict().items()}
+    weights = {name: tensor.detach().to("cpu", torch.float16).contiguous() for name, tensor in state.items()}
     with atomic_path(path) as temporary:
-        temporary.write_bytes(save(weights, notes | {_CONFIG_KEY: json.dumps(net.config.to_dict())}))
+        temporary.write_bytes(save(weights, notes | {_CONFIG_KEY: json.dumps(config.to_dict())}))
 
 
 def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:

@@ -8,9 +8,10 @@ import math
 import torch
 from torch import Tensor, nn
 
-from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
+from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.initializer import Pixels
+from lightfield_gs.scene.gaussians import Gaussians
 
 # Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it. A line of
 # sight outside the mask meets nothing at all, so its Gaussians start below the visible 1/255 and cost nothing.

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 
 # Room left round the object's bounding box, as a share of its longer side (on each side).
 MARGIN = 0.08

@@ -14,17 +14,18 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lightfield_gs.arrays import dense_tensor
-from lightfield_gs.checks import expect
-from lightfield_gs.errors import InputError
-from lightfield_gs.gaussians import Gaussians
+from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.paths import checked_path
 from lightfield_gs.models import crop
+from lightfield_gs.models.checkpoint import read_weights, save_weights
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
 from lightfield_gs.models.initializer import describe_pixels, mirror_image, network_input
 from lightfield_gs.models.unet import UNet
-from lightfield_gs.paths import checked_path
-from lightfield_gs.quality import OPACITY_CUT
+from lightfield_gs.rasterizer.quality import OPACITY_CUT
+from lightfield_gs.scene.gaussians import Gaussians
 
 PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"
 
@@ -129,15 +130,11 @@ class SplatterNet(nn.Module):
 
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
         """Write the weights as float16 safetensors, configuration and notes in the metadata."""
-        from lightfield_gs.models.checkpoint import save_weights
-
-        save_weights(self, checked_path(path), notes or {})
+        save_weights(checked_path(path), self.config, self.state_dict(), notes or {})
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> SplatterNet:
         """Load a checkpoint written by save() (None: the one that comes with the package), in eval mode, float32."""
-        from lightfield_gs.models.checkpoint import read_weights
-
         config, weights = read_weights(checked_path(path) if path is not None else PRETRAINED)
         with torch.device("meta"):  # no initial values for nothing, no memory for a damaged configuration
             net = cls(config)

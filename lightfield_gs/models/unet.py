@@ -16,8 +16,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lightfield_gs.checks import shown
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import shown
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.models.group_norm import group_norm_silu
 
 MOST = 65536  # of any whole number in a configuration: more is a mistake

@@ -62,20 +62,19 @@ def host_code(path: Path) -> str:
 
 def build(csrc: Path, out: Path, includes: list[str]) -> Path:
     """The module. Raises CalledProcessError."""
-    sources, cuda = [], out / "src" / "cuda"
-    cuda.mkdir(parents=True, exist_ok=True)
-    for path in (csrc / "cuda").iterdir():
-        (cuda / path.name).write_text(host_code(path))
-        sources += [cuda / path.name] if path.suffix == ".cu" else []
-    sources += [
-        *sorted((csrc / "bind").glob("*.cpp")),
-        csrc / "cpu" / "plan_sorted.cpp",
-        csrc / "base" / "parallel.cpp",
-    ]
+    sources = []
+    for room in ("cuda", "network"):
+        for path in sorted((csrc / room).rglob("*.*")):
+            copy = out / "src" / path.relative_to(csrc)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_text(host_code(path))
+            sources += [copy] if path.suffix == ".cu" else []
+    sources += sorted((csrc / "bind").glob("*.cpp"))
+    sources += [csrc / "cpu/sorted/plan_sorted.cpp", csrc / "base/parallel.cpp"]
     include = [f"-I{p}" for p in (HERE / "include", out / "src", csrc, sysconfig.get_paths()["include"], *includes)]
 
     def compile_(source: Path) -> str:
-        target = out / f"{source.name}.o"
+        target = out / f"{source.parent.name}_{source.name}.o"
         subprocess.run(["g++", *FLAGS, *include, "-x", "c++", "-c", source, "-o", target], check=True)
         return str(target)
 

@@ -21,10 +21,11 @@ sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 import cases
 import torch
 
-from lightfield_gs import frame_cuda, ops
 from lightfield_gs.models import group_norm
-from lightfield_gs.quality import EXACT, Quality
-from lightfield_gs.rendering import lens_arguments
+from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.rasterizer import frame_cuda
+from lightfield_gs.rasterizer.lens_job import LensJob
+from lightfield_gs.rasterizer.quality import EXACT, Quality
 
 
 def frame(kernel: str, name: str, degree: int, views: str) -> dict[str, object]:
@@ -49,16 +50,16 @@ def drawn(
     scene, panel, rig, views, kernel, quality, share, dtype=torch.float32, colour_order=8, antialiased=False
 ) -> dict[str, object]:
     """kernel: None, if the frame chooses. share: of the places that the pairs need."""
-    job = ops.LensArguments(
-        *scene.fields().values(),
+    job = LensJob(
+        scene.fields().values(),
         torch.tensor(cases.BACKGROUND),
-        *lens_arguments(panel, rig, views == "continuous"),
+        lens_view(panel, rig, views == "continuous"),
         antialiased,
     )
 
     def with_places(places: int) -> frame_cuda.Frame:
         order = colour_order if job.scene.degree else 0
-        return frame_cuda.Frame(job.scene, job.rig, job.lens, order, quality, places, kernel)
+        return frame_cuda.Frame(job, quality, order, places, kernel)
 
     probe = with_places(0)
     probe.project(), probe.bin()
@@ -70,10 +71,8 @@ def drawn(
 
 def chosen(scene, panel, rig) -> str:
     """The kernel that a frame chooses; it is not drawn."""
-    job = ops.LensArguments(
-        *scene.fields().values(), torch.tensor(cases.BACKGROUND), *lens_arguments(panel, rig, False)
-    )
-    frame = frame_cuda.Frame(job.scene, job.rig, job.lens, 0, EXACT, 0)
+    job = LensJob(scene.fields().values(), torch.tensor(cases.BACKGROUND), lens_view(panel, rig, False))
+    frame = frame_cuda.Frame(job, EXACT, 0, 0)
     frame.project()
     return frame.state()["kernel"]
 
@@ -100,12 +99,8 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
     expected = drawn(scene, panel, rig, views, kernel, Quality.of(quality), share)
     right = scene.sh.clone()
     scene.sh.neg_()
-    job = ops.LensArguments(
-        *scene.fields().values(), torch.tensor(cases.BACKGROUND), *lens_arguments(panel, rig, views == "continuous")
-    )
-    frame = frame_cuda.Frame(
-        job.scene, job.rig, job.lens, 8, Quality.of(quality), int(share * expected["pairs"]), kernel
-    )
+    job = LensJob(scene.fields().values(), torch.tensor(cases.BACKGROUND), lens_view(panel, rig, views == "continuous"))
+    frame = frame_cuda.Frame(job, Quality.of(quality), 8, int(share * expected["pairs"]), kernel)
     image = torch.full((job.height, job.width, 3), 7.0)
     frame.draw(job.background, image)
     scene.sh.copy_(right)
@@ -128,7 +123,7 @@ def in_chunks() -> list[dict[str, object]]:
 def antialiased(kernel: str | None, name: str, degree: int, views: str, quality: str) -> dict[str, object]:
     """With half the places that the pairs need, if views are continuous."""
     panel, continuous = cases.panel_of(name), views == "continuous"
-    kept = replace(Quality.of(quality), lattice_error=0.0, evaluation_error=0.0)  # as ops.frame_kind does
+    kept = replace(Quality.of(quality), lattice_error=0.0, evaluation_error=0.0)  # as Frames does
     return drawn(
         cases.fine(degree),
         panel,

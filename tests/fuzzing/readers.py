@@ -14,18 +14,18 @@ from typing import Any
 from PIL import features
 
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
-from lightfield_gs.axes import stated_up
-from lightfield_gs.errors import InputError
-from lightfield_gs.io.camera_files import read_camera_file
-from lightfield_gs.io.depth import read_depth
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.view_files import read_cameras, read_view_map
+from lightfield_gs.io.captures.camera_files import read_camera_file
+from lightfield_gs.io.captures.srn import read_intrinsics, read_pose
+from lightfield_gs.io.captures.transforms import read_transforms
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.json_file import read_object
-from lightfield_gs.io.own_camera import photo_camera, stored_framing
-from lightfield_gs.io.scene_file import read_scene
-from lightfield_gs.io.view_files import read_cameras, read_view_map
 from lightfield_gs.models.config import ModelConfig
-from training.data.srn import read_intrinsics, read_pose
-from training.data.transforms import read_transforms
+from lightfield_gs.panels.own_camera import photo_camera, stored_framing
+from lightfield_gs.photo.depth import read_depth
+from lightfield_gs.scene.axes import stated_up
+from lightfield_gs.scene.files import read_scene
 
 CORPUS = Path(__file__).parent / "corpus"
 SMALL_PANEL = Panel(width_px=4, height_px=2, views=3, line_number=4.0, slant_tan=0.1)

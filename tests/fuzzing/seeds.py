@@ -17,10 +17,9 @@ from PIL import Image
 from fuzzing.readers import CORPUS, READERS, SMALL_PANEL
 from lightfield_gs import Gaussians, Panel, Rig, SplatterNet
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.own_camera import framing_comment
-from lightfield_gs.io.ply import write_ply
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
+from lightfield_gs.panels.own_camera import framing_comment
 
 _RGB = ("red", "green", "blue")
 
@@ -102,8 +101,8 @@ def _camera_files(folder: Path) -> None:
 
 def _own_cameras(folder: Path) -> None:
     rig = Rig(np.eye(4), (9.0, 9.0), (2.0, 1.0), 2.0, 30.0)
-    write_ply(folder / "framed.ply", _gaussians(0), ["Vertical Axis: -z", framing_comment(rig, SMALL_PANEL)])
-    write_ply(folder / "photo.ply", _gaussians(0))
+    _gaussians(0).save(folder / "framed.ply", ["Vertical Axis: -z", framing_comment(rig, SMALL_PANEL)])
+    _gaussians(0).save(folder / "photo.ply")
     elements = {
         "extrinsic": np.eye(4),
         "intrinsic": np.array([[9.0, 0, 2], [0, 9, 1], [0, 0, 1]]),

@@ -6,7 +6,7 @@
 #include <thread>
 #include <vector>
 
-#include "pipeline/stages.h"
+#include "stages/stages.h"
 
 namespace lfgs {
 namespace {

@@ -5,7 +5,7 @@ the panel's cone; each is turned to the middle of the zero plane, where the obje
 parallel and shift their images instead: they see the same rays, on another image plane.) Further rows are the same fan
 from a raised and a lowered centre camera; further directions the same from other sides.
 
-The plan is a transforms.json without its images (training/data/transforms.py describes the layout): world z up, object
+The plan is a transforms.json without its images (io/captures/transforms.py describes the layout): world z up, object
 about the origin with a bounding box whose diagonal is 1. Blender renders each object into a folder of its own from it.
 """
 
@@ -20,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
-from lightfield_gs.panel import DEFAULT_PANEL, Panel
-from lightfield_gs.rig import Rig
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.pinhole import TO_OPENCV
+from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.panels.rig import Rig
 from training.command import with_line_errors
-from training.data.transforms import OBJECT_DISTANCE, TO_OPENCV
+from training.data.distance import OBJECT_DISTANCE
 
 FOCAL = 1.025  # of the image's side: the unit-diagonal object fits from OBJECT_DISTANCE, whichever way it is turned
 

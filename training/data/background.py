@@ -13,8 +13,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from lightfield_gs.io.pieces import Pieces
-from lightfield_gs.io.plain import full_squares
+from lightfield_gs.photo.pieces import Pieces
+from lightfield_gs.photo.plain import full_squares
 
 Choice = Literal["auto", "white", "black", "none"]
 CHOICES = get_args(Choice)
@@ -26,7 +26,7 @@ _RING_LEVELS = 6  # how far the ringing of a resized render strays from its back
 _HOLE_SIDE = 0.025  # of the shorter side: patches of the background inside the object that are smaller are highlights
 _HOLE_EDGE_LEVELS = 24  # step of colour round a hole; a highlight that is clipped to the background's colour fades
 _PARTED_LEVELS = 64  # an object's own colour is at least so far from the background's where an outline is parted
-# Of plain backgrounds: as lightfield_gs/io/plain.py has them, of colours 0..1.
+# Of plain backgrounds: as lightfield_gs/photo/plain.py has them, of colours 0..1.
 _PLAIN_SPREAD, _PLAIN_SHARE, _NEAR, _FAR, _SAME = 0.04, 0.9, 0.06, 0.14, 0.02
 _DRIFT = 0.2  # of a plain background's colour from view to view, by exposure: a border further off is object
 _PLAIN_VIEWS = 0.75  # of an object's views: fewer are chance, as before the walls of a room

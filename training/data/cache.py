@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, make_folder
 from lightfield_gs.models.crop import MARGIN, object_square
 from training.data.background import Choice

@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.io.captures.lens import source_places, undistorted
+from lightfield_gs.io.captures.masks import read_mask
+from lightfield_gs.io.captures.views import ObjectViews
 from lightfield_gs.io.images import read_image, read_info
 from training.data.background import Background, Choice, border_of, find_background, premultiplied
-from training.data.lens import source_places, undistorted
-from training.data.masks import read_mask
-from training.data.views import ObjectViews
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,8 @@ def _cut_out(views: ObjectViews, index: int, cutout: Cutout) -> np.ndarray:
 
 def _stored(views: ObjectViews, path: Path) -> np.ndarray:
     """The pixels uint8 [H,W,3 or 4] of a view as they are stored: its pose is of these, whatever Exif says."""
-    try:
+    with named("unreadable image"):
         pixels = read_image(path, as_stored=True, turn=False)
-    except InputError as error:
-        raise InputError(f"unreadable image: {error}") from None
     if pixels.dtype != np.uint8 or pixels.shape[2] not in (3, 4):
         raise InputError(f"{path}: expected 8-bit RGB or RGBA, got {pixels.shape[2]} channels of {pixels.dtype}")
     if pixels.shape[:2] != (views.height_px, views.width_px):

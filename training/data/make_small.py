@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from lightfield_gs.checks import whole_number
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.checks import whole_number
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.images import write_image
 from training.command import with_line_errors

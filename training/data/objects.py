@@ -1,4 +1,4 @@
-"""Objects in a folder, each in either layout: SRN (srn.py beside this file) or transforms.json (transforms.py).
+"""Objects in a folder, each in either layout: SRN or transforms.json (see lightfield_gs.io.captures).
 
 An object is named by a path: the folder of an SRN object, or the transforms file of the other layout. The views of an
 object may come in splits, transforms_train.json, transforms_val.json and transforms_test.json, each with views of its
@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightfield_gs.errors import InputError
-from training.data.srn import PARTS, read_srn
-from training.data.transforms import read_transforms
-from training.data.views import ObjectViews
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.srn import PARTS, read_srn
+from lightfield_gs.io.captures.transforms import read_transforms
+from lightfield_gs.io.captures.views import ObjectViews
+from training.data.distance import at_object_distance
 
 SPLITS = ("train", "val", "test")
 _WHOLE = "transforms.json"
@@ -58,7 +59,7 @@ def read_object(path: Path) -> ObjectViews:
     both = [part for part in ("pose", "intrinsics.txt") if (path.parent / part).exists()]
     if both:
         raise InputError(f"{path}: expected one layout, found {both[0]} of the SRN layout beside it: remove one")
-    return read_transforms(path)
+    return at_object_distance(path, read_transforms(path))
 
 
 def folder_of(path: Path) -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from training.data.cache import CachedSet
 
 

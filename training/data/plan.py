@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.models.crop import Square
 from training.data.photographs import PhotoPlan, draw_faults
 from training.data.procedural import ProceduralBlock, ProceduralExamples, steps_of_block

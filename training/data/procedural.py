@@ -13,8 +13,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from lightfield_gs.gaussians import SH_CONSTANT, Gaussians
+from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.models.crop import MARGIN
+from lightfield_gs.scene.gaussians import Gaussians
 from training.data.fusing import fused
 from training.data.procedural_plan import CELLS, LOOK, ProceduralPlan
 from training.data.superquadrics import SHAPE, lies_inside, named

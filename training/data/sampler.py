@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.io.captures.views import ObjectViews
 from training.data.images import Cutout, read_colours, read_view
-from training.data.views import ObjectViews
 
 _THUMB_PX, _VIEWS, _OBJECTS, _TITLE_PX, _GAP_PX = 128, 8, 40, 14, 4
 _TINT, _TINT_SHARE = np.array([255, 0, 255]), 0.65  # magenta: few objects have it

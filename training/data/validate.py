@@ -16,19 +16,19 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.commands.complaint import note
-from lightfield_gs.errors import InputError
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.lens import share_beyond, words
+from lightfield_gs.io.captures.views import ObjectViews
 from lightfield_gs.io.images import read_info
-from lightfield_gs.io.plain import cut_from_plain_background
+from lightfield_gs.photo.plain import cut_from_plain_background
 from training.command import with_line_errors
 from training.data.background import CHOICES, Choice
 from training.data.cache import square_of_view
+from training.data.distance import distance_doubt
 from training.data.images import Cutout, find_cutout, read_colours, read_view
-from training.data.lens import share_beyond, words
 from training.data.objects import find_objects, read_object
 from training.data.sheet import Sheet, check_sheet_path
-from training.data.transforms import distance_doubt
-from training.data.views import ObjectViews
 
 _FADED = 0.02  # share of an object: more is no noise of its outline
 

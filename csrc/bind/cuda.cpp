@@ -1,0 +1,185 @@
+// The device's stages. Streams and all pointers are integers, as on the CPU.
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include "bind/addresses.h"
+#include "bind/parts.h"
+#include "cuda/common/architectures.h"
+#include "cuda/stages/stages.h"
+#include "network/group_norm.h"
+
+namespace py = pybind11;
+
+namespace lfgs {
+namespace {
+
+using G = Gaussians<float>;
+
+void bind_image_and_pairs(py::module_ m) {
+  m.attr("architectures") = cuda::architectures();
+  m.attr("DENSE_SUMS") = cuda::kDenseSums;
+  m.attr("LENS_SUMS") = cuda::kLensSums;
+  py::class_<cuda::Image>(m, "Image")
+      .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, bool lens) {
+             return cuda::Image{count, width_px, height_px, lens ? cuda::kLensTile : cuda::kDenseTile};
+           }),
+           py::arg("count"), py::arg("width_px"), py::arg("height_px"), py::arg("lens"))
+      .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, const SubpixelTile& tile) {
+             return cuda::Image{count, width_px, height_px, {tile.width_px, tile.height_px()}};
+           }),
+           py::arg("count"), py::arg("width_px"), py::arg("height_px"), py::arg("tile"))
+      .def("tiles", [](const cuda::Image& i) { return i.count * cuda::tile_count(i.tile, i.width_px, i.height_px); });
+  py::class_<cuda::Pairs>(m, "Pairs")
+      .def(py::init([](int64_t count, Address tiles, Address sorted_tiles, Address slots, Address sorted_slots,
+                       Address slot_splats, Address sorted_splats) {
+             return cuda::Pairs{count,
+                                at<uint32_t>(tiles),
+                                at<uint32_t>(sorted_tiles),
+                                at<uint32_t>(slots),
+                                at<uint32_t>(sorted_slots),
+                                at<uint32_t>(slot_splats),
+                                at<uint32_t>(sorted_splats)};
+           }),
+           py::arg("count"), py::arg("tiles"), py::arg("sorted_tiles"), py::arg("slots"), py::arg("sorted_slots"),
+           py::arg("slot_splats"), py::arg("sorted_splats"));
+}
+
+void bind_project(py::module_ m) {
+  m.def(
+      "project_dense",
+      [](const G& gaussians, const Cameras<float>& cameras, const Splats<float>& out, Address keys, Address stream) {
+        cuda::project_dense(read_only(gaussians), cameras, out, at<uint64_t>(keys), at<void>(stream));
+      },
+      NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("out"), py::arg("keys"), py::arg("stream"));
+  m.def(
+      "project_lens",
+      [](const G& gaussians, const View<double>& rig, const Lens& lens, double tolerance, const Splats<float>& out,
+         Address keys, Address error, Address stream) {
+        cuda::project_lens(read_only(gaussians), rig, lens, tolerance, out, at<uint64_t>(keys), at<float>(error),
+                           at<void>(stream));
+      },
+      NoGil(), py::arg("gaussians"), py::arg("rig"), py::arg("lens"), py::arg("tolerance"), py::arg("out"),
+      py::arg("keys"), py::arg("error"), py::arg("stream"));
+  m.def("view_blocks", &cuda::view_blocks, py::arg("gaussians"));
+  m.def(
+      "project_dense_backward",
+      [](const G& gaussians, const Cameras<float>& cameras, const Splats<float>& splats, Address slot_ranges,
+         Address slot_gradients, const G& out, Address view_partials, Address stream) {
+        cuda::project_dense_backward(read_only(gaussians), cameras, splats, at<cuda::SlotRange>(slot_ranges),
+                                     at<float>(slot_gradients), out, at<float>(view_partials), at<void>(stream));
+      },
+      NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("splats"), py::arg("slot_ranges"),
+      py::arg("slot_gradients"), py::arg("out"), py::arg("view_partials"), py::arg("stream"));
+  m.def(
+      "project_lens_backward",
+      [](const G& gaussians, const View<double>& rig, const Splats<float>& splats, Address slot_ranges,
+         Address slot_gradients, const G& out, Address stream) {
+        cuda::project_lens_backward(read_only(gaussians), rig, splats, at<cuda::SlotRange>(slot_ranges),
+                                    at<float>(slot_gradients), out, at<void>(stream));
+      },
+      NoGil(), py::arg("gaussians"), py::arg("rig"), py::arg("splats"), py::arg("slot_ranges"),
+      py::arg("slot_gradients"), py::arg("out"), py::arg("stream"));
+}
+
+void bind_order_and_bin(py::module_ m) {
+  m.def("order_bytes", &cuda::order_bytes, py::arg("items"));
+  m.def(
+      "order",
+      [](int64_t items, int64_t images, Address keys, Address sorted_keys, Address indices, Address temporary,
+         size_t temporary_bytes, Address stream) {
+        cuda::order(items, images, at<uint64_t>(keys), at<uint64_t>(sorted_keys), at<uint32_t>(indices),
+                    at<void>(temporary), temporary_bytes, at<void>(stream));
+      },
+      NoGil(), py::arg("items"), py::arg("images"), py::arg("keys"), py::arg("sorted_keys"), py::arg("indices"),
+      py::arg("temporary"), py::arg("temporary_bytes"), py::arg("stream"));
+  m.def("count_bytes", &cuda::count_bytes, py::arg("items"));
+  m.def(
+      "bin_count",
+      [](const Splats<float>& splats, const cuda::Image& image, Address counts, Address pairs, Address temporary,
+         size_t temporary_bytes, Address stream) {
+        cuda::bin_count(splats, image, at<uint32_t>(counts), at<int64_t>(pairs), at<void>(temporary), temporary_bytes,
+                        at<void>(stream));
+      },
+      NoGil(), py::arg("splats"), py::arg("image"), py::arg("counts"), py::arg("pairs"), py::arg("temporary"),
+      py::arg("temporary_bytes"), py::arg("stream"));
+  m.def("fill_bytes", &cuda::fill_bytes, py::arg("items"), py::arg("pairs"));
+  m.def(
+      "bin_fill",
+      [](const Splats<float>& splats, const cuda::Image& image, Address indices, Address counts, Address ends,
+         const cuda::Pairs& pairs, Address ranges, Address slot_ranges, Address temporary, size_t temporary_bytes,
+         Address stream) {
+        cuda::bin_fill(splats, image, at<uint32_t>(indices), at<uint32_t>(counts), at<int64_t>(ends), pairs,
+                       at<int64_t>(ranges), at<cuda::SlotRange>(slot_ranges), at<void>(temporary), temporary_bytes,
+                       at<void>(stream));
+      },
+      NoGil(), py::arg("splats"), py::arg("image"), py::arg("indices"), py::arg("counts"), py::arg("ends"),
+      py::arg("pairs"), py::arg("ranges"), py::arg("slot_ranges"), py::arg("temporary"), py::arg("temporary_bytes"),
+      py::arg("stream"));
+}
+
+void bind_composite(py::module_ m) {
+  m.def(
+      "composite_dense",
+      [](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,
+         Address background, const DenseImages<float>& out, Address stream) {
+        cuda::composite_dense(splats, image, at<int64_t>(ranges), pairs, at<float>(background), out, at<void>(stream));
+      },
+      NoGil(), py::arg("splats"), py::arg("image"), py::arg("ranges"), py::arg("pairs"), py::arg("background"),
+      py::arg("out"), py::arg("stream"));
+  m.def(
+      "composite_dense_backward",
+      [](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,
+         const DenseImages<float>& images, const DenseImages<float>& gradients, Address slot_gradients,
+         Address tile_background, Address stream) {
+        cuda::composite_dense_backward(splats, image, at<int64_t>(ranges), pairs, read_only(images),
+                                       read_only(gradients), at<float>(slot_gradients), at<float>(tile_background),
+                                       at<void>(stream));
+      },
+      NoGil(), py::arg("splats"), py::arg("image"), py::arg("ranges"), py::arg("pairs"), py::arg("images"),
+      py::arg("gradients"), py::arg("slot_gradients"), py::arg("tile_background"), py::arg("stream"));
+  m.def(
+      "composite_lens",
+      [](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,
+         const Lens& lens, Address background, Address out, Address stream) {
+        cuda::composite_lens(splats, image, at<int64_t>(ranges), pairs, lens, at<float>(background), at<float>(out),
+                             at<void>(stream));
+      },
+      NoGil(), py::arg("splats"), py::arg("image"), py::arg("ranges"), py::arg("pairs"), py::arg("lens"),
+      py::arg("background"), py::arg("out"), py::arg("stream"));
+  m.def(
+      "composite_lens_backward",
+      [](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,
+         const Lens& lens, Address pixels, Address gradient, Address slot_gradients, Address tile_background,
+         Address stream) {
+        cuda::composite_lens_backward(splats, image, at<int64_t>(ranges), pairs, lens, at<float>(pixels),
+                                      at<float>(gradient), at<float>(slot_gradients), at<float>(tile_background),
+                                      at<void>(stream));
+      },
+      NoGil(), py::arg("splats"), py::arg("image"), py::arg("ranges"), py::arg("pairs"), py::arg("lens"),
+      py::arg("pixels"), py::arg("gradient"), py::arg("slot_gradients"), py::arg("tile_background"), py::arg("stream"));
+}
+
+// Of the network (network/).
+void bind_network(py::module_ m) {
+  m.def(
+      "group_norm_silu",
+      [](int64_t images, int64_t pixels, int channels, int groups, Address in, Address weight, Address bias, float eps,
+         Address out, Address stream) {
+        cuda::group_norm_silu({images, pixels, channels, groups}, at<uint32_t>(in), at<uint32_t>(weight),
+                              at<uint32_t>(bias), eps, at<uint32_t>(out), at<void>(stream));
+      },
+      NoGil(), py::arg("images"), py::arg("pixels"), py::arg("channels"), py::arg("groups"), py::arg("maps"),
+      py::arg("weight"), py::arg("bias"), py::arg("eps"), py::arg("out"), py::arg("stream"));
+}
+
+}  // namespace
+
+void bind_cuda(py::module_ cuda) {
+  bind_image_and_pairs(cuda);
+  bind_project(cuda);
+  bind_order_and_bin(cuda);
+  bind_composite(cuda);
+  bind_network(cuda);
+}
+
+}  // namespace lfgs

@@ -1,0 +1,88 @@
+// The light-field frame of the CUDA backend for Python; see cuda/frame/lens_frame.h and frame_cuda.py.
+#include "cuda/frame/lens_frame.h"
+
+#include <pybind11/stl.h>
+
+#include <bit>
+
+#include "base/error.h"
+#include "bind/addresses.h"
+#include "bind/parts.h"
+
+namespace py = pybind11;
+
+namespace lfgs {
+namespace {
+
+using cuda::FrameState;
+using cuda::LensFrame;
+using cuda::LensKernel;
+
+// Has a frame drawn by a kernel in place of the one that it would choose; -1: as it chooses.
+void force(LensFrame& frame, int kernel) {
+  require(kernel >= -1 && kernel < int(LensKernel::kCount), "no such kernel: " + std::to_string(kernel));
+  require(kernel != int(LensKernel::kOrdinal) || frame.has_ordinal,
+          "the ordinal kernel cannot draw this lens on this device");
+  require(!frame.rig.antialiased || (kernel != int(LensKernel::kPixel) && kernel != int(LensKernel::kPixelSmall)),
+          "anti-aliased frames are drawn by pixel-quadratic, pixel-quadratic-small or ordinal");
+  frame.forced = kernel;
+}
+
+// What a frame found out, of a copy in host memory.
+py::dict frame_state(Address address) {
+  const FrameState& state = *at<FrameState>(address);
+  py::dict out;
+  out["pairs"] = state.pairs;
+  out["drawn"] = state.drawn;
+  out["colour_error"] = std::bit_cast<float>(state.colour_error);
+  out["kernel"] = state.kernel;
+  out["exact"] = state.careful < 0;
+  out["curved"] = state.curved;
+  out["lattice_tiles"] = state.lattice_tiles;
+  out["refused_tiles"] = state.refused_tiles;
+  out["tried_tiles"] = state.tried_tiles;
+  out["pruned"] = state.pruned;
+  return out;
+}
+
+void bind_stages(py::module_ m) {
+  m.def(
+      "frame_project",
+      [](const LensFrame& frame, const Gaussians<float>& gaussians, bool keep_lists, Address stream) {
+        cuda::frame_project(frame, read_only(gaussians), keep_lists, at<void>(stream));
+      },
+      NoGil(), py::arg("frame"), py::arg("gaussians"), py::arg("keep_lists"), py::arg("stream"));
+  m.def(
+      "frame_bin", [](const LensFrame& frame, Address stream) { cuda::frame_bin(frame, at<void>(stream)); }, NoGil(),
+      py::arg("frame"), py::arg("stream"));
+  m.def(
+      "frame_order", [](const LensFrame& frame, Address stream) { cuda::frame_order(frame, at<void>(stream)); },
+      NoGil(), py::arg("frame"), py::arg("stream"));
+  m.def(
+      "frame_composite",
+      [](const LensFrame& frame, Address background, Address out, Address out8, Address stream) {
+        cuda::frame_composite(frame, at<float>(background), at<float>(out), at<uint8_t>(out8), at<void>(stream));
+      },
+      NoGil(), py::arg("frame"), py::arg("background"), py::arg("out"), py::arg("out8"), py::arg("stream"));
+}
+
+}  // namespace
+
+void bind_frame(py::module_ cuda) {
+  cuda.attr("FRAME_STATE_BYTES") = sizeof(FrameState);
+  cuda.attr("FRAME_KERNELS") =
+      std::vector<std::string>{"pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal"};
+  py::class_<LensFrame>(cuda, "LensFrame")
+      .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, const Quality&, double>(),
+           py::kw_only(), py::arg("gaussians"), py::arg("sh_degree"), py::arg("colour_order"), py::arg("rig"),
+           py::arg("lens"), py::arg("capacity"), py::arg("quality"), py::arg("tolerance"))
+      .def("bytes", [](LensFrame frame) { return frame.place(nullptr); })
+      .def(
+          "place", [](LensFrame& frame, Address work) { return frame.place(at<void>(work)); }, py::arg("work"))
+      .def("state_address", [](const LensFrame& frame) { return reinterpret_cast<Address>(frame.state); })
+      .def("force", &force, py::arg("kernel"));
+  cuda.def("frame_state", &frame_state, py::arg("address"));
+  bind_stages(cuda);
+}
+
+}  // namespace lfgs

@@ -1,0 +1,112 @@
+// Stage project for ordinary images, and its reverse.
+#include <algorithm>
+#include <vector>
+
+#include "base/parallel.h"
+#include "cpu/gaussian_io.h"
+#include "math/harmonics.h"
+#include "stages/stages.h"
+
+namespace lfgs {
+
+using glm::dvec3;
+
+template <class T>
+void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads) {
+  const int64_t n = gaussians.count, chunks = (n + kGrain - 1) / kGrain;
+  parallel_for(cameras.images() * chunks, threads, [&](int64_t item, int) {
+    const int64_t image = item / chunks, begin = item % chunks * kGrain, end = std::min(n, begin + kGrain);
+    const Gaussians<const T> scene = gaussians.slice(image / cameras.per_scene * n);
+    const View<double> view = cameras.view(image);
+    const dvec3 eye = view.centre();
+    for (int64_t i = begin; i < end; ++i) {
+      const Shape<double> shape = shape_of(scene, i);
+      Compensation<double> unused;
+      Splat<double> splat = projected(view, shape, unused);
+      cull_outside(splat, cameras.width_px, cameras.height_px);
+      out.splats[image * n + i] = splat_cast<T>(splat);
+      T* stored = out.colours + (image * n + i) * kColourStride;
+      std::fill_n(stored, kColourStride, T(0));
+      if (splat.reach_y < 0) continue;
+      const dvec3 colour = sh_colour<double>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, eye);
+      for (int c = 0; c < 3; ++c) stored[c] = T(std::max(0.0, colour[c]));
+    }
+  });
+}
+
+template <class T>
+void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
+                            const int64_t* first_pair, const T* pair_gradients, const Gaussians<T>& out,
+                            T* g_world_to_camera, int threads) {
+  const int64_t n = gaussians.count, chunks = (n + kGrain - 1) / kGrain;
+  const int size = pair_gradient_size(0);
+  std::vector<ViewAdjoint<double>> partial(cameras.images() * chunks);
+
+  // A scene's Gaussians in chunks; the cameras of the scene in order
+  parallel_for(cameras.scenes * chunks, threads, [&](int64_t item, int) {
+    const int64_t b = item / chunks, begin = item % chunks * kGrain, end = std::min(n, begin + kGrain);
+    const Gaussians<const T> scene = gaussians.slice(b * n);
+    const Gaussians<T> g_scene = out.slice(b * n);
+    std::vector<double> sum(size);
+    const PairGradient<double> g_pair{sum.data()};
+    std::vector<Shape<double>> over_views(end - begin, Shape<double>{dvec3(0), glm::dvec4(0), dvec3(0), 0});
+    for (int64_t v = 0; v < cameras.per_scene; ++v) {
+      const int64_t image = b * cameras.per_scene + v;
+      const View<double> view = cameras.view(image);
+      const dvec3 eye = view.centre();
+      ViewAdjoint<double>& g_view = partial[image * chunks + item % chunks];
+      dvec3 g_eye(0);
+      for (int64_t i = begin; i < end; ++i) {
+        const Splat<T>& splat = splats.splats[image * n + i];
+        if (splat.reach_y < 0) continue;
+        sum_pairs(splat, cameras.height_px, first_pair[image * n + i], size, pair_gradients, sum.data());
+        const Shape<double> shape = shape_of(scene, i);
+        Shape<double>& g = over_views[i - begin];
+        const Projection<double> projection(view, shape);
+        Splat<double> g_splat = g_pair.splat();
+        if (view.antialiased) {
+          const Compensation<double> g_sharp = projection.compensate_adjoint(g_splat);
+          projection.adjoint<true>(view, shape, g_splat, g, g_view, g_sharp);
+        } else {
+          projection.adjoint(view, shape, g_splat, g, g_view);
+        }
+
+        // Colours, through their clamp at zero
+        const T* colour = splats.colours + (image * n + i) * kColourStride;
+        dvec3 g_colour(0);
+        for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_pair.colours()[c] : 0.0;
+        const int64_t k = 3 * scene.sh_count() * i;
+        const dvec3 g_mean =
+            sh_colour_adjoint(scene.sh_degree, scene.sh + k, shape.mean, eye, g_colour, g_scene.sh + k);
+        g.mean += g_mean;
+        g_eye -= g_mean;
+      }
+      // eye = -R^T t
+      g_view.rotation += glm::outerProduct(-view.translation, g_eye);
+      g_view.translation -= view.rotation * g_eye;
+    }
+    for (int64_t i = begin; i < end; ++i) add_gradient(shape_of(scene, i), over_views[i - begin], g_scene, i);
+  });
+
+  for (int64_t image = 0; image < cameras.images(); ++image) {
+    ViewAdjoint<double> g;
+    for (int64_t c = 0; c < chunks; ++c) {
+      g.rotation += partial[image * chunks + c].rotation;
+      g.translation += partial[image * chunks + c].translation;
+    }
+    T* m = g_world_to_camera + 16 * image;
+    for (int row = 0; row < 3; ++row) {
+      for (int col = 0; col < 3; ++col) m[4 * row + col] = T(g.rotation[col][row]);
+      m[4 * row + 3] = T(g.translation[row]);
+    }
+  }
+}
+
+#define LFGS_INSTANTIATE(T)                                                                                            \
+  template void project_dense(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, int);                    \
+  template void project_dense_backward(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, const int64_t*, \
+                                       const T*, const Gaussians<T>&, T*, int);
+LFGS_INSTANTIATE(float)
+LFGS_INSTANTIATE(double)
+
+}  // namespace lfgs

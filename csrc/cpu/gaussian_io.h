@@ -1,0 +1,53 @@
+// What both sensors' projections do alike on the CPU: reading one Gaussian, summing the gradients of its pairs, adding
+// to its own. Arithmetic is double whatever the precision of the data: it costs a few milliseconds and keeps needles
+// and far-away means exact.
+#pragma once
+
+#include <algorithm>
+
+#include "math/footprint.h"
+#include "math/projection.h"
+#include "math/saturate.h"
+#include "scene/gaussians.h"
+#include "stages/stages.h"
+
+namespace lfgs {
+
+constexpr int64_t kGrain = 1024;  // Gaussians per work item; fixed, so that sums do not depend on the thread count
+
+template <class T>
+Shape<double> shape_of(const Gaussians<const T>& g, int64_t i) {
+  const T *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
+  return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, double(g.opacities[i])};
+}
+
+// Gradient of one pair summed over the bands of a splat, in band order.
+template <class T>
+void sum_pairs(const Splat<T>& splat, int64_t height_px, int64_t first, int size, const T* pairs, double* sum) {
+  Range rows = rows_of(splat, height_px);
+  std::fill(sum, sum + size, 0.0);
+  if (rows.last < rows.first) return;
+  int64_t bands = rows.last / kBandRows - rows.first / kBandRows + 1;
+  for (int64_t k = 0; k < bands; ++k)
+    for (int f = 0; f < size; ++f) sum[f] += double(pairs[(first + k) * size + f]);
+}
+
+// A splat and, of an anti-aliased scene, its compensation.
+inline Splat<double> projected(const View<double>& view, const Shape<double>& shape,
+                               Compensation<double>& compensation) {
+  const Projection<double> projection(view, shape);
+  Splat<double> splat = projection.splat(view, shape.opacity);
+  if (view.antialiased && splat.reach_y >= 0) projection.compensate(splat, compensation);
+  return splat;
+}
+
+template <class T>
+void add_gradient(const Shape<double>& shape, const Shape<double>& g, const Gaussians<T>& out, int64_t i) {
+  const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);
+  auto add_to = [](T& sum, double value) { sum = saturated<T>(double(sum) + value); };
+  for (int c = 0; c < 3; ++c) add_to(out.means[3 * i + c], g.mean[c]), add_to(out.scales[3 * i + c], g.scale[c]);
+  for (int c = 0; c < 4; ++c) add_to(out.quaternions[4 * i + c], g_quaternion[c]);
+  add_to(out.opacities[i], g.opacity);
+}
+
+}  // namespace lfgs

@@ -1,0 +1,280 @@
+// One splat over the samples of a lens tile, and its reverse; what a tile begins and ends with.
+
+#if defined(LFGS_CPU_LENS_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_LENS_BLEND_INL_H_
+#undef LFGS_CPU_LENS_BLEND_INL_H_
+#else
+#define LFGS_CPU_LENS_BLEND_INL_H_
+#endif
+
+#include <algorithm>
+#include <type_traits>
+
+#include "cpu/lens/lens_job.h"
+#include "cpu/lens/lens_lines-inl.h"
+#include "cpu/lens/lens_splat-inl.h"
+#include "cpu/lens/lens_tile-inl.h"
+#include "hwy/highway.h"
+#include "math/blend-inl.h"
+#include "math/over-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lfgs {
+namespace HWY_NAMESPACE {
+
+// Blends a splat over the `count` vectors that it may touch. Never inlined: what is constant stays in registers.
+template <class Footprint, int kOrder, class T>
+HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
+                               const Footprint& shape, int64_t count) {
+  constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share the look-out for what stops
+  using V = typename LensTile<T>::V;
+  const Tag<T> d;
+  const hn::RebindToSigned<Tag<T>> di;
+  const Footprint footprint = shape;
+  const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
+  T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
+  const int order = job.splats.orders[id];
+  const V least_after = hn::Set(d, T(job.quality.stop));
+  // Positive floats in the order of their bits, less one: samples that have stopped, at zero, come last
+  const hn::RebindToUnsigned<Tag<T>> du;
+  const auto one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
+  const bool ends_early = job.quality.ends_early();
+
+  auto blend = [&](auto vectors, const uint16_t* list) {
+    V weights[vectors], afters[vectors];
+    auto least = limit;
+    for (int n = 0; n < vectors; ++n) {
+      const int64_t i = int64_t(list[n]) * kLanes;
+      const V before = hn::Load(d, transmittances + i);
+      weights[n] = footprint.weight(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n]), before);
+      afters[n] = hn::Sub(before, weights[n]);
+      least = hn::Min(least, hn::Sub(hn::BitCast(du, afters[n]), one));
+    }
+    const bool stops = !hn::AllTrue(du, hn::Eq(least, limit));
+    for (int n = 0; n < vectors; ++n) {
+      const int64_t i = int64_t(list[n]) * kLanes;
+      const auto channel = hn::Load(di, &tile.channel[i]);
+      V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
+
+      // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
+      if (HWY_UNLIKELY(stops)) {
+        const auto stop = hn::Lt(after, least_after);
+        weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
+        if (!ends_early) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
+        after = hn::IfThenZeroElse(stop, after);
+        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
+      }
+      hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+      hn::Store(after, d, transmittances + i);
+    }
+  };
+  const uint16_t *list = tile.list(), *end = list + count;
+  for (; list + kStep <= end; list += kStep) blend(std::integral_constant<int, kStep>(), list);
+  for (; list < end; ++list) blend(std::integral_constant<int, 1>(), list);
+}
+
+// Calls visit with the order of a colour polynomial, as a constant where it is small (else -1).
+template <class Visit>
+void with_order(int order, const Visit& visit) {
+  switch (order) {
+    case 0:
+      return visit(std::integral_constant<int, 0>());
+    case 1:
+      return visit(std::integral_constant<int, 1>());
+    case 2:
+      return visit(std::integral_constant<int, 2>());
+    default:
+      return visit(std::integral_constant<int, -1>());
+  }
+}
+
+// The same, by the cheapest code that is right for the splat.
+template <class T>
+void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, const TileSplat<T>& splat,
+             int64_t count) {
+  const Compensation<T>* compensation = job.splats.compensations ? job.splats.compensations + id : nullptr;
+  with_footprint(splat, compensation, job.quality, [&](const auto& footprint) {
+    with_order(job.splats.orders[id], [&](auto order) {
+      ForwardSplat<std::decay_t<decltype(footprint)>, order>(job, tile, background, id, footprint, count);
+    });
+  });
+}
+
+// Blends a splat by a rough footprint. Samples that stop are not looked for here: see LensTile::retire_below.
+template <class Footprint, int kOrder>
+HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, int32_t id, const Footprint& shape) {
+  const Tag<float> d;
+  const hn::RebindToSigned<Tag<float>> di;
+  const Footprint footprint = shape;
+  const float *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
+  float *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
+  const int32_t* channels = tile.channel.get();
+  const int order = job.splats.orders[id];
+  tile.for_each_group([&](const auto& of_group, const uint16_t* list, const uint16_t* end) {
+    const RowVectors<Tag<float>> rows(of_group);
+    for (; list < end; ++list) {
+      const int64_t i = int64_t(*list) * LensTile<float>::kLanes;
+      const auto s = hn::Load(d, ss + i), before = hn::Load(d, transmittances + i);
+      const auto weight = footprint.weight(hn::Load(d, xs + i), s, rows, before);
+      const auto c = ColourAt<kOrder>(d, colour, order, hn::Load(di, channels + i), s);
+      hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+      hn::Store(hn::Sub(before, weight), d, transmittances + i);
+    }
+  });
+}
+
+// Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel. Returns how many samples
+// had stopped.
+template <class T>
+int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
+  const Tag<T> d;
+  const hn::RebindToSigned<Tag<T>> di;
+  const hn::RebindToUnsigned<Tag<T>> du;
+  const hn::Rebind<uint8_t, Tag<T>> d8;
+  constexpr int kLanes = LensTile<T>::kLanes;
+  const auto darkest = hn::Set(d, T(job.quality.darkest()));
+  int64_t stopped = 0;
+  uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // read no more once they are written
+  for (int64_t i = 0; i < samples; i += kLanes) {
+    const auto b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
+    const auto left = hn::Load(d, &tile.transmittance[i]), c = hn::MulAdd(left, b, hn::Load(d, &tile.colour[i]));
+    stopped += int64_t(hn::CountTrue(d, hn::Lt(left, darkest)));
+    if (job.out8) {
+      const auto unit = hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, T(1)));
+      const auto rounded = hn::ConvertTo(di, hn::Round(hn::Mul(unit, hn::Set(d, T(255)))));
+      hn::Store(hn::TruncateTo(d8, hn::BitCast(du, rounded)), d8, bytes + i);
+    } else {
+      hn::Store(c, d, &tile.colour[i]);
+    }
+  }
+  auto write = [&](const auto* from, auto* image) {
+    tile.for_each_run([&](const auto& run) {
+      auto* to = image + run.row * 3 * job.lens->width_px + run.first;
+      for (int64_t t = 0, sample = tile.sample(run); t < run.count; ++t) to[t] = from[sample + t * kLanes];
+    });
+  };
+  if (!job.out8)
+    write(tile.colour.get(), job.out);
+  else if (LensLines<T>::pays(tile.ordinals()))
+    LensLines<T>(tile, bytes, reinterpret_cast<uint8_t*>(tile.s.get())).write(job.out8, 3 * job.lens->width_px);
+  else
+    write(bytes, job.out8);
+  return stopped;
+}
+
+// Gradient sums of an anti-aliased splat for its share, a vector each: log2 of it is (log2 D(s) - log2 S(s)) / 2.
+template <class D>
+struct ShareSums {
+  using V = hn::Vec<D>;
+  V D0, D1, D2, S0, S1, S2;
+
+  explicit HWY_INLINE ShareSums(D d) { D0 = D1 = D2 = S0 = S1 = S2 = hn::Zero(d); }
+  // g: the gradient of log2 alpha.
+  HWY_INLINE void Add(D d, V g, V sharp, V inverse_S, V s) {
+    const V half = hn::Mul(g, hn::Set(d, hn::TFromD<D>(0.5 / kLn2))), gD = hn::Div(half, sharp);
+    const V of_D = hn::IfThenElseZero(hn::Gt(sharp, hn::Zero(d)), gD), of_S = hn::Neg(hn::Mul(half, inverse_S));
+    const V D_s = hn::Mul(of_D, s), S_s = hn::Mul(of_S, s);
+    D0 = hn::Add(D0, of_D), D1 = hn::Add(D1, D_s), D2 = hn::MulAdd(D_s, s, D2);
+    S0 = hn::Add(S0, of_S), S1 = hn::Add(S1, S_s), S2 = hn::MulAdd(S_s, s, S2);
+  }
+  // To the splat's gradient and that of its compensation.
+  HWY_INLINE void Reduce(D d, Splat<hn::TFromD<D>>& splat, Compensation<hn::TFromD<D>>& compensation) const {
+    auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
+    splat.S0 += sum(S0), splat.S1 += sum(S1), splat.S2 += sum(S2);
+    compensation.D0 += sum(D0), compensation.D1 += sum(D1), compensation.D2 += sum(D2);
+  }
+};
+
+// See OverAdjoint for the formula; here a sample has one channel.
+template <bool kAntialiased, class T>
+void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const PairGradient<T>& out) {
+  using V = typename LensTile<T>::V;
+  const Tag<T> d;
+  const hn::RebindToSigned<Tag<T>> di;
+  const Splat<T>& splat = job.splats.splats[id];
+  const ExactFootprint<T> footprint(splat, T(kLog2MinAlpha));
+  const T* colour = colour_of(job.splats, id);
+  const int order = job.splats.orders[id];
+  SplatSums<Tag<T>> sums(d);
+  [[maybe_unused]] ShareSums<Tag<T>> share_sums(d);
+  [[maybe_unused]] const Share<T> share(kAntialiased ? job.splats.compensations[id] : Compensation<T>{});
+  V g_colour[3 * (kMaxColourOrder + 1)];
+  for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
+  bool touched = false;
+  auto reverse = [&](uint16_t vector, const RowVectors<Tag<T>>& rows, V dy) {
+    const int64_t i = int64_t(vector) * LensTile<T>::kLanes;
+    const V s = hn::Load(d, &tile.s[i]);
+    V dx, inverse_S;
+    const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
+    V alpha;
+    if constexpr (kAntialiased)
+      alpha = SharedAlpha(d, power, share.at(s, inverse_S), footprint.cut, hn::Set(d, T(kMinAlpha)));
+    else
+      alpha = Alpha(d, power);
+    V before;
+    const auto stop = OverAgain(d, alpha, &tile.transmittance[i], before);
+    const V g = hn::Load(d, &tile.gradient[i]);
+    const auto channel = hn::Load(di, &tile.channel[i]);
+    if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
+      // `colour` collects what each sample lets through to the background
+      hn::Store(hn::Add(hn::Load(d, &tile.colour[i]), hn::IfThenElseZero(stop, before)), d, &tile.colour[i]);
+      if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(vector);
+    }
+    const auto lit = hn::Gt(alpha, hn::Zero(d));
+    if (hn::AllFalse(d, lit)) return;
+    touched = true;
+
+    const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s) : ColourAt<-1>(d, colour, order, channel, s);
+    const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
+    const V g_alpha = OverAdjoint<false>(d, alpha, before, weight, v, &tile.total[i], &tile.prefix[i]);
+    auto free = hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha)));
+    if constexpr (kAntialiased) free = hn::Lt(alpha, hn::Set(d, T(kMaxAlpha)));
+    const V g_power = ExponentAdjoint(d, g_alpha, alpha, hn::And(lit, free));
+    sums.Add(g_power, dy, hn::Mul(dx, inverse_S), s);
+    if constexpr (kAntialiased) share_sums.Add(d, g_power, share.sharp(s), inverse_S, s);
+
+    // Colour coefficients, unless the clamp at zero holds (order 0 was clamped, and is masked, at projection)
+    V g_c = hn::Mul(g, weight);
+    if (order > 0) g_c = hn::IfThenElseZero(hn::Gt(c, hn::Zero(d)), g_c);
+    for (int k = 0; k < 3; ++k) {
+      V term = hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename LensTile<T>::TI(k)))), g_c);
+      for (int p = 0; p <= order; ++p, term = hn::Mul(term, s))
+        g_colour[3 * p + k] = hn::Add(g_colour[3 * p + k], term);
+    }
+  };
+  tile.for_each_group([&](const auto& of_group, const uint16_t* list, const uint16_t* end) {
+    const RowVectors<Tag<T>> rows(of_group);
+    for (; list < end; ++list) reverse(*list, rows, hn::Load(d, of_group.dy));
+  });
+  if (!touched) return;
+  sums.Reduce(d, splat, out.splat());
+  if constexpr (kAntialiased) share_sums.Reduce(d, out.splat(), out.compensation());
+  for (int k = 0; k < 3 * (order + 1); ++k) out.colours()[k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
+}
+
+// Fills what the reverse reads at every sample.
+template <class T>
+void LoadGradients(const LensJob<T>& job, LensTile<T>& tile, int64_t samples) {
+  constexpr int kLanes = LensTile<T>::kLanes;
+  for (auto* a : {&tile.gradient, &tile.total, &tile.prefix}) std::fill(a->get(), a->get() + samples, T(0));
+  tile.for_each_run([&](const auto& run) {
+    int64_t sample = tile.sample(run);
+    for (int64_t m = run.first; m < run.first + run.count; ++m, sample += kLanes) {
+      const int64_t from = run.row * 3 * job.lens->width_px + m / 3 * 3 + tile.channel[sample];
+      tile.gradient[sample] = job.gradient[from];
+      tile.total[sample] = job.gradient[from] * job.image[from];
+    }
+  });
+}
+
+template <class T>
+void BackgroundGradient(const LensTile<T>& tile, int64_t samples, T* out) {
+  for (int64_t i = 0; i < samples; ++i)
+    out[tile.channel[i]] += tile.gradient[i] * (tile.colour[i] + tile.transmittance[i]);
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lfgs
+HWY_AFTER_NAMESPACE();
+
+#endif  // LFGS_CPU_LENS_BLEND_INL_H_

@@ -1,0 +1,266 @@
+// A run of lens tiles drawn from a coarse lattice, where that is as good as asked for.
+
+#if defined(LFGS_CPU_LENS_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_LENS_LATTICE_INL_H_
+#undef LFGS_CPU_LENS_LATTICE_INL_H_
+#else
+#define LFGS_CPU_LENS_LATTICE_INL_H_
+#endif
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+#include "cpu/lens/lattice-inl.h"
+#include "cpu/lens/lens_run.h"
+#include "cpu/lens/lens_splat-inl.h"
+#include "hwy/highway.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lfgs {
+namespace HWY_NAMESPACE {
+
+class LensLattice {
+ public:
+  static constexpr int kLanes = LatticeNodes::kLanes;
+  using Words = hn::RebindToUnsigned<Tag<float>>;
+  enum class Verdict { kFits, kSplit, kRefuse };
+  float fineness;  // of the next lattice
+  int64_t evaluations() const { return nodes_.evaluations + middles_.evaluations; }
+
+  LensLattice(const Lens& lens, const Quality& quality)
+      : fineness(0),
+        lens_(lens),
+        quality_(on_lattice(quality)),
+        pixels_(quality.lattice > 0 ? size_t(lens.width_px + kLanes) * 3 : 0) {}
+
+  int64_t bytes() const {
+    return int64_t(pixels_.capacity() * sizeof(float)) + nodes_.bytes() + middles_.bytes() + errors_.bytes() +
+           row_.bytes();
+  }
+
+  // A stop that is seen would be taken for an edge.
+  static Quality on_lattice(Quality quality) {
+    quality.stop = std::min(quality.stop, std::max(0.1 * quality.lattice, kMinTransmittance));
+    return quality;
+  }
+  // A vector of pixels has as many of every kind of cell as the next, and each place one colour.
+  static bool knows(const Lens& lens) { return !lens.has_cells || (kLanes % kCellPeriod == 0 && lens.has_one_order()); }
+  void start_band() { fineness = first_fineness(float(quality_.lattice)), refused_ = 0; }
+
+  // Evaluates the lattice for a run with samples, and its middles. Refuses where one as good as asked for has too many
+  // nodes to be worth it; would have a run split, unless it is the last, that needs one much finer than was tried.
+  // [begin, end): the splats that the run's samples may meet, nearest first.
+  Verdict judge(const LensRun& run, const Splats<float>& splats, const int32_t* begin, const int32_t* end,
+                const float* background, bool last) {
+    // Where nothing fitted lately, only one run in some is tried
+    if (refused_ >= kPatience && ++refused_ % (2 * kPatience) != 0) return Verdict::kRefuse;
+    x0_ = double(run.first[0]) / 3, y0_ = double(run.row0);
+    const LatticePart part = run.part(lens_, x0_, y0_);
+    LatticeCurvature curvature(part);
+    for (const int32_t* id = begin; id != end; ++id)
+      curvature.add(splats.splats[*id], float(double(splats.splats[*id].u0) - x0_));
+    const double most = kMostNodes * double(run.samples());
+    for (int attempt = 0; attempt < kAttempts; ++attempt) {
+      LatticePlan plan;
+      curvature.plan(fineness, plan);
+      const LatticePlan middles = plan.middles(part);
+      if (double(plan.nodes()) + double(middles.nodes()) > most) break;
+      draw(nodes_, plan, splats, begin, end, background);
+      draw(middles_, middles, splats, begin, end, background);
+      const float moved = share_errors();
+      // As a share of what is allowed, and how much finer or coarser the next lattice may be for it
+      const Error at_middles = error_at_middles();
+      const float largest = std::max(at_middles.largest, moved);
+      const float error = std::max(std::max(largest, kMovedShare * at_middles.mean) / float(quality_.lattice), 1e-6f);
+      const float better = kBackOff / std::sqrt(error);
+      fineness = std::clamp(fineness * std::clamp(better, 0.4f, 1.25f), 0.01f, kMostFineness);
+      if (error <= 1) return refused_ = 0, Verdict::kFits;
+      if (error > kSplitError && !last && refused_ < kPatience) return Verdict::kSplit;
+    }
+    ++refused_;
+    return Verdict::kRefuse;
+  }
+
+  // Interpolates the run's samples and writes them, a sub-pixel by its place in the pixel.
+  template <class Out>
+  void write(const LensRun& run, Out* image) {
+    for (int64_t r = 0; r < run.rows; ++r) {
+      const int64_t first = run.first[r], end = run.end[r], pixel0 = first / 3, row = run.row0 + r;
+      if (first >= end) continue;
+      row_.move_to(nodes_, float(double(row) + 0.5 - y0_));
+      auto* pixels = reinterpret_cast<Out*>(pixels_.data());
+      lens_.has_cells ? interpolate<true>(row, pixel0, (end + 2) / 3 - pixel0, pixels)
+                      : interpolate<false>(row, pixel0, (end + 2) / 3 - pixel0, pixels);
+      std::memcpy(image + row * 3 * lens_.width_px + first, reinterpret_cast<Out*>(pixels_.data()) + first - 3 * pixel0,
+                  size_t(end - first) * sizeof(Out));
+    }
+  }
+
+ private:
+  static constexpr int kAttempts = 3;
+  static constexpr int kPatience = 4;  // runs
+  static constexpr int kLookOut = 64;  // splats from one look whether all is opaque to the next
+  static constexpr float kSplitError = 2.5f;
+  static constexpr float kMostNodes = 0.3f;  // of the samples; a node has three channels
+
+  void draw(LatticeNodes& nodes, const LatticePlan& plan, const Splats<float>& splats, const int32_t* begin,
+            const int32_t* end, const float* background) {
+    nodes.lay(plan);
+    for (const int32_t* id = begin; id != end; ++id) {
+      if ((id - begin) % kLookOut == kLookOut - 1 && nodes.opaque()) break;
+      const Splat<float>& splat = splats.splats[*id];
+      const float u = float(double(splat.u0) - x0_), v = float(double(splat.v0) - y0_);
+      const Compensation<float>* compensation = splats.compensations ? splats.compensations + *id : nullptr;
+      nodes.add(splat, compensation, u, v, colour_of(splats, *id), splats.orders[*id], quality_, background);
+    }
+    nodes.finish(background);
+  }
+
+  // Moves every node by its share of the errors at the middles round it, see kNodeShare; the largest move. Nodes round
+  // which the field errs both ways, as it does at an edge, stay.
+  float share_errors() {
+    const Tag<float> d;
+    const LatticePlan& plan = nodes_.plan();
+    errors_.lay(middles_.plan());
+    error_at_middles();
+    errors_.widen();
+    auto most = hn::Zero(d);
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < plan.planes; ++k)
+        for (int j = 0; j < plan.down; ++j) {
+          float* row = nodes_.colours(c, k, j);
+          for (int i = 0; i < plan.across; i += kLanes) {
+            const auto move = hn::Mul(errors_.round(c, k, j, i, plan), hn::Set(d, kNodeShare));
+            hn::StoreU(hn::Sub(hn::LoadU(d, row + i), move), d, row + i);
+            most = hn::Max(most, hn::Abs(move));
+          }
+        }
+    return hn::GetLane(hn::MaxOfLanes(d, most));
+  }
+
+  // Between the middles of cells and what their corners make of them, kept in errors_: the largest, and the root mean
+  // square.
+  struct Error {
+    float largest, mean;
+  };
+  Error error_at_middles() {
+    const Tag<float> d;
+    const LatticePlan& plan = middles_.plan();
+    auto worst = hn::Zero(d), squares = hn::Zero(d);
+    int64_t count = 0;
+    for (int j = 0; j < plan.down; ++j) {
+      row_.move_to(nodes_, plan.y0 + float(j) * plan.step_y);
+      for (int k = 0; k < plan.planes; ++k)
+        for (int i = 0; i < plan.across; i += kLanes) {
+          // Lanes behind the last repeat it
+          const auto lane = hn::Min(hn::Iota(d, float(i)), hn::Set(d, float(plan.across - 1)));
+          const auto index = hn::ConvertTo(hn::RebindToSigned<Tag<float>>(), lane);
+          const auto along = hn::Add(lane, hn::Set(d, float(plan.margin) + 0.5f));
+          for (int c = 0; c < 3; ++c) {
+            const auto is = hn::GatherIndex(d, middles_.colours(c, k, j), index);
+            const auto made = colour_of_bits(row_.at(c, along, hn::Set(d, float(k) + 0.5f)));
+            const auto error = hn::Sub(made, shown(is));
+            hn::StoreU(error, d, errors_.row(c, k, j) + i);
+            worst = hn::Max(worst, hn::Abs(error)), squares = hn::MulAdd(error, error, squares);
+          }
+          count += 3 * kLanes;
+        }
+    }
+    const float sum = hn::GetLane(hn::SumOfLanes(d, squares));
+    return {hn::GetLane(hn::MaxOfLanes(d, worst)), std::sqrt(sum / float(std::max<int64_t>(count, 1)))};
+  }
+  static HWY_INLINE hn::Vec<Tag<float>> shown(hn::Vec<Tag<float>> c) {
+    const Tag<float> d;
+    return hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, 1.f));
+  }
+
+  // The pixels [pixel0, pixel0 + count) of a row, and some that are not asked for.
+  template <bool kCells, class Out>
+  HWY_NOINLINE void interpolate(int64_t row, int64_t pixel0, int64_t count, Out* to) {
+    const Tag<float> d;
+    const LatticePlan& plan = row_.plan();
+    const float per_x = 1 / plan.step_x, last = float(plan.across - 1 - plan.margin) - 1e-3f;
+    Phases phases(lens_, row, pixel0, plan);
+    const int channels[3] = {lens_.channel_at(0, 0), lens_.channel_at(0, 1), lens_.channel_at(0, 2)};
+    for (int64_t j = 0; j < count; j += kLanes) {
+      const float x = float(double(pixel0 + j) + 0.5 - x0_) - plan.x0;
+      const auto along =
+          hn::Min(hn::MulAdd(hn::Iota(d, 0.f), hn::Set(d, per_x), hn::Set(d, x * per_x)), hn::Set(d, last));
+      const auto a = row_.at(channels[0], along, phases.template next<kCells>(0));
+      const auto b = row_.at(channels[1], along, phases.template next<kCells>(1));
+      const auto c = row_.at(channels[2], along, phases.template next<kCells>(2));
+      phases.skip();
+      store(a, b, c, to + 3 * j);
+    }
+  }
+
+  // Phases of every third sub-pixel, a lens being 2^32: enough here but for a view now and then at its border.
+  struct Phases {
+    hn::Vec<Words> phase;
+    HWY_ALIGN uint32_t beyond[3][kLanes];  // what cells add at each place
+    uint32_t step, pixels;
+    float per_phase, to_plane, plane0;
+    bool continuous;
+
+    Phases(const Lens& lens, int64_t row, int64_t pixel0, const LatticePlan& plan)
+        : step(uint32_t(lens.phase_x >> 32)),
+          pixels(uint32_t((3 * kLanes * lens.phase_x) >> 32) - 3 * step),
+          per_phase(float(double(lens.views) / 2147483648.0)),
+          to_plane(float(lens.s_step()) / plan.step_s),
+          plane0((float(lens.s_start()) - plan.s0) / plan.step_s),
+          continuous(lens.continuous) {
+      HWY_ALIGN uint32_t phases[kLanes];
+      for (int lane = 0; lane < kLanes; ++lane) phases[lane] = uint32_t(lens.phase_at(row, 3 * (pixel0 + lane)) >> 32);
+      phase = hn::Load(Words(), phases);
+      if (lens.has_cells)
+        for (int m = 0; m < 3 * kLanes; ++m)
+          beyond[m % 3][m / 3] = uint32_t(lens.cells.phases[row % kCellPeriod][(3 * pixel0 + m) % kRowPeriod] >> 32);
+      if (!continuous) plane0 += 0.5f * to_plane;
+    }
+    // Of place k, in planes of the lattice; goes on to the next sub-pixel.
+    template <bool kCells>
+    HWY_INLINE hn::Vec<Tag<float>> next(int k) {
+      const Tag<float> d;
+      const auto own = kCells ? hn::Add(phase, hn::Load(Words(), beyond[k])) : phase;
+      const auto half = hn::BitCast(hn::RebindToSigned<Tag<float>>(), hn::ShiftRight<1>(own));
+      phase = hn::Add(phase, hn::Set(Words(), step));
+      auto view = hn::Mul(hn::ConvertTo(d, half), hn::Set(d, per_phase));
+      if (!continuous) view = hn::Floor(view);
+      return hn::Max(hn::MulAdd(view, hn::Set(d, to_plane), hn::Set(d, plane0)), hn::Zero(d));
+    }
+    // To the next vector of pixels.
+    HWY_INLINE void skip() { phase = hn::Add(phase, hn::Set(Words(), pixels)); }
+  };
+
+  static HWY_INLINE hn::Vec<Tag<float>> colour_of_bits(hn::Vec<Words> bits) {
+    const Tag<float> d;
+    const auto fixed =
+        hn::ConvertTo(d, hn::BitCast(hn::RebindToSigned<Tag<float>>(), hn::And(bits, hn::Set(Words(), 0xffffu))));
+    return hn::Mul(hn::Sub(fixed, hn::Set(d, LatticeRow::kHalf)), hn::Set(d, 1 / LatticeRow::kUnit));
+  }
+  static HWY_INLINE void store(hn::Vec<Words> a, hn::Vec<Words> b, hn::Vec<Words> c, float* to) {
+    hn::StoreInterleaved3(colour_of_bits(a), colour_of_bits(b), colour_of_bits(c), Tag<float>(), to);
+  }
+  static HWY_INLINE void store(hn::Vec<Words> a, hn::Vec<Words> b, hn::Vec<Words> c, uint8_t* to) {
+    const hn::Rebind<uint8_t, Tag<float>> d8;
+    auto byte = [&](hn::Vec<Words> v) { return hn::TruncateTo(d8, hn::ShiftRight<8>(v)); };
+    hn::StoreInterleaved3(byte(a), byte(b), byte(c), d8, to);
+  }
+
+  const Lens& lens_;
+  const Quality quality_;
+  int refused_ = 0;         // runs since one fitted
+  double x0_ = 0, y0_ = 0;  // what places are about
+  LatticeNodes nodes_, middles_;
+  LatticeErrors errors_;
+  LatticeRow row_;
+  std::vector<float> pixels_;  // of a row
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lfgs
+HWY_AFTER_NAMESPACE();
+
+#endif  // LFGS_CPU_LENS_LATTICE_INL_H_

@@ -1,0 +1,200 @@
+// A splat as the samples of a lens tile read it: its footprint, as it is written or simplified, and its colour.
+
+#if defined(LFGS_CPU_LENS_SPLAT_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_LENS_SPLAT_INL_H_
+#undef LFGS_CPU_LENS_SPLAT_INL_H_
+#else
+#define LFGS_CPU_LENS_SPLAT_INL_H_
+#endif
+
+#include <cmath>
+
+#include "cpu/lens/lens_tile-inl.h"
+#include "cpu/lens/tile_splats.h"
+#include "hwy/highway.h"
+#include "math/blend-inl.h"
+#include "math/quality.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lfgs {
+namespace HWY_NAMESPACE {
+
+constexpr double kMostRoughError = 0.005;  // relative, of S^(-1/2); see kMostRootError
+
+// A splat's colour polynomial, [order + 1, kColourStride].
+template <class T>
+const T* colour_of(const Splats<T>& splats, int32_t id) {
+  return splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
+}
+
+// Colour of a splat at the samples' offsets. kOrder: 0, 1, 2, or -1 for `order`.
+template <int kOrder, class D>
+HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::Vec<hn::RebindToSigned<D>> channel,
+                               hn::Vec<D> s) {
+  if constexpr (kOrder == 0) return Lookup(d, colour, channel);
+  const int n = kOrder < 0 ? order : kOrder;
+  auto c = Lookup(d, colour + n * kColourStride, channel);
+  for (int p = n - 1; p >= 0; --p) c = hn::MulAdd(c, s, Lookup(d, colour + p * kColourStride, channel));
+  return hn::Max(c, hn::Zero(d));
+}
+
+// px - m(s); rows: RowTerms or RowVectors.
+template <class T, class Rows>
+HWY_INLINE hn::Vec<Tag<T>> DistanceX(hn::Vec<Tag<T>> x, hn::Vec<Tag<T>> s, const Rows& rows) {
+  const Tag<T> d;
+  return hn::NegMulAdd(s, Term(d, rows.M1), hn::Sub(x, Term(d, rows.M0)));
+}
+
+// The footprint as it is written.
+template <class T>
+struct ExactFootprint {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  V S0, S1, S2, cut;
+
+  HWY_INLINE ExactFootprint(const Splat<T>& s, T log2_cut) {
+    const D d;
+    S0 = hn::Set(d, s.S0), S1 = hn::Set(d, s.S1), S2 = hn::Set(d, s.S2), cut = hn::Set(d, log2_cut);
+  }
+  // log2 of opacity * weight; also dx = px - m(s) and 1 / S(s).
+  template <class Rows>
+  HWY_INLINE V power(V x, V s, const Rows& rows, V& dx, V& inverse_S) const {
+    const D d;
+    dx = DistanceX<T>(x, s, rows);
+    inverse_S = Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
+    return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, Term(d, rows.A));
+  }
+  // alpha * transmittance
+  template <class Rows>
+  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
+    V dx, inverse_S;
+    return hn::Mul(Alpha(D(), power(x, s, rows, dx, inverse_S), cut), transmittance);
+  }
+};
+
+// The share sqrt(D(s) / S(s)) of its opacity that an anti-aliased splat has at its samples.
+template <class T>
+struct Share {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  V D0, D1, D2;
+
+  HWY_INLINE explicit Share(const Compensation<T>& c) {
+    const D d;
+    D0 = hn::Set(d, c.D0), D1 = hn::Set(d, c.D1), D2 = hn::Set(d, c.D2);
+  }
+  HWY_INLINE V sharp(V s) const { return hn::MulAdd(hn::MulAdd(s, D2, D1), s, D0); }
+  HWY_INLINE V at(V s, V inverse_S) const {
+    const D d;
+    return hn::Sqrt(hn::Max(hn::Mul(sharp(s), inverse_S), hn::Zero(d)));  // rounding may take it below zero
+  }
+};
+
+// alpha = min(0.99, share 2^power), zero where it is below 2^cut.
+template <class D>
+HWY_INLINE hn::Vec<D> SharedAlpha(D d, hn::Vec<D> power, hn::Vec<D> share, hn::Vec<D> cut, hn::Vec<D> least) {
+  const auto alpha = hn::Mul(hn::IfThenElseZero(hn::Ge(power, cut), Exp2(d, power)), share);
+  return hn::IfThenElseZero(hn::Ge(alpha, least), hn::Min(alpha, hn::Set(d, hn::TFromD<D>(kMaxAlpha))));
+}
+
+// The footprint as it is written, of an anti-aliased splat.
+template <class T>
+struct CompensatedFootprint {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  ExactFootprint<T> exact;
+  Share<T> share;
+  V least;
+
+  HWY_INLINE CompensatedFootprint(const Splat<T>& s, const Compensation<T>& c, T log2_cut)
+      : exact(s, log2_cut), share(c), least(hn::Set(D(), std::exp2(log2_cut))) {}
+  template <class Rows>
+  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
+    V dx, inverse_S;
+    const V power = exact.power(x, s, rows, dx, inverse_S);
+    return hn::Mul(SharedAlpha(D(), power, share.at(s, inverse_S), exact.cut, least), transmittance);
+  }
+};
+
+// The footprint of a splat whose S^(-1/2) is near enough to a parabola over the rig, and whose alpha needs no limit.
+template <class T>
+struct PlainFootprint {
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  V r0, r1, r2, cut;
+
+  HWY_INLINE PlainFootprint(const InverseRoot<T>& root, T log2_cut) {
+    const D d;
+    r0 = hn::Set(d, root.r0), r1 = hn::Set(d, root.r1), r2 = hn::Set(d, root.r2), cut = hn::Set(d, log2_cut);
+  }
+  static bool fits(const Splat<T>& s, const InverseRoot<T>& root) {
+    return root.error < T(kMostRootError) && s.log2_opacity <= T(kLog2MaxAlpha);
+  }
+  template <class Rows>
+  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
+    const D d;
+    const V e = hn::Mul(DistanceX<T>(x, s, rows), hn::MulAdd(hn::MulAdd(s, r2, r1), s, r0));
+    const V power = hn::NegMulAdd(e, e, Term(d, rows.A));
+    return hn::IfThenElseZero(hn::Ge(power, cut), hn::Mul(Exp2<4>(d, power), transmittance));
+  }
+};
+
+// The footprint in few operations, read off RowTerms in its units. kEven: S^(-1/2) is the same all over the rig; else
+// it is straight between the rig's ends. 2^power is y^16 with y = gain (power + level)^2 + rest: relative error < 0.9%
+// from 1/255 to 1, < 0.35% from 0.05. Squaring has no use for the parts of an exponent, and little for constants.
+template <bool kEven>
+class RoughFootprint {
+ public:
+  using T = float;
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+
+  RoughFootprint(const InverseRoot<T>& r, T log2_cut)
+      : root_(std::sqrt(kGain) * (r.r0 + T(0.5) * r.r2)),
+        lean_(std::sqrt(kGain) * r.r1),
+        cut_(kGain * (log2_cut + kLevel)) {}
+  static bool fits(const InverseRoot<T>& r) {
+    const T off = T(0.5) * std::abs(r.r2) + (kEven ? std::abs(r.r1) : T(0));
+    return r.error + off / std::abs(r.r0) < T(kMostRoughError);  // r0 may be anything where the error is 1
+  }
+  RowUnits<T> units() const { return {kGain, kLevel, kEven ? -root_ : T(1)}; }
+
+  template <class Rows>
+  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
+    const D d;
+    V e;
+    if constexpr (kEven)
+      e = hn::MulAdd(x, hn::Set(d, root_), hn::MulAdd(s, Term(d, rows.M1), Term(d, rows.M0)));
+    else
+      e = hn::Mul(DistanceX<T>(x, s, rows), hn::MulAdd(s, hn::Set(d, lean_), hn::Set(d, root_)));
+    const V power = hn::NegMulAdd(e, e, Term(d, rows.A));
+    V y = hn::MulAdd(power, power, hn::Set(d, kRest));
+    for (int k = 0; k < 4; ++k) y = hn::Mul(y, y);
+    y = hn::Min(y, hn::Set(d, T(kMaxAlpha)));
+    return hn::IfThenElseZero(hn::Ge(power, hn::Set(d, cut_)), hn::Mul(y, transmittance));
+  }
+
+ private:
+  static constexpr T kGain = 0.0284034f, kLevel = 26.6557f, kRest = 0.4266943f;
+  T root_, lean_, cut_;
+};
+
+// Calls visit with the cheapest footprint that is right for a splat; compensation: null, or that of the splat.
+template <class T, class Visit>
+void with_footprint(const TileSplat<T>& tile_splat, const Compensation<T>* compensation, const Quality& quality,
+                    const Visit& visit) {
+  const Splat<T>& splat = tile_splat.splat;
+  const T cut = T(quality.hit_cut());
+  if (HWY_UNLIKELY(compensation != nullptr)) return visit(CompensatedFootprint<T>(splat, *compensation, cut));
+  if constexpr (sizeof(T) == 4) {
+    const InverseRoot<T>& root = tile_splat.root;
+    if (PlainFootprint<T>::fits(splat, root)) return visit(PlainFootprint<T>(root, cut));
+  }
+  visit(ExactFootprint<T>(splat, cut));
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lfgs
+HWY_AFTER_NAMESPACE();
+
+#endif  // LFGS_CPU_LENS_SPLAT_INL_H_

@@ -1,0 +1,393 @@
+// Tiles of the lens sensor. A sample is a sub-pixel; a *cell* is a lens, and t counts the sub-pixels of a lens from its
+// left edge (the ordinal). Samples at one ordinal of neighbouring lenses show nearly the same view, so a vector holds
+// 4 lenses x a few rows at one ordinal, and a splat, which sweeps over the views along a row, meets a short interval of
+// ordinals per patch of lenses. Lenses too narrow or too wide for that become cells of one sub-pixel each.
+
+#if defined(LFGS_CPU_LENS_TILE_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef LFGS_CPU_LENS_TILE_INL_H_
+#undef LFGS_CPU_LENS_TILE_INL_H_
+#else
+#define LFGS_CPU_LENS_TILE_INL_H_
+#endif
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "cpu/lens/lens_layout.h"
+#include "hwy/aligned_allocator.h"
+#include "hwy/highway.h"
+#include "math/blend-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lfgs {
+namespace HWY_NAMESPACE {
+
+// Per-splat constants of one group of rows, a vector each.
+template <class T, int kLanes>
+struct RowTerms {
+  alignas(64) T A[kLanes];   // log2 opacity - tau dy^2
+  alignas(64) T M0[kLanes];  // u0 + c0 dy, from the tile's origin
+  alignas(64) T M1[kLanes];  // du + c1 dy
+  alignas(64) T dy[kLanes];
+};
+
+// The same in registers, for all vectors of the group.
+template <class D>
+struct RowVectors {
+  hn::Vec<D> A, M0, M1;
+
+  template <class Rows>
+  HWY_INLINE explicit RowVectors(const Rows& rows)
+      : A(hn::Load(D(), rows.A)), M0(hn::Load(D(), rows.M0)), M1(hn::Load(D(), rows.M1)) {}
+};
+
+// One of either.
+template <class D>
+HWY_INLINE hn::Vec<D> Term(D d, const hn::TFromD<D>* term) {
+  return hn::Load(d, term);
+}
+template <class D>
+HWY_INLINE hn::Vec<D> Term(D, hn::Vec<D> term) {
+  return term;
+}
+
+// In what units a splat is read off its RowTerms: A as power * (A + level), M0 and M1 times `place`.
+template <class T>
+struct RowUnits {
+  T power = 1, level = 0, place = 1;
+};
+
+template <class T>
+class LensTile {
+ public:
+  using D = Tag<T>;
+  using V = hn::Vec<D>;
+  using TI = hn::TFromD<hn::RebindToSigned<D>>;
+  static constexpr int kLanes = int(hn::MaxLanes(D()));
+  static constexpr int kCellsPerPatch = kLanes < 4 ? kLanes : 4, kRows = kLanes / kCellsPerPatch;
+  static constexpr int kDown = kBandRows / kRows;
+  using Rows = RowTerms<T, kLanes>;
+
+  // Sample arrays, [patch][ordinal][lane]; a *vector* is one (patch, ordinal)
+  hwy::AlignedFreeUniquePtr<T[]> x, s, colour, transmittance, gradient, total, prefix;
+  hwy::AlignedFreeUniquePtr<TI[]> channel;
+  int open = 0;  // vectors that still take light
+
+  LensTile(const Lens& lens, const LensLayout& layout, bool backward)
+      : lens_(lens),
+        layout_(layout),
+        across_(layout.cells_per_tile / kCellsPerPatch),
+        patches_(kDown * across_),
+        samples_(layout.samples()) {
+    const size_t n = size_t(samples_), vectors = n / kLanes;
+    for (auto* a : {&x, &s, &colour, &transmittance}) *a = hwy::AllocateAligned<T>(n);
+    if (backward)
+      for (auto* a : {&gradient, &total, &prefix}) *a = hwy::AllocateAligned<T>(n);
+    channel = hwy::AllocateAligned<TI>(n);
+    padded_ = (patches_ + kLanes - 1) / kLanes * kLanes;
+    for (auto* a : {&patch_row_, &patch_x_, &patch_s_, &patch_half_s_}) *a = hwy::AllocateAligned<T>(size_t(padded_));
+    for (auto* a : {&low_, &count_}) *a = hwy::AllocateAligned<TI>(size_t(padded_));
+    list_ = hwy::AllocateAligned<uint16_t>(vectors + 64);
+    alive_.resize(vectors), row_of_vector_.resize(vectors);
+    starts_.resize(size_t(place(kBandRows, 0)));
+    if (layout.lead) anchors_.resize(starts_.size());
+    if (lens.has_cells) fill_cells();
+    for (size_t v = 0; v < vectors; ++v) row_of_vector_[v] = uint8_t(v / size_t(layout.ordinals * across_));
+    for (int64_t p = 0; p < padded_; ++p) {
+      const bool real = p < patches_;
+      patch_row_[p] = real ? T(p / across_ * kRows) + T(0.5) * T(kRows) : T(1e9);
+      patch_x_[p] = patch_s_[p] = patch_half_s_[p] = T(0);
+    }
+    for (int lane = 0; lane < kLanes; ++lane) row_of_lane_[lane] = T(lane / kCellsPerPatch) + T(0.5);
+  }
+
+  int64_t bytes() const {
+    return samples_ * int64_t(sizeof(T)) * (gradient ? 8 : 5) + int64_t(sizeof(*this)) + samples_ / kLanes * 6;
+  }
+
+  // Makes this the tile of cells [cell0, cell0 + cells_per_tile) of the band that starts at row0.
+  void move_to(int64_t row0, int64_t cell0) {
+    row0_ = row0, cell0_ = cell0;
+    x0_ = std::floor(layout_.cell_x(double(cell0) + 0.5 * layout_.cells_per_tile, double(row0) + 0.5 * kBandRows));
+    std::fill(transmittance.get(), transmittance.get() + samples_, T(1));
+    std::fill(colour.get(), colour.get() + samples_, T(0));
+    std::fill(alive_.begin(), alive_.end(), uint8_t(1));
+    open = int(alive_.size());
+    for (int64_t r = 0; r < kBandRows; ++r)
+      for (int64_t c = 0; c <= layout_.cells_per_tile; ++c) {
+        start(r, c) = layout_.cell_start(lens_, row0 + r, cell0 + c);
+        if (layout_.lead)
+          anchors_[size_t(place(r, c))] = layout_.first_stripe(lens_, row0 + r, cell0 + c) - layout_.lead;
+      }
+    for (int64_t patch = 0; patch < patches_; ++patch)
+      lens_.has_cells ? place_patch<true>(patch) : place_patch<false>(patch);
+  }
+
+  // Finds the vectors that the splat may touch: list()[0 .. result), with rows(v) filled for each.
+  HWY_INLINE int64_t find(const Splat<T>& splat, const RowUnits<T>& units = {}) {
+    const D d;
+    const T u = T(double(splat.u0) - x0_), v = splat.v0 - T(row0_);
+    fill_rows(splat, u, v, units);
+
+    // Per patch: |X + t slope| <= w + what the samples at one ordinal spread, around the patch's middle row
+    const T half = T(0.5) * T(kRows - 1);
+    const T spread = layout_.half_patch_px + half * (std::abs(splat.c0 + T(layout_.shear / 3)) + std::abs(splat.c1));
+    const T left = splat.S0 - splat.S1 + splat.S2, right = splat.S0 + splat.S1 + splat.S2;
+    const V widest = hn::Set(d, std::max(left, right)), zero = hn::Zero(d);
+    const hn::RebindToSigned<D> di;
+    for (int64_t p = 0; p < padded_; p += kLanes) {
+      const V middle = hn::Sub(hn::Load(d, &patch_row_[p]), hn::Set(d, v));
+      const V nearest = hn::Max(hn::Sub(hn::Abs(middle), hn::Set(d, half)), zero);
+      const V exponent = hn::NegMulAdd(hn::Mul(hn::Set(d, splat.tau), nearest), nearest,
+                                       hn::Set(d, exponent_left(splat, T(0)) + T(1e-3)));
+      const V w = hn::Add(hn::Sqrt(hn::Max(hn::Mul(exponent, widest), zero)), hn::Set(d, spread));
+      const V M0 = hn::MulAdd(hn::Set(d, splat.c0), middle, hn::Set(d, u));
+      const V M1 = hn::MulAdd(hn::Set(d, splat.c1), middle, hn::Set(d, splat.du));
+      V slope = hn::NegMulAdd(hn::Set(d, T(layout_.s_per_ordinal)), M1, hn::Set(d, T(layout_.x_per_ordinal)));
+      const V tiny = hn::Set(d, T(1e-6));
+      slope = hn::IfThenElse(hn::Lt(hn::Abs(slope), tiny), tiny, slope);
+      const V X = hn::NegMulAdd(hn::Load(d, &patch_s_[p]), M1, hn::Sub(hn::Load(d, &patch_x_[p]), M0));
+      const V reach = hn::MulAdd(hn::Abs(M1), hn::Load(d, &patch_half_s_[p]), w);
+      const V per_slope = hn::Div(hn::Set(d, T(1)), slope);
+      const V t1 = hn::Mul(hn::Neg(hn::Add(X, reach)), per_slope), t2 = hn::Mul(hn::Sub(reach, X), per_slope);
+      const V low = hn::Ceil(hn::Max(hn::Min(t1, t2), zero));
+      const V high = hn::Floor(hn::Min(hn::Max(t1, t2), hn::Set(d, T(layout_.ordinals - 1))));
+      V count = hn::Max(hn::Sub(hn::Add(high, hn::Set(d, T(1))), low), zero);
+      count = hn::IfThenElseZero(hn::Ge(exponent, zero), count);
+      hn::Store(hn::ConvertTo(di, hn::Min(low, hn::Set(d, T(64)))), di, &low_[p]);
+      hn::Store(hn::ConvertTo(di, count), di, &count_[p]);
+    }
+    return fill_list();
+  }
+
+  const uint16_t* list() const { return list_.get(); }
+  const Rows& rows(uint16_t vector) const { return rows_[row_of_vector_[vector]]; }
+  // Calls visit(rows, begin, end) for the groups of rows, with the vectors in each that find listed.
+  template <class Visit>
+  HWY_INLINE void for_each_group(const Visit& visit) const {
+    const uint16_t* begin = list_.get();
+    for (int down = 0; down < kDown; ++down) {
+      const uint16_t* end = list_.get() + ends_[down];
+      if (begin < end) visit(rows_[down], begin, end);
+      begin = end;
+    }
+  }
+
+  // No sample of this vector takes light any more: leaves it out of later lists.
+  void retire(uint16_t vector) {
+    open -= alive_[vector];
+    alive_[vector] = 0;
+  }
+
+  // Leaves out of later lists the vectors all whose samples let less than `least` through.
+  void retire_below(T least) {
+    const D d;
+    const V limit = hn::Set(d, least);
+    for (size_t v = 0; v < alive_.size(); ++v)
+      if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit))) retire(uint16_t(v));
+  }
+
+  // A run of sub-pixels: of one cell in one row, the first at this ordinal; its neighbours belong to the tile up to
+  // before `tile_end`.
+  struct Run {
+    int64_t row, first, count, tile_end, patch, ordinal, lane;
+  };
+  // Calls visit(run) for all runs on the panel, those of a row from left to right. What visits write as bytes could be
+  // anything to the compiler, so it reads what it needs first.
+  template <class Visit>
+  HWY_INLINE void for_each_run(const Visit& visit) const {
+    const int64_t cells = layout_.cells_per_tile, width = 3 * lens_.width_px, across = across_, row0 = row0_;
+    const int64_t rows = std::min<int64_t>(kBandRows, lens_.height_px - row0);
+    const int64_t* starts = starts_.data();
+    for (int64_t r = 0; r < rows; ++r, starts += cells + 1) {
+      const int64_t tile_end = std::min(starts[cells], width);
+      const int64_t patch = r / kRows * across, lane = r % kRows * kCellsPerPatch;
+      for (int64_t c = 0; c < cells; ++c) {
+        const int64_t begin = std::max<int64_t>(starts[c], 0), end = std::min(starts[c + 1], width);
+        if (begin < end)
+          visit(Run{row0 + r, begin, end - begin, tile_end, patch + c / kCellsPerPatch, begin - anchor(r, c),
+                    lane + c % kCellsPerPatch});
+      }
+    }
+  }
+  // The sample of a run's first sub-pixel; that of the next is kLanes on.
+  int64_t sample(const Run& run) const { return (run.patch * layout_.ordinals + run.ordinal) * kLanes + run.lane; }
+  int64_t patches() const { return patches_; }
+  int ordinals() const { return layout_.ordinals; }
+
+ private:
+  // First sub-pixel of cell c of the tile in its row r.
+  int64_t& start(int64_t r, int64_t c) { return starts_[size_t(place(r, c))]; }
+  int64_t start(int64_t r, int64_t c) const { return starts_[size_t(place(r, c))]; }
+  // That at its ordinal 0, which may be of the cell before.
+  int64_t anchor(int64_t r, int64_t c) const { return layout_.lead ? anchors_[size_t(place(r, c))] : start(r, c); }
+  int64_t place(int64_t r, int64_t c) const { return r * (layout_.cells_per_tile + 1) + c; }
+
+  HWY_INLINE void fill_rows(const Splat<T>& splat, T u, T v, const RowUnits<T>& units) {
+    const D d;
+    const V lane_rows = hn::Load(d, row_of_lane_);
+    const V tau = hn::Set(d, splat.tau * units.power), A = hn::Set(d, (splat.log2_opacity + units.level) * units.power);
+    const V c0 = hn::Set(d, splat.c0 * units.place), c1 = hn::Set(d, splat.c1 * units.place);
+    const V u0 = hn::Set(d, u * units.place), du = hn::Set(d, splat.du * units.place);
+    for (int down = 0; down < kDown; ++down) {
+      Rows& rows = rows_[down];
+      const V dy = hn::Add(lane_rows, hn::Set(d, T(down * kRows) - v));
+      hn::Store(dy, d, rows.dy);
+      hn::Store(hn::NegMulAdd(hn::Mul(tau, dy), dy, A), d, rows.A);
+      hn::Store(hn::MulAdd(c0, dy, u0), d, rows.M0);
+      hn::Store(hn::MulAdd(c1, dy, du), d, rows.M1);
+    }
+  }
+
+  // Ranges of ordinals -> one flat list. Every patch writes as many entries as a cell has ordinals and the next patch
+  // overwrites what was too much: no branch depends on a range, which no processor could predict.
+  HWY_INLINE int64_t fill_list() {
+    const hn::FixedTag<uint16_t, 8> d16;
+    const auto eight = hn::Set(d16, uint16_t(8));
+    uint16_t* list = list_.get();
+    int64_t size = 0;
+    for (int64_t p = 0, down = 0; down < kDown; ++down) {
+      for (const int64_t end = p + across_; p < end; ++p) {
+        auto entries = hn::Iota(d16, uint16_t(p * layout_.ordinals + low_[p]));
+        for (int k = 0; k < layout_.ordinals; k += 8, entries = hn::Add(entries, eight))
+          hn::StoreU(entries, d16, list + size + k);
+        size += count_[p];
+      }
+      ends_[down] = size;
+    }
+    // Samples that take no light do no harm: a few are quicker blended than looked for
+    if (HWY_LIKELY(8 * open > 7 * int(alive_.size()))) return size;
+    int64_t kept = 0;
+    for (int64_t k = 0, down = 0; down < kDown; ++down) {
+      for (const int64_t end = ends_[down]; k < end; ++k) {
+        const uint16_t vector = list[k];
+        list[kept] = vector;
+        kept += alive_[vector];
+      }
+      ends_[down] = kept;
+    }
+    return kept;
+  }
+
+  // Positions, offsets and channels of a patch's samples.
+  template <bool kCells>
+  void place_patch(int64_t patch) {
+    const D d;
+    const hn::RebindToSigned<D> di;
+    const int64_t down = patch / across_, across = patch % across_;
+
+    // A lane is a cell in a row: which of its ordinals are sub-pixels of the panel, and where it starts
+    alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
+    alignas(64) T columns[kLanes];
+    alignas(64) uint64_t phases[kLanes];
+    [[maybe_unused]] const CellRow* cells[kLanes] = {};
+    constexpr uint64_t kAbove = uint64_t(3) << 32;  // no cell begins so far left of the panel: divided without a sign
+    const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const int64_t r = down * kRows + lane / kCellsPerPatch, c = across * kCellsPerPatch + lane % kCellsPerPatch;
+      const int64_t row = row0_ + r, first = anchor(r, c), all = row < lens_.height_px ? width : 0;
+      const uint64_t above = uint64_t(first) + kAbove, pixel = above / 3;
+      outside[lane] = TI(std::max<int64_t>(start(r, c), 0) - first - 1);
+      ends[lane] = TI(std::min(start(r, c + 1), all) - first);
+      places[lane] = TI(above - 3 * pixel), columns[lane] = T(int32_t(int64_t(pixel) - left)) + T(0.5);
+      phases[lane] = lens_.phase_at(row, first);
+      if constexpr (kCells) {
+        const int64_t within = int64_t(above % kRowPeriod);
+        cells[lane] = &cells_[size_t(row % kCellPeriod * (kRowPeriod + layout_.ordinals) + within)];
+        phases[lane] -= lens_.phase_x * uint64_t(within);
+      }
+    }
+
+    V column = hn::Load(d, columns), s_low = hn::Set(d, T(2)), s_high = hn::Set(d, T(-2));
+    auto place = hn::Load(di, places);
+    const auto before = hn::Load(di, outside), end = hn::Load(di, ends), two = hn::Set(di, TI(2));
+    for (int t = 0; t < layout_.ordinals; ++t) {
+      const int64_t i = (patch * layout_.ordinals + t) * kLanes;
+      const auto ordinal = hn::Set(di, TI(t));
+      const auto shown = hn::RebindMask(d, hn::And(hn::Gt(ordinal, before), hn::Lt(ordinal, end)));
+      alignas(64) uint64_t in_cells[kLanes];
+      alignas(64) TI channels[kLanes];
+      if constexpr (kCells)
+        for (int lane = 0; lane < kLanes; ++lane)
+          in_cells[lane] = phases[lane] + cells[lane][t].phase, channels[lane] = TI(cells[lane][t].channel);
+      const V offset = next_offsets(kCells ? in_cells : phases);
+      s_low = hn::Min(s_low, hn::IfThenElse(shown, offset, s_low));
+      s_high = hn::Max(s_high, hn::IfThenElse(shown, offset, s_high));
+
+      // Lanes without a sub-pixel of the panel stand where no splat reaches
+      hn::Store(hn::IfThenElse(shown, column, hn::Set(d, T(1e9))), d, &x[i]);
+      hn::Store(offset, d, &s[i]);
+      hn::Store(kCells ? hn::Load(di, channels) : lens_.bgr ? hn::Sub(two, place) : place, di, &channel[i]);
+      const auto last = hn::Eq(place, two);
+      place = hn::IfThenZeroElse(last, hn::Add(place, hn::Set(di, TI(1))));
+      column = hn::Add(column, hn::IfThenElseZero(hn::RebindMask(d, last), hn::Set(d, T(1))));
+    }
+    const double cell = double(cell0_ + across * kCellsPerPatch) + 0.5 * (kCellsPerPatch - 1);
+    patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + down * kRows) + 0.5 * (kRows - 1)) - x0_);
+    const T low = hn::GetLane(hn::MinOfLanes(d, s_low)), high = hn::GetLane(hn::MaxOfLanes(d, s_high));
+    patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (low + high);
+    patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
+  }
+
+  // Sub-pixels of a row, from the first of a period on, by their number: what their phase has beyond that of number 0.
+  struct CellRow {
+    uint64_t phase;
+    int64_t channel;
+  };
+  void fill_cells() {
+    for (int row = 0; row < kCellPeriod; ++row)
+      for (int m = 0; m < kRowPeriod + layout_.ordinals; ++m)
+        cells_.push_back({lens_.phase_x * uint64_t(m) + lens_.cells.phases[row][m % kRowPeriod],
+                          lens_.cells.channels[row][m % kRowPeriod]});
+  }
+
+  // Offsets of the samples at these phases, which go on to the next sub-pixel. Exact but for the last rounding.
+  HWY_INLINE V next_offsets(uint64_t* HWY_RESTRICT phases) const {
+    const D d;
+    if constexpr (kLanes == 1) {
+      const uint64_t phase = *phases;
+      *phases += lens_.phase_x;
+      return hn::Set(d, T(layout_.s_start + layout_.s_step * camera_coordinate(lens_, phase)));
+    } else {
+      // camera_coordinate in halves of a vector, as integers: the view, or x as a fraction of 2^31
+      const hn::RebindToSigned<D> di;
+      const hn::RepartitionToWide<hn::RebindToUnsigned<D>> d64;
+      const hn::RebindToUnsigned<D> d32;
+      const auto views = hn::BitCast(d32, hn::Set(d64, uint64_t(lens_.views)));
+      auto next = [&](uint64_t* at) {
+        const auto phase = hn::Load(d64, at), high = hn::ShiftRight<32>(phase);
+        hn::Store(hn::Add(phase, hn::Set(d64, lens_.phase_x)), d64, at);
+        if (lens_.continuous) return hn::BitCast(d32, hn::ShiftRight<1>(high));
+        const auto carry = hn::ShiftRight<32>(hn::MulEven(hn::BitCast(d32, phase), views));
+        return hn::BitCast(d32, hn::ShiftRight<32>(hn::Add(hn::MulEven(hn::BitCast(d32, high), views), carry)));
+      };
+      const auto low = next(phases), integers = hn::ConcatEven(d32, next(phases + kLanes / 2), low);
+      const double unit = lens_.continuous ? double(lens_.views) / 2147483648.0 : 1, half = lens_.continuous ? 0 : 0.5;
+      return hn::MulAdd(hn::ConvertTo(d, hn::BitCast(di, integers)), hn::Set(d, T(layout_.s_step * unit)),
+                        hn::Set(d, T(layout_.s_start + layout_.s_step * half)));
+    }
+  }
+
+  const Lens& lens_;
+  const LensLayout& layout_;
+  int64_t across_, patches_, samples_, padded_;
+  int64_t row0_ = 0, cell0_ = 0;
+  double x0_ = 0;  // tile origin, pixels
+  alignas(64) T row_of_lane_[kLanes];
+  Rows rows_[kDown];
+  // Per patch: its middle row; centre and half spread of its samples at ordinal 0, in pixels and offset
+  hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_x_, patch_s_, patch_half_s_;
+  hwy::AlignedFreeUniquePtr<TI[]> low_, count_;  // range of ordinals per patch
+  hwy::AlignedFreeUniquePtr<uint16_t[]> list_;   // of vectors
+  int64_t ends_[kDown] = {};                     // in the list, of the groups of rows
+  std::vector<uint8_t> alive_, row_of_vector_;
+  std::vector<int64_t> starts_, anchors_;
+  std::vector<CellRow> cells_;  // [kCellPeriod][kRowPeriod + ordinals]
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lfgs
+HWY_AFTER_NAMESPACE();
+
+#endif  // LFGS_CPU_LENS_TILE_INL_H_

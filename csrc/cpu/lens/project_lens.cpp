@@ -1,0 +1,113 @@
+// Stage project for the panel, and its reverse.
+#include <algorithm>
+#include <vector>
+
+#include "base/parallel.h"
+#include "cpu/gaussian_io.h"
+#include "math/colour_polynomial.h"
+#include "math/harmonics.h"
+#include "stages/stages.h"
+
+namespace lfgs {
+
+using glm::dvec3;
+
+template <class T>
+double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
+                    const Quality& quality, double tolerance, const Splats<T>& out, int threads) {
+  const int64_t n = gaussians.count;
+  const int order = out.colour_order, nodes = order + 1;
+  const ColourBasis basis(order);
+  const double least_light = quality.least_light(lens.width_px, lens.height_px, n);
+  std::vector<double> worst(std::max(threads, 1), 0.0);
+  parallel_for_chunks(n, kGrain, threads, [&](int64_t begin, int64_t end, int worker) {
+    std::vector<dvec3> chebyshev(nodes);
+    for (int64_t i = begin; i < end; ++i) {
+      const Shape<double> shape = shape_of(gaussians, i);
+      Compensation<double> compensation{};
+      Splat<double> splat = projected(rig, shape, compensation);
+      const bool pruned = least_light > 0 && light_of(splat) < least_light;
+      if (quality.log2_cut > kLog2MinAlpha && !(quality.lattice > 0))
+        raise_cut(splat, quality.log2_cut, quality.rough());
+      cull_outside(splat, lens.width_px, lens.height_px);
+      if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
+      out.splats[i] = splat_cast<T>(splat);
+      out.orders[i] = 0;
+      if (out.compensations) out.compensations[i] = {T(compensation.D0), T(compensation.D1), T(compensation.D2)};
+      if (splat.reach_y < 0) continue;
+
+      // Values at the nodes -> Chebyshev coefficients
+      const T* sh = gaussians.sh + 3 * gaussians.sh_count() * i;
+      auto value = [&](double s) { return sh_colour<double>(gaussians.sh_degree, sh, shape.mean, rig.eye_at(s)); };
+      chebyshev_of_values(basis, nodes, value, chebyshev.data());
+      auto size = [&](int k) {
+        return std::max({std::abs(chebyshev[k].x), std::abs(chebyshev[k].y), std::abs(chebyshev[k].z)});
+      };
+      if (order >= 2) worst[worker] = std::max(worst[worker], size(order) + size(order - 1));
+
+      // Drop the orders this splat does not need. In double nothing is dropped: that is the exact twin.
+      int kept = order;
+      if (sizeof(T) == 4)
+        for (double dropped = 0; kept > 0 && (dropped += size(kept)) <= tolerance;) --kept;
+      out.orders[i] = kept;
+      T* colours = out.colours + i * nodes * kColourStride;
+      for (int p = 0; p <= kept; ++p) {
+        const dvec3 power = power_of_chebyshev(basis, nodes, p, kept, p, kept + 1, chebyshev.data());
+        for (int c = 0; c < 3; ++c) colours[p * kColourStride + c] = T(kept ? power[c] : std::max(0.0, power[c]));
+      }
+    }
+  });
+  return *std::max_element(worst.begin(), worst.end());
+}
+
+template <class T>
+void project_lens_backward(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
+                           const Splats<T>& splats, const int64_t* first_pair, const T* pair_gradients,
+                           const Gaussians<T>& out, int threads) {
+  const int order = splats.colour_order, nodes = order + 1, size = pair_gradient_size(order, rig.antialiased);
+  const ColourBasis basis(order);
+  parallel_for_chunks(gaussians.count, kGrain, threads, [&](int64_t begin, int64_t end, int) {
+    std::vector<double> sum(size);
+    const PairGradient<double> g_pair{sum.data(), order};
+    std::vector<dvec3> g_chebyshev(nodes);
+    ViewAdjoint<double> unused;
+    for (int64_t i = begin; i < end; ++i) {
+      const Splat<T>& splat = splats.splats[i];
+      if (splat.reach_y < 0) continue;
+      sum_pairs(splat, lens.height_px, first_pair[i], size, pair_gradients, sum.data());
+      const Shape<double> shape = shape_of(gaussians, i);
+      Shape<double> g{dvec3(0), glm::dvec4(0), dvec3(0), 0};
+      const Projection<double> projection(rig, shape);
+      const Splat<double> g_splat = g_pair.splat();
+      if (rig.antialiased) {
+        Splat<double> again = projection.splat(rig, shape.opacity);
+        Compensation<double> sharp;
+        const double most = projection.compensate(again, sharp);
+        const Compensation<double>& g_sharp = g_pair.compensation();
+        projection.adjoint<true>(rig, shape, g_splat, g, unused,
+                                 {g_sharp.D0 / most, g_sharp.D1 / most, g_sharp.D2 / most});
+      } else {
+        projection.adjoint(rig, shape, g_splat, g, unused);
+      }
+
+      const T* colours = splats.colours + i * nodes * kColourStride;
+      const int64_t first = 3 * gaussians.sh_count() * i;
+      auto to_harmonics = [&](double s, const dvec3& g_value) {
+        g.mean += sh_colour_adjoint(gaussians.sh_degree, gaussians.sh + first, shape.mean, rig.eye_at(s), g_value,
+                                    out.sh + first);
+      };
+      colour_fit_adjoint(basis, nodes, splats.orders[i], g_pair.colours(), colours, g_chebyshev.data(), to_harmonics);
+      add_gradient(shape, g, out, i);
+    }
+  });
+}
+
+#define LFGS_INSTANTIATE(T)                                                                                          \
+  template double project_lens(const Gaussians<const T>&, const View<double>&, const Lens&, const Quality&, double,  \
+                               const Splats<T>&, int);                                                               \
+  template void project_lens_backward(const Gaussians<const T>&, const View<double>&, const Lens&, const Splats<T>&, \
+                                      const int64_t*, const T*, const Gaussians<T>&, int);
+LFGS_INSTANTIATE(float)
+LFGS_INSTANTIATE(double)
+
+}  // namespace lfgs

@@ -1,0 +1,66 @@
+// Reading one Gaussian and writing its gradient, reading and writing one splat, on the device.
+#pragma once
+
+#include <cstdint>
+
+#include "math/harmonics.h"
+#include "math/projection.h"
+#include "math/saturate.h"
+#include "scene/gaussians.h"
+
+namespace lfgs::cuda {
+
+__device__ inline Shape<float> shape_of(const Gaussians<const float>& g, int64_t i) {
+  const float *m = g.means + 3 * i, *q = g.quaternions + 4 * i, *s = g.scales + 3 * i;
+  return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, g.opacities[i]};
+}
+
+// All harmonics of one Gaussian; those beyond its degree are zero. 16 bytes at a time where they are aligned so: lanes
+// read places far apart, and each load costs a cache line a lane.
+__device__ inline void read_harmonics(const Gaussians<const float>& g, int64_t i, float (&sh)[3 * kMaxShCount]) {
+  const int numbers = 3 * g.sh_count();
+  const float* from = g.sh + numbers * i;
+  if (numbers % 4 == 0 && reinterpret_cast<uintptr_t>(g.sh) % sizeof(float4) == 0) {
+#pragma unroll
+    for (int k = 0; k < 3 * kMaxShCount; k += 4) {
+      const float4 v = k < numbers ? __ldg(reinterpret_cast<const float4*>(from + k)) : make_float4(0, 0, 0, 0);
+      sh[k] = v.x, sh[k + 1] = v.y, sh[k + 2] = v.z, sh[k + 3] = v.w;
+    }
+  } else {
+#pragma unroll
+    for (int k = 0; k < 3 * kMaxShCount; ++k) sh[k] = k < numbers ? from[k] : 0;
+  }
+}
+
+// Writes the gradient of one Gaussian, but for its harmonics; g.quaternion is that of the unit quaternion.
+template <class R>
+__device__ void store_gradient(const Shape<float>& shape, const Shape<R>& g, const Gaussians<float>& out, int64_t i) {
+  const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);
+  for (int c = 0; c < 3; ++c)
+    out.means[3 * i + c] = saturated<float>(g.mean[c]), out.scales[3 * i + c] = saturated<float>(g.scale[c]);
+  for (int c = 0; c < 4; ++c) out.quaternions[4 * i + c] = saturated<float>(g_quaternion[c]);
+  out.opacities[i] = saturated<float>(g.opacity);
+}
+
+// A splat is three vectors of 16 bytes in memory.
+static_assert(sizeof(Splat<float>) == 3 * sizeof(float4));
+
+__device__ inline Splat<float> read_splat(const Splat<float>* from) {
+  union {
+    float4 vectors[3];
+    Splat<float> splat;
+  } u;
+  for (int k = 0; k < 3; ++k) u.vectors[k] = __ldg(reinterpret_cast<const float4*>(from) + k);
+  return u.splat;
+}
+
+__device__ inline void write_splat(const Splat<float>& splat, Splat<float>* to) {
+  union {
+    float4 vectors[3];
+    Splat<float> splat;
+  } u;
+  u.splat = splat;
+  for (int k = 0; k < 3; ++k) reinterpret_cast<float4*>(to)[k] = u.vectors[k];
+}
+
+}  // namespace lfgs::cuda

@@ -1,0 +1,283 @@
+// Stage composite for ordinary images on the device, and its reverse: a block per tile of 16 x 16 pixels, a warp per
+// patch of 8 x 4 of them, a thread per pixel, splats nearest first in both directions. A warp passes over the splats
+// that cannot touch its patch.
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/gaussian_io.cuh"
+#include "cuda/stages/stages.h"
+#include "math/footprint.h"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kSide = 16, kThreads = kSide * kSide, kWarps = kThreads / 32;
+constexpr int kPatchWidth = 8, kPatchHeight = 4, kPatchesAcross = kSide / kPatchWidth;
+constexpr unsigned kAll = ~0u;  // lanes
+static_assert(kDenseTile.width_px == kSide && kDenseTile.height_px == kSide && kPatchWidth * kPatchHeight == 32);
+
+// A splat as the pixels of a tile read it.
+struct Staged {
+  float4 place;      // u0, v0 from the tile's corner, c0, tau
+  float4 colour;     // r, g, b, depth
+  float2 size;       // log2 opacity, 1 / S
+  uint32_t patches;  // bit w: may touch the patch of warp w
+
+  // log2 of opacity * weight at a pixel.
+  __device__ float power(float x, float y) const {
+    const float dy = y - place.y, dx = x - place.x - place.z * dy;
+    return size.x - place.w * dy * dy - dx * dx * size.y;
+  }
+};
+
+// The tile of this block, the patch of this warp and the pixel of this thread.
+struct Pixel {
+  int warp, lane;
+  int64_t image, x0, y0, index;
+  float x, y;  // centre, from the tile's corner
+  bool inside;
+
+  __device__ explicit Pixel(const Image& all) : warp(threadIdx.x / 32), lane(threadIdx.x % 32) {
+    const int64_t tiles = tile_count(all.tile, all.width_px, all.height_px), place = blockIdx.x % tiles;
+    const int64_t across = (all.width_px + kSide - 1) / kSide;
+    const int column = warp % kPatchesAcross * kPatchWidth + lane % kPatchWidth;
+    const int row = warp / kPatchesAcross * kPatchHeight + lane / kPatchWidth;
+    image = blockIdx.x / tiles, x0 = place % across * kSide, y0 = place / across * kSide;
+    x = column + 0.5f, y = row + 0.5f;
+    inside = x0 + column < all.width_px && y0 + row < all.height_px;
+    index = (image * all.height_px + y0 + row) * all.width_px + x0 + column;
+  }
+};
+
+// The patches of a tile that a splat may touch, its centre from the tile's corner; bits in the order of the warps.
+__device__ uint32_t patches_of(const Splat<float>& s) {
+  uint32_t patches = 0;
+#pragma unroll
+  for (int down = 0; down < kSide / kPatchHeight; ++down) {
+    const float top = down * kPatchHeight + 0.5f;
+    float low, high;
+    if (!columns_of(s, top, top + (kPatchHeight - 1), 0.f, low, high)) continue;
+#pragma unroll
+    for (int across = 0; across < kPatchesAcross; ++across) {
+      const float left = across * kPatchWidth + 0.5f;
+      if (high >= left && low <= left + (kPatchWidth - 1)) patches |= 1u << (down * kPatchesAcross + across);
+    }
+  }
+  return patches;
+}
+
+__device__ Staged stage(const Splats<float>& splats, uint32_t id, const Pixel& pixel) {
+  Splat<float> s = read_splat(splats.splats + id);
+  const float4 c = __ldg(reinterpret_cast<const float4*>(splats.colours) + id);
+  s.u0 -= float(pixel.x0), s.v0 -= float(pixel.y0);
+  return {make_float4(s.u0, s.v0, s.c0, s.tau), make_float4(c.x, c.y, c.z, s.depth),
+          make_float2(s.log2_opacity, 1 / s.S0), patches_of(s)};
+}
+
+// Which of 32 candidates, from `first` on, may touch the patch of this warp. The first is the highest bit: it is found
+// in one step.
+__device__ unsigned candidates(const Staged* staged, int first, int count, const Pixel& pixel) {
+  const int own = first + 31 - pixel.lane;
+  return __ballot_sync(kAll, own < count && staged[own].patches >> pixel.warp & 1);
+}
+
+// Takes the first one out of such a set; returns its number.
+__device__ int take_first(unsigned& set) {
+  const int first = __clz(int(set));
+  set ^= 0x80000000u >> first;
+  return first;
+}
+
+__global__ void __launch_bounds__(kThreads)
+    composite_dense_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs,
+                           const float* background, DenseImages<float> out) {
+  __shared__ Staged staged[kThreads];
+  const Pixel pixel(image);
+  float transmittance = pixel.inside ? 1.f : 0.f, rest = 0, r = 0, g = 0, b = 0, depth = 0;
+
+  const int64_t end = ranges[2 * int64_t(blockIdx.x) + 1];
+  for (int64_t begin = ranges[2 * int64_t(blockIdx.x)]; begin < end; begin += kThreads) {
+    if (__syncthreads_and(transmittance == 0)) break;
+    const int count = int(min(int64_t(kThreads), end - begin));
+    if (int(threadIdx.x) < count) staged[threadIdx.x] = stage(splats, splat_of(pairs, begin + threadIdx.x), pixel);
+    __syncthreads();
+
+    // 32 candidates at a time: each lane looks at one, then all evaluate those that may touch the patch
+    for (int first = 0; first < count && __any_sync(kAll, transmittance > 0); first += 32) {
+      for (unsigned todo = candidates(staged, first, count, pixel); todo;) {
+        const Staged& s = staged[first + take_first(todo)];
+        float weight;
+        over(alpha_of(s.power(pixel.x, pixel.y)), transmittance, rest, weight);
+        r += weight * s.colour.x, g += weight * s.colour.y, b += weight * s.colour.z, depth += weight * s.colour.w;
+      }
+    }
+  }
+  if (!pixel.inside) return;
+  const float left = remaining(transmittance, rest);
+  const float* behind = background + 3 * pixel.image;
+  out.image[3 * pixel.index] = r + left * behind[0];
+  out.image[3 * pixel.index + 1] = g + left * behind[1];
+  out.image[3 * pixel.index + 2] = b + left * behind[2];
+  out.alpha[pixel.index] = 1 - left;
+  out.depth[pixel.index] = depth;
+}
+
+// --- The reverse. Each warp has its pixels find what they do to kHits splats (a hit: a splat that may touch the
+// patch), and then its lanes sum that over the pixels: no lane waits for another within either half.
+
+constexpr int kBatch = 64;  // splats staged at a time
+constexpr int kHits = 8;
+static_assert(kHits * kPatchHeight == 32);
+
+// A sample on its way back; behind: what its own gradients and its image say of all that is behind the splat at hand.
+struct Sample {
+  float4 gradient;  // of r, g, b, depth
+  float transmittance, behind;
+
+  // The gradient of the exponent at this sample, over ln 2 (x), and the weight of the splat there (y); see
+  // over_adjoint() for the formula. Moves the sample behind the splat.
+  __device__ float2 pass(const Staged& s, float x, float y) {
+    const float power = s.power(x, y), before = transmittance;
+    float alpha = alpha_of(power);
+    const float weight = over_again(alpha, transmittance);
+    const float v =
+        gradient.x * s.colour.x + gradient.y * s.colour.y + gradient.z * s.colour.z + gradient.w * s.colour.w;
+    behind -= weight * v;
+    const float g_alpha = over_adjoint<true>(alpha, before, v, behind);
+    return make_float2(power < float(kLog2MaxAlpha) ? g_alpha * alpha : 0.f, weight);
+  }
+};
+
+__device__ Sample sample_at(const Pixel& pixel, DenseImages<const float> images, DenseImages<const float> gradients,
+                            float& rest) {
+  rest = 0;
+  if (!pixel.inside) return {make_float4(0, 0, 0, 0), 0, 0};
+  const float *rgb = images.image + 3 * pixel.index, *g_rgb = gradients.image + 3 * pixel.index;
+  const float4 g = make_float4(g_rgb[0], g_rgb[1], g_rgb[2], gradients.depth[pixel.index]);
+  rest = 1 - images.alpha[pixel.index];
+  const float all = g.x * rgb[0] + g.y * rgb[1] + g.z * rgb[2] + g.w * images.depth[pixel.index] -
+                    gradients.alpha[pixel.index] * rest;
+  return {g, 1, all};
+}
+
+// Sums over a patch for one splat, a lane for each row of it: effects and gradients are those of the row's pixels, its
+// middle at (x, y). Rows are joined over the lanes kHits apart.
+__device__ void sum_over_patch(const Staged& s, const float2* effects, const float4* gradients, float x, float y,
+                               float (&sums)[kDenseSums]) {
+  float moments[3] = {}, depth = 0, colour[3] = {};  // moments: of the distance from the middle
+#pragma unroll
+  for (int i = 0; i < kPatchWidth; ++i) {
+    const float2 effect = effects[i];
+    const float4 gradient = gradients[i];
+    const float across = i - 0.5f * (kPatchWidth - 1);
+    moments[0] += effect.x, moments[1] += across * effect.x, moments[2] += across * across * effect.x;
+    depth += effect.y * gradient.w, colour[0] += effect.y * gradient.x;
+    colour[1] += effect.y * gradient.y, colour[2] += effect.y * gradient.z;
+  }
+  for (float& moment : moments) moment *= float(kLn2);
+  const float dy = y - s.place.y, dx = x - s.place.x - s.place.z * dy, g = moments[0];
+  const float gx = -2 * s.size.y * (moments[1] + dx * g);
+  sums[kPowerSum] = g, sums[kPowerDySum] = g * dy, sums[kPowerDy2Sum] = g * dy * dy;
+  sums[kXSum] = gx, sums[kXDySum] = gx * dy;
+  sums[kSSum] = s.size.y * s.size.y * (moments[2] + dx * (2 * moments[1] + dx * g));
+  sums[kDepthSum] = depth;
+  for (int c = 0; c < 3; ++c) sums[kColourSum + c] = colour[c];
+#pragma unroll
+  for (int f = 0; f < kDenseSums; ++f)
+    for (int step = kHits; step < 32; step *= 2) sums[f] += __shfl_xor_sync(kAll, sums[f], step);
+}
+
+// Sums of the background's gradient over the tile.
+__device__ void background_backward(const Pixel& pixel, const Sample& sample, float rest, float (&partial)[kWarps][3],
+                                    float* tile_background) {
+  const float behind[3] = {warp_sum(sample.gradient.x * rest), warp_sum(sample.gradient.y * rest),
+                           warp_sum(sample.gradient.z * rest)};
+  if (pixel.lane == 0)
+    for (int c = 0; c < 3; ++c) partial[pixel.warp][c] = behind[c];
+  __syncthreads();
+  if (threadIdx.x >= 3) return;
+  float sum = 0;
+  for (int w = 0; w < kWarps; ++w) sum += partial[w][threadIdx.x];
+  tile_background[3 * int64_t(blockIdx.x) + threadIdx.x] = sum;
+}
+
+// Sums over a tile: within each warp, then over the warps that were hit, always in the same order.
+__global__ void __launch_bounds__(kThreads, 4)
+    composite_dense_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs,
+                                    DenseImages<const float> images, DenseImages<const float> gradients,
+                                    float* slot_gradients, float* tile_background) {
+  __shared__ Staged staged[kBatch];
+  __shared__ uint32_t slots[kBatch], summed[kBatch];  // summed: bit w: warp w has sums of this splat
+  __shared__ float2 effects[kWarps][kHits][32 + 1];   // odd rows: no two lanes of a half meet in a bank
+  __shared__ float4 pixel_gradients[kWarps][32];
+  __shared__ float partial[kWarps][kBatch][kDenseSums], partial_background[kWarps][3];
+  const Pixel pixel(image);
+  float rest;
+  Sample sample = sample_at(pixel, images, gradients, rest);
+  pixel_gradients[pixel.warp][pixel.lane] = sample.gradient;
+  background_backward(pixel, sample, rest, partial_background, tile_background);
+
+  // Of the sums: hit and row of this lane, and the middle of the row
+  const int hit = pixel.lane % kHits, row = pixel.lane / kHits;
+  const float row_x = (pixel.warp % kPatchesAcross + 0.5f) * kPatchWidth;
+  const float row_y = pixel.warp / kPatchesAcross * kPatchHeight + row + 0.5f;
+
+  const int64_t end = ranges[2 * int64_t(blockIdx.x) + 1];
+  for (int64_t begin = ranges[2 * int64_t(blockIdx.x)]; begin < end; begin += kBatch) {
+    __syncthreads();
+    const int count = int(min(int64_t(kBatch), end - begin));
+    if (int(threadIdx.x) < count) {
+      slots[threadIdx.x] = pairs.sorted_slots[begin + threadIdx.x], summed[threadIdx.x] = 0;
+      staged[threadIdx.x] = stage(splats, splat_of(pairs, begin + threadIdx.x), pixel);
+    }
+    __syncthreads();
+    for (int first = 0; first < count && __any_sync(kAll, sample.transmittance > 0); first += 32) {
+      unsigned todo = candidates(staged, first, count, pixel);
+      if (todo << pixel.lane >> 31) atomicOr(&summed[first + pixel.lane], 1u << pixel.warp);
+      while (todo) {
+        int filled = 0, splat = first;  // splat: of the hit that this lane sums
+        do {
+          const int k = first + take_first(todo);
+          effects[pixel.warp][filled][pixel.lane] = sample.pass(staged[k], pixel.x, pixel.y);
+          splat = hit == filled ? k : splat;
+        } while (++filled < kHits && todo);
+        __syncwarp();
+        float sums[kDenseSums];
+        sum_over_patch(staged[splat], &effects[pixel.warp][hit][row * kPatchWidth],
+                       &pixel_gradients[pixel.warp][row * kPatchWidth], row_x, row_y, sums);
+        if (row == 0 && hit < filled)
+          for (int f = 0; f < kDenseSums; ++f) partial[pixel.warp][splat][f] = sums[f];
+        __syncwarp();
+      }
+    }
+    __syncthreads();
+    for (int i = threadIdx.x; i < count * kDenseSums; i += kThreads) {
+      const int k = i / kDenseSums, f = i % kDenseSums;
+      float sum = 0;
+      for (uint32_t warps = summed[k]; warps; warps &= warps - 1) sum += partial[__ffs(int(warps)) - 1][k][f];
+      slot_gradients[int64_t(slots[k]) * kDenseSums + f] = sum;
+    }
+  }
+}
+
+}  // namespace
+
+void composite_dense(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                     const float* background, DenseImages<float> out, Stream stream) {
+  const int64_t tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
+  if (tiles == 0) return;
+  composite_dense_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs,
+                                                                                 background, out);
+  check_launch("composite_dense");
+}
+
+void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
+                              const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
+                              float* slot_gradients, float* tile_background, Stream stream) {
+  const int64_t tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
+  if (tiles == 0) return;
+  composite_dense_backward_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(
+      splats, image, ranges, pairs, images, gradients, slot_gradients, tile_background);
+  check_launch("composite_dense_backward");
+}
+
+}  // namespace lfgs::cuda

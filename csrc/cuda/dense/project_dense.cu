@@ -1,0 +1,67 @@
+// Stage project for ordinary images on the device: a thread per (image, Gaussian). Arithmetic is float; double, of
+// anti-aliased scenes.
+#include "cuda/common/check.h"
+#include "cuda/common/compensated.cuh"
+#include "cuda/common/gaussian_io.cuh"
+#include "cuda/stages/stages.h"
+#include "math/footprint.h"
+#include "math/harmonics.h"
+
+namespace lfgs::cuda {
+namespace {
+
+using glm::vec3;
+constexpr int kThreads = 128;
+
+template <bool kAntialiased>
+__device__ Splat<float> splat_of(const Cameras<float>& cameras, int64_t image, const View<float>& view,
+                                 const Shape<float>& shape) {
+  if constexpr (kAntialiased) {
+    Compensation<float> of_one_camera;  // is in the opacity
+    return compensated_splat(cameras.view<double>(image), shape, of_one_camera);
+  } else {
+    return Projection<float>(view, shape).splat(view, shape.opacity);
+  }
+}
+
+// Culls and stores one splat and its sort key; returns whether it is drawn.
+__device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, int64_t image, int64_t index,
+                            const Splats<float>& out, uint64_t* keys) {
+  cull_outside(splat, cameras.width_px, cameras.height_px);
+  write_splat(splat, out.splats + index);
+  const bool drawn = splat.reach_y >= 0;
+  keys[index] = drawn ? uint64_t(image) << kDepthBits | __float_as_uint(splat.depth) : ~uint64_t(0);
+  return drawn;
+}
+
+template <bool kAntialiased>
+__global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> out,
+                                     uint64_t* keys) {
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, image = blockIdx.y, n = gaussians.count;
+  if (i >= n) return;
+  const Gaussians<const float> scene = gaussians.slice(image / cameras.per_scene * n);
+  const View<float> view = cameras.view<float>(image);
+  const Shape<float> shape = shape_of(scene, i);
+  const int64_t index = image * n + i;
+  vec3 colour(0);
+  if (store_splat(splat_of<kAntialiased>(cameras, image, view, shape), cameras, image, index, out, keys))
+    colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
+  reinterpret_cast<float4*>(out.colours)[index] =
+      make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
+}
+
+}  // namespace
+
+void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
+                   uint64_t* keys, Stream stream) {
+  if (gaussians.count == 0 || cameras.images() == 0) return;
+  require(cameras.images() <= kMostImages, std::to_string(cameras.images()) +
+                                               " images, and at most 65,535 are drawn "
+                                               "at a time on CUDA: render fewer scenes or cameras in a call");
+  const dim3 blocks(unsigned(blocks_for(gaussians.count, kThreads)), unsigned(cameras.images()));
+  const auto kernel = cameras.antialiased ? project_dense_kernel<true> : project_dense_kernel<false>;
+  kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, out, keys);
+  check_launch("project_dense");
+}
+
+}  // namespace lfgs::cuda

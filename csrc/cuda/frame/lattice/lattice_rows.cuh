@@ -1,0 +1,154 @@
+// How a block of composite_lattice interpolates a tile of pixels: it brings the nodes to the rows of pixels first, of
+// which a row of nodes has many. That leaves x and the view to each sub-pixel, and of these a thread has four side by
+// side, in halves. (A row of a tile of lenses has more nodes for fewer sub-pixels: see lattice_interpolate.cuh.)
+#pragma once
+
+#include "cuda/frame/lattice/lattice_tile.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kWords = 3 * kPixelTileWidth / 4;  // of four sub-pixels, in a row
+// Threads have the same places in every so many rows; kColumns of them.
+constexpr int kColumns = 3, kRowsOn = kColumns * kThreads / kWords;
+static_assert(kRowsOn * kWords == kColumns * kThreads);
+
+// Rows of pixels of a tile, from `top` on: what is between nodes of each channel, and each plane but the last.
+struct NodeRows {
+  const Nodes& nodes;
+  const Lattice& lattice;
+  Between* between;
+  int of_channel, of_row, top = 0;
+
+  __device__ NodeRows(const Nodes& nodes_, const Lattice& lattice_, Memory& memory)
+      : nodes(nodes_),
+        lattice(lattice_),
+        between(memory.interpolated.between),
+        of_channel((lattice.planes - 1) * lattice.across),
+        of_row(3 * of_channel) {}
+
+  // How many are laid at a time.
+  __device__ int fitting(int rows) const {
+    const int fit = min(quotient(kMostBetween, of_row), rows);
+    return fit < rows && fit > kRowsOn ? fit / kRowsOn * kRowsOn : fit;
+  }
+  __device__ int first_of(int row) const { return (row - top) * of_row; }
+
+  // Lays rows from top_ to before `end`. By all threads of the block.
+  __device__ void lay(int top_, int end) {
+    top = top_;
+    const int rows_on = max(quotient(kThreads, of_row), 1), first = rows_on > 1 ? quotient(threadIdx.x, of_row) : 0;
+    if (first >= rows_on) return;
+#pragma unroll 1
+    for (int n = int(threadIdx.x) - first * of_row; n < of_row; n += kThreads) {
+      const int channel = quotient(n, of_channel), in_channel = n - channel * of_channel;
+      const int k = quotient(in_channel, lattice.across), i = in_channel - k * lattice.across;
+      const Corners* planes = nodes.corners + channel * kChannelNodes;
+      const Corners* near = planes + lattice.plane[k].first + i;
+      // Nodes beyond the next plane's are beside what is seen of this one's
+      const int on = min(max(i + int(lattice.plane[k].aside), 0), lattice.across - 1);
+      const Corners* far = planes + lattice.plane[k + 1].first + on;
+#pragma unroll 1
+      for (int r = top + first; r < end; r += rows_on) {
+        __half2 part;
+        const int row = nodes.row(float(r) + 0.5f, part) * lattice.across;
+        const Corners &a = near[row], &b = far[row];
+        between[first_of(r) + n] = Between(Nodes::mixed(a.low, a.high, part), Nodes::mixed(b.low, b.high, part));
+      }
+    }
+  }
+};
+
+// Four colours, 0..1, as bytes, without a conversion: beside 1024 a half has steps of one.
+__device__ inline unsigned bytes_of(__half2 first, __half2 second) {
+  const __half2 scale = __float2half2_rn(255.f), magic = __float2half2_rn(1024.f);
+  return __byte_perm(bits(__hfma2(first, scale, magic)), bits(__hfma2(second, scale, magic)), 0x6420);
+}
+
+// Puts four colours of a row of the image where they belong, from number `first` of the row on. Words: bytes that may
+// be stored four at a time.
+template <bool Words, class Out>
+__device__ void put_four(int width, int first, __half2 low, __half2 high, Out* row) {
+  if constexpr (Words) {
+    *reinterpret_cast<unsigned*>(row + first) = bytes_of(low, high);
+    return;
+  }
+  const float colours[4] = {__low2float(low), __high2float(low), __low2float(high), __high2float(high)};
+  for (int i = 0; i < 4; ++i)
+    if (first + i < width) row[first + i] = stored(colours[i], row);
+}
+
+// The tile's sub-pixels in rows that were laid, to before `end`, in the order of the image.
+template <bool Table, bool Words, class Out>
+__device__ void interpolate_rows(const Tile& tile, const Memory& memory, const Views<RowSeen>& views,
+                                 const NodeRows& rows, int end, Out* out) {
+  const LensOptics& lens = tile.lens;
+  const Nodes& nodes = rows.nodes;
+  const int tile_first = memory.rows[0].x, width = 3 * lens.width_px;
+#pragma unroll 1
+  for (int n = threadIdx.x; n < kColumns * kThreads; n += kThreads) {
+    const int word = n % kWords, channel = word % 3, pixel = word + word / 3, first = tile_first + 4 * word;
+    if (first >= width) continue;
+    // Of the first one's pixel and of the next, in nodes
+    const float x = float(tile_first / 3 + pixel) + 0.5f - tile.origin().x - nodes.x0;
+    const unsigned here = fixed(nodes.within(x * nodes.per_x)), next = fixed(nodes.within((x + 1) * nodes.per_x));
+    unsigned along[4], phase_on[4];  // from channel to channel; from the row's first
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      const bool inside = channel + i < 3;
+      const int c = inside ? channel + i : channel + i - 3;
+      along[i] = (inside ? here : next) + (unsigned(c * rows.of_channel) << 16);
+      phase_on[i] = views.step * unsigned(3 * (inside ? pixel : pixel + 1) + lens.places[c]);
+    }
+    int r = rows.top + n / kWords;
+    unsigned base = rows.first_of(r);
+    Out* row = out + int64_t(tile.top + r) * width;
+#pragma unroll 1
+    for (; r < end; r += kRowsOn, base += kRowsOn * rows.of_row, row += kRowsOn * width) {
+      const unsigned phase = memory.phases[r];
+      unsigned at[4];
+      __half2 pair[4];
+#pragma unroll
+      for (int i = 0; i < 4; ++i) {
+        const RowSeen seen = views.at<Table>(phase + phase_on[i]);
+        at[i] = along[i] + seen.on;
+        const Between line = rows.between[base + (at[i] >> 16)];
+        pair[i] = __hfma2(seen.part, line.change, line.first_and_step);
+      }
+      auto colours = [&](int i) {
+        const unsigned parts = __byte_perm(at[i], at[i + 1], 0x5410) >> 6 & 0x03ff03ffu;  // of the way, as 1 .. 2
+        return __hfma2_sat(as_half2(parts | 0x3c003c00u), __highs2half2(pair[i], pair[i + 1]),
+                           __lows2half2(pair[i], pair[i + 1]));
+      };
+      put_four<Words>(width, first, colours(0), colours(2), row);
+    }
+  }
+}
+
+// Interpolates the sub-pixels of a tile of pixels. By all threads of the block.
+template <class Out>
+__device__ void interpolate_pixels(const Tile& tile, Memory& memory, Out* out) {
+  const Lattice& lattice = memory.lattices[0];
+  const Nodes nodes(memory, 0);
+  NodeRows rows(nodes, lattice, memory);
+  __syncthreads();
+  Views<RowSeen> views(tile.lens, lattice);
+  views.tabulate(memory.interpolated.row_seen);
+  const int fitting = rows.fitting(tile.rows);
+  const bool words = sizeof(Out) == 1 && tile.lens.width_px % 4 == 0 && reinterpret_cast<uintptr_t>(out) % 4 == 0;
+  for (int top = 0; top < tile.rows; top += fitting) {
+    const int end = min(top + fitting, tile.rows);
+    if (top > 0) __syncthreads();
+    rows.lay(top, end);
+    __syncthreads();
+    if (views.table && words)
+      interpolate_rows<true, sizeof(Out) == 1>(tile, memory, views, rows, end, out);
+    else if (views.table)
+      interpolate_rows<true, false>(tile, memory, views, rows, end, out);
+    else
+      interpolate_rows<false, false>(tile, memory, views, rows, end, out);
+  }
+}
+
+}  // namespace
+}  // namespace lfgs::cuda

@@ -1,0 +1,121 @@
+// Stage bin of a light-field frame: for every tile (and group of ordinals) the splats that may touch it, in no order
+// yet. Pairs (tile, splat) are counted by tile, every list gets its place, and the pairs are gone through once more to
+// fill it. Which tiles those are, of pixels or of lenses, the frame has decided on the device.
+#include <algorithm>
+
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/gaussian_io.cuh"
+#include "cuda/frame/lens_frame.h"
+#include "cuda/frame/lens_optics.cuh"
+#include "cuda/frame/strip.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kThreads = 256, kMostLanes = 8;
+constexpr int64_t kCrowd = 1 << 18;  // threads that fill the device
+
+__device__ bool ordinal_chosen(const LensFrame& frame) { return frame.state->kernel == int(LensKernel::kOrdinal); }
+
+// Lanes that share a splat: groups of ordinals give it more runs of tiles, small splats have one or two.
+__device__ int lanes_of(const LensFrame& frame) {
+  int lanes = ordinal_chosen(frame) ? 4 : 1;
+  while (lanes < kMostLanes && frame.splats.count * lanes < kCrowd) lanes *= 2;
+  return lanes;
+}
+
+// Calls visit(first, last) for the runs of tiles, tile row by tile row and group by group, that a splat may touch: for
+// every `lanes`-th of them from number `lane`. Tiles of a run are as far apart as there are groups.
+template <class Visit>
+__device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int lane, int lanes, const Visit& visit) {
+  const bool by_lens = ordinal_chosen(frame);
+  const Tiling& tiling = frame.tiling();
+  const float height = float(tiling.height);
+  const int first = max(0, int(floorf((s.v0 - s.reach_y + 0.5f) / height)));
+  const int last = min(tiling.down - 1, int(floorf((s.v0 + s.reach_y - 0.5f) / height)));
+  const int groups = tiling.groups, runs = (last - first + 1) * groups;
+  for (int k = lane; k < runs; k += lanes) {
+    const int row = first + k / groups, group = k % groups;
+    float centre = 0, half = 1;
+    if (by_lens) group_offsets(frame.optics.ordinals, group, centre, half);
+    const float top = float(row) * height;
+    const Strip strip(s, top + 0.5f, top + height - 0.5f, tiling.shear);
+    if (strip.range < 0) continue;
+    const Span span = strip.at(s, centre, half);
+    const float reach = span.spread + sqrtf(span.square);
+    const float low = fmaf(tiling.scale, span.middle - reach, tiling.low) / tiling.width;
+    const float high = fmaf(tiling.scale, span.middle + reach, tiling.high) / tiling.width;
+    const int a = int(fmaxf(floorf(low), 0.f)), b = int(fminf(floorf(high), float(tiling.across - 1)));
+    if (b >= a) visit((row * tiling.across + a) * groups + group, (row * tiling.across + b) * groups + group);
+  }
+}
+
+// kCount counts pairs where the ends of lists will stand; kFill fills the lists, or where the frame has more pairs than
+// places, one list of all that is drawn. One kernel for both, so that they find the same tiles to the last bit.
+enum class Pass { kCount, kFill };
+
+__global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__ LensFrame frame, Pass pass) {
+  uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
+  const int lanes = lanes_of(frame), lane = int(threadIdx.x) % lanes, groups = frame.tiling().groups;
+  const bool fill = pass == Pass::kFill, overfull = fill && frame.overfull();
+  const int64_t step = int64_t(gridDim.x) * kThreads / lanes;
+  unsigned drawn = 0;
+  for (int64_t id = (int64_t(blockIdx.x) * kThreads + threadIdx.x) / lanes; id < frame.splats.count; id += step) {
+    const Splat<float> splat = read_splat(frame.splats.splats + id);
+    if (!(splat.reach_y >= 0)) continue;
+    drawn += lane == 0;
+    if (overfull) {
+      if (lane == 0) frame.ids[atomicAdd(&frame.state->next_splat, 1u)] = uint32_t(id);
+      continue;
+    }
+    for_each_run(splat, frame, lane, lanes, [&](int first, int last) {
+      for (int tile = first; tile <= last; tile += groups) {
+        if (fill)
+          frame.ids[atomicAdd(&ranges[tile].y, 1u)] = uint32_t(id);
+        else
+          atomicAdd(&ranges[tile].y, 1u);
+      }
+    });
+  }
+  const unsigned of_warp = fill ? 0 : sum_to_lane(drawn);
+  if (threadIdx.x % 32 == 31 && of_warp) atomicAdd(&frame.state->drawn, of_warp);
+}
+
+// Gives every list a place, empty at first; a warp's lists lie side by side, warps come as they come.
+__global__ void __launch_bounds__(kThreads) place_lists_kernel(const __grid_constant__ LensFrame frame) {
+  const int64_t list = int64_t(blockIdx.x) * kThreads + threadIdx.x;
+  const int lane = threadIdx.x % 32;
+  const bool inside = list < frame.tiling().tiles();
+  uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
+  const unsigned pairs = inside ? ranges[list].y : 0;
+  const unsigned long long to_here = sum_to_lane<unsigned long long>(pairs);
+  const bool is_long = pairs > kShortList;
+  const unsigned longs = __ballot_sync(~0u, is_long);
+  unsigned long long first = 0;
+  unsigned first_long = 0;
+  if (lane == 31 && to_here) first = atomicAdd(&frame.state->pairs, to_here);
+  if (lane == 31 && longs) first_long = atomicAdd(&frame.state->long_lists, unsigned(__popc(longs)));
+  first = __shfl_sync(~0u, first, 31), first_long = __shfl_sync(~0u, first_long, 31);
+  if (is_long) frame.long_lists[first_long + __popc(longs & ((1u << lane) - 1))] = uint32_t(list);
+  const uint32_t begin = uint32_t(first + to_here - pairs);  // past 2^32 where nobody asks
+  if (inside) ranges[list] = make_uint2(begin, begin);
+}
+
+}  // namespace
+
+void frame_bin(const LensFrame& frame, Stream stream) {
+  const int64_t count = frame.splats.count;
+  if (count == 0) return;
+  const int64_t most = blocks_for(count * kMostLanes, kThreads);
+  const unsigned blocks = unsigned(std::min<int64_t>(resident_blocks(pairs_kernel, kThreads, 0), most));
+  pairs_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame, Pass::kCount);
+  check_launch("bin: count");
+  const unsigned list_blocks = unsigned(blocks_for(frame.most_lists(), kThreads));
+  place_lists_kernel<<<list_blocks, kThreads, 0, cudaStream_t(stream)>>>(frame);
+  check_launch("bin: place");
+  pairs_kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(frame, Pass::kFill);
+  check_launch("bin: fill");
+}
+
+}  // namespace lfgs::cuda

@@ -1,0 +1,176 @@
+// Sizes of a light-field frame and the layout of its work buffer.
+#include "cuda/frame/lens_frame.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/error.h"
+#include "cuda/frame/lattice.cuh"
+#include "cuda/lens/lens_rig.cuh"
+#include "cuda/frame/root_series.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int64_t kMostTiles = int64_t(1) << 31;
+
+// By how many sub-pixels the lenses lean over the height; the smallest D - origin of the panel.
+double tilt(const Lens& lens) { return 3 * lens.slant_tan * double(lens.height_px - 1); }
+double lowest_phase(const Lens& lens) { return std::min(0.0, tilt(lens)); }
+
+int lead_of(const Lens& lens) { return lens.has_cells ? 1 : 0; }
+
+Ordinals ordinals_of(const Lens& lens) {
+  Ordinals out{};
+  const int lead = lead_of(lens);
+  const double beyond = lens.most_beyond();
+  out.count = int(std::ceil(lens.line_number)) + 2 * lead, out.per_group = kGroupOrdinals;
+  out.groups = (out.count + kGroupOrdinals - 1) / kGroupOrdinals;
+  out.first_lens = int(std::floor((lowest_phase(lens) - beyond) / lens.line_number));
+  const double views_each = double(lens.views) / lens.line_number, last = double(lens.views) - 1;
+  const double seen = (1 + 2 * beyond) * views_each + (lens.continuous ? 0 : 1);
+  out.view_unit = float(std::exp2(-std::ceil(std::log2(seen / 2))));
+  for (int t = 0; t < std::min(out.count, kMostOrdinals); ++t) {
+    double low = (t - lead - beyond) * views_each, high = (t - lead + 1 + beyond) * views_each;
+    if (!lens.continuous) low = std::floor(low - 1e-6) + 0.5, high = std::floor(high + 1e-6) + 0.5;
+    const double least = lens.continuous ? 0 : 0.5, most = lens.continuous ? last + 1 : last + 0.5;
+    low = std::clamp(low, least, most), high = std::clamp(high, low, most);
+    const double view = (low + high) / 2;
+    out.reach = std::max(out.reach, float((high - low) / 2 * out.view_unit));
+    out.view[t] = float(view);
+    out.centre[t] = float(lens.s_start() + lens.s_step() * view);
+    out.half[t] = float(std::fabs(lens.s_step()) * (high - low) / 2);
+  }
+  const float square = out.reach * out.reach;
+  out.cubic = 0.6f * square;
+  out.most_bend = kLeastBend / std::max(square, 1e-6f);  // one view sees nothing vary
+  return out;
+}
+
+// Which channel lies at which place, and where sub-pixels are that do not stand in stripes.
+void set_places(const Lens& lens, LensOptics& out) {
+  const bool by_place = !lens.has_cells || lens.has_one_order();
+  for (int k = 0; k < 3; ++k) {
+    out.channels[k] = by_place ? lens.channel_at(0, k) : k;
+    out.places[out.channels[k]] = k;
+  }
+  out.permuted = out.channels[0] != 0 || out.channels[1] != 1;
+  out.has_cells = lens.has_cells, out.lead = lead_of(lens), out.beyond = float(lens.most_beyond());
+  for (int row = 0; row < kCellPeriod; ++row)
+    for (int m = 0; m < kRowPeriod; ++m) {
+      const int k = m % 3, at = by_place ? k : lens.cells.channels[row][m];
+      out.cells.phases[row][m - k + at] = lens.cells.phases[row][m] + lens.phase_x * uint64_t(int64_t(k - at));
+    }
+}
+
+LensOptics optics_of(const Lens& lens) {
+  LensOptics out{};
+  out.width_px = int(lens.width_px), out.height_px = int(lens.height_px), out.views = int(lens.views);
+  out.phase0 = lens.phase0, out.phase_x = lens.phase_x, out.phase_y = lens.phase_y;
+  out.line_number = float(lens.line_number), out.slant_tan = float(lens.slant_tan);
+  out.origin = float(lens.phase - std::floor(lens.phase / lens.line_number) * lens.line_number);
+  out.s_start = float(lens.s_start()), out.s_step = float(lens.s_step());
+  out.continuous = lens.continuous;
+  set_places(lens, out);
+  out.ordinals = ordinals_of(lens);
+  return out;
+}
+
+// Pixel j, centre j + 1/2, lies in tile floor(j / width).
+Tiling pixel_tiling(const Lens& lens) {
+  const int across = int((lens.width_px + kPixelTileWidth - 1) / kPixelTileWidth);
+  const int down = int((lens.height_px + kPixelTileHeight - 1) / kPixelTileHeight);
+  return {across, down, 1, kPixelTileHeight, float(kPixelTileWidth), 1, 0.5f, -0.5f, 0};
+}
+
+// Place k of the pixel at x in row i has D = 3 x - 3/2 + k + 3 i tan + origin and lies in lens floor(D / P_e).
+// Tiles count from the first lens of the panel; strips are sheared along y = i + 1/2.
+Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
+  const double first = optics.ordinals.first_lens * lens.line_number;
+  const double most = 3.0 * double(lens.width_px) + std::fabs(tilt(lens)) + lowest_phase(lens) + lens.line_number;
+  const double width = kTileLenses * lens.line_number, zero = optics.origin - first - 1.5 * lens.slant_tan;
+  const int across = int((most - first) / width) + 1;
+  const int down = int((lens.height_px + kTileRows - 1) / kTileRows);
+  return {across,
+          down,
+          optics.ordinals.groups,
+          kTileRows,
+          float(width),
+          3,
+          float(zero - 1.5 - optics.beyond),
+          float(zero + 0.5 + optics.beyond),
+          float(lens.slant_tan)};
+}
+
+// Hands out aligned parts of one buffer; counts when the buffer is null.
+struct Parts {
+  char* base;
+  size_t used = 0;
+
+  template <class T>
+  void take(T*& part, int64_t count) {
+    used = (used + 255) / 256 * 256;
+    part = reinterpret_cast<T*>(base ? base + used : nullptr);
+    used += size_t(count) * sizeof(T);
+  }
+};
+
+}  // namespace
+
+LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const View<double>& rig_, const Lens& lens,
+                     int64_t capacity_, const Quality& quality, double tolerance_)
+    : rig(rig_),
+      optics(optics_of(lens)),
+      pixel(pixel_tiling(lens)),
+      ordinal(ordinal_tiling(lens, optics)),
+      sh_degree(sh_degree_),
+      capacity(capacity_),
+      tolerance(float(tolerance_)),
+      cut(float(quality.log2_cut)),
+      stop(float(quality.stop)),
+      hit_cut(float(quality.hit_cut())),
+      least_light(float(quality.least_light(lens.width_px, lens.height_px, gaussians))),
+      lattice(lens.has_cells ? 0.f : float(quality.lattice)),
+      in_half(quality.rough()) {
+  require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),
+          "a frame takes fewer than 2^31 Gaussians and 2^32 pairs, got " + std::to_string(gaussians) + " and " +
+              std::to_string(capacity));
+  require(!rig.antialiased || !(lattice > 0 || in_half),
+          "an anti-aliased frame is drawn neither from lattices nor in half precision");
+  // Colours at ordinals are numbered with 32 bits
+  has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
+  require(std::max(pixel.down, ordinal.down) <= kProbeRows * kMostProbeRows,
+          "the panel has too many rows: " + std::to_string(lens.height_px));
+  require(most_lists() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_lists()));
+  splats.images = 1, splats.count = gaussians, splats.colour_order = colour_order;
+}
+
+size_t LensFrame::place(void* work) {
+  Parts parts{static_cast<char*>(work)};
+  const int64_t n = splats.count;
+  parts.take(state, 1), parts.take(ranges, 2 * most_lists());
+  cleared_bytes = parts.used;
+  parts.take(splats.splats, n);
+  parts.take(splats.colours, n * (splats.colour_order + 1) * kColourStride);
+  splats.orders = nullptr;
+  if (splats.colour_order > 0) {
+    parts.take(splats.orders, n);
+    const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
+    parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
+  }
+  if (rig.antialiased) {
+    parts.take(splats.compensations, n);
+    parts.take(ordinal_shares, has_ordinal ? 2 * n * optics.ordinals.columns() : 0);
+  }
+  parts.take(depths, n), parts.take(ids, std::max(capacity, n)), parts.take(long_lists, most_lists());
+  if (lattice > 0) parts.take(lattices, most_lists()), parts.take(refused, most_lists());
+  return parts.used;
+}
+
+void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
+  if (frame.lattice > 0) composite_lattice(frame, background, out, out8, stream);
+  composite_pixel(frame, background, out, out8, stream);
+  composite_ordinal(frame, background, out, out8, stream);
+}
+
+}  // namespace lfgs::cuda

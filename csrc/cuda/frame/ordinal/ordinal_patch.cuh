@@ -1,0 +1,172 @@
+// A warp's patch in composite_ordinal.cu, 4 lenses x 16 rows: where its samples are, which splats touch it, and what
+// its samples hold.
+#pragma once
+
+#include "cuda/frame/ordinal/ordinal_operands.cuh"
+#include "cuda/frame/strip.cuh"
+
+namespace lfgs::cuda {
+
+#if __CUDA_ARCH__ >= 800
+template <bool Harmonics>
+struct Patch {
+  const LensFrame& frame;
+  Memory<Harmonics>& memory;
+  WarpMemory<Harmonics>& own;
+  int lane, row0, lens0;  // of the patch
+  float middle_y;
+  float x_sheared, half_x;  // of ordinal -1/2, x + tan y; half width to the outermost pixel centres
+  unsigned places;          // bit 8 p + s: the lens of sample s that this lane accumulates starts at place p
+
+  __device__ Patch(const LensFrame& frame_, Memory<Harmonics>& memory_, int tile_x, int tile_y)
+      : frame(frame_), memory(memory_), own(memory_.warps[threadIdx.x / 32]), lane(threadIdx.x % 32) {
+    const int warp = threadIdx.x / 32, across = warp % kWarpsAcross, down = warp / kWarpsAcross;
+    const LensOptics& lens = frame.optics;
+    row0 = tile_y * kTileRows + down * kWarpRows;
+    lens0 = lens.ordinals.first_lens + (tile_x * kWarpsAcross + across) * kWarpLenses;
+    middle_y = row0 + 0.5f * kWarpRows;
+    const float phase0 = fmaf(lens0 + 0.5f * (kWarpLenses - 1), lens.line_number, -lens.origin);
+    x_sheared = (phase0 - float(lens.lead)) / 3 + 0.5f * lens.slant_tan + 1.f / 6;
+    if (lane == 0) own.x_first = x_sheared - lens.slant_tan * middle_y;
+    half_x = (0.5f * (kWarpLenses - 1) * lens.line_number + 0.5f) / 3 + 1.f / 3 + 0.01f;
+    for (int h = 0; h < kHalves; ++h) {
+      const int row = row0 + lane / kWarpLenses + 8 * h, number = lens0 + lane % kWarpLenses;
+      const int begin = lens_start(lens, row, number);
+      const int start = lens.has_cells ? first_stripe(lens, row, number) - lens.lead : begin;
+      own.start[h][lane] = start;
+      own.ordinals[h][lane] = make_ushort2(begin - start, lens_start(lens, row, number + 1) - start);
+      own.phase[h][lane] = phase_at(lens, row, start);
+    }
+    __syncwarp();
+    places = 0;
+    for (int s = 0; s < 2 * kFragments; ++s)  // fragment s / 2, its row lane / 4 or 8 more
+      places |= 1u << 8 * place_of(own.start[s / 4][s / 2 % 2 * 16 + s % 2 * 8 + lane / 4]) + s;
+  }
+
+  // x + tan y of an ordinal's samples, and of those of a group
+  __device__ float sheared(float ordinal) const { return x_sheared + (ordinal + 0.5f) / 3; }
+
+  __device__ Splat<float> staged(int i) const {
+    return assembled(memory.splat[0][i], memory.splat[1][i], memory.splat[2][i]);
+  }
+  __device__ Strip strip(const Splat<float>& s) const {
+    return Strip(s, row0 + 0.5f, row0 + kWarpRows - 0.5f, frame.optics.slant_tan);
+  }
+
+  // Which staged splats may touch the patch at which ordinal of the group; returns, in lane t, how many at ordinal t.
+  __device__ int cull(int count, int first, int last) {
+    lane = forgotten(lane);  // draw, between culls, has no registers for what these need of it
+    const Ordinals& ordinals = frame.optics.ordinals;
+    const float a = ordinals.centre[first], b = ordinals.centre[last];
+    const float reach = fmaxf(fabsf(b - a) * 0.5f + ordinals.half[first], fabsf(b - a) * 0.5f + ordinals.half[last]);
+    const unsigned before = (1u << lane) - 1;
+    const float x = sheared(0.5f * (first + last)), half = half_x + (last - first) * (1.f / 6);
+    uint16_t* queue = reinterpret_cast<uint16_t*>(own.operands);
+    int survivors = 0, first_page = 0;
+    for (int begin = 0; begin < count; begin += 32) {
+      const int i = min(begin + lane, count - 1);
+      const Splat<float> splat = staged(i);
+      const Strip rows = strip(splat);
+      const bool hit = (begin + lane < count) & rows.at(splat, 0.5f * (a + b), reach).touches(x, half);
+      const unsigned hits = __ballot_sync(~0u, hit);
+      if (hit) queue[survivors + __popc(hits & before)] = uint16_t(i);
+      survivors += __popc(hits);
+      if (begin < kPage) first_page = survivors;
+    }
+    __syncwarp();
+    const float x_first_ordinal = sheared(first);
+    int counts[kGroupOrdinals] = {}, mine = 0;
+#pragma unroll 1
+    for (int page = 0, begin = 0; page * kPage < count; ++page) {
+      const int end = page ? survivors : first_page;
+#pragma unroll 1
+      for (; begin < end; begin += 32) {
+        const bool inside = begin + lane < end;
+        const int i = queue[inside ? begin + lane : 0];
+        const Splat<float> splat = staged(i);
+        const Strip rows = strip(splat);
+#pragma unroll
+        for (int t = 0; t < kGroupOrdinals; ++t) {
+          const int ordinal = min(first + t, last);
+          const Span span = rows.at(splat, ordinals.centre[ordinal], ordinals.half[ordinal]);
+          const bool hit = inside & (first + t <= last) & span.touches(x_first_ordinal + t * (1.f / 3), half_x);
+          const unsigned hits = __ballot_sync(~0u, hit);
+          if (hit) own.queue[t][counts[t] + __popc(hits & before)] = uint8_t(i);
+          counts[t] += __popc(hits);
+        }
+      }
+      begin = end;
+#pragma unroll
+      for (int t = 0; t < kGroupOrdinals; ++t) mine = lane == t ? counts[t] : mine;
+      if (page == 0 && lane < kGroupOrdinals) own.first_page[lane] = mine;
+    }
+    __syncwarp();
+    return mine;
+  }
+
+  // The staged splat at place k of the queue of ordinal t.
+  __device__ int queued(int t, int k) const {
+    const int i = own.queue[t][k];
+    return k >= own.first_page[t] ? i + kPage : i;
+  }
+
+  // Where sample i of the two that this lane keeps stands: its half, its slot there.
+  __device__ int2 place_of_kept(int i) const {
+    const int quad = lane % 4, sample = quad % 2 * kFragments + quad / 2 * kHalves + i, fragment = sample / 2;
+    return make_int2(fragment / 2, fragment % 2 * 16 + sample % 2 * 8 + lane / 4);
+  }
+
+  // Nothing drawn yet. Samples that the panel does not have are opaque: nobody works on them.
+  __device__ void clear(int first) {
+    const LensOptics& lens = frame.optics;
+#pragma unroll
+    for (int i = 0; i < kHalves; ++i) {
+      const int2 place = place_of_kept(i);
+      const int row = row0 + place.y / kWarpLenses + 8 * place.x, start = own.start[place.x][place.y];
+      const ushort2 ordinals = own.ordinals[place.x][place.y];
+      const int begin = max(start + ordinals.x, 0);
+      const int end = row < lens.height_px ? min(start + ordinals.y, 3 * lens.width_px) : 0;
+#pragma unroll
+      for (int t = 0; t < kGroupOrdinals; ++t) {
+        const int m = start + first + t;
+        own.state[t * kHalves + i][lane] = make_float2(0, m >= begin && m < end ? 1.f : 0.f);
+      }
+    }
+    __syncwarp();
+  }
+
+  __device__ bool opaque(int t) const {
+    bool all = true;
+#pragma unroll
+    for (int i = 0; i < kHalves; ++i) all = all & (own.state[t * kHalves + i][lane].y < frame.stop);
+    return __all_sync(~0u, all);
+  }
+  __device__ bool all_opaque(int ordinals) const {
+    bool all = true;
+    for (int t = 0; t < ordinals; ++t) all = all && opaque(t);
+    return all;
+  }
+
+  // Hands every finished sample of ordinals first .. last to put(row in the tile, sub-pixel from its first, value).
+  template <class Put>
+  __device__ void finish(int first, int last, const float4& background, const Put& put) {
+    const int down = threadIdx.x / 32 / kWarpsAcross;
+#pragma unroll
+    for (int i = 0; i < kHalves; ++i) {
+      const int2 kept = place_of_kept(i);
+      const int row = down * kWarpRows + kept.y / kWarpLenses + 8 * kept.x;
+      const ushort2 ordinals = own.ordinals[kept.x][kept.y];
+      const int start = own.start[kept.x][kept.y], begin = max(int(ordinals.x), first), end = min(ordinals.y - 1, last);
+      int place = place_of(start + begin), at = start - memory.rows[row].x + begin;
+      for (int ordinal = begin; ordinal <= end; ++ordinal, ++at) {
+        const float2 state = own.state[(ordinal - first) * kHalves + i][lane];
+        const float behind = place == 0 ? background.x : place == 1 ? background.y : background.z;
+        put(row, at, ended(fmaf(state.y, behind, state.x), state.y, behind));
+        place = place == 2 ? 0 : place + 1;
+      }
+    }
+  }
+};
+#endif
+
+}  // namespace lfgs::cuda

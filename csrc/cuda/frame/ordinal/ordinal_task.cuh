@@ -1,0 +1,381 @@
+// A warp's task in composite_ordinal.cu: its patch at one ordinal after another, from the hits to the samples.
+#pragma once
+
+#include "cuda/frame/ordinal/ordinal_patch.cuh"
+#include "cuda/frame/ordinal/ordinal_share.cuh"
+#include "cuda/frame/root_series.cuh"
+
+namespace lfgs::cuda {
+
+#if __CUDA_ARCH__ >= 800
+template <bool Harmonics, bool Antialiased>
+struct Task : Patch<Harmonics> {
+  using Base = Patch<Harmonics>;
+  using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::middle_y, Base::places;
+  using Base::row0, Base::staged, Base::queued;
+
+  // Features of the samples at an ordinal as operands of the tensor cores.
+  __device__ void features(int ordinal, float x_centre, unsigned (&d)[kFragments][4], unsigned (&A)[kFragments][2]) {
+    const LensOptics& lens = frame.optics;
+    const unsigned base = unsigned(__cvta_generic_to_shared(own.operands));
+    uint4 low[kHalves], high[kHalves], rows[kHalves];  // all before the first is stored: their latencies overlap
+#pragma unroll
+    for (int h = 0; h < kHalves; ++h) {
+      const int pixel = int(floorf((own.start[h][lane] + ordinal + 0.5f) * (1.f / 3)));
+      const float x = pixel + 0.5f - x_centre, y = lane / kWarpLenses + 8 * h + 0.5f - 0.5f * kWarpRows;
+      // From its start no sub-pixel of a lens wraps. Before it and behind its end, where cells may have one, v could be
+      // too large for a half
+      uint64_t phase = own.phase[h][lane] + lens.phase_x * uint64_t(ordinal);
+      if (lens.has_cells) phase += cell_phase(lens, row0 + lane / kWarpLenses, own.start[h][lane] + ordinal);
+      float v = (camera_of(lens, phase) - lens.ordinals.view[ordinal]) * lens.ordinals.view_unit;
+      if (lens.has_cells) v = fminf(fmaxf(v, -2.f), 2.f);
+      const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
+      low[h] = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
+      high[h] = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
+      // The last two have coefficients of zero, but for shares of opacity: they are for the colours
+      rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), Harmonics || Antialiased ? halves(v, vv) : 0);
+    }
+#pragma unroll
+    for (int h = 0; h < kHalves; ++h) {
+      __syncwarp();
+      uint4* to = reinterpret_cast<uint4*>(own.operands + lane * kFeatureBytes);
+      to[0] = low[h], to[1] = high[h], to[2] = rows[h];
+      __syncwarp();
+#pragma unroll
+      for (int f = 0; f < 2; ++f) {
+        const unsigned row = base + (16 * f + lane % 16) * kFeatureBytes;
+        load_matrix(d[2 * h + f], row + lane / 16 * 16);
+        load_matrix(A[2 * h + f], row + 32);
+      }
+    }
+  }
+
+  // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the offset centre; unit is
+  // the offset that v = 1 stands for. The d of a careful hit lacks a factor, see complete().
+  template <bool Careful>
+  __device__ Operands coefficients(const Splat<float>& s, const OrdinalShape& shape, float centre, float unit,
+                                   float x_centre) const {
+    const float r = shape.r, p2 = Careful ? 0.f : shape.p2();
+    // What of the third order is next to the first
+    const float p1 = Careful ? 0.f : fmaf(frame.optics.ordinals.cubic, shape.p3(), shape.p1());
+    const float Y = middle_y - s.v0, tilt = fmaf(centre, s.c1, s.c0);
+    const float E = fmaf(-tilt, Y, fmaf(-centre, s.du, x_centre - s.u0)), sweep = unit * fmaf(s.c1, Y, s.du);
+    const float turn = unit * s.c1;
+    const float v = fmaf(p1, E, -sweep) * r, yv = fmaf(-p1, tilt, -turn) * r, vv = fmaf(p2, E, -p1 * sweep) * r;
+    const float yvv = fmaf(-p2, tilt, -p1 * turn) * r, vvv = -p2 * sweep * r;
+    // The second half of vv, or where v itself is not exact in half the coefficient of what is left of it
+    const unsigned v_ = split(v), vv_ = split(vv), yv_ = split(yv);
+    const unsigned rest = frame.optics.continuous ? v_ << 16 : vv_;
+    return {make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv)),
+            make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632)),
+            make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0)};
+  }
+  // Puts a hit's share of opacity into its exponent; share: see ShareFit.
+  __device__ void take_share(Operands& operands, const Splat<float>& s, float2 share) const {
+    const float Y = middle_y - s.v0;
+    operands.exponent.x = split(fmaf(-s.tau * Y, Y, s.log2_opacity) + share.x);
+    operands.exponent.w = __float_as_uint(share.y);
+  }
+
+  // The colour of a staged splat, for all cameras; number kBatch is black.
+  __device__ Colour colour(int i) const {
+    Colour out;
+    const float4 c = memory.colour[Harmonics ? 0 : i];
+    out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
+    return out;
+  }
+  static __device__ Colour whole(const float4& c, const uint2& slopes) {
+    Colour out;
+    out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
+    out.slope[0] = __float_as_uint(c.w), out.slope[1] = slopes.x, out.slope[2] = slopes.y;
+    return out;
+  }
+  // With harmonics: stores one in the warp's memory; reads it.
+  __device__ void keep(int place, const float4& c, const uint2& slopes) {
+    own.whole_colour[Harmonics ? place : 0] = c, own.whole_slope[Harmonics ? place : 0] = slopes;
+  }
+  __device__ Colour kept_colour(int place) const {
+    return whole(own.whole_colour[Harmonics ? place : 0], own.whole_slope[Harmonics ? place : 0]);
+  }
+
+  // The samples, a bit each, of a place at an ordinal; of no place 3.
+  __device__ unsigned of_place(int place, int ordinal) const {
+    return places >> 8 * (place == 3 ? 3 : (place + 3 - ordinal % 3) % 3);
+  }
+  // What belongs to the place of an accumulated sample; parts by the place that its lens starts at.
+  template <class T>
+  __device__ T pick(const T (&parts)[3], int sample) const {
+    return places >> sample & 1 ? parts[0] : places >> (8 + sample) & 1 ? parts[1] : parts[2];
+  }
+
+  // v and v^2 of an accumulated sample, as halves; they stand in the last columns of its features.
+  __device__ unsigned view_of(const unsigned (&features)[kFragments][2], int sample) const {
+    return __shfl_sync(~0u, features[sample / 2][sample % 2], lane | 3);
+  }
+
+  // The whole v of an accumulated sample, out of its features of d.
+  __device__ float exact_view_of(const unsigned (&features)[kFragments][4], int sample) const {
+    const unsigned (&of_fragment)[4] = features[sample / 2];
+    const float v = __low2float(as_half2(__shfl_sync(~0u, of_fragment[sample % 2], lane | 3)));
+    if (!frame.optics.continuous) return v;
+    return v + __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));
+  }
+
+  // Gives d, of two hits at two samples of a fragment, its factor (1 + s1 v + s2 v^2)^(-1/2) where it lacks it, and A
+  // its share of opacity; s: s1 and s2 of the hits, zero where d has it; shares: 1 where A has it.
+  __device__ void complete(float (&d)[4], [[maybe_unused]] float (&A)[4], const unsigned (&features)[kFragments][4],
+                           int fragment, const float2 (&s)[2], [[maybe_unused]] const OrdinalShare (&shares)[2]) const {
+#pragma unroll
+    for (int sample = 0; sample < 2; ++sample) {
+      const float v = exact_view_of(features, 2 * fragment + sample);
+#pragma unroll
+      for (int i = 0; i < 2; ++i) {
+        const float factor = fast_rsqrt(fmaf(v, fmaf(v, s[i].y, s[i].x), 1.f));
+        d[2 * sample + i] *= factor;
+        if constexpr (Antialiased) A[2 * sample + i] += shares[i].log2_at(v, factor * factor);
+      }
+    }
+  }
+
+  // What the colours of hits are multiplied by: lane `quad` of each quad has values, slopes and bends of that place,
+  // the last the fine steps of all slopes, see slope_and_bend.
+  __device__ void colour_features_at(int ordinal, const unsigned (&A)[kFragments][2],
+                                     unsigned (&out)[kFragments][4]) const {
+    const int quad = lane % 4;
+    const unsigned mine = of_place(quad, ordinal);
+    if (!Harmonics) {
+#pragma unroll
+      for (int s = 0; s < 2 * kFragments; ++s) out[s / 2][s % 2] = mine >> s & 1 ? kOnes : 0;
+      return;
+    }
+    const unsigned first = quad == 3 ? of_place(0, ordinal) : mine, second = quad == 3 ? of_place(1, ordinal) : 0;
+    const unsigned third = quad == 3 ? of_place(2, ordinal) : mine;
+#pragma unroll
+    for (int s = 0; s < 2 * kFragments; ++s) {
+      const unsigned view = view_of(A, s);
+      const unsigned fine = bits(__hmul2(as_half2(view & 0xffff), __float2half2_rn(kFineStep)));
+      const unsigned value = quad == 3 ? fine : kOnes, slope = quad == 3 ? fine : view;
+      out[s / 2][s % 2] = first >> s & 1 ? value : second >> s & 1 ? fine << 16 : 0;
+      out[s / 2][s % 2 + 2] = third >> s & 1 ? slope : 0;
+    }
+  }
+
+  // Adds the n hits at ordinal t of the group to the samples' state.
+  __device__ void draw(int t, int n, int ordinal) {
+    const int quad = lane % 4, row = lane / 4;
+    const float x_centre = floorf(own.x_first + (ordinal + 0.5f) * (1.f / 3));
+    unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
+    features(ordinal, x_centre, d_features, A_features);
+    const Ordinals& ordinals = frame.optics.ordinals;
+    const float centre = ordinals.centre[ordinal], unit = offset_unit(frame.optics);
+    colour_features_at(ordinal, A_features, colour_features);
+
+    float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
+#pragma unroll
+    for (int s = 0; s < 2 * kFragments; ++s) transmittances[s] = 1;
+    const int quarter = (n + 3) / 4;
+    int begin = 0, hit = kBatch<Harmonics>, kept = hit;  // this lane's hit of 32; and of the 32 before. kBatch: none
+    if (Harmonics) keep(32 + lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
+    for (; begin < quarter; begin += 8) {
+      // 32 hits, one a lane: 8 of each quarter, columns 2 q and 2 q + 1 of four batches
+      const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
+      const bool valid = j < min(quarter, n - q * quarter);
+      const int i = queued(t, valid ? q * quarter + j : 0);
+      const Splat<float> splat = staged(i);
+      float4 c = make_float4(0, 0, 0, 0);
+      uint2 slopes = make_uint2(0, 0);
+      if (Harmonics && valid) {  // before anything else, and kept there by __syncwarp: they take a while
+        const unsigned at = __float_as_uint(splat.depth) + t;
+        c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
+        slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
+      }
+      [[maybe_unused]] float2 share;
+      if constexpr (Antialiased)
+        share = reinterpret_cast<const float2*>(frame.ordinal_shares)[__float_as_uint(splat.depth) + t];
+      __syncwarp();
+      const OrdinalShape shape(splat, centre, unit);
+      Operands operands = coefficients<false>(splat, shape, centre, unit, x_centre);
+      if constexpr (Antialiased) take_share(operands, splat, share);
+      const bool opaque = valid && splat.log2_opacity > float(kLog2MaxAlpha);
+      bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
+      if constexpr (Antialiased) special = special || __any_sync(~0u, valid && lacks(share));
+      if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
+      if constexpr (Harmonics) {
+        const int turn = begin / 8 % 2 * 32;
+        keep(turn + lane, c, slopes);
+        __syncwarp();
+        const Colour last = kept_colour((first_of_quarter() ? 32 - turn : turn) + lane_before());
+        store_operands(operands, whole(c, slopes), last);
+      } else {
+        kept = hit, hit = valid ? i : kBatch<Harmonics>;
+        store_operands(operands, colour(hit), colour(before(hit, kept)));
+      }
+      unsigned careful = 0;  // a bit for each lane
+      if (special) {         // rarely: once more from the splat on, so that nothing of it takes registers before
+        const Splat<float> again = staged(i);
+        const OrdinalShape varying(again, centre, unit);
+        bool mine = valid && varying.parabola_error(ordinals, again.log2_opacity) > kMostParabolaError;
+        if constexpr (Antialiased) mine = mine || (valid && lacks(share));
+        careful = __ballot_sync(~0u, mine);
+        special = careful || __any_sync(~0u, opaque);
+        if (mine) store_carefully(coefficients<true>(again, varying, centre, unit, x_centre));
+      }
+      __syncwarp();
+      const int batches = min(4, (quarter - begin + 1) / 2);
+      auto batch = [&](int b, auto limited, const auto&... completed) {
+        const char* at = own.operands + quad / 2 * kHighOffset + (8 * b + row) * 16 + quad % 2 * 8;
+        const uint2 d_b = *reinterpret_cast<const uint2*>(at);
+        const int word = (8 * b + row) * 4 + quad;
+        const unsigned A_b = reinterpret_cast<const unsigned*>(own.operands + kExponentOffset)[word];
+        const unsigned c_b = reinterpret_cast<const unsigned*>(own.colour)[word];
+        const unsigned s_b = Harmonics ? reinterpret_cast<const unsigned*>(own.slope)[word] : 0;
+#pragma unroll
+        for (int f = 0; f < kFragments; ++f) {
+          float d[4], A[4], c[4];
+          multiply(d, d_features[f], d_b.x, d_b.y);
+          multiply(A, A_features[f], A_b);
+          if (Harmonics) {
+            multiply(c, colour_features[f], c_b, s_b);
+          } else {
+            const unsigned one_hot[2] = {colour_features[f][0], colour_features[f][1]};
+            multiply(c, one_hot, c_b);
+          }
+          constexpr bool Limit = decltype(limited)::value;
+          (completed(d, A, f), ...);
+          blend<Limit>(d[0], A[0], c[0], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
+          blend<Limit>(d[2], A[2], c[2], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
+          blend<Limit>(d[1], A[1], c[1], frame.hit_cut, colours[2 * f], transmittances[2 * f]);
+          blend<Limit>(d[3], A[3], c[3], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
+        }
+      };
+      if (!special) {
+        batch(0, std::false_type{});
+        if (batches > 1) {
+          batch(1, std::false_type{});
+          if (batches > 2) batch(2, std::false_type{});
+          if (batches > 3) batch(3, std::false_type{});
+        }
+      } else {
+        OrdinalShape varying(staged(i), centre, unit);
+        OrdinalShare varied = share_of(i, varying, centre, unit);
+        if (!(careful >> lane & 1)) varying.s1 = varying.s2 = 0, varied = OrdinalShare();
+#pragma unroll 1
+        for (int b = 0; b < batches; ++b) {
+          if (!(careful >> 8 * b & 0xff)) {
+            batch(b, std::true_type{});
+            continue;
+          }
+          const int at = 8 * b + 2 * quad;
+          float2 s[2];
+          OrdinalShare shares[2];
+#pragma unroll
+          for (int i = 0; i < 2; ++i) {
+            s[i] = make_float2(__shfl_sync(~0u, varying.s1, at + i), __shfl_sync(~0u, varying.s2, at + i));
+            if constexpr (Antialiased) shares[i] = varied.of_lane(at + i);
+          }
+          batch(b, std::true_type{},
+                [&](float (&d)[4], float (&A)[4], int f) { complete(d, A, d_features, f, s, shares); });
+        }
+      }
+    }
+    if (quarter % 2 == 0) {
+      const int j = quarter - 1 - (begin - 8), last = j / 2 * 8 + quad * 2 + j % 2;
+      const Colour end = Harmonics ? kept_colour((begin / 8 - 1) % 2 * 32 + last) : colour(__shfl_sync(~0u, hit, last));
+      close(end, ordinal % 3, A_features, colours, transmittances);
+    }
+    join(t, colours, transmittances);
+  }
+
+  // Which lane has the hit before this one's in its quarter: that of the column before, the first of the 32 the last of
+  // the 32 before.
+  __device__ bool first_of_quarter() const { return lane / 8 == 0 && lane % 2 == 0; }
+  __device__ int lane_before() const { return lane % 2 ? lane - 1 : first_of_quarter() ? lane + 25 : lane - 7; }
+  __device__ int before(int hit, int kept) const {
+    const bool last = lane / 8 == 3 && lane % 2 == 1;
+    return __shfl_sync(~0u, last ? kept : hit, lane_before());
+  }
+
+  // Whether a hit has no parabola for its share of opacity.
+  __device__ static bool lacks(float2 share) { return !(share.x == share.x); }
+  // The share of staged splat i, as it is.
+  __device__ OrdinalShare share_of(int i, const OrdinalShape& shape, float centre, float unit) const {
+    if constexpr (!Antialiased) return {};
+    const unsigned id = __float_as_uint(staged(i).depth) / unsigned(frame.optics.ordinals.columns());
+    return OrdinalShare(frame.splats.compensations[id], shape, centre, unit);
+  }
+
+  // One hit's coefficients of d.
+  __device__ void store_shape(const Operands& operands) {
+    reinterpret_cast<uint4*>(own.operands)[lane] = operands.low;
+    reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = operands.high;
+  }
+  // Those of a careful hit, and without a share.
+  __device__ void store_carefully(const Operands& operands) {
+    store_shape(operands);
+    if constexpr (Antialiased) reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
+  }
+  // All of one hit's operands; its colour as the difference to the hit before it in its quarter.
+  __device__ void store_operands(const Operands& operands, const Colour& now, const Colour& before) {
+    store_shape(operands);
+    reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
+    auto value = [&](int c) { return split(now.value[c] - before.value[c]); };
+    auto slope = [&](int c) { return bits(__hsub2(as_half2(now.slope[c]), as_half2(before.slope[c]))); };
+    auto fine = [&](int a, int b) {
+      return bits(__hsub2(fine_steps(now.slope[a], now.slope[b]), fine_steps(before.slope[a], before.slope[b])));
+    };
+    own.colour[lane] = make_uint4(value(0), value(1), value(2), Harmonics ? fine(0, 1) : 0);
+    if (Harmonics) own.slope[Harmonics ? lane : 0] = make_uint4(slope(0), slope(1), slope(2), fine(2, 2));
+  }
+
+  // Takes the last colour of each quarter off again where no spare column did; last: of the quarter of this lane.
+  __device__ void close(const Colour& last, int shift, const unsigned (&features)[kFragments][2],
+                        float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
+    Colour end;  // by the place that a lens starts at
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+      const int place = c + shift >= 3 ? c + shift - 3 : c + shift;
+      end.value[c] = at_place(last.value, place);
+      if (Harmonics) end.slope[c] = at_place(last.slope, place);
+    }
+#pragma unroll
+    for (int s = 0; s < 2 * kFragments; ++s) {
+      float value = pick(end.value, s);
+      if (Harmonics) {
+        const unsigned word = pick(end.slope, s);
+        const __half2 slope = as_half2(word);
+        const float v = __low2float(as_half2(view_of(features, s)));
+        value += v * fmaf(v, __high2float(slope), fmaf(fine_steps(word), kFineStep, __low2float(slope)));
+      }
+      colours[s] = fmaf(-transmittances[s], value, colours[s]);
+    }
+  }
+
+  // Joins the four quarters, nearest first, behind what the samples hold; each lane keeps two samples.
+  __device__ void join(int t, const float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
+    const bool odd = lane & 1, upper = lane & 2;
+    float colour[kFragments], transmittance[kFragments];
+    auto over = [](bool mine_behind, float c, float other_c, float T, float other_T) {
+      return mine_behind ? fmaf(other_T, c, other_c) : fmaf(T, other_c, c);
+    };
+#pragma unroll
+    for (int i = 0; i < kFragments; ++i) {
+      const int away = kFragments + i;
+      const float c = __shfl_xor_sync(~0u, odd ? colours[i] : colours[away], 1);
+      const float T = __shfl_xor_sync(~0u, odd ? transmittances[i] : transmittances[away], 1);
+      const float own_c = odd ? colours[away] : colours[i], own_T = odd ? transmittances[away] : transmittances[i];
+      colour[i] = over(odd, own_c, c, own_T, T), transmittance[i] = own_T * T;
+    }
+#pragma unroll
+    for (int i = 0; i < kHalves; ++i) {
+      const int away = kHalves + i;
+      const float c = __shfl_xor_sync(~0u, upper ? colour[i] : colour[away], 2);
+      const float T = __shfl_xor_sync(~0u, upper ? transmittance[i] : transmittance[away], 2);
+      const float own_c = upper ? colour[away] : colour[i], own_T = upper ? transmittance[away] : transmittance[i];
+      float2& state = own.state[t * kHalves + i][lane];
+      state = make_float2(fmaf(state.y, over(upper, own_c, c, own_T, T), state.x), state.y * own_T * T);
+    }
+  }
+};
+#endif
+
+}  // namespace lfgs::cuda

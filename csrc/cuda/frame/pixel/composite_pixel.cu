@@ -1,0 +1,182 @@
+// Composite of a light-field frame by tiles of pixels, for rigs of small disparity.
+//
+// A warp has 16 x 8 pixels, a lane two neighbours in each of two rows: 12 sub-pixels; 16 x 4 and one row for small
+// Gaussians, of which a larger patch has many that touch only a part of it. Warps do not wait for each other.
+// A warp culls its tile's list 32 splats at a time against its own pixels; of every 32 that stay each lane turns one
+// into a polynomial about the patch's centre,
+//   exponent = log2 o - (t (y - v0))^2 - d^2,   d = r(s) (x - m(y, s)),   r = S^(-1/2) about linear or quadratic in s,
+// which all lanes then evaluate: no division, one exp2 a sample. In a frame that needs the quadratic r, splats for
+// which the linear one will do still have that. Colours enter as differences, C += T (c_i - c_(i-1)), which saves an
+// instruction. Splats for which that is too rough (nearly opaque, of a shape or colour that varies much over the rig)
+// are evaluated as they are written, *carefully*. Where half precision will do, samples are pairs of halves.
+#include <type_traits>
+
+#include "cuda/common/check.h"
+#include "cuda/frame/composite_frame.cuh"
+#include "cuda/frame/lens_plan.cuh"
+#include "cuda/frame/pixel/pixel_fit.cuh"
+#include "cuda/frame/pixel/pixel_half.cuh"
+#include "cuda/frame/pixel/pixel_samples.cuh"
+#include "cuda/frame/strip.cuh"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kWarps = 4, kThreads = 32 * kWarps;
+constexpr int kUnitHeight = 8;  // rows that a warp takes at a time: one patch or two
+template <class C>
+using Samples = std::conditional_t<C::Half, HalfSamples<C>, FloatSamples<C>>;
+// On a multiprocessor; more would spill.
+constexpr int blocks_of(int lane_rows, bool harmonics) { return lane_rows == 1 ? 7 : harmonics ? 4 : 5; }
+
+// Adds the hits [h, end), of which none is careful. Runs of one kind: to choose at every hit would move registers.
+template <class C>
+__device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned special, float cut, Samples<C>& samples) {
+  constexpr bool kSpecial = C::Quadratic || C::Half;
+  while (h < end) {
+#pragma unroll 1
+    for (; h < end && !(kSpecial && special >> h & 1); ++h) samples.template add<false>(staged, h, cut);
+    if (h >= end) break;
+    if constexpr (kSpecial) {
+#pragma unroll 1
+      do samples.template add<true>(staged, h, cut);
+      while (special >> h++ & 2);  // bit h + 1, and h + 1
+    }
+  }
+}
+
+// Adds the first `count` <= 32 waiting hits.
+template <class C>
+__device__ void add_hits(const LensFrame& frame, int count, float2 centre, float4 background, Samples<C>& samples,
+                         StagedOf<C>& staged) {
+  const Marks marks = specialise<C>(frame, count, centre, staged);
+  __syncwarp();
+  unsigned careful = marks.careful;
+  for (int h = 0;; ++h) {
+    const int next = careful ? __ffs(careful) - 1 : count;
+    add_run<C>(staged, h, next, marks.special, frame.hit_cut, samples);
+    if (next == count) break;
+    h = next, careful &= careful - 1;
+    samples.close(staged, h);
+    samples.add_carefully(CarefulHit<C>(frame, staged.ids[h], centre, background));
+  }
+  samples.flush();
+}
+
+template <class C, class Out>
+__device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 range, int left, int top,
+                           float4 background, Out* out, StagedOf<C>& staged) {
+  const int lane = threadIdx.x % 32;
+  const float2 centre = make_float2(left + 0.5f * kPatchWidth, top + 0.5f * C::patch_height);
+  const float half_height = 0.5f * C::patch_height - 0.5f;
+  Samples<C> samples(frame, left, top);
+  __syncwarp();
+  if (lane == 0) staged.colour = {};
+  __syncwarp();
+
+  int waiting = 0;
+  for (unsigned begin = range.x; begin < range.y; begin += 32) {
+    // Those of the next 32 that may touch the patch wait
+    const bool inside = begin + lane < range.y;
+    const uint32_t id = lists.ids[inside ? begin + lane : begin];
+    const Splat<float> splat = splat_about(frame.splats, id, centre);
+    const Strip strip(splat, -half_height, half_height);
+    const bool hit = inside & strip.whole_rig(splat).touches(0.f, 0.5f * kPatchWidth - 0.5f);
+    const unsigned hits = __ballot_sync(~0u, hit);
+    if (hit) staged.ids[waiting + __popc(hits & ((1u << lane) - 1))] = id;
+    waiting += __popc(hits);
+    __syncwarp();
+    const bool end = begin + 32 >= range.y;
+    if (waiting < 32 && !(end && waiting > 0)) continue;
+
+    // 32 of them, or at the end what there is; a second round when both the end and more than 32 have come
+    do {
+      const int count = min(waiting, 32);
+      add_hits<C>(frame, count, centre, background, samples, staged);
+      waiting -= count;
+      const uint32_t left_over = staged.ids[32 + lane];
+      __syncwarp();
+      staged.ids[lane] = left_over;
+      __syncwarp();
+    } while (end && waiting > 0);
+    if (__all_sync(~0u, samples.opaque(frame.stop))) break;
+  }
+  samples.store(frame.optics, staged, background, out);
+}
+
+template <class C, class Out>
+__device__ void draw_patches(const LensFrame& frame, const float* background, Out* out, StagedOf<C> (&staged)[kWarps]) {
+  constexpr unsigned kAcross = kPixelTileWidth / kPatchWidth, kDown = kPixelTileHeight / kUnitHeight;
+  const float4 behind = by_place<C::Cells>(frame.optics, make_float4(background[0], background[1], background[2], 0));
+  const Lists lists(frame);
+  const unsigned units = tiles_to_draw(frame, frame.pixel) * kAcross * kDown, across = unsigned(frame.pixel.across);
+  WorkQueue work(frame, C::kernel);
+  for (unsigned unit = blockIdx.x * kWarps + threadIdx.x / 32; unit < units; unit = __shfl_sync(~0u, work.claimed, 0)) {
+    if (threadIdx.x % 32 == 0) work.claim(gridDim.x * kWarps);
+    const unsigned tile = tile_to_draw(frame, unit / (kAcross * kDown)), part = unit % (kAcross * kDown);
+    const int left = int(tile % across * kAcross + part % kAcross) * kPatchWidth;
+    const int top = int(tile / across * kDown + part / kAcross) * kUnitHeight;
+    if (left >= frame.optics.width_px) continue;
+#pragma unroll 1
+    for (int k = 0; k < kUnitHeight / C::patch_height; ++k) {
+      const int y = top + k * C::patch_height;
+      if (y < frame.optics.height_px)
+        draw_patch<C>(frame, lists, lists.range(tile), left, y, behind, out, staged[threadIdx.x / 32]);
+    }
+  }
+}
+
+// One kernel for straight lines and parabolas: a launch that finds nothing to do takes its time, too.
+template <Evaluation straight, int lane_rows, bool Harmonics, bool Cells, class Out>
+__global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
+    composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
+  using Straight = Config<straight, Harmonics, lane_rows, Cells>;
+  using Quadratic = Config<Evaluation::kQuadratic, Harmonics, lane_rows, Cells>;
+  __shared__ Staged<Harmonics> staged[kWarps];
+  if (frame.state->kernel == int(Straight::kernel))
+    draw_patches<Straight>(frame, background, out, staged);
+  else if (frame.state->kernel == int(Quadratic::kernel))
+    draw_patches<Quadratic>(frame, background, out, staged);
+}
+
+template <int lane_rows, bool Harmonics, class Out>
+__global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
+    composite_antialiased_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
+  using Antialiased = Config<Evaluation::kQuadratic, Harmonics, lane_rows, true, true>;
+  __shared__ StagedOf<Antialiased> staged[kWarps];
+  if (frame.state->kernel == int(Antialiased::kernel)) draw_patches<Antialiased>(frame, background, out, staged);
+}
+
+template <Evaluation straight, int lane_rows, bool Harmonics, class Out>
+void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
+  auto kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, false, Out>;
+  if (frame.optics.has_cells) kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, true, Out>;
+  if (frame.rig.antialiased) kernel = composite_antialiased_kernel<lane_rows, Harmonics, Out>;
+  kernel<<<resident_blocks(kernel, kThreads, 0), kThreads, 0, stream>>>(frame, background, out);
+  check_launch("composite_pixel");
+}
+
+template <Evaluation straight, class Out>
+void launch_all(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
+  if (frame.splats.orders) {
+    launch<straight, 1, true>(frame, background, out, stream);
+    launch<straight, 2, true>(frame, background, out, stream);
+  } else {
+    launch<straight, 1, false>(frame, background, out, stream);
+    launch<straight, 2, false>(frame, background, out, stream);
+  }
+}
+
+}  // namespace
+
+void composite_pixel(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
+  auto draw = [&](auto* image) {
+    if (frame.in_half)
+      launch_all<Evaluation::kHalf>(frame, background, image, cudaStream_t(stream));
+    else
+      launch_all<Evaluation::kLinear>(frame, background, image, cudaStream_t(stream));
+  };
+  out8 ? draw(out8) : draw(out);
+}
+
+}  // namespace lfgs::cuda

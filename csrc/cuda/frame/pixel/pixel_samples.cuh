@@ -1,0 +1,210 @@
+// Samples of a warp's patch in composite_pixel.cu: where a lane's stand, what they hold, and how a Gaussian is added.
+#pragma once
+
+#include "cuda/common/compensated.cuh"
+#include "cuda/frame/composite_frame.cuh"
+#include "cuda/frame/lens_optics.cuh"
+#include "cuda/frame/pixel/pixel_fit.cuh"
+
+namespace lfgs::cuda {
+
+__device__ inline float part(float4 c, int k) { return k == 0 ? c.x : k == 1 ? c.y : c.z; }
+
+// A lane's pixels: two neighbours in every fourth row of the patch from lane / 8 on.
+template <int lane_rows>
+struct LanePixels {
+  int column, row;  // of the first
+  float x, y;       // its centre, about the patch's centre
+
+  __device__ LanePixels(int left, int top) {
+    const int lane = threadIdx.x % 32, lane_x = 2 * (lane % 8), lane_y = lane / 8;
+    column = left + lane_x, row = top + lane_y;
+    x = lane_x + 0.5f - 0.5f * kPatchWidth, y = lane_y + 0.5f - 0.5f * 4 * lane_rows;
+  }
+  __device__ bool seen(const LensOptics& lens, int r, int p) const {
+    return row + 4 * r < lens.height_px && column + p < lens.width_px;
+  }
+  // Calls visit(r, p, k) for the sub-pixels.
+  template <class Visit>
+  __device__ static void for_each(const Visit& visit) {
+#pragma unroll
+    for (int r = 0; r < lane_rows; ++r)
+#pragma unroll
+      for (int p = 0; p < 2; ++p)
+#pragma unroll
+        for (int k = 0; k < 3; ++k) visit(r, p, k);
+  }
+  // Calls visit(r, p, k, s) for them with the offset from which each is seen.
+  template <bool Cells, class Visit>
+  __device__ void for_each_offset(const LensOptics& lens, const Visit& visit) const {
+#pragma unroll
+    for (int r = 0; r < lane_rows; ++r)
+#pragma unroll
+      for (int p = 0; p < 2; ++p) {
+        uint64_t phase = phase_at(lens, row + 4 * r, 3 * (column + p));
+        const uint64_t* beyond = lens.cells.phases[row % kCellPeriod] + 3 * ((column + p) % kCellPeriod);
+#pragma unroll
+        for (int k = 0; k < 3; ++k, phase += lens.phase_x) {
+          const uint64_t own = Cells && lens.has_cells ? phase + beyond[k] : phase;
+          visit(r, p, k, fmaf(lens.s_step, camera_of(lens, own), lens.s_start));
+        }
+      }
+  }
+  // Puts the sub-pixels value(r, p, k) into the image.
+  template <bool Cells, class Out, class Value>
+  __device__ void store(const LensOptics& lens, Out* out, const Value& value) const {
+#pragma unroll
+    for (int r = 0; r < lane_rows; ++r) {
+      float values[6];
+#pragma unroll
+      for (int p = 0; p < 2; ++p)
+#pragma unroll
+        for (int k = 0; k < 3; ++k) values[3 * p + k] = value(r, p, k);
+      store_pixels<Cells>(lens, column, row + 4 * r, values, out);
+    }
+  }
+};
+
+// From the colour of the last hit, seen from s, to the background's.
+template <class C>
+__device__ float last_step(const Staged<C::Harmonics>& staged, float4 background, float s, int k) {
+  const ColourFit& last = staged.colour;
+  const float step = part(background, k) - part(last.value, k);
+  const float slope = C::Bends ? fmaf(s, part(last.bend, k), part(last.slope, k)) : part(last.slope, k);
+  return C::Harmonics ? fmaf(-s, slope, step) : step;
+}
+
+// Adds a Gaussian to one sample as it is written: a division, the limit of alpha, the whole colour polynomial, the stop
+// of what is opaque; of anti-aliased ones the share of opacity.
+template <class C>
+struct CarefulHit {
+  const LensFrame& frame;
+  Splat<float> splat;
+  Compensation<float> compensation;
+  int order;
+  const float4* powers;
+  float4 highest, background;
+
+  __device__ CarefulHit(const LensFrame& frame, uint32_t id, float2 centre, float4 background)
+      : frame(frame),
+        splat(whole_splat_about(frame.splats, id, centre)),
+        compensation(C::Antialiased ? frame.splats.compensations[id] : Compensation<float>{}),
+        order(C::Harmonics ? frame.splats.orders[id] : 0),
+        powers(reinterpret_cast<const float4*>(frame.splats.colours) + int64_t(id) * (frame.splats.colour_order + 1)),
+        highest(by_place<C::Cells>(frame.optics, powers[order])),
+        background(background) {}
+
+  __device__ void add(float x, float y, float s, int k, float& T, float& colour) const {
+    const float dy = y - splat.v0, dx = x - splat.u0 - splat.c0 * dy - s * fmaf(splat.c1, dy, splat.du);
+    const float S = fmaf(s, fmaf(s, splat.S2, splat.S1), splat.S0);
+    float power = splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S);
+    if constexpr (C::Antialiased) power += log2_share(compensation, s, S);
+    const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
+    float c = part(highest, k);
+    for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place<C::Cells>(frame.optics, powers[q]), k));
+    // Of a sample that should have ended before, see ended(), no more is drawn
+    const bool hit = power >= frame.hit_cut && T >= float(kMinTransmittance), stop = after < float(kMinTransmittance);
+    // One that stops keeps its light for the background; an alpha of nothing leaves it as it is
+    const float light = stop ? part(background, k) * T : fmaxf(c, 0.f) * (alpha * T);
+    if (hit) colour += light, T = stop ? 0 : after;
+  }
+};
+
+// Samples in float.
+template <class C>
+struct FloatSamples {
+  LanePixels<C::lane_rows> pixels;
+  float s[C::lane_rows][2][3], colour[C::lane_rows][2][3], transmittance[C::lane_rows][2][3];
+
+  __device__ FloatSamples(const LensFrame& frame, int left, int top) : pixels(left, top) {
+    pixels.template for_each_offset<C::Cells>(frame.optics, [&](int r, int p, int k, float offset) {
+      s[r][p][k] = offset, colour[r][p][k] = 0, transmittance[r][p][k] = pixels.seen(frame.optics, r, p) ? 1.f : 0.f;
+    });
+  }
+
+  __device__ bool opaque(float stop) const {
+    bool all = true;
+    pixels.for_each([&](int r, int p, int k) { all = all && transmittance[r][p][k] < stop; });
+    return all;
+  }
+
+  // The step of the colour at place k of hit i, seen from s.
+  struct Step {
+    float4 value, slope, bend;
+
+    __device__ Step(const Staged<C::Harmonics>& staged, int i)
+        : value(make_float4(staged.fit[2][i].z, staged.fit[2][i].w, staged.fit[3][i].x, 0)),
+          slope(C::SlopesInFit ? shifted(staged.fit[3][i])
+                : C::Harmonics ? staged.slope[i]
+                               : value),
+          bend(C::Harmonics ? staged.bend[i] : value) {}
+    __device__ static float4 shifted(float4 f) { return make_float4(f.y, f.z, f.w, 0); }
+    template <bool Bent>
+    __device__ float at(int k, float s) const {
+      const float line = C::Bends && Bent ? fmaf(s, part(bend, k), part(slope, k)) : part(slope, k);
+      return C::Harmonics ? fmaf(s, line, part(value, k)) : part(value, k);
+    }
+  };
+
+  template <bool Parabola>
+  __device__ void add(const StagedOf<C>& staged, int i, float cut) {
+    constexpr bool Curved = C::Quadratic && Parabola;
+    const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i], f3 = staged.fit[3][i];
+    const Step step(staged, i);
+    float2 share;
+    if constexpr (C::Antialiased) share = staged.share[i];
+    // At the lane's first pixel; the others are a step away in x, four in y
+    float t = fmaf(f2.y, pixels.y, f2.x);
+    float c0 = fmaf(f1.y, pixels.x, fmaf(f0.y, pixels.y, f0.x));
+    float c1 = fmaf(f1.z, pixels.x, fmaf(f0.w, pixels.y, f0.z));
+    float c2 = Curved ? fmaf(f3.y, pixels.x, fmaf(f3.z, pixels.y, f1.x)) : f1.x;
+#pragma unroll
+    for (int r = 0; r < C::lane_rows; ++r) {
+      const float A = fmaf(-t, t, f1.w);
+#pragma unroll
+      for (int p = 0; p < 2; ++p) {
+        const float p0 = p ? c0 + f1.y : c0, p1 = p ? c1 + f1.z : c1, p2 = Curved && p ? c2 + f3.y : c2;
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+          const float v = s[r][p][k];
+          float& T = transmittance[r][p][k];
+          const float d = fmaf(v, fmaf(v, Curved ? fmaf(v, f3.w, p2) : p2, p1), p0);
+          const float power = fmaf(-d, d, C::Antialiased ? fmaf(v, fmaf(v, share.y, share.x), A) : A);
+          const float alpha = fast_exp2(power);
+          colour[r][p][k] = fmaf(T, step.template at<Parabola>(k, v), colour[r][p][k]);
+          if (power >= cut) T = fmaf(-alpha, T, T);
+        }
+      }
+      t = fmaf(4, f2.y, t), c0 = fmaf(4, f0.y, c0), c1 = fmaf(4, f0.w, c1);
+      if (Curved) c2 = fmaf(4, f3.z, c2);
+    }
+  }
+
+  __device__ void flush() {}
+
+  // The step alone: closes the colour before a careful hit.
+  __device__ void close(const Staged<C::Harmonics>& staged, int i) {
+    const Step step(staged, i);
+    pixels.for_each([&](int r, int p, int k) {
+      colour[r][p][k] = fmaf(transmittance[r][p][k], step.template at<true>(k, s[r][p][k]), colour[r][p][k]);
+    });
+  }
+
+  __device__ void add_carefully(const CarefulHit<C>& hit) {
+    pixels.for_each([&](int r, int p, int k) {
+      hit.add(pixels.x + p, pixels.y + 4 * r, s[r][p][k], k, transmittance[r][p][k], colour[r][p][k]);
+    });
+  }
+
+  // Over the background.
+  template <class Out>
+  __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) const {
+    pixels.template store<C::Cells>(lens, out, [&](int r, int p, int k) {
+      const float T = transmittance[r][p][k];
+      const float shown = fmaf(T, last_step<C>(staged, background, s[r][p][k], k), colour[r][p][k]);
+      return ended(shown, T, part(background, k));
+    });
+  }
+};
+
+}  // namespace lfgs::cuda

@@ -1,0 +1,44 @@
+// How r = S^(-1/2) of a splat varies along the rig, and what of it kernels may leave out.
+#pragma once
+
+#include "cuda/common/blend.cuh"
+#include "cuda/frame/lens_frame.h"
+
+namespace lfgs::cuda {
+
+// Of a splat in the ordinal kernel, see parabola_error(): beyond, it is evaluated carefully; alpha is off by less than
+// 0.42/255. Nothing has as much where s2 reach^2 is up to kLeastBend, that of the worst S, the square of a line.
+constexpr float kMostParabolaError = 0.002f, kLeastBend = 0.026f;
+
+// Of S = S0 (1 + s1 v + s2 v^2): r = S0^(-1/2) (1 + p1 v + p2 v^2 + p3 v^3 + p4 v^4 ...).
+struct RootSeries {
+  float s1, s2;
+
+  __device__ float p1() const { return -0.5f * s1; }
+  __device__ float p2() const { return fmaf(0.375f * s1, s1, -0.5f * s2); }
+  __device__ float p3() const { return s1 * fmaf(-0.3125f * s1, s1, 0.75f * s2); }
+  __device__ float p4() const {
+    const float square = s1 * s1;
+    return s2 * (0.375f * s2 - 0.9375f * square) + 0.2734375f * square * square;
+  }
+};
+
+// A splat's, about an offset of the rig in the middle of an ordinal; v = 1 stands for `unit`; r: S0^(-1/2).
+struct OrdinalShape : RootSeries {
+  float r;
+
+  __device__ OrdinalShape(const Splat<float>& s, float centre, float unit) {
+    r = fast_rsqrt(fmaf(centre, fmaf(centre, s.S2, s.S1), s.S0));
+    s1 = fmaf(2 * centre, s.S2, s.S1) * unit * (r * r), s2 = s.S2 * unit * unit * (r * r);
+  }
+
+  // The splat's opacity times what a parabola leaves of r over the ordinal: 0.4 (|p3| + s2^2) where v reaches 1. No
+  // other terms matter: S is nowhere below zero, so |s1| < 2 sqrt(s2), which bounds them all.
+  __device__ float parabola_error(const Ordinals& ordinals, float log2_opacity) const {
+    constexpr float kLeastOpacity = 0.1f;  // of faint splats the edge shows
+    const float reach = ordinals.reach, opacity = fmaxf(fast_exp2(log2_opacity), kLeastOpacity);
+    return 0.4f * reach * reach * reach * opacity * fmaf(reach * s2, s2, fabsf(p3()));
+  }
+};
+
+}  // namespace lfgs::cuda

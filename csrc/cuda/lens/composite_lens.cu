@@ -1,0 +1,290 @@
+// Stage composite for the panel on the device: pixel tiles swept over the whole rig. A block has a tile of 32 x 16
+// pixels, a warp 16 x 4 of them, a lane two pixels one below the other: six sub-pixels, each at its own offset.
+#include "cuda/common/blend.cuh"
+#include "cuda/common/check.h"
+#include "cuda/common/compensated.cuh"
+#include "cuda/stages/stages.h"
+#include "math/colour_polynomial.h"
+#include "math/footprint.h"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kThreads = 256, kBatch = 128;
+constexpr int kWarpWidth = 16, kWarpHeight = 4, kWarpsAcross = 2, kRows = 2;  // kRows: pixels of a lane
+static_assert(kLensTile.width_px == kWarpWidth * kWarpsAcross);
+static_assert(kLensTile.height_px == kWarpHeight * (kThreads / 32 / kWarpsAcross));
+
+constexpr int kBackwardBatch = 16;
+template <bool kAntialiased>
+constexpr int kMostSums = kLensSums + 3 * (kMaxColourOrder + 1) + (kAntialiased ? kCompensationFields : 0);
+
+struct Sample {
+  float s;  // normalized offset of its camera
+  float colour = 0, transmittance = 0, rest = 0;
+  int channel;
+};
+
+// The tile of this block, the pixels of this warp and of this lane (one below the other, 2 rows apart).
+struct Place {
+  int64_t x0, y0;
+  int left, top, column, row;
+  float x;
+
+  __device__ explicit Place(const Image& image) {
+    const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+    const int64_t across = (image.width_px + kLensTile.width_px - 1) / kLensTile.width_px;
+    x0 = blockIdx.x % across * kLensTile.width_px, y0 = blockIdx.x / across * kLensTile.height_px;
+    left = warp % kWarpsAcross * kWarpWidth, top = warp / kWarpsAcross * kWarpHeight;
+    column = left + lane % kWarpWidth, row = top + lane / kWarpWidth;
+    x = column + 0.5f;
+  }
+  __device__ int64_t image_row(int r) const { return y0 + row + 2 * r; }
+  __device__ bool inside(const Image& image, int r) const {
+    return image_row(r) < image.height_px && x0 + column < image.width_px;
+  }
+  __device__ int64_t pixel(const Image& image, int r) const { return image_row(r) * image.width_px + x0 + column; }
+
+  __device__ Sample sample(const Image& image, const Lens& lens, float s_start, float s_step, int r,
+                           int channel) const {
+    Sample sample;
+    sample.transmittance = inside(image, r) ? 1.f : 0.f;
+    const int64_t row = image_row(r), subpixel = lens.subpixel_of(row, x0 + column, channel);
+    sample.channel = channel;
+    sample.s = fmaf(s_step, float(camera_coordinate(lens, lens.true_phase(row, subpixel))), s_start);
+    return sample;
+  }
+  // Whether a splat, its centre from the tile's corner, may touch the warp's pixels from some camera.
+  __device__ bool touches(const Splat<float>& s) const {
+    float low, high;
+    return columns_of(s, top + 0.5f, top + kWarpHeight - 0.5f, 0.f, low, high) && high >= left + 0.5f &&
+           low <= left + kWarpWidth - 0.5f;
+  }
+  __device__ Splat<float> local(Splat<float> s) const {
+    s.u0 -= float(x0), s.v0 -= float(y0);
+    return s;
+  }
+};
+
+// Colour of a splat at a sample: the polynomial of its channel, clamped at zero.
+__device__ inline float colour_at(const float* colour, int order, const Sample& sample) {
+  float c = __ldg(colour + order * kColourStride + sample.channel);
+  for (int p = order - 1; p >= 0; --p) c = fmaf(c, sample.s, __ldg(colour + p * kColourStride + sample.channel));
+  return fmaxf(c, 0.f);
+}
+
+template <bool kAntialiased>
+__global__ void __launch_bounds__(kThreads)
+    composite_lens_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
+                          float s_start, float s_step, const float* background, float* out) {
+  __shared__ Splat<float> staged[kBatch];
+  __shared__ uint32_t ids[kBatch];
+  const int lane = threadIdx.x % 32;
+  const Place place(image);
+  Sample samples[kRows][3];
+  for (int r = 0; r < kRows; ++r)
+    for (int k = 0; k < 3; ++k) samples[r][k] = place.sample(image, lens, s_start, s_step, r, k);
+
+  for (int64_t begin = ranges[2 * int64_t(blockIdx.x)], end = ranges[2 * int64_t(blockIdx.x) + 1]; begin < end;
+       begin += kBatch) {
+    bool open = false;
+    for (auto& pixel : samples)
+      for (auto& sample : pixel) open |= sample.transmittance > 0;
+    if (__syncthreads_and(!open)) break;
+    const int count = int(min(int64_t(kBatch), end - begin));
+    for (int k = threadIdx.x; k < count; k += kThreads) {
+      const uint32_t id = splat_of(pairs, begin + k);
+      staged[k] = place.local(splats.splats[id]), ids[k] = id;
+    }
+    __syncthreads();
+    if (!__any_sync(~0u, open)) continue;
+
+    // 32 candidates at a time: each lane holds one against the warp's pixels, then all evaluate those that may touch
+    for (int first = 0; first < count; first += 32) {
+      const bool hit = first + lane < count && place.touches(staged[first + lane]);
+      for (unsigned todo = __ballot_sync(~0u, hit); todo; todo &= todo - 1) {
+        const int k = first + __ffs(todo) - 1;
+        const Splat<float>& s = staged[k];
+        const uint32_t id = ids[k];
+        const int order = splats.orders[id];
+        const float* colour = splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
+        Compensation<float> compensation;
+        if constexpr (kAntialiased) compensation = splats.compensations[id];
+#pragma unroll
+        for (int r = 0; r < kRows; ++r) {
+          const float dy = place.row + 2 * r + 0.5f - s.v0, A = s.log2_opacity - s.tau * dy * dy;
+          const float M0 = place.x - fmaf(s.c0, dy, s.u0), M1 = fmaf(s.c1, dy, s.du);
+#pragma unroll
+          for (int c = 0; c < 3; ++c) {
+            Sample& sample = samples[r][c];
+            const float dx = fmaf(-sample.s, M1, M0), S = fmaf(fmaf(sample.s, s.S2, s.S1), sample.s, s.S0);
+            float power = A - __fdividef(dx * dx, S);
+            if constexpr (kAntialiased) power += log2_share(compensation, sample.s, S);
+            const float alpha = alpha_of(power);
+            if (alpha == 0) continue;
+            float weight;
+            over(alpha, sample.transmittance, sample.rest, weight);
+            sample.colour = fmaf(weight, colour_at(colour, order, sample), sample.colour);
+          }
+        }
+      }
+    }
+  }
+
+  for (int r = 0; r < kRows; ++r)
+    for (int k = 0; k < 3 && place.inside(image, r); ++k) {
+      const Sample& sample = samples[r][k];
+      const float behind = remaining(sample.transmittance, sample.rest) * background[sample.channel];
+      out[3 * place.pixel(image, r) + sample.channel] = sample.colour + behind;
+    }
+}
+
+// The reverse; see over_adjoint() for the formula. A sample's `colour` holds the prefix. Sums over a tile: first within
+// each warp, then over the warps, always in the same order.
+template <bool kAntialiased>
+__global__ void __launch_bounds__(kThreads)
+    composite_lens_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
+                                   float s_start, float s_step, const float* pixels, const float* gradient,
+                                   float* slot_gradients, float* tile_background) {
+  __shared__ Splat<float> staged[kBackwardBatch];
+  __shared__ uint32_t slots[kBackwardBatch], ids[kBackwardBatch];
+  __shared__ float partial[kThreads / 32][kBackwardBatch][kMostSums<kAntialiased>];
+  constexpr int kSharp = kAntialiased ? kCompensationFields : 0;
+  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, sharp = kLensSums + 3 * (splats.colour_order + 1);
+  const int all_sums = sharp + kSharp;
+  const Place place(image);
+  Sample samples[kRows][3];
+  float g[kRows][3], total[kRows][3];
+  for (int r = 0; r < kRows; ++r)
+    for (int k = 0; k < 3; ++k) {
+      samples[r][k] = place.sample(image, lens, s_start, s_step, r, k);
+      const int64_t at = 3 * place.pixel(image, r) + samples[r][k].channel;
+      g[r][k] = place.inside(image, r) ? gradient[at] : 0.f;
+      total[r][k] = place.inside(image, r) ? g[r][k] * pixels[at] : 0.f;
+    }
+
+  const int64_t end = ranges[2 * int64_t(blockIdx.x) + 1];
+  for (int64_t begin = ranges[2 * int64_t(blockIdx.x)]; begin < end; begin += kBackwardBatch) {
+    __syncthreads();
+    const int count = int(min(int64_t(kBackwardBatch), end - begin));
+    if (threadIdx.x < count) {
+      slots[threadIdx.x] = pairs.sorted_slots[begin + threadIdx.x];
+      ids[threadIdx.x] = splat_of(pairs, begin + threadIdx.x);
+      staged[threadIdx.x] = place.local(splats.splats[ids[threadIdx.x]]);
+    }
+    __syncthreads();
+    for (int k = 0; k < count; ++k) {
+      const Splat<float>& s = staged[k];
+      float* out = partial[warp][k];
+      for (int f = lane; f < all_sums; f += 32) out[f] = 0;
+      __syncwarp();
+      if (!place.touches(s)) continue;
+      const int order = splats.orders[ids[k]];
+      const float* colour = splats.colours + int64_t(ids[k]) * (splats.colour_order + 1) * kColourStride;
+      [[maybe_unused]] Compensation<float> compensation, of_D{};
+      if constexpr (kAntialiased) compensation = splats.compensations[ids[k]];
+      float sums[kLensSums] = {}, term[kRows][3];  // term: gradient of the sample's colour, times a power of s
+      bool lit = false;
+      for (int r = 0; r < kRows; ++r) {
+        const float dy = place.row + 2 * r + 0.5f - s.v0, A = s.log2_opacity - s.tau * dy * dy;
+        const float M0 = place.x - fmaf(s.c0, dy, s.u0), M1 = fmaf(s.c1, dy, s.du);
+        for (int c = 0; c < 3; ++c) {
+          Sample& sample = samples[r][c];
+          term[r][c] = 0;
+          const float dx = fmaf(-sample.s, M1, M0);
+          const float S = fmaf(fmaf(sample.s, s.S2, s.S1), sample.s, s.S0), inverse_S = 1 / S;
+          float power = A - dx * dx * inverse_S;
+          if constexpr (kAntialiased) power += log2_share(compensation, sample.s, S);
+          const float alpha = sample.transmittance > 0 ? alpha_of(power) : 0.f;
+          if (alpha == 0) continue;
+          const float before = sample.transmittance;
+          float weight;
+          over(alpha, sample.transmittance, sample.rest, weight);
+          if (sample.transmittance == 0) continue;  // the sample ended before this splat
+          lit = true;
+          const float value = colour_at(colour, order, sample), v = g[r][c] * value;
+          sample.colour += weight * v;
+          const float g_alpha = over_adjoint<false>(alpha, before, v, total[r][c] - sample.colour);
+          const float gp = power < float(kLog2MaxAlpha) ? g_alpha * alpha * float(kLn2) : 0.f;
+          const float e = dx * inverse_S, gx = -2 * gp * e, gS = gp * e * e;
+          sums[kPowerSum] += gp, sums[kPowerDySum] += gp * dy, sums[kPowerDy2Sum] += gp * dy * dy;
+          sums[kXSum] += gx, sums[kXsSum] += gx * sample.s;
+          sums[kXDySum] += gx * dy, sums[kXsDySum] += gx * sample.s * dy;
+          sums[kSSum] += gS, sums[kSsSum] += gS * sample.s, sums[kSs2Sum] += gS * sample.s * sample.s;
+          if constexpr (kAntialiased) {
+            // log2 of the share is (log2 D - log2 S) / 2
+            const float half = gp * float(0.5 / kLn2), gD = half / sharpness(compensation, sample.s);
+            const float of_S = -half * inverse_S;
+            sums[kSSum] += of_S, sums[kSsSum] += of_S * sample.s, sums[kSs2Sum] += of_S * sample.s * sample.s;
+            of_D.D0 += gD, of_D.D1 += gD * sample.s, of_D.D2 += gD * sample.s * sample.s;
+          }
+          // Order 0 was clamped, and is masked, at projection
+          term[r][c] = order == 0 || value > 0 ? g[r][c] * weight : 0.f;
+        }
+      }
+      if (!__any_sync(~0u, lit)) continue;
+#pragma unroll
+      for (int f = 0; f < kLensSums; ++f) {
+        const float sum = warp_sum(sums[f]);
+        if (lane == 0) out[f] = sum;
+      }
+      if constexpr (kAntialiased) {
+        const float D0 = warp_sum(of_D.D0), D1 = warp_sum(of_D.D1), D2 = warp_sum(of_D.D2);
+        if (lane == 0) out[sharp] = D0, out[sharp + 1] = D1, out[sharp + 2] = D2;
+      }
+      for (int p = 0; p <= order; ++p)
+        for (int c = 0; c < 3; ++c) {
+          const float sum = warp_sum(term[0][c] + term[1][c]);
+          if (lane == 0) out[kLensSums + 3 * p + samples[0][c].channel] = sum;
+          term[0][c] *= samples[0][c].s, term[1][c] *= samples[1][c].s;
+        }
+    }
+    __syncthreads();
+    for (int i = threadIdx.x; i < count * all_sums; i += kThreads) {
+      float sum = 0;
+      for (int w = 0; w < kThreads / 32; ++w) sum += partial[w][i / all_sums][i % all_sums];
+      slot_gradients[int64_t(slots[i / all_sums]) * all_sums + i % all_sums] = sum;
+    }
+  }
+
+  // Background: what every sample lets through
+  __syncthreads();
+  for (int c = 0; c < 3; ++c) {
+    float behind = 0;
+    for (int r = 0; r < kRows; ++r) behind += g[r][c] * remaining(samples[r][c].transmittance, samples[r][c].rest);
+    behind = warp_sum(behind);
+    if (lane == 0) partial[warp][0][samples[0][c].channel] = behind;
+  }
+  __syncthreads();
+  if (threadIdx.x < 3) {
+    float sum = 0;
+    for (int w = 0; w < kThreads / 32; ++w) sum += partial[w][0][threadIdx.x];
+    tile_background[3 * int64_t(blockIdx.x) + threadIdx.x] = sum;
+  }
+}
+
+}  // namespace
+
+void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                    const Lens& lens, const float* background, float* out, Stream stream) {
+  const int64_t tiles = tile_count(image.tile, image.width_px, image.height_px);
+  const float start = float(lens.s_start()), step = float(lens.s_step());
+  const auto kernel = splats.compensations ? composite_lens_kernel<true> : composite_lens_kernel<false>;
+  kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, lens, start, step,
+                                                                 background, out);
+  check_launch("composite_lens");
+}
+
+void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
+                             const Lens& lens, const float* pixels, const float* gradient, float* slot_gradients,
+                             float* tile_background, Stream stream) {
+  const float start = float(lens.s_start()), step = float(lens.s_step());
+  const unsigned tiles = unsigned(tile_count(image.tile, image.width_px, image.height_px));
+  const auto kernel =
+      splats.compensations ? composite_lens_backward_kernel<true> : composite_lens_backward_kernel<false>;
+  kernel<<<tiles, kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, lens, start, step, pixels,
+                                                       gradient, slot_gradients, tile_background);
+  check_launch("composite_lens_backward");
+}
+
+}  // namespace lfgs::cuda

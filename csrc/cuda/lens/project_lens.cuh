@@ -1,0 +1,144 @@
+// Projection for the lens sensor on the device, a Gaussian at a time: what project_lens and frame_project do alike.
+// Arithmetic is float, but for where the mean is seen.
+#pragma once
+
+#include <string>
+#include <type_traits>
+
+#include "base/error.h"
+#include "cuda/common/compensated.cuh"
+#include "cuda/common/gaussian_io.cuh"
+#include "cuda/common/halves.cuh"
+#include "cuda/lens/lens_rig.cuh"
+#include "math/footprint.h"
+#include "math/harmonics.h"
+#include "stages/stages.h"
+
+namespace lfgs::cuda {
+
+// What interpolation at the three nodes of order 2 leaves of a colour at most. Cameras on a line see a mean from
+// directions on a great circle, where the bands above 0 are a trigonometric polynomial of degree 3: it is at most
+// sqrt(15 / 4 pi) times their norm, by the addition theorem, its derivatives 3, 9, 27 times as much (Bernstein). The
+// angle's own, an arctangent of s, are at most slope, 0.65 slope^2, 2 slope^3; the error is f''' / 24.
+__device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const glm::vec3& mean,
+                                       const View<float>& rig) {
+  constexpr float kBound = 2.31f;
+  float square = 0;
+#pragma unroll
+  for (int k = 3; k < 3 * kMaxShCount; ++k) square = fmaf(sh[k], sh[k], square);
+  const glm::vec3 right = rig.eye_at(1) - rig.centre(), across = glm::cross(mean - rig.centre(), right);
+  const float reach = glm::dot(right, right), slope = reach * rsqrtf(glm::dot(across, across));
+  return reach > 0 ? kBound * slope * slope * slope * sqrtf(square) : 0.f;
+}
+
+// The colour polynomial of one drawn splat: values at the nodes -> Chebyshev coefficients -> the powers it needs, at
+// least those up to the second. The first one's fourth number says the order again, for who would wait for it.
+template <int Order>
+__device__ inline void store_colours(const Gaussians<const float>& gaussians, const glm::vec3& mean,
+                                     const View<float>& rig, const BasisTable& basis, float tolerance, int64_t i,
+                                     const Splats<float>& out, unsigned* error) {
+  constexpr int kNodes = Order + 1;
+  float sh[3 * kMaxShCount];  // read once, in registers
+  read_harmonics(gaussians, i, sh);
+  glm::vec3 chebyshev[kNodes];
+  auto value = [&](float s) { return sh_colour<float>(3, sh, mean, rig.eye_at(s)); };
+  chebyshev_of_values(basis, kNodes, value, chebyshev);
+  auto size = [&](int k) { return fmaxf(fabsf(chebyshev[k].x), fmaxf(fabsf(chebyshev[k].y), fabsf(chebyshev[k].z))); };
+  // Errors are positive, so their bits order like the numbers
+  const float left = Order == 2 ? parabola_error(sh, mean, rig) : size(Order) + size(Order - 1);
+  const unsigned bits = __float_as_uint(left);
+  if (bits > *static_cast<volatile unsigned*>(error)) atomicMax(error, bits);
+
+  int kept = Order;
+  float dropped = 0;
+#pragma unroll
+  for (int k = Order; k > 0; --k) {
+    dropped += size(k);
+    kept = dropped <= tolerance && kept == k ? k - 1 : kept;
+  }
+  out.orders[i] = kept;
+  float4* colours = reinterpret_cast<float4*>(out.colours) + i * kNodes;
+#pragma unroll 1
+  for (int p = 0; p <= kept; ++p) {
+    glm::vec3 power = power_of_chebyshev(basis, kNodes, p, kept, 0, kNodes, chebyshev);
+    if (kept == 0) power = glm::max(power, glm::vec3(0));
+    colours[p] = make_float4(power.x, power.y, power.z, p == 0 ? float(kept) : 0.f);
+  }
+  for (int p = kept + 1; p <= 2; ++p) colours[p] = make_float4(0, 0, 0, 0);
+}
+
+// One colour for all cameras.
+__device__ inline void store_colour(const Gaussians<const float>& gaussians, int64_t i, const Splats<float>& out) {
+  const float* sh = gaussians.sh + 3 * i;
+  const glm::vec3 colour = glm::max(sh_colour<float>(0, sh, glm::vec3(0, 0, 1), glm::vec3(0)), glm::vec3(0));
+  reinterpret_cast<float4*>(out.colours)[i] = make_float4(colour.x, colour.y, colour.z, 0);
+}
+
+// Where the mean is seen, in double: on a panel of thousands of pixels the last digits of a float show in small splats,
+// by a dB. Returns what rounding took from u0 and v0.
+__device__ inline float2 place_mean(const View<double>& rig, const glm::vec3& mean, Splat<float>& splat) {
+  const glm::dvec3 t = rig.rotation * glm::dvec3(mean) + rig.translation;
+  const double iz = 1 / t.z, u = rig.fx * t.x * iz + rig.cx, v = rig.fy * t.y * iz + rig.cy;
+  splat.u0 = float(u), splat.v0 = float(v), splat.du = float(rig.sweep * rig.fx * (rig.inverse_zero_depth - iz));
+  auto rest = [](double exact, float rounded) {
+    const float r = float(exact - double(rounded));
+    return fabsf(r) < 1 ? r : 0.f;  // beyond, nothing of it is near the panel
+  };
+  return make_float2(rest(u, splat.u0), rest(v, splat.v0));
+}
+
+// Projects, culls and stores splat i; returns it (reach_y < 0: not drawn). depths: where its depth goes instead, see
+// whole_splat_about(), or null.
+template <int Order, bool kAntialiased>
+__device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
+                                    int64_t height_px, const BasisTable& basis, float tolerance, float cut,
+                                    bool by_patches, float least_light, int64_t i, const Splats<float>& out,
+                                    uint32_t* depths, unsigned* error) {
+  const View<float>& rig = rigs.rounded;
+  const Shape<float> shape = shape_of(gaussians, i);
+  Splat<float> splat;
+  if constexpr (kAntialiased)
+    splat = compensated_splat(rigs.exact, shape, out.compensations[i]);
+  else
+    splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
+  const float2 rest = splat.reach_y >= 0 ? place_mean(rigs.exact, shape.mean, splat) : make_float2(0, 0);
+  const bool pruned = least_light > 0 && light_of(splat) < least_light;
+  if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut, by_patches);
+  cull_outside(splat, width_px, height_px);
+  if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
+  Splat<float> stored = splat;
+  if (depths) depths[i] = __float_as_uint(splat.depth), stored.depth = packed(rest.x, rest.y);
+  write_splat(stored, out.splats + i);
+  if (out.orders) out.orders[i] = 0;
+  if (splat.reach_y < 0) return splat;
+  if constexpr (Order == 0)
+    store_colour(gaussians, i, out);
+  else
+    store_colours<Order>(gaussians, shape.mean, rig, basis, tolerance, i, out, error);
+  return splat;
+}
+
+// Calls run with the order of the colours, and whether opacities are compensated, as compile-time constants.
+template <class Run>
+void with_order(int order, bool antialiased, const Run& run) {
+  auto with = [&](auto fixed) {
+    antialiased ? run(fixed, std::bool_constant<true>()) : run(fixed, std::bool_constant<false>());
+  };
+  switch (order) {
+    case 0:
+      return with(std::integral_constant<int, 0>());
+    case 2:
+      return with(std::integral_constant<int, 2>());
+    case 4:
+      return with(std::integral_constant<int, 4>());
+    case 8:
+      return with(std::integral_constant<int, 8>());
+    case 12:
+      return with(std::integral_constant<int, 12>());
+    case 16:
+      return with(std::integral_constant<int, 16>());
+  }
+  throw Error("colour order on CUDA must be 0, 2, 4, 8, 12 or 16, not " + std::to_string(order));
+}
+
+}  // namespace lfgs::cuda

@@ -1,0 +1,139 @@
+// Stage bin on the device: which splats touch which tile. Splats write their tiles in depth order; a stable sort by
+// tile keeps it.
+#include <cub/device/device_radix_sort.cuh>
+#include <cub/device/device_reduce.cuh>
+#include <cub/device/device_scan.cuh>
+#include <thrust/iterator/counting_iterator.h>
+#include <thrust/iterator/transform_iterator.h>
+
+#include <algorithm>
+#include <bit>
+
+#include "cuda/common/check.h"
+#include "cuda/common/gaussian_io.cuh"
+#include "cuda/stages/stages.h"
+#include "math/footprint.h"
+
+namespace lfgs::cuda {
+namespace {
+
+constexpr int kThreads = 128;
+
+// Calls visit(first, last) for each row of tiles of its image that a splat may touch: first to last of them.
+template <class Visit>
+__device__ void for_each_tile_row(const Splat<float>& splat, const Image& image, const Visit& visit) {
+  const Range rows = rows_of(splat, image.height_px);
+  if (rows.last < rows.first) return;
+  const int width = image.tile.width_px, height = image.tile.height_px;
+  const int across = (int(image.width_px) + width - 1) / width, bottom = int(rows.last) / height;
+  for (int down = int(rows.first) / height; down <= bottom; ++down) {
+    const float top = float(down * height) + 0.5f;
+    float low, high;
+    if (!columns_of(splat, top, top + float(height - 1), 0.f, low, high)) continue;
+    const Range columns = pixels_within(low, high, image.width_px);
+    if (columns.last < columns.first) continue;
+    visit(down * across + int(columns.first) / width, down * across + int(columns.last) / width);
+  }
+}
+
+__global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts) {
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
+  if (i >= splats.images * splats.count) return;
+  uint32_t count = 0;
+  for_each_tile_row(read_splat(splats.splats + i), image, [&](int first, int last) { count += last - first + 1; });
+  counts[i] = count;
+}
+
+// The count of the i-th splat, or of the i-th sorted one where there are indices.
+struct Count {
+  const uint32_t *counts, *indices;
+  __device__ int64_t operator()(int64_t i) const { return counts[indices ? indices[i] : i]; }
+};
+
+auto each_count(const uint32_t* counts, const uint32_t* indices = nullptr) {
+  return thrust::make_transform_iterator(thrust::counting_iterator<int64_t>(0), Count{counts, indices});
+}
+
+__global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* indices, const int64_t* ends,
+                            Pairs pairs, SlotRange* slot_ranges) {
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
+  if (i >= splats.images * splats.count) return;
+  const uint32_t index = indices[i], begin = i ? uint32_t(ends[i - 1]) : 0, end = uint32_t(ends[i]);
+  slot_ranges[index] = {begin, end};
+  if (begin == end) return;
+  const uint32_t tiles = uint32_t(tile_count(image.tile, image.width_px, image.height_px));
+  const uint32_t first_tile = index / uint32_t(splats.count) * tiles;
+  uint32_t at = begin;
+  for_each_tile_row(read_splat(splats.splats + index), image, [&](int first, int last) {
+    for (int tile = first; tile <= last; ++tile, ++at) {
+      pairs.tiles[at] = first_tile + tile;
+      pairs.slots[at] = at;
+      pairs.slot_splats[at] = index;
+    }
+  });
+}
+
+// Where each tile's pairs stand among the sorted ones, and their splats.
+__global__ void ranges_kernel(Pairs pairs, int64_t* ranges) {
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
+  if (i >= pairs.count) return;
+  const uint32_t tile = pairs.sorted_tiles[i];
+  if (i == 0 || pairs.sorted_tiles[i - 1] != tile) ranges[2 * int64_t(tile)] = i;
+  if (i == pairs.count - 1 || pairs.sorted_tiles[i + 1] != tile) ranges[2 * int64_t(tile) + 1] = i + 1;
+  pairs.sorted_splats[i] = pairs.slot_splats[pairs.sorted_slots[i]];
+}
+
+}  // namespace
+
+size_t count_bytes(int64_t items) {
+  size_t bytes = 0;
+  check(cub::DeviceReduce::Sum(nullptr, bytes, each_count(nullptr), (int64_t*)nullptr, items), "bin: size of the sum");
+  return bytes;
+}
+
+void bin_count(const Splats<float>& splats, const Image& image, uint32_t* counts, int64_t* pairs, void* temporary,
+               size_t temporary_bytes, Stream stream) {
+  const int64_t items = splats.images * splats.count;
+  if (items == 0) return;
+  count_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(splats, image, counts);
+  check_launch("bin_count");
+  check(cub::DeviceReduce::Sum(temporary, temporary_bytes, each_count(counts), pairs, items, cudaStream_t(stream)),
+        "bin: sum");
+}
+
+size_t fill_bytes(int64_t items, int64_t pairs) {
+  require(pairs < int64_t(1) << 32, std::to_string(pairs) +
+                                        " pairs of tile and Gaussian, and at most 2^32 - 1 fit: "
+                                        "render fewer or smaller images at a time");
+  size_t scan = 0, sort = 0;
+  check(cub::DeviceScan::InclusiveSum(nullptr, scan, each_count(nullptr), (int64_t*)nullptr, items),
+        "bin: size of the scan");
+  check(cub::DeviceRadixSort::SortPairs(nullptr, sort, (uint32_t*)nullptr, (uint32_t*)nullptr, (uint32_t*)nullptr,
+                                        (uint32_t*)nullptr, pairs),
+        "bin: size of the sort");
+  return std::max(scan, sort);
+}
+
+void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const uint32_t* counts,
+              int64_t* ends, const Pairs& pairs, int64_t* ranges, SlotRange* slot_ranges, void* temporary,
+              size_t temporary_bytes, Stream stream) {
+  const int64_t items = splats.images * splats.count;
+  const int64_t all_tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
+  require(all_tiles < int64_t(1) << 32, "more than 2^32 tiles: render fewer or smaller images at a time");
+  if (items == 0) return;
+  check(cub::DeviceScan::InclusiveSum(temporary, temporary_bytes, each_count(counts, indices), ends, items,
+                                      cudaStream_t(stream)),
+        "bin: scan");
+  fill_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(splats, image, indices,
+                                                                                            ends, pairs, slot_ranges);
+  check_launch("bin_fill");
+  if (pairs.count == 0) return;
+  check(cub::DeviceRadixSort::SortPairs(
+            temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots, pairs.sorted_slots, pairs.count,
+            0, std::max(1, int(std::bit_width(uint64_t(all_tiles - 1)))), cudaStream_t(stream)),
+        "bin: sort");
+  ranges_kernel<<<unsigned(blocks_for(pairs.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(pairs, ranges);
+  check_launch("bin: ranges");
+}
+
+}  // namespace lfgs::cuda

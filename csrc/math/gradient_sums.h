@@ -1,0 +1,45 @@
+// Sums over the samples that a splat touches, from which its gradient follows. With g the gradient of the exponent
+//   power = log2 opacity - tau dy^2 - dx^2 / S,   dx = px - m(s),
+// at a sample, "power" is the sum of g, "x" that of what follows for dx, -2 g dx / S, and "S" that of what follows for
+// S(s), g (dx / S)^2; each also times powers of dy and of the sample's offset s.
+#pragma once
+
+#include "base/config.h"
+#include "math/projection.h"
+
+namespace lfgs {
+
+// Places of the sums in an array. One camera, at s = 0, has the first kDenseFootprintSums of them.
+enum FootprintSum : int {
+  kPowerSum,
+  kPowerDySum,
+  kPowerDy2Sum,
+  kXSum,
+  kXDySum,
+  kSSum,
+  kDenseFootprintSums,
+  kXsSum = kDenseFootprintSums,
+  kXsDySum,
+  kSsSum,
+  kSs2Sum,
+  kLensFootprintSums
+};
+
+// The splat's gradient; not of its depth, which samples see otherwise.
+template <class R, class T>
+LFGS_HD Splat<R> dense_gradient_of(const Splat<T>& s, const R* sums) {
+  Splat<R> g{};
+  g.u0 = -sums[kXSum];
+  g.v0 = 2 * s.tau * sums[kPowerDySum] + s.c0 * sums[kXSum];
+  g.log2_opacity = sums[kPowerSum], g.tau = -sums[kPowerDy2Sum], g.c0 = -sums[kXDySum], g.S0 = sums[kSSum];
+  return g;
+}
+template <class R, class T>
+LFGS_HD Splat<R> lens_gradient_of(const Splat<T>& s, const R* sums) {
+  Splat<R> g = dense_gradient_of(s, sums);
+  g.v0 += s.c1 * sums[kXsSum];
+  g.du = -sums[kXsSum], g.c1 = -sums[kXsDySum], g.S1 = sums[kSsSum], g.S2 = sums[kSs2Sum];
+  return g;
+}
+
+}  // namespace lfgs

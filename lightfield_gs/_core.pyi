@@ -1,0 +1,482 @@
+"""The native module, for editors and type checkers. Its functions are bound in csrc/bind; what they do with buffers is
+said in csrc/stages/stages.h and, for CUDA, in csrc/cuda. Python owns every buffer and checks every argument before it
+hands an address over; errors of the module are ValueErrors. In truth float32, float64 and cuda are submodules: here
+they are classes, which a stub in one file can name.
+"""
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias, overload
+
+Address: TypeAlias = int  # of a buffer, as Tensor.data_ptr() gives it, or 0; a stream of CUDA likewise
+
+version: str
+BAND_ROWS: int
+SPLAT_FIELDS: int
+SPLAT_REACH_INDEX: int
+PRUNED: int
+NEAR_DEPTH: float
+COLOUR_STRIDE: int
+CELL_SUBPIXELS: int
+COMPENSATION_FIELDS: int
+SUBPIXEL_BLOCK: int
+
+class Lens:
+    def __init__(
+        self,
+        *,
+        width_px: int,
+        height_px: int,
+        views: int,
+        phase0: int,
+        phase_x: int,
+        phase_y: int,
+        line_number: float,
+        slant_tan: float,
+        phase: float,
+        bgr: bool,
+        continuous: bool,
+        offset_start: float,
+        offset_step: float,
+        cell_phases: Sequence[int] = ...,
+        cell_channels: Sequence[int] = ...,
+    ) -> None: ...
+    def reach(self) -> float: ...
+    def subpixel_of(self, row: int, column: int, channel: int) -> int: ...
+    def stands_in_order(self) -> bool: ...
+    def has_one_order(self) -> bool: ...
+    def view_at(self, row: int, subpixel: int) -> int: ...
+
+class Rig:
+    def __init__(
+        self,
+        *,
+        world_to_camera: Sequence[float],
+        intrinsics: Sequence[float],
+        limits: Sequence[float],
+        zero_depth: float,
+        lens: Lens,
+        antialiased: bool = ...,
+    ) -> None: ...
+
+class Quality:
+    def __init__(
+        self, *, opacity_cut: float, transmittance_stop: float, lattice: float, contribution: float, evaluation: float
+    ) -> None: ...
+
+class Bins:
+    def __init__(self, band_offsets: Address, band_splats: Address) -> None: ...
+
+class Counters:
+    @property
+    def pairs(self) -> int: ...
+    @property
+    def evaluations(self) -> int: ...
+    @property
+    def scratch_bytes(self) -> int: ...
+    @property
+    def tiles(self) -> int: ...
+    @property
+    def empty_tiles(self) -> int: ...
+    @property
+    def stopped_samples(self) -> int: ...
+    @property
+    def lattice_tiles(self) -> int: ...
+    @property
+    def lattices(self) -> int: ...
+    @property
+    def split_lattices(self) -> int: ...
+    @property
+    def refused_lattices(self) -> int: ...
+
+class SubpixelTile:
+    def __init__(self, width_px: int, row_bits: int) -> None: ...
+    @property
+    def width_px(self) -> int: ...
+    @property
+    def height_px(self) -> int: ...
+    def count(self, image_width_px: int, image_height_px: int) -> int: ...
+
+class ViewMap:
+    @overload
+    def __init__(self, lens: Lens) -> None: ...
+    @overload
+    def __init__(self, width_px: int, height_px: int, views: int, table: Address) -> None: ...
+
+class SubpixelLists:
+    def __init__(self, tile: SubpixelTile, starts: Address, codes: Address) -> None: ...
+
+def band_count(height_px: int) -> int: ...
+def pair_gradient_size(colour_order: int, compensated: bool = ...) -> int: ...
+def simd_targets() -> list[str]: ...
+def set_simd_target(name: str) -> None: ...
+def plan_sorted_count(
+    map: ViewMap, tile: SubpixelTile, places: Address, views: int, counts: Address, threads: int
+) -> None: ...
+def plan_sorted_fill(
+    map: ViewMap, tile: SubpixelTile, places: Address, views: int, starts: Address, codes: Address, threads: int
+) -> None: ...
+
+# --- the stages of the CPU, in float and in double: float32 and float64 are alike
+
+class _Stages:
+    class Gaussians:
+        def __init__(
+            self,
+            count: int,
+            sh_degree: int,
+            means: Address,
+            quaternions: Address,
+            scales: Address,
+            opacities: Address,
+            sh: Address,
+        ) -> None: ...
+
+    class Cameras:
+        def __init__(
+            self,
+            scenes: int,
+            per_scene: int,
+            width_px: int,
+            height_px: int,
+            world_to_camera: Address,
+            intrinsics: Address,
+            limits: Address,
+            antialiased: bool = ...,
+        ) -> None: ...
+
+    class Splats:
+        def __init__(
+            self,
+            images: int,
+            count: int,
+            colour_order: int,
+            splats: Address,
+            colours: Address,
+            orders: Address,
+            compensations: Address = ...,
+        ) -> None: ...
+
+    class DenseImages:
+        def __init__(self, image: Address, alpha: Address, depth: Address) -> None: ...
+
+    @staticmethod
+    def project_dense(
+        gaussians: _Stages.Gaussians, cameras: _Stages.Cameras, out: _Stages.Splats, threads: int
+    ) -> None: ...
+    @staticmethod
+    def project_dense_backward(
+        gaussians: _Stages.Gaussians,
+        cameras: _Stages.Cameras,
+        splats: _Stages.Splats,
+        first_pair: Address,
+        pair_gradients: Address,
+        out: _Stages.Gaussians,
+        g_world_to_camera: Address,
+        threads: int,
+    ) -> None: ...
+    @staticmethod
+    def project_lens(
+        gaussians: _Stages.Gaussians,
+        rig: Rig,
+        lens: Lens,
+        quality: Quality,
+        tolerance: float,
+        out: _Stages.Splats,
+        threads: int,
+    ) -> float: ...
+    @staticmethod
+    def project_lens_backward(
+        gaussians: _Stages.Gaussians,
+        rig: Rig,
+        lens: Lens,
+        splats: _Stages.Splats,
+        first_pair: Address,
+        pair_gradients: Address,
+        out: _Stages.Gaussians,
+        threads: int,
+    ) -> None: ...
+    @staticmethod
+    def order(splats: _Stages.Splats, order: Address, drawn: Address, threads: int) -> None: ...
+    @staticmethod
+    def bin_count(
+        splats: _Stages.Splats, order: Address, drawn: Address, height_px: int, bins: Bins, threads: int
+    ) -> int: ...
+    @staticmethod
+    def bin_fill(
+        splats: _Stages.Splats, order: Address, drawn: Address, height_px: int, bins: Bins, threads: int
+    ) -> None: ...
+    @staticmethod
+    def first_pairs(splats: _Stages.Splats, height_px: int, bins: Bins, first_pair: Address, threads: int) -> None: ...
+    @staticmethod
+    def composite_dense(
+        splats: _Stages.Splats,
+        bins: Bins,
+        cameras: _Stages.Cameras,
+        background: Address,
+        out: _Stages.DenseImages,
+        threads: int,
+    ) -> Counters: ...
+    @staticmethod
+    def composite_dense_backward(
+        splats: _Stages.Splats,
+        bins: Bins,
+        cameras: _Stages.Cameras,
+        background: Address,
+        images: _Stages.DenseImages,
+        gradients: _Stages.DenseImages,
+        first_pair: Address,
+        pair_gradients: Address,
+        band_background: Address,
+        threads: int,
+    ) -> Counters: ...
+    @staticmethod
+    def composite_lens(
+        splats: _Stages.Splats,
+        bins: Bins,
+        lens: Lens,
+        quality: Quality,
+        background: Address,
+        out: Address,
+        out8: Address,
+        threads: int,
+    ) -> Counters: ...
+    @staticmethod
+    def composite_lens_backward(
+        splats: _Stages.Splats,
+        bins: Bins,
+        lens: Lens,
+        background: Address,
+        image: Address,
+        gradient: Address,
+        first_pair: Address,
+        pair_gradients: Address,
+        band_background: Address,
+        threads: int,
+    ) -> Counters: ...
+    @staticmethod
+    def composite_sorted(
+        splats: _Stages.Splats,
+        bins: Bins,
+        cameras: _Stages.Cameras,
+        lists: SubpixelLists,
+        background: Address,
+        out: Address,
+        out8: Address,
+        threads: int,
+    ) -> Counters: ...
+
+float32: type[_Stages]
+float64: type[_Stages]
+
+# --- the stages of a CUDA device, where the module was built with them: hasattr(_core, "cuda")
+
+class _Cuda:
+    architectures: list[int]
+    DENSE_SUMS: int
+    LENS_SUMS: int
+    FRAME_STATE_BYTES: int
+    FRAME_KERNELS: list[str]
+    class Image:
+        @overload
+        def __init__(self, count: int, width_px: int, height_px: int, lens: bool) -> None: ...
+        @overload
+        def __init__(self, count: int, width_px: int, height_px: int, tile: SubpixelTile) -> None: ...
+        def tiles(self) -> int: ...
+
+    class Pairs:
+        def __init__(
+            self,
+            count: int,
+            tiles: Address,
+            sorted_tiles: Address,
+            slots: Address,
+            sorted_slots: Address,
+            slot_splats: Address,
+            sorted_splats: Address,
+        ) -> None: ...
+
+    class LensFrame:
+        def __init__(
+            self,
+            *,
+            gaussians: int,
+            sh_degree: int,
+            colour_order: int,
+            rig: Rig,
+            lens: Lens,
+            capacity: int,
+            quality: Quality,
+            tolerance: float,
+        ) -> None: ...
+        def bytes(self) -> int: ...
+        def place(self, work: Address) -> int: ...
+        def state_address(self) -> Address: ...
+        def force(self, kernel: int) -> None: ...
+
+    @staticmethod
+    def project_dense(
+        gaussians: _Stages.Gaussians, cameras: _Stages.Cameras, out: _Stages.Splats, keys: Address, stream: Address
+    ) -> None: ...
+    @staticmethod
+    def project_lens(
+        gaussians: _Stages.Gaussians,
+        rig: Rig,
+        lens: Lens,
+        tolerance: float,
+        out: _Stages.Splats,
+        keys: Address,
+        error: Address,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def view_blocks(gaussians: int) -> int: ...
+    @staticmethod
+    def project_dense_backward(
+        gaussians: _Stages.Gaussians,
+        cameras: _Stages.Cameras,
+        splats: _Stages.Splats,
+        slot_ranges: Address,
+        slot_gradients: Address,
+        out: _Stages.Gaussians,
+        view_partials: Address,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def project_lens_backward(
+        gaussians: _Stages.Gaussians,
+        rig: Rig,
+        splats: _Stages.Splats,
+        slot_ranges: Address,
+        slot_gradients: Address,
+        out: _Stages.Gaussians,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def order_bytes(items: int) -> int: ...
+    @staticmethod
+    def order(
+        items: int,
+        images: int,
+        keys: Address,
+        sorted_keys: Address,
+        indices: Address,
+        temporary: Address,
+        temporary_bytes: int,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def count_bytes(items: int) -> int: ...
+    @staticmethod
+    def bin_count(
+        splats: _Stages.Splats,
+        image: _Cuda.Image,
+        counts: Address,
+        pairs: Address,
+        temporary: Address,
+        temporary_bytes: int,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def fill_bytes(items: int, pairs: int) -> int: ...
+    @staticmethod
+    def bin_fill(
+        splats: _Stages.Splats,
+        image: _Cuda.Image,
+        indices: Address,
+        counts: Address,
+        ends: Address,
+        pairs: _Cuda.Pairs,
+        ranges: Address,
+        slot_ranges: Address,
+        temporary: Address,
+        temporary_bytes: int,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def composite_dense(
+        splats: _Stages.Splats,
+        image: _Cuda.Image,
+        ranges: Address,
+        pairs: _Cuda.Pairs,
+        background: Address,
+        out: _Stages.DenseImages,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def composite_dense_backward(
+        splats: _Stages.Splats,
+        image: _Cuda.Image,
+        ranges: Address,
+        pairs: _Cuda.Pairs,
+        images: _Stages.DenseImages,
+        gradients: _Stages.DenseImages,
+        slot_gradients: Address,
+        tile_background: Address,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def composite_lens(
+        splats: _Stages.Splats,
+        image: _Cuda.Image,
+        ranges: Address,
+        pairs: _Cuda.Pairs,
+        lens: Lens,
+        background: Address,
+        out: Address,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def composite_lens_backward(
+        splats: _Stages.Splats,
+        image: _Cuda.Image,
+        ranges: Address,
+        pairs: _Cuda.Pairs,
+        lens: Lens,
+        pixels: Address,
+        gradient: Address,
+        slot_gradients: Address,
+        tile_background: Address,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def group_norm_silu(
+        images: int,
+        pixels: Address,
+        channels: int,
+        groups: int,
+        maps: Address,
+        weight: Address,
+        bias: Address,
+        eps: float,
+        out: Address,
+        stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def frame_state(address: Address) -> dict[str, Any]: ...
+    @staticmethod
+    def frame_project(
+        frame: _Cuda.LensFrame, gaussians: _Stages.Gaussians, keep_lists: bool, stream: Address
+    ) -> None: ...
+    @staticmethod
+    def frame_bin(frame: _Cuda.LensFrame, stream: Address) -> None: ...
+    @staticmethod
+    def frame_order(frame: _Cuda.LensFrame, stream: Address) -> None: ...
+    @staticmethod
+    def frame_composite(
+        frame: _Cuda.LensFrame, background: Address, out: Address, out8: Address, stream: Address
+    ) -> None: ...
+    @staticmethod
+    def composite_sorted(
+        splats: _Stages.Splats,
+        image: _Cuda.Image,
+        ranges: Address,
+        pairs: _Cuda.Pairs,
+        lists: SubpixelLists,
+        order: Address,
+        background: Address,
+        out: Address,
+        out8: Address,
+        stream: Address,
+    ) -> None: ...
+
+cuda: type[_Cuda]

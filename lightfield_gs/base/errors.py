@@ -1,0 +1,32 @@
+"""The one exception for everything a user can get wrong, and who puts the name of a file into it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class InputError(ValueError):
+    """A file, value, shape, dtype or device that was given and cannot be used.
+
+    The message is one line: what was expected, what came, what to do. The command line prints it to stderr and exits
+    with status 2.
+    """
+
+
+@contextmanager
+def named(where: object) -> Iterator[None]:
+    """Puts what something was read from, a file or an option, before the message of an InputError."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+@contextmanager
+def reading(path: object) -> Iterator[None]:
+    """Says of a file that the system does not let be read, why, as an InputError."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error

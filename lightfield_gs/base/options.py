@@ -1,0 +1,50 @@
+"""The words that options may be, each set once: types for checkers, and the same words for checks at run time."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+Method = Literal["direct", "sorted", "classic"]
+Views = Literal["integer", "continuous"]
+Output = Literal["uint8", "float32", "float64"]
+QualityName = Literal["exact", "high", "fast", "draft"]
+SubpixelOrder = Literal["RGB", "BGR"]
+CellRule = Literal["unity", "webxr"]
+CellRows = Literal["bottom", "top"]
+DepthKind = Literal["distance", "disparity"]
+DepthInvalid = Literal["far", "hole"]
+DepthPart = Literal["right", "left", "top", "bottom"]
+MapOrientation = Literal["stored", "upright"]
+Compression = Literal["fast", "small"]
+Device = Literal["auto", "cpu", "cuda"]
+
+METHODS: tuple[Method, ...] = get_args(Method)
+VIEWS: tuple[Views, ...] = get_args(Views)
+OUTPUTS: tuple[Output, ...] = get_args(Output)
+QUALITY_NAMES: tuple[QualityName, ...] = get_args(QualityName)
+SUBPIXEL_ORDERS: tuple[SubpixelOrder, ...] = get_args(SubpixelOrder)
+CELL_RULES: tuple[CellRule, ...] = get_args(CellRule)
+CELL_ROWS: tuple[CellRows, ...] = get_args(CellRows)
+DEPTH_KINDS: tuple[DepthKind, ...] = get_args(DepthKind)
+DEPTH_INVALID: tuple[DepthInvalid, ...] = get_args(DepthInvalid)
+DEPTH_PARTS: tuple[DepthPart, ...] = get_args(DepthPart)
+MAP_ORIENTATIONS: tuple[MapOrientation, ...] = get_args(MapOrientation)
+COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
+DEVICES: tuple[Device, ...] = get_args(Device)
+
+# What only one method of `encode` takes, for the function and for the command, whose options have the same names
+ONLY_FOR: dict[str, Method] = {
+    "cameras": "sorted",
+    "view_map": "sorted",
+    "memory_budget": "sorted",
+    "quality": "direct",
+    "out": "direct",
+}
+
+
+def of_other_methods(method: str, **given: object) -> list[tuple[str, Method]]:
+    """Which of these (None: not given) the method does not take, and the one that does."""
+    return [(name, ONLY_FOR[name]) for name, value in given.items() if value is not None and ONLY_FOR[name] != method]
+
+
+DEFAULT_CONE_DEG = 40.0  # of a panel that does not say what its views span

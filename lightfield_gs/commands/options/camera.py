@@ -1,0 +1,205 @@
+"""The rig of a command: given, of a camera file, of what the scene's file brings along, or framed automatically."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.commands.options.rig import load_rig
+from lightfield_gs.commands.options.values import camera_choice
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.scene.axes import DEFAULT_UP, UP_AXES, Up, stated_up
+
+if TYPE_CHECKING:
+    from lightfield_gs.scene.files import SceneFile
+    from lightfield_gs.scene.gaussians import Gaussians
+
+_OTHERS = "another: --camera, --rig, --up"
+
+
+def add_camera(add: Callable[..., argparse.Action]) -> None:
+    """The cameras of the views, of a scene that has a file; without any, framed automatically."""
+    add(
+        "--rig",
+        type=Path,
+        metavar="YAML",
+        help="cameras of the views, in the file's own axes (default: those that "
+        "the file brings along, else framed automatically)",
+    )
+    add(
+        "--camera",
+        type=camera_choice,
+        metavar="FILE[:INDEX]",
+        help="centre camera of the views, in the file's own "
+        "axes: one of a cameras.json (3D Gaussian splatting), of a transforms.json (NeRF), or a rig; its picture is "
+        "fitted to the panel (default index 0)",
+    )
+    add_up(add)
+
+
+def add_up(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--up",
+        choices=UP_AXES,
+        metavar="AXIS",
+        help="axis that points up in the file, x, y, z, -x, -y or -z, for "
+        "automatic framing; the Gaussians stay as they are (default: what the file says, else -y)",
+    )
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the options say of the cameras, in the coordinates of the scene's file.
+
+    rig: of --rig, complete. pose, focal_px, principal_point_px: of --camera, at the panel's resolution. said: lines.
+    """
+
+    rig: Rig | None = None
+    pose: np.ndarray | None = None
+    focal_px: tuple[float, float] = (1.0, 1.0)
+    principal_point_px: tuple[float, float] = (0.0, 0.0)
+    said: list[str] = field(default_factory=list)
+
+
+def read_given(args: argparse.Namespace, panel: Panel) -> Given:
+    """The cameras that the options name, read before the scene is. Raises InputError."""
+    if args.rig is not None and args.camera is not None:
+        raise InputError("--camera takes the place of --rig; leave out one of them")
+    if args.rig is None and args.camera is None:
+        return Given()
+    unused = ["axes: --up is not used: the camera was given, in the file's own axes"] if args.up else []
+    if args.rig is not None:
+        _refuse_cameras(args.rig)
+        return Given(load_rig(args, panel), said=unused)
+    path, index = args.camera
+    if path.suffix.lower() in (".yaml", ".yml"):
+        if index is not None:
+            raise InputError(f"{path}:{index}: a rig is one camera; leave out the index")
+        rig = Rig.from_yaml(path)
+        return Given(
+            None,
+            rig.world_to_camera,
+            rig.focal_px,
+            rig.principal_point_px,
+            [f"camera: {path}, a rig, at the panel's resolution; its zero plane was placed anew", *unused],
+        )
+    return _of_camera_file(path, index, panel, unused)
+
+
+def _refuse_cameras(path: Path) -> None:
+    """Raises InputError where a file that was given as a rig holds the cameras of photographs."""
+    from lightfield_gs.io.captures.camera_files import LIMIT_BYTES, is_camera_file
+    from lightfield_gs.io.json_file import read_json
+
+    if path.suffix.lower() == ".json" and is_camera_file(read_json(path, LIMIT_BYTES)):
+        raise InputError(f"{path}: holds the cameras of photographs, no rig; give it as --camera FILE[:INDEX]")
+
+
+def _of_camera_file(path: Path, index: int | None, panel: Panel, said: list[str]) -> Given:
+    from lightfield_gs.io.captures.camera_files import read_camera_file
+
+    cameras = read_camera_file(path)
+    if index is not None and index >= len(cameras):
+        raise InputError(f"{path}:{index}: expected an index of 0..{len(cameras) - 1}, as many cameras are in it")
+    camera = cameras[index or 0]
+    words = f"camera: {path}, {index or 0} ({camera.name}) of {len(cameras)}"
+    if index is None and len(cameras) > 1:
+        words += f", the first; another: --camera {path}:1"
+    if camera.assumed:
+        words += f"; {camera.assumed}"
+    if camera.distorted:
+        words += "; its lens distortion is left out"
+    return Given(None, camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), [words, *said])
+
+
+def choose_rig(
+    given: Given, args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile | None
+) -> tuple[Rig, list[str]]:
+    """The rig in the coordinates that the Gaussians have, and lines on how it was chosen. file: None for a photo.
+
+    Raises InputError.
+    """
+    from lightfield_gs.panels import framing
+
+    if given.rig is not None:
+        return given.rig.relative_to(gaussians.origin), given.said
+    if given.pose is not None:
+        return _looking(given.pose, given.focal_px, given.principal_point_px, panel, gaussians), given.said
+    if file is None:
+        return framing.frame_photo(gaussians, panel), []
+    own = None if args.up else _own_camera(args.input, file, panel, gaussians)
+    return own or _automatic(args, panel, gaussians, file)
+
+
+def _own_camera(path: Path, file: SceneFile, panel: Panel, gaussians: Gaussians) -> tuple[Rig, list[str]] | None:
+    from lightfield_gs.panels.own_camera import photo_camera, stored_framing
+
+    with named(path):
+        if (stored := stored_framing(file.comments, panel)) is not None:
+            return stored[0].relative_to(gaussians.origin), [f"camera: {stored[1]} ({_OTHERS})"]
+        if (camera := photo_camera(file.elements)) is None:
+            return None
+    return (
+        _looking(camera.world_to_camera, *camera.fitted(panel.width_px, panel.height_px), panel, gaussians),
+        [
+            f"camera: that of the photo, {camera.width_px:g} x {camera.height_px:g}, which the file brings along "
+            f"({_OTHERS})"
+        ],
+    )
+
+
+def _looking(
+    pose: np.ndarray,
+    focal_px: tuple[float, float],
+    principal_point_px: tuple[float, float],
+    panel: Panel,
+    gaussians: Gaussians,
+) -> Rig:
+    from lightfield_gs.panels import framing
+
+    pose = Rig(pose, focal_px, principal_point_px, 1.0).relative_to(gaussians.origin).world_to_camera
+    return framing.look_from(gaussians, panel, pose, focal_px, principal_point_px)
+
+
+def _automatic(args: argparse.Namespace, panel: Panel, gaussians: Gaussians, file: SceneFile) -> tuple[Rig, list[str]]:
+    up, notes = axes_of(args.up, file), []
+    rig = Rig.frame(gaussians, panel, up=up.axis, notes=notes)
+    others = "another view: --camera, --rig or --up"
+    return rig, [f"axes: {up.words()}", *(f"framing: {words}; {others}" for words in notes)]
+
+
+def axes_of(up: str | None, file: SceneFile) -> Up:
+    """Which axis points up, and who says so; up: what the command line says."""
+    if up:
+        return Up(up, "--up")
+    return stated_up(file.comments) or Up(DEFAULT_UP, "assumed: the file does not say; another: --up")
+
+
+def brought_along(file: SceneFile) -> list[tuple[str, str]]:
+    """What a scene's file says of cameras, for `info`."""
+    from lightfield_gs.panels.own_camera import photo_camera, stored_size
+
+    try:
+        if (size := stored_size(file.comments)) is not None:
+            return [("camera", f"a framing stored for {size[0]} x {size[1]}")]
+        camera = photo_camera(file.elements)
+    except InputError as error:
+        return [("camera", str(error))]
+    return [] if camera is None else [("camera", f"that of the photo, {camera.width_px:g} x {camera.height_px:g}")]
+
+
+def comments_of(args: argparse.Namespace, panel: Panel, file: SceneFile | None, rig: Rig | None) -> list[str]:
+    """Lines for the header of a file of the Gaussians, so that it is seen as it was drawn; rig: in its coordinates."""
+    from lightfield_gs.panels.own_camera import framing_comment
+
+    known = []
+    if file is not None and (args.up or stated_up(file.comments)):
+        known.append(f"Vertical Axis: {axes_of(args.up, file).axis}")
+    return known + ([] if rig is None else [framing_comment(rig, panel)])

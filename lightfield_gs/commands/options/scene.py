@@ -1,0 +1,122 @@
+"""The scene of a command: a file of Gaussians, or what is made of a photo."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.photo import has_depth, photo_object, photo_scene
+from lightfield_gs.io.atomic import check_output_path
+
+if TYPE_CHECKING:
+    from lightfield_gs.scene.files import SceneFile
+    from lightfield_gs.scene.gaussians import Gaussians
+
+_SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
+_PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
+_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
+
+
+def add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--skip-invalid",
+        action="store_true",
+        help="leave out Gaussians whose values have no meaning (not finite, a rotation of zeros), and say how many",
+    )
+
+
+def add_antialiased(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--antialiased",
+        action="store_true",
+        help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's "
+        "antialiased mode), which look too bright and too thick without: what a pixel blurs becomes fainter by as much",
+    )
+
+
+def check_scene_options(args: argparse.Namespace) -> None:
+    """Raises InputError where options of the scene do not go together, or not with the input."""
+    if _is_scene_file(args):
+        _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
+    else:
+        _refuse(args, ("skip_invalid", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
+    if _is_scene_file(args) or not has_depth(args):
+        _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
+    else:
+        _refuse(args, ("checkpoint",), "is for the network, which --depth does without")
+    if args.depth is not None:
+        _refuse(args, ("rgbd",), "takes the place of --depth")
+    if args.mask is None and args.depth is None:
+        _refuse(args, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
+    if args.intrinsics is not None and min(args.intrinsics[:2]) <= 0:
+        raise InputError(
+            f"--intrinsics: expected focal lengths > 0 px, got {args.intrinsics[0]:g} and {args.intrinsics[1]:g}"
+        )
+    for one, other in (("depth_range", "depth_scale"), ("fov", "intrinsics")):
+        if getattr(args, one) is not None:
+            _refuse(args, (other,), f"takes the place of {_option(one)}")
+
+
+def check_scene_path(path: Path) -> None:
+    """Raises InputError where no Gaussians can be written: it is readers that go by the extension."""
+    check_output_path(path)
+    if path.suffix.lower() != ".ply":
+        raise InputError(f"cannot write {path}: expected a name that ends in .ply")
+
+
+def read_noted(path: Path, skip_invalid: bool) -> SceneFile:
+    """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
+    from lightfield_gs.scene.files import read_scene
+
+    scene = read_scene(path, skip_invalid=skip_invalid)
+    for words in scene.notes:
+        note(f"{path}: {words}")
+    return scene
+
+
+def say_origin(path: Path, gaussians: Gaussians) -> None:
+    if any(gaussians.origin):
+        place = ", ".join(f"{part:.0f}" for part in gaussians.origin)
+        print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
+
+
+def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> tuple[Gaussians, SceneFile | None]:
+    """The Gaussians of the input, on the device, and what else its file holds; None of a photo."""
+    if _is_scene_file(args):
+        file = read_noted(args.input, args.skip_invalid)
+        say_origin(args.input, file.gaussians)
+        gaussians = file.gaussians.to(device)
+        watch.lap("load")
+        return gaussians, file
+    _note_quilt(args.input)
+    return (photo_scene if has_depth(args) else photo_object)(args, device, watch), None
+
+
+def _note_quilt(path: Path) -> None:
+    """Says so where a photo's name is that of a quilt: <name>_qs<columns>x<rows>a<aspect>."""
+    if name := re.search(r"_qs(\d+)x(\d+)a\d", path.stem):
+        note(
+            f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
+            "photo; its views are interlaced by lightfield_gs.interlace (Python)"
+        )
+
+
+def _is_scene_file(args: argparse.Namespace) -> bool:
+    return args.input.suffix.lower() in _SCENE_SUFFIXES
+
+
+def _refuse(args: argparse.Namespace, names: tuple[str, ...], reason: str) -> None:
+    """Raises InputError for the first of these options that was given."""
+    for name in names:
+        if getattr(args, name) not in (None, False):
+            raise InputError(f"{_option(name)} {reason}; leave out one of them")
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")

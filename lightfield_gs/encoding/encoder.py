@@ -1,0 +1,146 @@
+"""Frame after frame for one panel: what `encode` does, without what only the first frame needs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Output, QualityName, Views
+from lightfield_gs.encoding.encode import check_options, encode
+from lightfield_gs.encoding.encoder_cpu import STAGES, CpuFrames
+from lightfield_gs.encoding.encoder_cuda import CudaFrames
+from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.images import background_tensor
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.scene.gaussians import Gaussians
+
+
+class Encoder:
+    """Draws the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
+
+    panel, rig, views, background, output, quality and antialiased are those of `encode`. `rig` and `background` may be
+    set between frames, and the rig altered: a moving zero plane, another cone, another pose. The others are what kept
+    stages and graphs were made for: they can be read only. No gradients. Raises InputError.
+
+    What the frame before shows already is not drawn again, and the image is the same to the bit. `stats` tells:
+    {"frames": n, "reused": {stage: frames that did without it}}.
+
+    On the CPU values are compared with copies, so any change is seen. Each image is a tensor of its own. Where nothing
+    has changed the image is there already, and where only the background has, all but the composite is.
+
+    On CUDA a comparison would wait for the device. The whole frame, from the Gaussians to the image, is one CUDA graph,
+    captured for the tensors of the first call and replayed in full as long as the same tensors come, whose values may
+    change: nothing waits for the device then, and values are checked at the capture only. Other tensors make another
+    capture, and so does another rig the second time that it is seen; the first time the same kernels are launched one
+    by one, with colours as fine as the rigs so far needed: bytes may be rounded otherwise than by `encode`, which goes
+    by its own rig. So may those of the frame in which a scene outgrows the room of the frames before: its tiles share
+    one list, and the next frame has room. versioned=True promises that values change by torch's own in-place operations
+    alone, which count them: then the same tensors, or the same but for sh, count as unchanged; order and bins are kept
+    for other colours, but not for another rig. What torch does not count are changes through .data, DLPack, CUDA graphs
+    and kernels of one's own: call `forget` after those. Inference tensors count nothing and are always drawn.
+    """
+
+    def __init__(
+        self,
+        panel: Panel,
+        rig: Rig,
+        *,
+        views: Views = "integer",
+        background: Colour = (1.0, 1.0, 1.0),
+        output: Output = "uint8",
+        quality: QualityName | Quality = "exact",
+        versioned: bool = False,
+        antialiased: bool = False,
+    ):
+        check_options("direct", views, output)
+        expect("panel", panel, Panel)
+        expect("rig", rig, Rig)
+        expect("versioned", versioned, bool)
+        expect("antialiased", antialiased, bool)
+        background_tensor(background, torch.empty(0))
+        self._panel, self._views, self._output = panel, views, output
+        self._quality, self._versioned, self._antialiased = Quality.of(quality), versioned, antialiased
+        if output == "float64" and not self.quality.is_exact:
+            raise InputError("quality is for output 'uint8' or 'float32': 'float64' is exact only")
+        self.rig, self.background = rig, background
+        self.stats: dict[str, Any] = {"frames": 0, "reused": dict.fromkeys(STAGES, 0)}
+        self.forget()
+
+    @property
+    def panel(self) -> Panel:
+        """The panel whose images are drawn."""
+        return self._panel
+
+    @property
+    def views(self) -> Views:
+        """ "integer" or "continuous"."""
+        return self._views
+
+    @property
+    def output(self) -> Output:
+        """ "uint8", "float32" or "float64"."""
+        return self._output
+
+    @property
+    def quality(self) -> Quality:
+        """How much error is allowed for less time."""
+        return self._quality
+
+    @property
+    def versioned(self) -> bool:
+        """Whether values were promised to change by torch's own in-place operations alone."""
+        return self._versioned
+
+    @property
+    def antialiased(self) -> bool:
+        """Whether the scenes were trained with anti-aliasing."""
+        return self._antialiased
+
+    def forget(self) -> None:
+        """Has the next frame drawn in full, and gives back the memory that was kept for it."""
+        self._frames: CpuFrames | CudaFrames | None = None
+
+    @torch.no_grad()
+    def __call__(self, gaussians: Gaussians) -> Tensor:
+        """The image [H, W, 3]. On CUDA it is the same tensor every time: the next call draws over it."""
+        expect("gaussians", gaussians, Gaussians)
+        expect("rig", self.rig, Rig)
+        gaussians.validate_layout()
+        if gaussians.is_batched:
+            raise InputError(f"an Encoder takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
+        on_cuda, as_bytes = gaussians.means.is_cuda, self.output == "uint8"
+        if on_cuda and not (
+            self.output != "float64"
+            and all(t.dtype == torch.float32 and t.is_contiguous() for t in gaussians.fields().values())
+        ):
+            self.stats["frames"] += 1
+            return encode(
+                gaussians,
+                self.panel,
+                self.rig,
+                views=self.views,
+                background=self.background,
+                output=self.output,
+                quality=self.quality,
+                antialiased=self.antialiased,
+            )
+        if not isinstance(self._frames, CudaFrames if on_cuda else CpuFrames):
+            precision = torch.float64 if self.output == "float64" else torch.float32
+            self._frames = (
+                CudaFrames(as_bytes, self.quality, self.versioned, self.antialiased)
+                if on_cuda
+                else CpuFrames(precision, as_bytes, self.quality, self.antialiased)
+            )
+        view = lens_view(self.panel, self.rig, self.views == "continuous")
+        image, kept = self._frames.draw(gaussians, self.background, view)
+        self.stats["frames"] += 1
+        for stage in kept:
+            self.stats["reused"][stage] += 1
+        return image

@@ -1,0 +1,66 @@
+"""Pruning by contribution: a scene without the Gaussians that hardly show on a panel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.checks import expect, real_number
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.encoding.encode import encode
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
+
+
+def prune(
+    gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float, antialiased: bool = False
+) -> Gaussians:
+    """The scene without the Gaussians that contribute least to the image that the panel shows of it by this rig.
+
+    A Gaussian contributes its weights, alpha times the transmittance of what stands before it, in all sub-pixels. Those
+    of the smallest sums are left out, as many as together stay within contribution_cut (0..1) of the sum that an opaque
+    image has. For colours in 0..1 and any background the mean of |image - image of the whole scene| is then at most
+    contribution_cut (and 1e-4, at which samples end), and a sample errs by the sum of the weights left out there at
+    most. Proof: take them away one by one, the farthest first. Each still has its weight w in a sample, and what it hid
+    shows in its stead: the sample changes by w (behind - own colour).
+
+    Takes time and memory like a training step on one image of the panel, once for a scene. Other viewpoints than the
+    rig's may show what was left out. gaussians: [N, ...], float32, or float64 on the CPU. antialiased: they are of a
+    scene that was trained so, see `render`. Raises InputError.
+    """
+    contribution_cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
+    weights = contributions(gaussians, panel, rig, antialiased)
+    ascending = weights.sort()
+    left_out = ascending.values.cumsum(0) <= contribution_cut * 3 * panel.width_px * panel.height_px
+    kept = ascending.indices[~left_out].sort().values
+    return replace(gaussians, **{name: field[kept] for name, field in gaussians.fields().items()})
+
+
+def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: bool = False) -> Tensor:
+    """[N] float64: what each Gaussian contributes to the image of a panel, its weights summed over all sub-pixels.
+
+    That is the derivative of the sum of the image by its colour. Raises InputError.
+    """
+    for name, value, kind in (
+        ("gaussians", gaussians, Gaussians),
+        ("panel", panel, Panel),
+        ("rig", rig, Rig),
+        ("antialiased", antialiased, bool),
+    ):
+        expect(name, value, kind)
+    gaussians.validate_layout()
+    if gaussians.is_batched:
+        raise InputError(f"contributions are of one scene, means [N, 3], got {list(gaussians.means.shape)}")
+    means, *shape, _ = (field.detach() for field in gaussians.fields().values())
+    grey = torch.zeros(gaussians.count, 1, 3, dtype=means.dtype, device=means.device)
+    with torch.inference_mode(False), torch.enable_grad():
+        means, *shape, grey = (t.clone() if t.is_inference() else t for t in (means, *shape, grey))
+        scene = Gaussians(means, *shape, grey.requires_grad_())
+        output = str(means.dtype).removeprefix("torch.")
+        image = encode(scene, panel, rig, output=output, antialiased=antialiased)
+        (gradient,) = torch.autograd.grad(image, grey, torch.ones_like(image))
+    return gradient.double().sum((1, 2)) / SH_CONSTANT

@@ -1,0 +1,357 @@
+"""The method `sorted`: a light-field image from any cameras and any view map (Shi et al. 2025, sections 3.1 and 3.3).
+
+Views go in chunks whose buffers are used again, as large as a memory budget allows; each view is projected, ordered and
+binned like an ordinary image, and only its own sub-pixels are drawn, straight into the panel's image.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs import _core
+from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.scene import Scene, check
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace_cpu import CpuWorkspace
+from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
+from lightfield_gs.scene.cameras import Cameras
+
+_MOST_VIEWS = 4096  # in a chunk
+_MOST_PAIRS = (1 << 31) - 1
+_PROBE = 65536  # Gaussians
+_KEY_BYTES, _PAIR_BYTES = 40, 24  # at most, of CudaWorkspace.order_and_bin for a splat and for a pair
+
+Counts = tuple[int, int]  # pairs of a chunk, most of them in one band of one view
+
+
+def cameras_and_plan(
+    panel: Panel,
+    rig: Rig | None,
+    cameras: Cameras | None,
+    view_map: np.ndarray | Tensor | SortedPlan | None,
+    continuous: bool,
+    device: torch.device,
+) -> tuple[Cameras, SortedPlan]:
+    """What encode_sorted takes, from the arguments of lightfield_gs.encode; see there. Raises InputError."""
+    if rig is None and cameras is None:
+        raise InputError("method sorted takes a rig, or cameras= with one for each view; got neither")
+    if continuous:
+        if cameras is not None or view_map is not None:
+            raise InputError(
+                "continuous views are those of a rig and the panel's own lens: leave out cameras= and "
+                "view_map=, or use integer views"
+            )
+        places, x = views_shown(panel, True)
+        table = places.astype(np.int32).reshape(panel.height_px, panel.width_px, 3)
+        return rig.cameras_at(panel, x), SortedPlan(panel, table, len(x), device)
+    if cameras is None:
+        cameras = rig.cameras(panel)
+    elif cameras.world_to_camera.dim() != 3 or (cameras.width_px, cameras.height_px) != (
+        panel.width_px,
+        panel.height_px,
+    ):
+        raise InputError(
+            f"cameras must be one for each view, [N, 4, 4], for images of {panel.width_px} x "
+            f"{panel.height_px} px, the panel's; got {list(cameras.world_to_camera.shape)} for "
+            f"{cameras.width_px} x {cameras.height_px}"
+        )
+    if view_map is None and cameras.count != panel.views:
+        raise InputError(
+            f"the panel has {panel.views} views, so cameras must be {panel.views}, got {cameras.count}; "
+            "for another number give a view_map too"
+        )
+    if isinstance(view_map, SortedPlan):
+        plan = view_map
+    elif view_map is None:
+        plan = panel_plan(panel, device.type)
+    else:
+        plan = SortedPlan(panel, view_map, cameras.count, device)
+    if (plan.width_px, plan.height_px, plan.views) != (panel.width_px, panel.height_px, cameras.count):
+        raise InputError(
+            f"the plan is for {plan.width_px} x {plan.height_px} px and {plan.views} views, and panel and "
+            f"cameras are {panel.width_px} x {panel.height_px} px and {cameras.count}"
+        )
+    return cameras, plan
+
+
+class _CpuStages:
+    """What the stages of a chunk take on the CPU, in bytes, and the stages themselves."""
+
+    default_work = 1 << 28  # bytes beside the plan where no budget is given; with more, views take no less time
+    reserve = 16  # one part in so many of the budget: pages used in part, and what the C library needs for itself
+
+    def __init__(self, scene: Scene, plan: SortedPlan, threads: int):
+        self.scene, self.plan, self.threads = scene, plan, threads
+        self.number = scene.tensors[0].element_size()
+        self.bands = _core.band_count(plan.height_px)
+
+    def geometry_bytes(self, views: int) -> int:
+        """Splats, colours, and the cameras that they are seen by."""
+        per_splat = self.number * (_core.SPLAT_FIELDS + _core.COLOUR_STRIDE) + 4
+        return views * (self.scene.count * per_splat + 25 * self.number)
+
+    def binning_bytes(self, views: int, counts: Counts) -> int:
+        """Order and bands, and the largest of what the stages take for themselves while they run."""
+        (pairs, most), n, tiles = counts, self.scene.count, -(-self.plan.width_px // self.plan.tile.width_px)
+        lists = views * (4 * n + 8 + 8 * self.bands) + 8 + 4 * pairs
+        order = min(self.threads, views) * n * 4 * self.number
+        bins = 8 * views * self.bands + self.threads * 8 * n
+        # A vector that grows may be twice as long as needed, beside the one it replaces
+        tile_lists = 24 * self.bands + self.threads * (32768 + 3 * (most * (8 + 4 * tiles) + 16 * (tiles + 1)))
+        return lists + max(order, bins, tile_lists)
+
+    def workspace(self, scene: Scene, views: int, stats: Stats) -> CpuWorkspace:
+        return CpuWorkspace(scene, views, self.plan.width_px, self.plan.height_px, 0, stats, self.threads)
+
+    def counts(self, work: CpuWorkspace) -> Counts:
+        per_band = work.band_offsets.diff()
+        return work.pair_count, int(per_band.max()) if per_band.numel() else 0
+
+    def composite(
+        self, work: CpuWorkspace, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+    ) -> None:
+        native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
+        work.stats.count(
+            self.scene.core.composite_sorted(
+                work.splats.native,
+                work.bins,
+                cameras,
+                native,
+                background.data_ptr(),
+                *_floats_or_bytes(out),
+                self.threads,
+            )
+        )
+
+
+class _CudaStages:
+    """The same on a CUDA device, where scratch memory is torch's too."""
+
+    default_work = 1 << 30
+    reserve = 256  # torch rounds every buffer up
+
+    def __init__(self, scene: Scene, plan: SortedPlan):
+        self.scene, self.plan = scene, plan
+
+    def geometry_bytes(self, views: int) -> int:
+        return views * (self.scene.count * (4 * (_core.SPLAT_FIELDS + _core.COLOUR_STRIDE) + 4) + 100)
+
+    def binning_bytes(self, views: int, counts: Counts) -> int:
+        """Keys and order, pairs and ranges, and the lists by falling work (64: two numbers and the sort's own)."""
+        items, pairs = views * self.scene.count, counts[0]
+        keys = _KEY_BYTES * items + _core.cuda.order_bytes(items) + _core.cuda.count_bytes(items)
+        parts = pairs // _MOST_PAIRS + 1  # more than a chunk may have are only ever an estimate
+        fill = parts * _core.cuda.fill_bytes(items, -(-pairs // parts))
+        return keys + _PAIR_BYTES * pairs + fill + (16 + 64) * views * self.plan.tiles
+
+    def workspace(self, scene: Scene, views: int, stats: Stats) -> Any:
+        return CudaWorkspace(
+            scene, views, self.plan.width_px, self.plan.height_px, 0, stats, lens=False, tile=self.plan.tile
+        )
+
+    def counts(self, work: Any) -> Counts:
+        return work.pair_count, 0
+
+    def composite(self, work: Any, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor) -> None:
+        pairs = work.tile_ranges().diff().squeeze(1)
+        heaviest = torch.argsort((pairs + 1) * lists[0].diff(), descending=True)
+        native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
+        _core.cuda.composite_sorted(
+            work.splats.native,
+            work.image,
+            work.ranges,
+            work.pair_lists,
+            native,
+            heaviest.data_ptr(),
+            background.data_ptr(),
+            *_floats_or_bytes(out),
+            work.stream,
+        )
+
+
+def _floats_or_bytes(out: Tensor) -> tuple[int, int]:
+    return (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
+
+
+@torch.no_grad()
+def encode_sorted(
+    fields: list[Tensor],
+    cameras: Cameras,
+    plan: SortedPlan,
+    budget: int | None,
+    background: Tensor,
+    as_bytes: bool,
+    threads: int,
+    stats: Stats,
+    antialiased: bool = False,
+) -> Tensor:
+    """The image [H, W, 3] of N Gaussians (five fields, float32 or float64), view n of the plan seen by camera n.
+
+    budget: bytes that the work memory beside image, Gaussians and view map may take, on their device; None: the plan
+    and default_work, or what one view takes where that is more. stats receives, beside the counters, memory_bytes
+    {geometry, image, binning} of the largest chunk and memory_bytes_unchunked, what all views at once would take:
+    the states of Table 3 of the paper, image being the sorted sub-pixels. Raises InputError when not even one
+    view fits the budget.
+    """
+    scene = Scene(*(field.unsqueeze(0) for field in fields))
+    device = scene.tensors[0].device
+    if plan.device_type != device.type:
+        raise InputError(
+            f"the plan was made for {plan.device_type}, and the Gaussians are on {device}: make "
+            f"SortedPlan(..., device='{device.type}')"
+        )
+    background = check("background", background, (3,), scene.tensors[0])
+    out = scene.new(plan.height_px, plan.width_px, 3, dtype=torch.uint8 if as_bytes else None)
+    if plan.hidden:
+        out[:] = bytes_of(background.clone()) if as_bytes else background
+    with scene.guard:
+        _Encoding(scene, cameras, plan, budget, background, threads, stats, antialiased).run(out)
+    return out
+
+
+class _Encoding:
+    """One image: the chunks of views, and the memory that they take."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        cameras: Cameras,
+        plan: SortedPlan,
+        budget: int | None,
+        background: Tensor,
+        threads: int,
+        stats: Stats,
+        antialiased: bool,
+    ):
+        self.scene, self.cameras, self.plan, self.budget = scene, cameras, plan, budget
+        self.background, self.threads, self.stats, self.antialiased = background, threads, stats, antialiased
+        self.device = scene.tensors[0].device
+        self.stages = _CudaStages(scene, plan) if self.device.type == "cuda" else _CpuStages(scene, plan, threads)
+        total = budget or self.stages.default_work + plan.table_bytes() + plan.bytes()
+        self.usable = total - total // self.stages.reserve
+        self.resident = True  # the whole plan, not only that of the chunk
+        self.expected: Counts = (2 * scene.count, scene.count // 8)  # of one view: a guess until the first is counted
+        self.total: Counts = (0, 0)
+
+    def run(self, out: Tensor) -> None:
+        first, plan = 0, self.plan
+        while first < plan.count:
+            views = self._most_views(first)
+            while not self._draw(first, views, out):
+                if views > 1:
+                    views = min(views - 1, self._most_views(first))
+                elif self.resident:
+                    self._drop_plan()
+                else:
+                    self._refuse()
+            first += views
+        everything = self._memory(0, plan.count, self.total, resident=True)
+        self.stats.memory_bytes_unchunked = everything
+        self.stats.memory_bytes = self.stats.memory_bytes or dict.fromkeys(everything, 0)
+
+    def _memory(self, first: int, views: int, counts: Counts, resident: bool | None = None) -> dict[str, int]:
+        """Bytes by stage of a chunk of views."""
+        plan, resident = self.plan, self.resident if resident is None else resident
+        lists = plan.bytes() if resident else plan.bytes(first, first + views)
+        return {
+            "geometry": self.stages.geometry_bytes(views),
+            "image": plan.table_bytes() + lists,
+            "binning": self.stages.binning_bytes(views, counts),
+        }
+
+    def _most_views(self, first: int) -> int:
+        """How many views from `first` are expected to fit; at least one."""
+        pairs, most = self.expected
+        left = min(self.plan.count - first, _MOST_VIEWS)
+        return max(
+            1,
+            bisect_right(
+                range(1, left + 1),
+                self.usable,
+                key=lambda views: sum(self._memory(first, views, (views * pairs, most)).values()),
+            ),
+        )
+
+    def _draw(self, first: int, views: int, out: Tensor) -> bool:
+        """Draws shown views first .. first + views - 1 if they fit, and notes what they took."""
+        plan, stats = self.plan, Stats(device=self.stats.device)
+        fits = self.budget is None and views == 1
+        if not fits and self._exceeds(self._memory(first, views, (0, 0))):
+            return False
+        with stats.stage("plan"):
+            lists = plan.lists(first, first + views, self.device, self.resident, self.threads)
+        cameras, held = self._native_cameras(first, views)  # held: the tensors that `cameras` points into
+        with stats.stage("project"):
+            work = self.stages.workspace(self.scene, views, stats)
+            work.project_dense(cameras)
+        if not work.order_and_bin(lambda: self._admit(work, first, views) or fits):
+            return False
+        with stats.stage("composite"):
+            self.stages.composite(work, cameras, lists, self.background, out)
+        counts = self.stages.counts(work)
+        memory = self._memory(first, views, counts)
+        stats.work_bytes = sum(memory.values())
+        if stats.work_bytes > self.stats.work_bytes:
+            self.stats.memory_bytes = memory
+        self.stats.add_render(stats)
+        self.total = (self.total[0] + counts[0], max(self.total[1], counts[1]))
+        del held
+        return True
+
+    def _admit(self, work: Any, first: int, views: int) -> bool:
+        """Whether the pairs of a chunk fit, now that they are counted."""
+        counts = self.stages.counts(work)
+        per_view = -(-counts[0] // views)
+        # Later views differ a little: a sixteenth in reserve
+        self.expected = (per_view + per_view // 16, counts[1] + counts[1] // 16)
+        return counts[0] <= _MOST_PAIRS and not self._exceeds(self._memory(first, views, counts))
+
+    def _exceeds(self, memory: dict[str, int]) -> bool:
+        return sum(memory.values()) > self.usable
+
+    def _drop_plan(self) -> None:
+        self.plan.release()
+        self.resident = False
+
+    def _native_cameras(self, first: int, views: int) -> tuple[Any, list[Tensor]]:
+        """The core's view of a chunk's cameras, and the tensors that it points into."""
+        chosen = torch.from_numpy(self.plan.shown[first : first + views])
+        cameras = self.cameras.select(chosen).to(self.scene.tensors[0])
+        tensors = [t.contiguous() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
+        native = self.scene.core.Cameras(
+            1, views, self.plan.width_px, self.plan.height_px, *(t.data_ptr() for t in tensors), self.antialiased
+        )
+        return native, tensors
+
+    # The least budget
+
+    def _refuse(self) -> None:
+        least = max(sum(self._memory(place, 1, self._counts_of(place)).values()) for place in range(self.plan.count))
+        least += least // (self.stages.reserve - 1) + 1
+        raise InputError(
+            f"a memory budget of {self.budget} bytes is too small even for one view at a time; this scene "
+            f"and panel need {least} bytes or more beside the image"
+        )
+
+    def _counts_of(self, place: int) -> Counts:
+        """Pairs of one view and a bound on those of a band, counted in little memory: some Gaussians at a time."""
+        cameras, held = self._native_cameras(place, 1)
+        pairs = most = 0
+        for first in range(0, self.scene.count, _PROBE):
+            some = Scene(*(t[:, first : first + _PROBE] for t in self.scene.tensors))
+            work = self.stages.workspace(some, 1, Stats())
+            work.project_dense(cameras)
+            work.order_and_bin(lambda: False)
+            counts = self.stages.counts(work)
+            pairs, most = pairs + counts[0], most + counts[1]
+        del held
+        return pairs, most

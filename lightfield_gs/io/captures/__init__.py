@@ -1,0 +1,1 @@
+"""Posed photographs and their cameras, as arrays: reading only."""

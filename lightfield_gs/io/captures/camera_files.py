@@ -1,0 +1,254 @@
+"""Files of cameras that trainers of 3D Gaussians write: Inria's cameras.json and the transforms.json of NeRF.
+
+cameras.json (Kerbl et al., "3D Gaussian Splatting", 2023): a list of objects with position (the camera's centre),
+rotation (camera to world, rows; OpenCV axes), fx, fy, width, height; cx, cy where the middle is not meant.
+transforms.json (Mildenhall et al., "NeRF", 2020; Müller et al., "Instant NGP", 2022): frames, each with
+transform_matrix (camera to world, OpenGL axes: x right, y up, z backward); in a frame, or at the top for all, w, h,
+fl_x, fl_y or camera_angle_x, camera_angle_y (radians), cx, cy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightfield_gs.base.checks import real_number, shown
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.lens import COEFFICIENTS
+from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths
+from lightfield_gs.io.images import read_info
+from lightfield_gs.io.json_file import read_json
+
+LIMIT_BYTES = 256 << 20
+_ORTHONORMAL = 1e-3  # how far rows may be off: numbers of a few digits are made a rotation again
+_MAX_SIZE_PX = 1 << 20
+_SIZE_SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # what file_path may leave out
+
+
+@dataclass(frozen=True)
+class FileCamera:
+    """One camera of a file.
+
+    name: of its image, or its number. world_to_camera: [4, 4] float64, OpenCV axes, scene units. focal_px,
+    principal_point_px, width_px, height_px: pixels of its image, from the outer corner of the first; where neither the
+    file nor an image says how large it is, it is taken as square, one unit wide, and `assumed` says so.
+    distorted: whether the file tells of lens distortion, which these numbers leave out.
+    """
+
+    name: str
+    world_to_camera: np.ndarray
+    focal_px: tuple[float, float]
+    principal_point_px: tuple[float, float]
+    width_px: float
+    height_px: float
+    assumed: str = ""
+    distorted: bool = False
+
+    def fitted(self, width_px: int, height_px: int) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Focal lengths and principal point at which the whole image fits a panel of this size, in its middle."""
+        scale = min(width_px / self.width_px, height_px / self.height_px)
+        (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
+        return (
+            (fx * scale, fy * scale),
+            (width_px / 2 + (cx - self.width_px / 2) * scale, height_px / 2 + (cy - self.height_px / 2) * scale),
+        )
+
+
+def is_camera_file(data: Any) -> bool:
+    """Whether the value of a JSON file looks like either kind; calibrations of displays come in lists too."""
+    if isinstance(data, list):
+        return any(isinstance(entry, dict) and ("position" in entry or "rotation" in entry) for entry in data[:1])
+    return isinstance(data, dict) and "frames" in data
+
+
+def read_camera_file(path: str | Path) -> list[FileCamera]:
+    """The cameras of either kind of file, in its order. Raises InputError that names the file and the key."""
+    data = read_json(path, LIMIT_BYTES)
+    if isinstance(data, list):
+        return _inria(path, data)
+    if is_camera_file(data):
+        return _transforms(path, data)
+    if isinstance(data, dict) and "world_to_camera" in data:
+        raise InputError(
+            f"{path}: holds one camera for each view (world_to_camera, focal_px); give it as --cameras, "
+            "with --method sorted"
+        )
+    raise InputError(
+        f"{path}: expected a list of cameras (cameras.json, with position and rotation) or an object with "
+        f"the key frames (transforms.json), got {shown(data)}"
+    )
+
+
+def read_inria(path: str | Path) -> list[FileCamera]:
+    """The cameras of a cameras.json. Raises InputError."""
+    data = read_json(path, LIMIT_BYTES)
+    if not isinstance(data, list):
+        raise InputError(
+            f"{path}: expected a list of cameras, as 3D Gaussian splatting writes cameras.json, got "
+            f"{type(data).__name__}"
+        )
+    return _inria(path, data)
+
+
+def read_transforms(path: str | Path) -> list[FileCamera]:
+    """The cameras of a transforms.json. Raises InputError."""
+    data = read_json(path, LIMIT_BYTES)
+    if not isinstance(data, dict):
+        raise InputError(
+            f"{path}: expected an object with the key frames, as in transforms.json, got {type(data).__name__}"
+        )
+    return _transforms(path, data)
+
+
+def _inria(path: str | Path, data: list) -> list[FileCamera]:
+    cameras = []
+    for index, entry in enumerate(_objects(f"{path}: ", data, "position, rotation, fx, fy, width, height")):
+        where = f"{path}: [{index}]"
+        size = [_number(where, entry, key, 1, _MAX_SIZE_PX) for key in ("width", "height")]
+        focal = tuple(_number(where, entry, key, 1e-6, 1e9) for key in ("fx", "fy"))
+        centre = tuple(
+            side / 2 if entry.get(key) is None else _number(where, entry, key, -1e9, 1e9)
+            for key, side in zip(("cx", "cy"), size)
+        )
+        position = _array(f"{where}.position", entry.get("position"), (3,))
+        rotation = _rotation(f"{where}.rotation", _array(f"{where}.rotation", entry.get("rotation"), (3, 3)))
+        name = entry.get("img_name", entry.get("id", index))
+        cameras.append(FileCamera(shown(name).strip("'\""), _pose(rotation, position), focal, centre, *size))
+    return cameras
+
+
+def _transforms(path: str | Path, data: dict[str, Any]) -> list[FileCamera]:
+    frames = data.get("frames")
+    if not isinstance(frames, list):
+        raise InputError(f"{path}: frames: expected a list of views, got {shown(frames)}")
+    frames = _objects(f"{path}: frames", frames, "transform_matrix")
+    images = _Images(Path(path).parent)
+    return [_frame(f"{path}: frames[{index}]", {**data, **frame}, images) for index, frame in enumerate(frames)]
+
+
+def _frame(where: str, fields: dict[str, Any], images: _Images) -> FileCamera:
+    matrix = _array(f"{where}.transform_matrix", fields.get("transform_matrix"), None)
+    if matrix.shape not in ((4, 4), (3, 4)):
+        raise InputError(f"{where}.transform_matrix: expected 4 rows of 4 numbers, got {list(matrix.shape)}")
+    rotation = _rotation(f"{where}.transform_matrix", matrix[:3, :3])
+    model = fields.get("camera_model", "PINHOLE")
+    if model not in MODELS or fields.get("is_fisheye") is True:
+        raise InputError(
+            f"{where}.camera_model: expected a pinhole camera ({', '.join(MODELS)}), got "
+            f"{shown(model)}; a panel shows flat perspective only"
+        )
+    width, height, assumed = _size(where, fields, images)
+    focal = _focal(where, fields, width, height)
+    centre = tuple(
+        side / 2 if fields.get(key) is None else _number(where, fields, key, -1e9, 1e9)
+        for key, side in zip(("cx", "cy"), (width, height))
+    )
+    distorted = any(fields.get(key) is not None and _number(where, fields, key, -1e9, 1e9) for key in COEFFICIENTS)
+    name = shown(fields.get("file_path", "")).strip("'\"")
+    return FileCamera(
+        name, _pose(rotation @ TO_OPENCV[:3, :3], matrix[:3, 3]), focal, centre, width, height, assumed, distorted
+    )
+
+
+def _size(where: str, fields: dict[str, Any], images: _Images) -> tuple[float, float, str]:
+    """Width and height of the image, and what was assumed of them."""
+    if fields.get("w") is not None and fields.get("h") is not None:
+        return _number(where, fields, "w", 1, _MAX_SIZE_PX), _number(where, fields, "h", 1, _MAX_SIZE_PX), ""
+    if (size := images.size_of(fields.get("file_path"))) is not None:
+        return *size, ""
+    if fields.get("fl_x") is None and fields.get("fl_y") is None:
+        return 1.0, 1.0, "its image is taken as square: the file does not say w and h, and there is no image"
+    raise InputError(
+        f"{where}.w: expected w and h, the size of the image, beside fl_x: neither does the file say it, "
+        "nor is there the image of file_path"
+    )
+
+
+def _focal(where: str, fields: dict[str, Any], width: float, height: float) -> tuple[float, float]:
+    def number(key: str) -> float | None:
+        low, high = (1e-6, 3.14159) if key.startswith("camera_angle") else (1e-6, 1e9)
+        return None if fields.get(key) is None else _number(where, fields, key, low, high)
+
+    found = focal_lengths(number, width, height)
+    if found is None:
+        raise InputError(f"{where}.fl_x: missing: expected fl_x (pixels) or camera_angle_x (radians)")
+    return found
+
+
+class _Images:
+    """Sizes of the images that the frames name, as far as there are any; most often they are all of the first's."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.known: tuple[float, float] | None = None
+        self.tried: set[str] = set()
+
+    def size_of(self, name: Any) -> tuple[float, float] | None:
+        if self.known is None and isinstance(name, str) and "\0" not in name and name not in self.tried:
+            self.tried.add(name)
+            found = (
+                path for suffix in _SIZE_SUFFIXES if _is_file(path := self.folder / (name.replace("\\", "/") + suffix))
+            )
+            if (path := next(found, None)) is not None:
+                info = read_info(path)
+                self.known = float(info.width_px), float(info.height_px)
+        return self.known
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that no file can have
+        return False
+
+
+def _objects(where: str, entries: list, expected: str) -> list[dict[str, Any]]:
+    if not entries:
+        raise InputError(f"{where.rstrip(' :')}: there are no cameras in it")
+    for index, entry in enumerate(entries):
+        if not isinstance(entry, dict):
+            raise InputError(f"{where}[{index}]: expected an object with {expected}, got {shown(entry)}")
+    return entries
+
+
+def _number(where: str, entry: dict[str, Any], key: str, low: float, high: float) -> float:
+    if entry.get(key) is None:
+        raise InputError(f"{where}.{key}: missing: expected a number")
+    return real_number(f"{where}.{key}", entry[key], low, high)
+
+
+def _array(what: str, value: Any, shape: tuple[int, ...] | None) -> np.ndarray:
+    """`value` as finite float64 of this shape (None: any rows); raises InputError."""
+    expected = "numbers" if shape is None else f"numbers {list(shape)}"
+    try:
+        array = np.array(value)
+    except ValueError:
+        raise InputError(f"{what}: expected {expected}, got rows of different lengths") from None
+    if array.dtype.kind not in "iuf" or shape is not None and array.shape != shape:
+        raise InputError(f"{what}: expected {expected}, got {shown(value)}")
+    array = array.astype(np.float64)
+    if not (np.abs(array) < 1e12).all():
+        raise InputError(f"{what}: expected finite numbers, got {shown(value)}")
+    return array
+
+
+def _rotation(what: str, matrix: np.ndarray) -> np.ndarray:
+    """The rotation that is nearest to a matrix that nearly is one; raises InputError."""
+    error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    if not error <= _ORTHONORMAL or np.linalg.det(matrix) < 0:
+        raise InputError(
+            f"{what}: expected a rotation (orthonormal, determinant +1), got {shown(matrix.tolist())}; "
+            "scale, shear and mirroring are not allowed"
+        )
+    left, _, right = np.linalg.svd(matrix)
+    return left @ right
+
+
+def _pose(rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """world_to_camera [4, 4] of a camera with these axes (columns, in world axes) at this place."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation.T, -rotation.T @ centre
+    return pose

@@ -1,0 +1,68 @@
+"""Masks beside the images of a set: white is object, or whatever is to be seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.views import IMAGE_SUFFIXES
+from lightfield_gs.io.images import read_image
+
+FOLDER = "masks"
+
+
+def masks_beside(folder: Path, images: list[Path]) -> tuple[Path, ...] | None:
+    """The files of folder/masks that belong to the images: named as these, or as these with .png added, as COLMAP has
+    them. None where there is no such folder, or no image in it.
+
+    images: below `folder`. Raises InputError when some have a mask and some have none.
+    """
+    root = folder / FOLDER
+    known = {
+        path.relative_to(root).as_posix().lower(): path
+        for path in sorted(root.rglob("*"))
+        if path.suffix.lower() in IMAGE_SUFFIXES
+    }
+    if not known:
+        return None
+    found = [_mask_of(folder.resolve(), image.resolve(), known) for image in images]
+    missing = [image.name for image, mask in zip(images, found) if mask is None]
+    if missing:
+        names = f"{', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}"
+        raise InputError(
+            f"{root}: missing masks: none for {names} of {len(images)} images: expected "
+            f"{missing[0]}.png or {Path(missing[0]).stem}.png; or another name for that folder"
+        )
+    return tuple(found)
+
+
+def _mask_of(folder: Path, image: Path, known: dict[str, Path]) -> Path | None:
+    """The mask of an image, among those known by their lower-case paths below masks/."""
+    relative = image.relative_to(folder)
+    for place in (Path(*relative.parts[1:]), relative):
+        for name in (place, place.with_suffix("")):
+            for suffix in ("", *IMAGE_SUFFIXES):
+                if mask := known.get(f"{name.as_posix()}{suffix}".lower()):
+                    return mask
+    return None
+
+
+def read_mask(path: Path, width_px: int, height_px: int) -> np.ndarray:
+    """A mask as opacity, uint8 [H,W]: its alpha, or else its brightness; of values 0 and 1 alone, 1 is opaque.
+
+    Its pixels as stored, like those of the image. Raises InputError for another size than the image's.
+    """
+    pixels = read_image(path, as_stored=True, turn=False)
+    if pixels.shape[:2] != (height_px, width_px):
+        raise InputError(
+            f"{path}: expected a mask of the image's size {width_px} x {height_px}, got "
+            f"{pixels.shape[1]} x {pixels.shape[0]}"
+        )
+    full = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1
+    has_alpha = pixels.shape[2] in (2, 4) and pixels[..., -1].min() < full
+    grey = pixels[..., -1] if has_alpha else pixels[..., : 1 if pixels.shape[2] < 3 else 3].mean(-1)
+    if grey.max() <= 1:
+        full = 1
+    return np.rint(255 * np.clip(grey / full, 0, 1)).astype(np.uint8)

@@ -1,0 +1,1 @@
+"""Files of 3D Gaussians, as arrays: one reader a format."""

@@ -1,0 +1,222 @@
+"""The standard .ply of 3D Gaussian splatting (Kerbl et al., 2023), one vertex a Gaussian.
+
+Stored are x y z, the log of the standard deviations (scale_0..2), the logit of the opacity, the quaternion wxyz
+(rot_0..3) and the spherical harmonics: f_dc_0..2, and f_rest_* channel by channel (all of red, then green, then blue).
+In place of f_dc there may be red, green and blue: colours, not coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.base.checks import expect, is_row, shown
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.scenes import doubts, filter_3d
+from lightfield_gs.io.scenes.invalid import check_or_skip
+from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, Element, Header
+
+_CENTRE = ("x", "y", "z")
+_DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_RGB = ("red", "green", "blue")
+_SHAPE = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
+_REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1), degree 0..3
+_TINY = np.finfo(np.float32).tiny
+_MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
+_ROWS_AT_ONCE = 2048  # of the file and of what becomes of them: both stay in the cache, eleven times as quick
+_ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: where rounding to float32 moves centres by more, an origin is taken
+
+
+def check_header(path: Path, header: Header) -> None:
+    """Raises InputError unless the header is that of a file of Gaussians."""
+    elements = {element.name: element for element in reversed(header.elements)}
+    if "chunk" in elements:
+        raise InputError(
+            f"{path} is a compressed .ply (SuperSplat), which this version does not read; "
+            "export it as a standard 3DGS .ply"
+        )
+    if "vertex" not in elements:
+        raise InputError(f"{path}: no element 'vertex'; this is not a file of Gaussians")
+    vertex = elements["vertex"]
+    if vertex.has_lists:
+        raise InputError(f"{path}: the vertices have list properties; this is not a file of Gaussians")
+    if vertex.count == 0:
+        raise InputError(f"{path} has no Gaussians (element vertex 0)")
+    _check_properties(path, vertex, "face" in elements)
+
+
+def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
+    names = tuple(column.name for column in vertex.properties)
+    required = (*_CENTRE, *(_DC if _is_harmonic(names) else ()), *_SHAPE)
+    missing = [name for name in required if name not in names]
+    if missing and not set(_SHAPE) & set(names) and set(_CENTRE) <= set(names):
+        kind = "mesh" if has_faces else "point cloud, the start of a fit to photographs"
+        raise InputError(
+            f"{path}: missing {', '.join(missing)}; this is a {kind}, and no scene of Gaussians; give "
+            "the .ply that a 3DGS trainer wrote"
+        )
+    if missing:
+        raise InputError(f"{path}: missing {', '.join(missing)}; expected the properties of a 3DGS .ply")
+    whole = [column for column in vertex.properties if column.name in required and column.kind in ("i2", "u2")]
+    if whole:
+        raise InputError(
+            f"{path}: expected float or double for {whole[0].name}, got integers of 16 bits, in "
+            f"{len(whole)} of {len(required)} properties; it looks like half floats that were written as "
+            "integers; export it again with float properties"
+        )
+    rest = _rest_names(names)
+    if len(rest) not in _REST_COUNTS or any(name not in names for name in rest):
+        raise InputError(f"{path}: {len(rest)} properties f_rest_*; expected f_rest_0 on, 0, 9, 24 or 45 of them")
+
+
+def _is_harmonic(names: Sequence[str]) -> bool:
+    """Whether colours are coefficients of harmonics (or nothing at all)."""
+    return any(name in names for name in _DC) or not all(name in names for name in _RGB)
+
+
+def _rest_names(names: Sequence[str]) -> list[str]:
+    return [f"f_rest_{i}" for i in range(sum(name.startswith("f_rest_") for name in names))]
+
+
+def fields_of(
+    path: Path, records: np.ndarray, skip_invalid: bool = False
+) -> tuple[dict[str, np.ndarray], tuple[float, float, float], list[str]]:
+    """The five fields of the Gaussians (see scene/gaussians.py) as float32 arrays, of vertices whose header has been
+    checked; the origin that their centres are given from; and notes on what looks wrong in them.
+
+    An infinite logit is the opacity 1 or, as what underflows float32, the smallest normal number, which is never drawn;
+    so opacities are in (0, 1]. Scales likewise: the log -inf is a flat disc.
+    skip_invalid: leaves out the Gaussians that `check_or_skip` complains of. Raises InputError.
+    """
+    log_scales, logits = _columns(records, _SHAPE[1:4]), _columns(records, _SHAPE[:1])[:, 0]
+    with np.errstate(over="ignore", under="ignore"):
+        scales = np.exp(log_scales)
+        opacities = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
+    has_filter = filter_3d.PROPERTY in (records.dtype.names or ())
+    if has_filter:
+        scales, opacities = filter_3d.filtered(scales, opacities, _columns(records, (filter_3d.PROPERTY,))[:, 0])
+    means, origin = _centres(records, scales)
+    sh, notes = _harmonics(records)
+    fields = {
+        "means": means,
+        "quaternions": _columns(records, _SHAPE[4:]),
+        "scales": scales,
+        "opacities": opacities,
+        "sh": sh,
+    }
+    fields, skipped = check_or_skip(path, records, fields, skip_invalid)
+    notes += [filter_3d.NOTE] if has_filter else []
+    notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]
+    for name in ("scales", "opacities"):
+        np.maximum(fields[name], _TINY, out=fields[name])
+    return fields, origin, notes
+
+
+def _columns(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """These properties as float32 [N, len(names)]."""
+    out = np.empty((len(records), len(names)), np.float32)
+    with np.errstate(over="ignore"):
+        for start in range(0, len(records), _ROWS_AT_ONCE):
+            rows, target = records[start : start + _ROWS_AT_ONCE], out[start : start + _ROWS_AT_ONCE]
+            for i, name in enumerate(names):
+                target[:, i] = rows[name]
+    return out
+
+
+def _centres(records: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, tuple[float, float, float]]:
+    """Centres float32 [N, 3] and the origin they are given from, which is not zero only for doubles far from it."""
+    if all(records.dtype[name] != np.float64 for name in _CENTRE):
+        return _columns(records, _CENTRE), (0.0, 0.0, 0.0)
+    exact = np.stack([records[name] for name in _CENTRE], 1, dtype=np.float64)
+    origin = np.zeros(3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        usual = doubts.usual(exact)
+        if usual is not None and doubts.float_step(usual) > _ORIGIN_STEP * doubts.usual_size(scales):
+            origin = np.round(usual)
+        return (exact - origin).astype(np.float32), tuple((origin + 0.0).tolist())
+
+
+def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """sh [N, K, 3], and a note where red, green and blue had to be guessed at."""
+    names = records.dtype.names or ()
+    bands = len(_rest_names(names)) // 3
+    rest = [f"f_rest_{channel * bands + band}" for band in range(bands) for channel in range(3)]
+    first = _DC if _is_harmonic(names) else _RGB
+    sh, notes = _columns(records, (*first, *rest)).reshape(len(records), 1 + bands, 3), []
+    if first is _RGB:
+        kind, full = records.dtype["red"], 255.0
+        if kind.kind == "f" and not np.nanmax(sh[:, 0], initial=0) > 1:
+            full = 1.0
+        elif kind.kind == "f":
+            notes.append("red, green and blue have numbers above 1 and are taken for 0..255")
+        elif kind == np.uint16:
+            full = 65535.0
+        sh[:, 0] = (sh[:, 0] / np.float32(full) - np.float32(0.5)) / np.float32(SH_CONSTANT)
+    return sh, notes
+
+
+def write(
+    path: str | Path, fields: dict[str, np.ndarray], origin: tuple[float, float, float], comments: Sequence[str] = ()
+) -> None:
+    """Writes the float64 fields of N >= 1 valid Gaussians; see Gaussians.save. Raises InputError."""
+    count, coefficients = fields["sh"].shape[:2]
+    with np.errstate(divide="ignore"):
+        logits = np.log(fields["opacities"]) - np.log1p(-fields["opacities"])
+    rest = fields["sh"][:, 1:].transpose(0, 2, 1).reshape(count, 3 * (coefficients - 1))
+    names = ["nx", "ny", "nz", *_DC, *(f"f_rest_{i}" for i in range(rest.shape[1])), *_SHAPE]
+    rows = np.empty(count, [("centre", "<f8" if any(origin) else "<f4", 3), ("rest", "<f4", len(names))])
+    rows["centre"] = fields["means"] + origin
+    np.concatenate(
+        [
+            np.zeros((count, 3)),
+            fields["sh"][:, 0],
+            rest,
+            np.clip(logits, -1e3, _MAX_LOGIT)[:, None],
+            np.log(fields["scales"]),
+            fields["quaternions"],
+        ],
+        1,
+        out=rows["rest"],
+        casting="same_kind",
+    )
+    kinds = dict.fromkeys(_CENTRE, "double" if any(origin) else "float") | dict.fromkeys(names, "float")
+    header = _header(count, kinds, comments)
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        file.write(header)
+        file.write(rows.tobytes())
+
+
+def _header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes:
+    """Header for `count` vertices with properties of these kinds, by name. Raises InputError."""
+    columns = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
+    header = (
+        b"ply\nformat binary_little_endian 1.0\n"
+        + _comment_lines(comments)
+        + f"element vertex {count}\n{columns}end_header\n".encode()
+    )
+    if len(header) > HEADER_LIMIT_BYTES:
+        raise InputError(
+            f"comments: expected at most {HEADER_LIMIT_BYTES} bytes with the rest of the header, got {len(header)}"
+        )
+    return header
+
+
+def _comment_lines(comments: Sequence[str]) -> bytes:
+    """Lines of the header. Raises InputError."""
+    if not is_row(comments):
+        raise InputError(f"comments: expected texts of one line each, got {shown(comments)}")
+    lines = []
+    for text in comments:
+        expect("comments", text, str)
+        try:
+            line = f"comment {text}".encode()
+        except UnicodeEncodeError:
+            line = b"\n"
+        if b"\n" in line or b"\r" in line:
+            raise InputError(f"comments: expected texts of one line each, got {shown(text)}")
+        lines.append(line + b"\n")
+    return b"".join(lines)

@@ -1,0 +1,146 @@
+"""The rows of a .ply file after its header, in memory that goes with the size of the file, whatever it promises."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import mmap
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.scenes.ply_header import Element, Header
+
+SMALL_BYTES = 1 << 16  # elements beside the vertices are kept up to this size
+_MOST_STEPS = 1 << 20  # through rows with lists, one by one: a second's work
+_MOST_BYTES_AFTER = 16  # blank ones after the data, as editors and shells append them
+_LINES_AT_ONCE = 1 << 14  # of text
+_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
+
+
+def read_elements(path: Path, header: Header) -> dict[str, np.ndarray]:
+    """The element "vertex", and every other one without lists of at most SMALL_BYTES, as structured arrays by name.
+
+    Of several elements of one name the first counts. Raises InputError where the file is cut, or holds more than the
+    header promises; OSError where it cannot be read.
+    """
+    with open(path, "rb") as file:
+        return (_binary_elements if header.order else _text_elements)(path, file, header)
+
+
+def _binary_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np.ndarray]:
+    found: dict[str, np.ndarray] = {}
+    at, size = header.size_bytes, path.stat().st_size
+    for element in header.elements:
+        if element.has_lists:
+            end = _end_of_lists(file, element, header.order, at, size)
+            if end is None and "vertex" in found:
+                return found  # nobody needs what is behind long lists
+            if end is None:
+                raise InputError(
+                    f"{path}: the long element {element.name[:60]} with lists comes before the vertices; "
+                    "export the file with the vertices first"
+                )
+        else:
+            record = element.record(header.order)
+            end = at + element.count * record.itemsize
+        if end > size:
+            raise _cut(path, element, f"the file has {size} bytes")
+        if not element.has_lists and _is_kept(element, end - at) and element.name not in found:
+            found[element.name] = _rows(path, file, element, record, at)
+        at = end
+    file.seek(at)
+    if file.read(_MOST_BYTES_AFTER).strip() or size - at > _MOST_BYTES_AFTER:
+        raise InputError(f"{path}: {size - at} bytes are left after what the header promises; its header is wrong")
+    return found
+
+
+def _text_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np.ndarray]:
+    """As _binary_elements, of numbers in words: a line a row."""
+    size = path.stat().st_size - header.size_bytes
+    file.seek(header.size_bytes)
+    lines = (line for line in io.TextIOWrapper(file, "latin-1") if not line.isspace())
+    found: dict[str, np.ndarray] = {}
+    for element in header.elements:
+        if element.count * 2 * len(element.properties) > size + 1:  # a digit and a space each
+            raise _cut(path, element, f"{size} bytes of text are left after it")
+        if not element.properties:
+            continue
+        record = None if element.has_lists else _text_record(element)
+        if record is not None and element.name not in found and _is_kept(element, element.count * record.itemsize):
+            found[element.name] = _table(path, element, record, lines)
+        elif (given := sum(1 for _ in itertools.islice(lines, element.count))) < element.count:
+            raise _cut(path, element, f"the file has {given}")
+    if next(lines, None) is not None:
+        raise InputError(f"{path}: lines are left after what the header promises; its header is wrong")
+    return found
+
+
+def _text_record(element: Element) -> np.dtype:
+    """Dtype of the rows. What is no integer is double, whatever the header says: the words may have more digits."""
+    return np.dtype([(column.name, "f8" if column.kind[0] == "f" else column.kind) for column in element.properties])
+
+
+def _table(path: Path, element: Element, record: np.dtype, lines: Iterator[str]) -> np.ndarray:
+    table = np.empty(element.count, record)
+    for start in range(0, element.count, _LINES_AT_ONCE):
+        wanted = min(_LINES_AT_ONCE, element.count - start)
+        rows = list(itertools.islice(lines, wanted))
+        if len(rows) < wanted:
+            raise _cut(path, element, f"the file has {start + len(rows)}")
+        try:
+            table[start : start + wanted] = np.loadtxt(rows, record, comments=None, ndmin=1)
+        except (ValueError, OverflowError) as error:
+            raise InputError(
+                f"{path}: cannot read the rows of '{element.name[:60]}' from row {start} on, expected "
+                f"{len(element.properties)} numbers in each: {' '.join(str(error).split())[:200]}"
+            ) from None
+    return table
+
+
+def _cut(path: Path, element: Element, found: str) -> InputError:
+    return InputError(
+        f"{path}: the header promises {element.count} rows of '{element.name[:60]}', but {found}; it is "
+        "cut or its header is wrong"
+    )
+
+
+def _is_kept(element: Element, size_bytes: int) -> bool:
+    return element.name == "vertex" or 0 < size_bytes <= SMALL_BYTES
+
+
+def _rows(path: Path, file: BinaryIO, element: Element, record: np.dtype, at: int) -> np.ndarray:
+    file.seek(at)
+    rows = np.fromfile(file, record, element.count)
+    if len(rows) < element.count:
+        raise InputError(f"{path} was changed while it was read; try again")
+    return rows if record.isnative else rows.byteswap(inplace=True).view(record.newbyteorder())
+
+
+def _end_of_lists(file: BinaryIO, element: Element, order: str, at: int, size: int) -> int | None:
+    """Where rows with lists end, beyond `size` if the file is cut; None where finding that would take too long."""
+    if element.count == 0:
+        return at
+    if element.count * len(element.properties) > _MOST_STEPS:
+        return None
+    columns = [
+        (np.dtype(column.kind).itemsize, column.length_kind and struct.Struct(order + _CODES[column.length_kind]))
+        for column in element.properties
+    ]
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        for _ in range(element.count):
+            for item_bytes, length in columns:
+                if length is None:
+                    at += item_bytes
+                elif at + length.size > size:
+                    return size + 1
+                else:
+                    count = length.unpack_from(data, at)[0]
+                    if count < 0:
+                        return size + 1
+                    at += length.size + count * item_bytes
+    return at

@@ -1,0 +1,200 @@
+"""Looking Glass calibrations as people have them: visual.json, and what Bridge and its predecessors say of displays.
+
+A display keeps its calibration in visual.json, a flat mapping. Programs that ask Bridge for the displays store its
+answer, in which each display has a calibration, as a mapping or as JSON within a string, beside other things.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import expect, shown
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEFAULT_CONE_DEG
+from lightfield_gs.io.json_file import parse_json
+
+_MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
+_SERIALS = ("serial", "hwid")  # of a calibration, and of the display that it is in
+_NUMBERS = (
+    "pitch",
+    "slope",
+    "center",
+    "DPI",
+    "screenW",
+    "screenH",
+    "viewCone",
+    "invView",
+    "verticalAngle",
+    "fringe",
+    "flipImageX",
+    "flipImageY",
+    "flipSubp",
+    "CellPatternMode",
+)
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_USUAL_NAMES = {key.casefold(): key for key in (*_NUMBERS, "subpixelCells")}
+_DEEPEST = 16
+_MOST_LISTED = 8
+
+
+@dataclass
+class _Found:
+    """A calibration; serials: what its display is called, none where nothing says it; place: keys that lead to it."""
+
+    data: dict[str, Any]
+    serials: tuple[str, ...]
+    place: tuple[Any, ...]
+
+    @property
+    def name(self) -> str:
+        return _short(self.serials[0]) if self.serials else f"{_path(self.place)} (without a serial)"
+
+
+def find_calibration(data: Any, where: str, serial: str | None = None) -> dict[str, Any]:
+    """The one calibration in `data`, flat: {"pitch": 47.0, ...}; strings that hold numbers are numbers in it.
+
+    data: a calibration, whose values may be plain or {"value": v}; or mappings and lists of any kind that hold some, of
+    which `serial` chooses one, by the serial of the calibration or the display. where: for messages. Without a cone
+    the result has no viewCone, and the default is assumed. Raises InputError that names the file and the key.
+    """
+    try:
+        found = _chosen(_distinct(_calibrations(data)), where, serial)
+    except RecursionError:
+        raise InputError(f"{where}: its lists and mappings are nested too deeply") from None
+    if found.place:
+        where = f"{where}: {_path(found.place)}"
+    flat = {
+        key: _number(value, key, where) if key in _NUMBERS else value
+        for key, value in _named(found.data, where).items()
+    }
+    if isinstance(flat.get("subpixelCells"), list):
+        flat["subpixelCells"] = [
+            _cell(cell, f"{where}: subpixelCells[{number}]") for number, cell in enumerate(flat["subpixelCells"])
+        ]
+    cone = flat.get("viewCone")
+    if cone is None or type(cone) in (int, float) and cone == 0:
+        flat.pop("viewCone", None)
+        given = "not given" if cone is None else 0
+        assume(
+            f"a viewing cone of {DEFAULT_CONE_DEG:g} degrees, {where}: viewCone is {given}; on a display of "
+            "another cone there is more depth than it can show, or less"
+        )
+    return flat
+
+
+def _chosen(found: list[_Found], where: str, serial: str | None) -> _Found:
+    if not found:
+        raise InputError(
+            f"{where}: expected a Looking Glass calibration with pitch, slope, center, DPI, screenW and "
+            "screenH, found none"
+        )
+    names = ", ".join(one.name for one in found[:_MOST_LISTED]) + ", ..." * (len(found) > _MOST_LISTED)
+    if serial is None:
+        if len(found) > 1:
+            raise InputError(
+                f"{where} has calibrations of {len(found)} displays: {names}; say which with "
+                "--device-serial SERIAL (serial= in Python)"
+            )
+        return found[0]
+    expect("serial", serial, str)
+    named = [one for one in found if serial.strip().casefold() in map(str.casefold, one.serials)]
+    if len(named) != 1:
+        count = "no calibration" if not named else f"{len(named)} different calibrations"
+        raise InputError(f"{where} has {count} of a display with serial {shown(serial)}; it has {names}")
+    return named[0]
+
+
+def _distinct(found: Iterator[_Found]) -> list[_Found]:
+    """One for each calibration that is different, with all names that its display has."""
+    out: dict[str, _Found] = {}
+    for one in found:
+        first = out.setdefault(repr(one.data), one)
+        first.serials = tuple(dict.fromkeys((*first.serials, *one.serials)))
+    return list(out.values())
+
+
+def _calibrations(data: Any) -> Iterator[_Found]:
+    """All calibrations, in the order of the file."""
+    pending: list[tuple[Any, tuple[Any, ...], tuple[str, ...]]] = [(data, (), ())]
+    seen: dict[int, Any] = {}  # by identity, for what holds itself; kept alive, so that no identity comes twice
+    while pending:
+        value, place, serials = pending.pop()
+        if isinstance(value, str):
+            value = _parsed(value)
+        if not isinstance(value, (dict, list)) or len(place) > _DEEPEST:
+            continue
+        if isinstance(value, dict):
+            plain = {key: _plain(part) for key, part in value.items()}
+            own = _serials(plain)
+            if len(_MARKS & {_usual_name(key) for key in plain}) > 1:
+                yield _Found(plain, (*own, *serials), place)
+                continue
+            serials = own or serials
+        if id(value) in seen:
+            continue
+        seen[id(value)] = value
+        parts = value.items() if isinstance(value, dict) else enumerate(value)
+        pending += reversed([(part, (*place, key), serials) for key, part in parts])
+
+
+def _serials(mapping: dict[Any, Any]) -> tuple[str, ...]:
+    return tuple(
+        str(mapping[key]).strip()
+        for key in _SERIALS
+        if type(mapping.get(key)) in (str, int) and str(mapping[key]).strip()
+    )
+
+
+def _path(place: tuple[Any, ...]) -> str:
+    """For example "devices.0.calibration"."""
+    return ".".join(_short(key) for key in place) or "the whole"
+
+
+def _short(word: Any) -> str:
+    return " ".join(str(word).split())[:40]
+
+
+def _parsed(text: str) -> Any:
+    """What a string holds that is JSON itself; None where it is none."""
+    if not text.lstrip().startswith(("{", "[")):
+        return None
+    try:
+        return parse_json(text)
+    except ValueError:
+        return None
+
+
+def _plain(value: Any) -> Any:
+    return value["value"] if isinstance(value, dict) and "value" in value else value
+
+
+def _named(data: dict[Any, Any], where: str) -> dict[Any, Any]:
+    """With the keys that are known as they are usually written: a cellPatternMode would else be overlooked."""
+    named = {_usual_name(key): value for key, value in data.items()}
+    if len(named) < len(data):
+        raise InputError(f"{where}: expected each key once, got some that differ in capitals only")
+    return named
+
+
+def _usual_name(key: Any) -> Any:
+    return _USUAL_NAMES.get(key.casefold(), key) if isinstance(key, str) else key
+
+
+def _cell(cell: Any, where: str) -> Any:
+    """A cell with its numbers, which are all that it has; anything else as it is."""
+    return {key: _number(_plain(value), key, where) for key, value in cell.items()} if isinstance(cell, dict) else cell
+
+
+def _number(value: Any, key: str, where: str) -> Any:
+    """A string as the number in it; anything else as it is."""
+    if not isinstance(value, str):
+        return value
+    text = value.strip()
+    if not _NUMBER.fullmatch(text):
+        hint = "; write it with a point" if _NUMBER.fullmatch(text.replace(",", ".", 1)) else ""
+        raise InputError(f"{where}: {key} must be a number, got {shown(value)}{hint}")
+    return float(text)

@@ -1,0 +1,65 @@
+"""The lens of a panel, and what a rig's cameras see through it, as values of the rasterizer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightfield_gs.panels.cells import cell_table
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.lens_view import Lens, LensView
+
+_WORD = 1 << 64
+
+
+def lens_of(panel: Panel, continuous: bool = False, offset_start: float = 0.0, offset_step: float = 0.0) -> Lens:
+    """The lens before cameras at offset_start + offset_step * x, scene units; continuous: at x itself."""
+    start, across, down = panel.phase_steps()
+    phase, phases, channels = panel.phase, (), ()
+    if panel.subpixel_cells:
+        table = cell_table(panel)
+        start, phase = start + table.shift, phase + table.shift_subpixels
+        phases, channels = (tuple(part.reshape(-1).tolist()) for part in (table.phases, table.channels))
+    return Lens(
+        panel.width_px,
+        panel.height_px,
+        panel.views,
+        (start % _WORD, across, down),
+        float(panel.line_number),
+        float(panel.slant_tan),
+        float(phase),
+        panel.subpixel_order == "BGR",
+        continuous,
+        float(offset_start),
+        float(offset_step),
+        phases,
+        channels,
+    )
+
+
+def lens_view(panel: Panel, rig: Rig, continuous: bool = False) -> LensView:
+    """What the sub-pixels of a panel see of a scene by a rig; continuous: see Lens."""
+    start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
+    pose = np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist()
+    optics = (float(v) for v in (*rig.focal_px, *rig.principal_point_px))
+    limits = (*(float(v) for v in rig.jacobian_limits(panel)), 0.0)
+    lens = lens_of(panel, continuous, start, (end - start) / panel.views)
+    return LensView(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens)
+
+
+def slow_way(panel: Panel, lattices_on_cuda: bool) -> str | None:
+    """What `direct` cannot do for a panel because of its sub-pixel cells, and hence takes longer; None: nothing.
+
+    lattices_on_cuda: whether a frame with lattices is to be drawn on CUDA.
+    """
+    if not panel.subpixel_cells:
+        return None
+    lens = lens_of(panel).native()
+    if not (lens.stands_in_order() and lens.has_one_order()):
+        return (
+            f"the sub-pixel cells of panel {panel.name} have no one order along the lens: it is drawn by slower "
+            "ways, on the CPU a sub-pixel at a time, on CUDA by tiles of pixels, and without lattices"
+        )
+    if lattices_on_cuda:
+        return "panels with sub-pixel cells are drawn without lattices on CUDA: this quality saves little time"
+    return None

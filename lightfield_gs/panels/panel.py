@@ -1,0 +1,268 @@
+"""A slanted-lenticular panel: which of its views every sub-pixel shows.
+
+For row i from the top, column j and place k of a sub-pixel within its pixel, left to right, all 0-based
+(Shi et al., Photonics 2025, 12(3), 279, section 3; van Berkel 1999):
+    D = 3 j + 3 i tan(slant) + k + phase            x = N frac(D / line_number)            n = floor(x)
+evaluated in wrapping 64-bit fixed point, so that every implementation agrees bit for bit. Panels whose sub-pixels do
+not stand in stripes: see lightfield_gs.panels.cells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, fields
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightfield_gs.base.checks import expect, real_number, shown, whole_number
+from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.options import DEFAULT_CONE_DEG, SUBPIXEL_ORDERS, CellRows, CellRule, SubpixelOrder
+from lightfield_gs.base.paths import config_path
+from lightfield_gs.io.yaml_file import read_mapping, write_mapping
+from lightfield_gs.panels import cells
+from lightfield_gs.panels.looking_glass import panel_fields
+
+MAX_SIZE_PX = 65536
+MAX_VIEWS = 65536
+DEFAULT_PANEL = "65in-8k-96v"
+_WORD = 1 << 64
+
+
+@lru_cache(maxsize=64)  # asked for in every frame
+def _phase_steps(line_number: float, slant_tan: float, phase: float) -> tuple[int, int, int]:
+    lens, down, start = Fraction(line_number), 3 * Fraction(slant_tan), Fraction(phase)
+    return tuple(math.ceil(_WORD * step / lens) % _WORD for step in (start, Fraction(1), down))
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Geometry of a panel and its lens. Raises InputError when made with values that make no sense.
+
+    width_px, height_px: size in whole pixels, 1..65536.
+    views: number N of views behind a lens, 1..65536.
+    line_number: P_e, width of a lens along a row, in sub-pixels, > 0.
+    slant_tan: tangent of the angle between lens axis and columns; positive leans like "/".
+    phase: D_0, place of the panel's first sub-pixel against the lens edge, in sub-pixels.
+    subpixel_order: "RGB" or "BGR", left to right.
+    invert_views: True on a panel wired the other way: view 0 goes to the left-most eye.
+    cone_deg: full angle that the N views span, in (0, 180).
+    viewing_distance_mm: eye to lens, > 0, or None when not known.
+    pixel_pitch_mm: width (and height) of a pixel, > 0, or None when not known.
+    name: for messages and metadata.
+    subpixel_cells: () for stripes, or for each kind of pixel where red, green and blue lie: three (x, y), right and up,
+        in pixels from the point that `phase` is measured at (Looking Glass: the pixel's centre).
+    cell_pattern: which pixel is of which kind, CellPatternMode of Looking Glass, x the column and y the row: 0 all of
+        kind 0; 1 (x + y) mod 2; 2 x mod 2; 3 (y + 2 (x mod 2)) mod 4; 4 y mod 2.
+    cell_rule: "unity", those; or "webxr", where 2 is y mod 4 and 4 is x mod 2: published programs disagree.
+    cell_rows: "bottom" or "top", where y counts from.
+    """
+
+    width_px: int
+    height_px: int
+    views: int
+    line_number: float
+    slant_tan: float
+    phase: float = 0.0
+    subpixel_order: SubpixelOrder = "RGB"
+    invert_views: bool = False
+    cone_deg: float = DEFAULT_CONE_DEG
+    viewing_distance_mm: float | None = None
+    pixel_pitch_mm: float | None = None
+    name: str = "panel"
+    subpixel_cells: tuple[cells.Cell, ...] = ()
+    cell_pattern: int = 0
+    cell_rule: CellRule = "unity"
+    cell_rows: CellRows = "bottom"
+
+    def __post_init__(self) -> None:
+        for key, low, high in (("width_px", 1, MAX_SIZE_PX), ("height_px", 1, MAX_SIZE_PX), ("views", 1, MAX_VIEWS)):
+            self._set(key, whole_number(f"panel: {key}", getattr(self, key), low, high))
+        for key, low, high in (
+            ("line_number", 1e-3, 1e6),
+            ("slant_tan", -10, 10),
+            ("phase", -1e12, 1e12),
+            ("cone_deg", 1e-6, 180),
+            ("viewing_distance_mm", 1e-3, 1e9),
+            ("pixel_pitch_mm", 1e-6, 1e6),
+        ):
+            if getattr(self, key) is not None or key not in ("viewing_distance_mm", "pixel_pitch_mm"):
+                self._set(key, real_number(f"panel: {key}", getattr(self, key), low, high))
+        if self.cone_deg >= 180:
+            raise InputError(f"panel: cone_deg must be below 180, got {self.cone_deg}")
+        if not isinstance(self.subpixel_order, str) or self.subpixel_order not in SUBPIXEL_ORDERS:
+            raise InputError(f"panel: subpixel_order must be RGB or BGR, got {shown(self.subpixel_order)}")
+        if not isinstance(self.invert_views, bool):
+            raise InputError(f"panel: invert_views must be true or false, got {shown(self.invert_views)}")
+        self._set("name", str(self.name))
+        self._set("subpixel_cells", cells.checked_cells(self.subpixel_cells))
+        cells.check_pattern(self)
+
+    def _set(self, key: str, value: Any) -> None:
+        object.__setattr__(self, key, value)
+
+    # Where panels come from
+
+    @staticmethod
+    def load(source: str | Path, *, serial: str | None = None) -> Panel:
+        """A panel by name (configs/panels), from a YAML file, or from a Looking Glass calibration in a .json file.
+
+        serial: which display, where the file has calibrations of several (see from_looking_glass). Raises InputError.
+        """
+        expect("panel", source, str, Path)
+        if str(source).lower().endswith(".json"):
+            return Panel.from_looking_glass(source, serial=serial)
+        if serial is not None:
+            raise InputError(
+                f"--device-serial (serial= in Python) chooses among Looking Glass calibrations in a .json "
+                f"file, and {shown(str(source))} is none; leave it out"
+            )
+        return Panel.from_yaml(source)
+
+    @staticmethod
+    def from_yaml(source: str | Path) -> Panel:
+        """A panel from a YAML file with the fields of this class, or by the name of one in configs/panels.
+
+        Raises InputError when it cannot be read, or names an unknown or missing key.
+        """
+        expect("panel", source, str, Path)
+        text = str(source)
+        is_file = text.lower().endswith((".yaml", ".yml")) or "/" in text or Path(text).is_file()
+        path = Path(source) if is_file else config_path("panels", text)
+        required = ("width_px", "height_px", "views", "line_number", "slant_tan")
+        data = read_mapping(path, required, [f.name for f in fields(Panel) if f.name not in required])
+        return Panel._of_file(path, {"name": path.stem, **data})
+
+    @staticmethod
+    def from_physical(
+        *,
+        width_px: int,
+        height_px: int,
+        views: int,
+        lens_pitch_mm: float,
+        slant_tan: float,
+        viewing_distance_mm: float,
+        lens_gap_mm: float,
+        pixel_pitch_mm: float,
+        phase: float = 0.0,
+        subpixel_order: SubpixelOrder = "RGB",
+        invert_views: bool = False,
+        cone_deg: float | None = None,
+        name: str = "panel",
+    ) -> Panel:
+        """A panel from its measures in mm.
+
+        lens_pitch_mm is measured across the lens axis; lens_gap_mm is the air-equivalent distance of lens and
+        sub-pixels; a sub-pixel is a third of pixel_pitch_mm wide. Without cone_deg the cone follows from the gap.
+        Source: Shi et al. 2025, P_e = (L + L_g)/L * P_l / (cos(theta) p_sub); the paper omits p_sub.
+        Raises InputError.
+        """
+        pitch, gap, distance, pixel = (
+            real_number(f"panel: {key}", value, 1e-6, 1e9)
+            for key, value in (
+                ("lens_pitch_mm", lens_pitch_mm),
+                ("lens_gap_mm", lens_gap_mm),
+                ("viewing_distance_mm", viewing_distance_mm),
+                ("pixel_pitch_mm", pixel_pitch_mm),
+            )
+        )
+        slant = real_number("panel: slant_tan", slant_tan, -10, 10)
+        lens_width = (distance + gap) / distance * pitch / math.cos(math.atan(slant))  # in mm along a row
+        if cone_deg is None:
+            cone_deg = 2 * math.degrees(math.atan(lens_width / (2 * gap)))
+        return Panel(
+            width_px=width_px,
+            height_px=height_px,
+            views=views,
+            line_number=lens_width / (pixel / 3),
+            slant_tan=slant,
+            phase=phase,
+            subpixel_order=subpixel_order,
+            invert_views=invert_views,
+            cone_deg=cone_deg,
+            viewing_distance_mm=distance,
+            pixel_pitch_mm=pixel,
+            name=name,
+        )
+
+    @staticmethod
+    def from_looking_glass(
+        source: str | Path | dict[str, Any] | list[Any],
+        *,
+        views: int = 96,
+        serial: str | None = None,
+        flip_center: float = 0.0,
+    ) -> Panel:
+        """A panel from a Looking Glass calibration: visual.json, the answer of Looking Glass Bridge, or what is in one.
+
+        Its values may be plain or {"value": v}, and numbers may be strings. serial: of the calibration or the display;
+        needed where there are several. flip_center: lens widths that `center` gains where flipImageX is set; programs
+        disagree whether it is 0 or 0.5. Raises InputError when a value is missing or makes no sense, or says something
+        of the optics that is not known here.
+        """
+        return Panel._of_file(source, panel_fields(source, views, serial, flip_center))
+
+    @staticmethod
+    def _of_file(source: object, data: dict[str, Any]) -> Panel:
+        """A panel of these fields; what is wrong with them is told with the name of the file that they are from."""
+        with named(source) if isinstance(source, (str, Path)) else nullcontext():
+            return Panel(**data)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields that are known, as from_yaml reads them; those of cells where there are any."""
+        stripes = () if self.subpixel_cells else ("subpixel_cells", "cell_pattern", "cell_rule", "cell_rows")
+        return {key: value for key, value in asdict(self).items() if value is not None and key not in stripes}
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Writes the panel as from_yaml reads it, every digit kept."""
+        write_mapping(path, self.to_dict())
+
+    # Lens phase
+
+    def phase_steps(self) -> tuple[int, int, int]:
+        """(s0, sx, sy), integers mod 2^64: the phase of sub-pixel (i, j, k) is s0 + sx (3 j + k) + sy i mod 2^64.
+
+        Of a panel with cells that of its pixels is s0 + 3 sx j + sy i, and cells.subpixel_phases says what is beyond.
+
+        In units of 2^-64 lens widths, exact and rounded up: so a sub-pixel that lies exactly on the border of two
+        views (line_number a whole number, say) falls on the upper one, as floor() demands; the sum is less than
+        2^-45 too large.
+        """
+        return _phase_steps(self.line_number, self.slant_tan, self.phase)
+
+    def place(self, channel: int) -> int:
+        """Place k, left to right, of image channel 0, 1, 2 (red, green, blue) within its pixel, of stripes."""
+        return channel if self.subpixel_order == "RGB" else 2 - channel
+
+    def phase_rows(self, rows_per_chunk: int = 64) -> Iterator[tuple[slice, np.ndarray]]:
+        """Chunks of rows and their lens phases uint64 [rows, W, 3], indexed by image channel."""
+        s0, sx, sy = (np.uint64(step) for step in self.phase_steps())
+        columns, within = np.arange(self.width_px, dtype=np.uint64), cells.subpixel_phases(self)
+        across = sx * (3 * columns[:, None]) + within[:, np.arange(self.width_px) % cells.PERIOD]
+        for first in range(0, self.height_px, rows_per_chunk):
+            numbers = np.arange(first, min(first + rows_per_chunk, self.height_px))
+            down = s0 + sy * numbers.astype(np.uint64)
+            yield slice(first, first + len(numbers)), down[:, None, None] + across[numbers % cells.PERIOD]
+
+    def view_map(self, continuous: bool = False) -> np.ndarray:
+        """The view of every sub-pixel, [H, W, 3] by image channel: n int32 in 0..N-1, or x float64 in [0, N)."""
+        out = np.empty((self.height_px, self.width_px, 3), np.float64 if continuous else np.int32)
+        for rows, phase in self.phase_rows():
+            out[rows] = self.view_position(phase) if continuous else self.view_index(phase)
+        return out
+
+    def view_index(self, phase: np.ndarray) -> np.ndarray:
+        """Integer views n, int32, of lens phases uint64: the high word of phase * N."""
+        views, half = np.uint64(self.views), np.uint64(32)
+        low = (phase & np.uint64(0xFFFFFFFF)) * views >> half
+        return ((phase >> half) * views + low >> half).astype(np.int32)
+
+    def view_position(self, phase: np.ndarray) -> np.ndarray:
+        """Continuous views x in [0, N), float64, of lens phases uint64."""
+        # The upper 53 bits convert exactly, so x cannot round up to N.
+        return (phase >> np.uint64(11)).astype(np.float64) * (2.0**-53 * self.views)

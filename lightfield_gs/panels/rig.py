@@ -1,0 +1,236 @@
+"""The off-axis fan of cameras behind a panel's views (Shi et al. 2025; the same plane z = zero_depth for all views)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
+from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.io.yaml_file import read_mapping, write_mapping
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.scene.axes import DEFAULT_UP
+
+if TYPE_CHECKING:
+    from lightfield_gs.scene.cameras import Cameras
+    from lightfield_gs.scene.gaussians import Gaussians
+
+_MARGIN = 0.15  # of the image beyond each edge: the "frustum + 30 %" of 3D Gaussian splatting
+
+
+@dataclass
+class Rig:
+    """Centre camera of the fan; the cameras of the views are beside it on its x-axis, without rotation.
+
+    world_to_camera: [4, 4] float64, [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
+    focal_px: (fx, fy), > 0, at the panel's resolution.
+    principal_point_px: (cx, cy) at the panel's resolution, from the outer corner of the first pixel.
+    zero_depth: view-space z, > 0, of the plane that shows no parallax (the panel itself), scene units.
+    cone_deg: full angle of the fan seen from the zero plane, in (0, 180); None: the panel's.
+    Raises InputError when made with values that make no sense.
+    """
+
+    world_to_camera: np.ndarray
+    focal_px: tuple[float, float]
+    principal_point_px: tuple[float, float]
+    zero_depth: float
+    cone_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        self.world_to_camera = _rigid(self.world_to_camera)
+        self.focal_px = _pair("rig: focal_px", self.focal_px, 1e-3, 1e9)
+        self.principal_point_px = _pair("rig: principal_point_px", self.principal_point_px, -1e9, 1e9)
+        self.zero_depth = real_number("rig: zero_depth", self.zero_depth, 1e-6, 1e12)
+        if self.cone_deg is not None:
+            self.cone_deg = real_number("rig: cone_deg", self.cone_deg, 1e-6, 179.999)
+
+    # Files
+
+    @staticmethod
+    def from_yaml(path: str | Path) -> Rig:
+        """A rig from a YAML file with the fields of this class (cone_deg may be missing). Raises InputError."""
+        required = ("world_to_camera", "focal_px", "principal_point_px", "zero_depth")
+        data = read_mapping(path, required, ("cone_deg",))
+        with named(path):
+            return Rig(**data)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as from_yaml reads them."""
+        fields = {
+            "world_to_camera": self.world_to_camera.tolist(),
+            "focal_px": list(self.focal_px),
+            "principal_point_px": list(self.principal_point_px),
+            "zero_depth": self.zero_depth,
+        }
+        return fields if self.cone_deg is None else {**fields, "cone_deg": self.cone_deg}
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Writes the rig as from_yaml reads it, every digit kept, atomically."""
+        write_mapping(path, self.to_dict())
+
+    @staticmethod
+    def frame(
+        gaussians: Gaussians,
+        panel: Panel,
+        world_to_camera: np.ndarray | None = None,
+        *,
+        up: str = DEFAULT_UP,
+        notes: list[str] | None = None,
+    ) -> Rig:
+        """A rig that fits the scene to the panel's height (or width, where that is met first), in 90 degrees at most.
+
+        The zero plane is at the harmonic mean of robust near and far depths. With `world_to_camera` the camera stays
+        where it is, otherwise it looks at the scene from in front, upright by `up`, the axis that points up: "x", "y",
+        "z", "-x", "-y" or "-z". With -y, as in OpenCV axes, it looks along +z. What was left out of a scene that
+        surrounds what it is about is said in `notes`, a list to append to. See lightfield_gs.panels.framing.frame.
+        """
+        from lightfield_gs.panels.framing import frame
+
+        return frame(gaussians, panel, world_to_camera, up=up, notes=notes)
+
+    def relative_to(self, origin: Sequence[float]) -> Rig:
+        """The same cameras for coordinates that are given from `origin`, three numbers in scene units.
+
+        rig.relative_to(gaussians.origin) is the rig for Gaussians with an origin of one in their file's coordinates;
+        with the origin negated it goes back. Double precision.
+        """
+        if not any(origin):
+            return self
+        matrix = self.world_to_camera.copy()
+        matrix[:3, 3] += matrix[:3, :3] @ np.asarray(origin, np.float64)
+        return replace(self, world_to_camera=matrix)
+
+    # The fan
+
+    def half_width(self, panel: Panel) -> float:
+        """Largest offset of the fan's cameras, zero_depth * tan(cone / 2), scene units."""
+        cone_deg = panel.cone_deg if self.cone_deg is None else self.cone_deg
+        return self.zero_depth * math.tan(math.radians(cone_deg) / 2)
+
+    def offset(self, x: float | np.ndarray, panel: Panel) -> float | np.ndarray:
+        """Offset s of view x in [0, N], scene units to the right of the centre camera.
+
+        s(x) = 2 Z0 tan(cone/2) (1/2 - x/N): view 0 goes to the right-most eye; mirrored by panel.invert_views.
+        An integer view n is at x = n + 1/2.
+        """
+        sign = -1.0 if panel.invert_views else 1.0
+        return sign * 2 * self.half_width(panel) * (0.5 - x / panel.views)
+
+    def offset_range(self, panel: Panel) -> tuple[float, float]:
+        """(smallest, largest) offset over x in [0, N]."""
+        return -self.half_width(panel), self.half_width(panel)
+
+    def jacobian_limits(self, panel: Panel) -> tuple[float, float, float, float]:
+        """(lo_x, hi_x, lo_y, hi_y), the limits of X/Z and Y/Z in the projection's Jacobian, centre camera.
+
+        The panel's frustum and 15 % of the image beyond each edge, widened in x by the fan's largest offset over
+        zero_depth, so that all views share one set of limits.
+        """
+        (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
+        width, height = panel.width_px, panel.height_px
+        widen = self.half_width(panel) / self.zero_depth
+        return (
+            -(cx + _MARGIN * width) / fx - widen,
+            (width - cx + _MARGIN * width) / fx + widen,
+            -(cy + _MARGIN * height) / fy,
+            (height - cy + _MARGIN * height) / fy,
+        )
+
+    def cameras(self, panel: Panel, views: Sequence[int] | None = None) -> Cameras:
+        """The cameras of the integer views given (all N when None), float64, in that order: at x = n + 1/2.
+
+        Raises InputError on a view outside 0..N-1.
+        """
+        expect("panel", panel, Panel)
+        if views is None:
+            views = range(panel.views)
+        if not is_row(views):
+            raise InputError(f"views must be whole numbers in a row, got {shown(views)}")
+        numbers = np.array([whole_number("views", view, -1 << 31, 1 << 31) for view in views], np.int64)
+        if numbers.size and not (0 <= numbers.min() and numbers.max() < panel.views):
+            raise InputError(f"views must be 0..{panel.views - 1}, got {numbers.min()}..{numbers.max()}")
+        return self.cameras_at(panel, numbers + 0.5)
+
+    def cameras_at(self, panel: Panel, x: Sequence[float] | np.ndarray) -> Cameras:
+        """The cameras at these view coordinates x in [0, N], float64, in that order.
+
+        Same rotation; translation t_x - s and principal point cx + fx s / Z0, so that z = zero_depth has no parallax.
+        Raises InputError.
+        """
+        import torch
+
+        from lightfield_gs.scene.cameras import Cameras
+
+        expect("panel", panel, Panel)
+        positions = _float64(x)
+        if positions is None or positions.ndim != 1 or not ((positions >= 0) & (positions <= panel.views)).all():
+            raise InputError(f"x must be a row of numbers in 0..{panel.views}, got {shown(x)}")
+        offsets = self.offset(positions, panel)
+        matrices = np.repeat(self.world_to_camera[None], len(offsets), 0)
+        matrices[:, 0, 3] -= offsets
+        centres = np.stack(
+            [
+                self.principal_point_px[0] + self.focal_px[0] / self.zero_depth * offsets,
+                np.full(len(offsets), self.principal_point_px[1]),
+            ],
+            1,
+        )
+        limits = np.concatenate([np.tile(self.jacobian_limits(panel), (len(offsets), 1)), offsets[:, None]], 1)
+        return Cameras(
+            torch.from_numpy(matrices),
+            torch.tensor([self.focal_px] * len(offsets), dtype=torch.float64),
+            torch.from_numpy(centres),
+            panel.width_px,
+            panel.height_px,
+            jacobian_limits=torch.from_numpy(limits),
+        )
+
+
+def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
+    """The same view of the scene on a panel of another width; a panel is never enlarged."""
+    scale = min(1.0, width_px / panel.width_px)
+    width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
+    scales = width / panel.width_px, height / panel.height_px
+    focal, centre = (
+        tuple(value * s for value, s in zip(pair, scales)) for pair in (rig.focal_px, rig.principal_point_px)
+    )
+    return replace(panel, width_px=width, height_px=height), replace(rig, focal_px=focal, principal_point_px=centre)
+
+
+def _float64(values: Any) -> np.ndarray | None:
+    """A copy of `values` as a float64 array; None where they are no real numbers."""
+    try:
+        array = np.asarray(values)
+        return None if array.dtype.kind in "cSU" else np.array(array, np.float64)
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        return None
+
+
+def _rigid(given: Any) -> np.ndarray:
+    """What was given as float64 [4, 4] with a proper rotation; raises InputError."""
+    matrix = _float64(given)
+    if matrix is None or matrix.shape != (4, 4):
+        came = shown(given) if matrix is None else f"shape {list(matrix.shape)}"
+        raise InputError(f"rig: world_to_camera must be 4 rows of 4 numbers, got {came}")
+    if not np.isfinite(matrix).all():
+        raise InputError("rig: world_to_camera has numbers that are not finite")
+    if not np.abs(matrix[3] - (0, 0, 0, 1)).max() <= 1e-6:
+        raise InputError(f"rig: the last row of world_to_camera must be 0 0 0 1, got {matrix[3].tolist()}")
+    rotation = matrix[:3, :3]
+    if not np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-4 or np.linalg.det(rotation) < 0:
+        raise InputError(
+            "rig: world_to_camera must begin with a rotation (orthonormal, determinant +1); "
+            "scale, shear or mirroring is not allowed"
+        )
+    return matrix
+
+
+def _pair(what: str, values: Any, low: float, high: float) -> tuple[float, float]:
+    if not is_row(values, 2):
+        raise InputError(f"{what} must be two numbers, got {shown(values)}")
+    return real_number(what, values[0], low, high), real_number(what, values[1], low, high)

@@ -1,0 +1,137 @@
+"""What an eye sees through the lenses of a panel."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.panels.cells import PERIOD, subpixel_offsets
+from lightfield_gs.panels.panel import Panel
+
+_FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
+_ROWS_PER_CHUNK_PX = 16  # small temporaries stay in the cache
+
+
+def simulate(
+    image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_subpixels: float = 1.0, threads: int | None = None
+) -> np.ndarray:
+    """The picture that one eye perceives: float32 [round(3 H / P_e), round(3 W / P_e), 3], one sample a lens.
+
+    image: the light-field image [H, W, 3 or 4] of this panel, uint8, uint16 or float (alpha is ignored).
+    eye_mm: place (x, y, z) of the eye in mm from the panel's centre: x right, y up, z > 0 towards the viewer.
+    spread_subpixels: full width at half maximum of what a lens lights, > 0; more than 1 is crosstalk.
+    threads: number of threads; None: one a core.
+
+    The eye reaches the sub-pixel at xi = X - Y tan(theta) through the place a on its lens
+    (docs/design.md, "What an eye sees"):
+        a = D_mid/P_e + (xi z + xi_eye L_g) / ((z + L_g) p_h),   L_g = P_e p_sub L/E,   p_h = P_e p_sub L/(L + L_g)
+    E = 2 L tan(cone/2). It is lit by a Gaussian of frac(a) - 1/2. At z = L the eye sees the view N (1/2 - xi_eye/E)
+    everywhere. On a panel with invert_views the lens plane lies behind the pixels (L_g < 0), so that right eyes still
+    see the cameras to the right. Raises InputError; also where the panel lacks viewing_distance_mm or pixel_pitch_mm.
+    """
+    _check(image, panel)
+    x, y, z = _eye(eye_mm)
+    spread = real_number("spread_subpixels", spread_subpixels, 1e-2, 1e3)
+    threads = os.cpu_count() if threads is None else whole_number("threads", threads, 1, 4096)
+    distance, sub_mm, lens = panel.viewing_distance_mm, panel.pixel_pitch_mm / 3, panel.line_number
+    gap = lens * sub_mm / (2 * math.tan(math.radians(panel.cone_deg) / 2)) * (-1 if panel.invert_views else 1)
+    if z + gap <= 0 or distance + gap <= 0:
+        raise InputError(f"eye: z must be larger than the lens gap of {abs(gap):.4g} mm, got {z}")
+    lens_mm = lens * sub_mm * distance / (distance + gap)
+    # a is linear in D, with xi = (D - D_mid) p_sub; D_mid is what D would be of a sub-pixel centred on the panel.
+    pixel = 0 if panel.subpixel_cells else 1  # D of a pixel's centre, from its reference
+    middle = 1.5 * (panel.width_px - 1) + pixel + 1.5 * (panel.height_px - 1) * panel.slant_tan + panel.phase
+    slope = sub_mm * z / ((z + gap) * lens_mm)
+    shift = middle / lens + (x - y * panel.slant_tan) * gap / ((z + gap) * lens_mm)
+    columns, rows = _cells(panel.width_px, lens), _cells(panel.height_px, lens)
+    lit = np.zeros((len(rows) - 1, len(columns) - 1, 3), np.float32)
+    weight = np.zeros_like(lit)
+    sigma = spread * _FWHM_TO_SIGMA / lens
+    cells_per_chunk = max(1, int(_ROWS_PER_CHUNK_PX * len(rows) / panel.height_px))
+
+    def sum_up(first: int) -> None:
+        bounds = rows[first : first + cells_per_chunk + 1]
+        cells = slice(first, first + len(bounds) - 1)
+        for channel in range(3):
+            light = _light(panel, channel, slice(bounds[0], bounds[-1]), shift, slope, middle, sigma)
+            weight[cells, :, channel] = _sums(light, bounds, columns)
+            light *= image[bounds[0] : bounds[-1], :, channel]
+            lit[cells, :, channel] = _sums(light, bounds, columns)
+
+    with ThreadPoolExecutor(threads) as pool:  # NumPy works outside the interpreter lock
+        list(pool.map(sum_up, range(0, len(rows) - 1, cells_per_chunk)))
+    scale = 1 / np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else 1.0
+    return np.float32(scale) * _blurred(lit) / _blurred(weight)
+
+
+def _light(
+    panel: Panel, channel: int, rows: slice, shift: float, slope: float, middle: float, sigma: float
+) -> np.ndarray:
+    """How much each sub-pixel of a channel is lit, float32 [rows, W]."""
+    columns, numbers = np.arange(panel.width_px), np.arange(rows.start, rows.stop)
+    within = subpixel_offsets(panel)[..., channel].astype(np.float64)[:, columns % PERIOD]  # [PERIOD, W]
+    along = slope * (3 * columns + within + panel.phase - middle) + shift
+    down = slope * 3 * panel.slant_tan * numbers
+    along, down = along - np.floor(along), down - np.floor(down)  # small numbers keep float32 exact enough
+    turns = along.astype(np.float32)[numbers % PERIOD] + down.astype(np.float32)[:, None]
+    turns -= np.floor(turns)
+    turns -= np.float32(0.5)
+    turns *= np.float32(1 / (sigma * math.sqrt(2)))
+    # The floor keeps a cell defined whose every sub-pixel is dark.
+    return np.exp(-np.square(turns, out=turns)) + np.float32(1e-20)
+
+
+def _cells(size_px: int, lens_subpixels: float) -> np.ndarray:
+    """Borders in pixels of cells about one lens wide."""
+    count = min(size_px, max(1, round(3 * size_px / lens_subpixels)))
+    return np.linspace(0, size_px, count + 1).round().astype(np.int64)
+
+
+def _sums(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Sums of `values` (whose first row is rows[0]) over cells."""
+    borders = rows - rows[0]
+    joined = np.stack([values[a:b].sum(0) for a, b in zip(borders, borders[1:])])  # four times as fast as reduceat
+    return np.add.reduceat(joined, columns[:-1], 1)
+
+
+def _blurred(cells: np.ndarray) -> np.ndarray:
+    """Cells joined with their neighbours, 1 2 1 both ways: the brightest sub-pixels around decide."""
+    padded = np.pad(cells, ((1, 1), (1, 1), (0, 0)))
+    across = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
+    return across[:-2] + 2 * across[1:-1] + across[2:]
+
+
+def _eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
+    if not is_row(eye_mm, 3):
+        raise InputError(f"eye: expected three numbers x, y, z in mm, got {shown(eye_mm)}")
+    x, y, z = (real_number(f"eye: {axis}", value, -1e7, 1e7) for axis, value in zip("xyz", eye_mm))
+    if z <= 0:
+        raise InputError(f"eye: z is the distance before the panel in mm and must be above 0, got {z}")
+    return x, y, z
+
+
+def unknown_of(panel: Panel) -> list[str]:
+    """The fields of a panel that an eye cannot be placed without, those that it lacks."""
+    return [key for key in ("viewing_distance_mm", "pixel_pitch_mm") if getattr(panel, key) is None]
+
+
+def _check(image: np.ndarray, panel: Panel) -> None:
+    expect("image", image, np.ndarray)
+    expect("panel", panel, Panel)
+    if missing := unknown_of(panel):
+        raise InputError(f"panel {panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")
+    if image.ndim != 3 or image.shape[2] not in (3, 4):
+        raise InputError(f"image: expected [H, W, 3], got {list(image.shape)}")
+    if image.dtype.name not in ("uint8", "uint16", "float32", "float64"):
+        raise InputError(f"image: expected uint8, uint16, float32 or float64, got {image.dtype}")
+    if image.shape[:2] != (panel.height_px, panel.width_px):
+        raise InputError(
+            f"image is {image.shape[1]} x {image.shape[0]} pixels, panel {panel.name} is "
+            f"{panel.width_px} x {panel.height_px}; name the panel it was encoded for"
+        )

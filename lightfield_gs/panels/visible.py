@@ -1,0 +1,94 @@
+"""Depths of what a camera sees: where the subject of a picture stands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig, reduced
+from lightfield_gs.rasterizer.images import render
+from lightfield_gs.scene.gaussians import Gaussians
+
+_SIZE_PX = 256  # longer side of the picture that is looked at: thin things must not blend with what is behind them
+_SHARE_SIZE_PX = 128  # and where only how much of it shows matters
+_OPAQUE = 0.5  # what covers less is not seen as a surface
+_LEAST_SEEN = 0.01  # share of the picture that must show surfaces
+_MIDDLE = 0.2  # standard deviation of what counts as the middle, in units of the picture's shorter side
+_NEAREST_SHARE = 0.1  # of what is seen in the middle: the front of the subject is nearer
+_SUBJECT = 1.5  # depths of a subject, in units of that of its front
+_DEPTH_TAIL = 0.01  # of what is seen, left out at either end
+_DEEP = 2.5  # far to near: an object and no more is less deep
+_NEAR_ZERO = 1.3  # what is as many times as far as the zero plane, or as near, is near it
+_IN_GAP = 0.06  # share of what is seen that is next to nothing: edges, where near and far blend
+
+
+def subject_depth(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
+    """Depth of the nearest of what the centre camera sees in the middle of its picture; None where it sees nothing."""
+    seen = _disparities(gaussians, panel, rig)
+    return None if seen is None else _nearest_in_the_middle(*seen)
+
+
+def depth_beside_a_gap(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
+    """`subject_depth` where what is seen is deep and nothing of it is near the zero plane; None elsewhere."""
+    seen = _disparities(gaussians, panel, rig)
+    if seen is None:
+        return None
+    disparities, _ = seen
+    far, near = torch.quantile(disparities, torch.tensor([_DEPTH_TAIL, 1 - _DEPTH_TAIL]).to(disparities)).tolist()
+    around = (disparities * rig.zero_depth).log().abs() <= math.log(_NEAR_ZERO)
+    if near < _DEEP * far or float(around.double().mean()) > _IN_GAP:
+        return None
+    return _nearest_in_the_middle(*seen)
+
+
+def _nearest_in_the_middle(disparities: Tensor, weights: Tensor) -> float:
+    """Depth of the middle one among those that are hardly farther than the nearest."""
+    front = _nearest(disparities, weights, _NEAREST_SHARE)
+    subject = disparities >= front / _SUBJECT
+    return 1 / _nearest(disparities[subject], weights[subject], 0.5)
+
+
+def _nearest(disparities: Tensor, weights: Tensor, share: float) -> float:
+    """The disparity that this share of the weights is nearer than."""
+    ordered, order = disparities.sort(descending=True)
+    sums = weights[order].double().cumsum(0)
+    return float(ordered[torch.searchsorted(sums, share * sums[-1:]).clamp_max(len(ordered) - 1)])
+
+
+def share(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig) -> float:
+    """How much of the content, as it would be seen alone, the cameras see past the rest of the scene, 0..1: the least
+    of the outermost two and the one in the middle."""
+    both = Gaussians(*(torch.cat(fields) for fields in zip(content.fields().values(), rest.fields().values())))
+    white = torch.zeros(both.count, 1, 3).to(both.means)
+    white[: content.count], white[content.count :] = 0.5 / SH_CONSTANT, -0.5 / SH_CONSTANT
+    small_panel, small_rig = reduced(panel, rig, _SHARE_SIZE_PX)
+    cameras = small_rig.cameras_at(small_panel, [panel.views / 2, 0, panel.views])
+    with torch.no_grad():
+        alone = render(_plain(content), cameras.select([0]), alpha=True)[1].sum((1, 2))
+        seen = render(replace(both, sh=white), cameras, background=(0, 0, 0))[..., 0].sum((1, 2))
+    return float((seen / alone.clamp_min(1e-9)).min())
+
+
+def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, Tensor] | None:
+    """1 / depth [M] of the surfaces in a small picture, and weights [M], more in its middle."""
+    small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
+    cameras = small_rig.cameras_at(small_panel, [panel.views / 2])
+    with torch.no_grad():
+        _, alpha, depth = (image[0] for image in render(_plain(gaussians), cameras, alpha=True, depth=True))
+    surface = (alpha >= _OPAQUE) & (depth > 0)
+    if float(surface.double().mean()) < _LEAST_SEEN:
+        return None
+    rows, columns = (torch.arange(size, device=depth.device) + 0.5 - size / 2 for size in depth.shape)
+    squares = rows[:, None] ** 2 + columns**2
+    weights = torch.exp(-squares / 2 / (_MIDDLE * min(depth.shape)) ** 2).to(depth)
+    return 1 / depth[surface], weights[surface]
+
+
+def _plain(gaussians: Gaussians) -> Gaussians:
+    """Without what depends on the direction: only the shape matters here."""
+    return replace(gaussians, sh=gaussians.sh[..., :1, :])

@@ -1,0 +1,1 @@
+"""Photos: load, cut out, depth, and the network's picture of them."""

@@ -1,0 +1,170 @@
+"""What the colours of an image file are, as it says itself, and the same in sRGB."""
+
+from __future__ import annotations
+
+import io
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lightfield_gs.io.images import Picture, as_floats
+from lightfield_gs.photo.strips import strips
+
+_LINEAR_FORMATS = ("openexr", "hdr")
+_SRGB_GAMMA, _SAME_GAMMA = 2.2, 0.1
+_SAME_LEVELS = 2  # of 255: profiles that differ less from sRGB, over all colours, are sRGB
+_SRGB_CICP = (1, 2), (1, 2, 6, 13)  # ITU-T H.273: primaries of BT.709; transfer functions of it and sRGB; 2: unsaid
+_SRGB_PRIMARIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06)  # x and y of red, green and blue
+_UNCALIBRATED = 65535  # Exif's ColorSpace of what is not sRGB, in cameras' files Adobe RGB
+_STRIP_PIXELS = 1 << 20  # at a time: Pillow keeps four bytes a pixel, beside what comes in and goes out
+_MOST_PIXELS = 1 << 24  # in floating point
+_MOST_THREADS = 4
+_CLIPPED_SHARE = 0.001  # of the pixels, above 1: from here on it is said
+
+
+@dataclass
+class Colours:
+    """pixels: [H, W, 3] in sRGB, uint8 or float32 in 0..1. said: what was done to them, none where nothing was. notes:
+    what may be wrong with them."""
+
+    pixels: np.ndarray
+    said: str = ""
+    notes: list[str] = field(default_factory=list)
+
+
+def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
+    """The colours [H, W, 3] or, of a grey picture, [H, W, 1] of `picture`, as it says what they are, in sRGB.
+
+    By its ICC profile, through lcms in 8 bits; without one by its gamma (PNG), and EXR and Radiance files are linear.
+    What cannot be honoured is taken as sRGB, with a note.
+    """
+    space, gamma = str(picture.colour.get("oiio:ColorSpace", "")), picture.colour.get("oiio:Gamma", _SRGB_GAMMA)
+    linear = picture.colour.get("format") in _LINEAR_FORMATS or space.startswith("lin_")
+    if "ICCProfile" in picture.colour:
+        colours = _by_profile(rgb, bytes(picture.colour["ICCProfile"]), picture.colour.get("jpeg:ColorSpace") == "CMYK")
+    elif linear or abs(gamma - _SRGB_GAMMA) > _SAME_GAMMA:
+        colours = _by_gamma(rgb, 1.0 if linear else gamma)
+    else:
+        colours = Colours(rgb, notes=_doubts(rgb, picture))
+    if "ICCProfile" not in picture.colour:
+        primaries = picture.colour.get("chromaticities", _SRGB_PRIMARIES)
+        if not np.allclose(primaries[:6], _SRGB_PRIMARIES, atol=0.005):
+            colours.notes.append("has other primary colours than sRGB, which are taken for those; export it as sRGB")
+    if colours.pixels.dtype != np.uint8 and colours.pixels[..., 0].size > _MOST_PIXELS:
+        colours.pixels = _bytes(colours.pixels)
+        colours.said += f"{colours.said and ', '}taken in 8 bits for its size"
+    elif colours.pixels.dtype != np.uint8:
+        colours.pixels = np.clip(as_floats(colours.pixels), 0, 1)
+    if colours.pixels.shape[2] == 1:
+        colours.pixels = np.repeat(colours.pixels, 3, 2)
+    return colours
+
+
+def _doubts(rgb: np.ndarray, picture: Picture) -> list[str]:
+    """Notes on a picture without a profile."""
+    cicp = tuple(picture.colour.get("CICP", ()))[:2]
+    if any(value not in usual for value, usual in zip(cicp, _SRGB_CICP)):
+        return [
+            f"says that its colours are of another kind (CICP {cicp[0]}/{cicp[1]}, of wide gamut or HDR), and they "
+            "are taken as sRGB; export it as sRGB"
+        ]
+    if picture.colour.get("Exif:ColorSpace") == _UNCALIBRATED:
+        return [
+            "says that its colours are not sRGB, perhaps Adobe RGB, and holds no profile; they are taken as sRGB; "
+            "export it with its profile, or as sRGB"
+        ]
+    if rgb.dtype == np.float32:
+        return [
+            "holds floating point without a profile, which is taken as sRGB is encoded; save it as .exr if it is linear"
+        ]
+    return []
+
+
+def _by_gamma(rgb: np.ndarray, gamma: float) -> Colours:
+    values = as_floats(rgb)
+    bright = float((values > 1).any(2).mean())
+    linear = np.clip(values, 0, 1) ** np.float32(gamma)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** np.float32(1 / 2.4) - np.float32(0.055))
+    notes = [f"is brighter than white on {bright:.1%} of its pixels, which are clipped; expose it less"]
+    said = "linear, encoded as sRGB" if gamma == 1 else f"gamma {gamma:.3g}, converted to sRGB"
+    return Colours(encoded.astype(np.float32), said, notes if bright > _CLIPPED_SHARE else [])
+
+
+def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
+    from PIL import Image, ImageCms
+
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        name = _printable(ImageCms.getProfileDescription(source))
+        space = source.profile.xcolor_space.strip()
+        mode = {"RGB": "RGB", "GRAY": "L"}.get(space)
+        if mode is None or was_cmyk:
+            return Colours(
+                rgb,
+                notes=[
+                    f"has a colour profile for {space} ('{name}'), which cannot be used here; its "
+                    "colours are only about right; export it as RGB"
+                ],
+            )
+        # One for each thread: a transform remembers the last colour that it met
+        transforms = [
+            ImageCms.buildTransform(
+                source,
+                ImageCms.createProfile("sRGB"),
+                mode,
+                "RGB",
+                ImageCms.Intent.RELATIVE_COLORIMETRIC,
+                ImageCms.Flags.BLACKPOINTCOMPENSATION,
+            )
+            for _ in range(min(os.cpu_count() or 1, _MOST_THREADS))
+        ]
+    except (ImageCms.PyCMSError, OSError, ValueError, TypeError, AttributeError) as error:
+        return Colours(
+            rgb,
+            notes=[
+                f"has a colour profile that cannot be read ({_printable(str(error))}); its colours are taken as sRGB"
+            ],
+        )
+
+    def converted(block: np.ndarray, transform: ImageCms.ImageCmsTransform) -> np.ndarray:
+        block = block[..., 0] if mode == "L" else block
+        return np.asarray(ImageCms.applyTransform(Image.fromarray(np.ascontiguousarray(block)), transform))
+
+    if mode == "L" and rgb.shape[2] == 3:
+        rgb = rgb[..., :1]
+    probe = _probe(mode)
+    if np.abs(converted(probe, transforms[0]).astype(int) - probe).max() <= _SAME_LEVELS:
+        return Colours(rgb)
+    pixels, rows = np.empty((*rgb.shape[:2], 3), np.uint8), list(strips(*rgb.shape[:2], _STRIP_PIXELS))
+
+    def convert(thread: int) -> None:
+        for top, bottom in rows[thread :: len(transforms)]:
+            pixels[top:bottom] = converted(_bytes(rgb[top:bottom]), transforms[thread])
+
+    with ThreadPoolExecutor(len(transforms)) as pool:  # lcms works outside the interpreter lock
+        list(pool.map(convert, range(len(transforms))))
+    return Colours(pixels, f"profile '{name}' converted to sRGB" + ("" if rgb.dtype == np.uint8 else " in 8 bits"))
+
+
+def _probe(mode: str) -> np.ndarray:
+    """Colours all over the cube, or all greys, [1, N, 3 or 1] uint8."""
+    if mode == "L":
+        return np.arange(256, dtype=np.uint8)[None, :, None]
+    levels = np.linspace(0, 255, 9).round().astype(np.uint8)
+    return np.stack(np.meshgrid(levels, levels, levels), -1).reshape(1, -1, 3)
+
+
+def _bytes(values: np.ndarray) -> np.ndarray:
+    if values.dtype == np.uint8:
+        return values
+    rounded = np.empty(values.shape, np.uint8)
+    for top, bottom in strips(*values.shape[:2], _STRIP_PIXELS):
+        rounded[top:bottom] = np.rint(np.clip(as_floats(values[top:bottom]), 0, 1) * 255)
+    return rounded
+
+
+def _printable(text: str) -> str:
+    """The beginning of what a file says, on one line."""
+    return "".join(c if c.isprintable() else " " for c in " ".join(text.split()))[:60].strip() or "no name"

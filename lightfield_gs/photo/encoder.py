@@ -1,0 +1,183 @@
+"""Photo after photo to the image of a panel: crop, network, framing and encoding in one go."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Output, QualityName, Views
+from lightfield_gs.encoding.encode import check_options, encode
+from lightfield_gs.models import crop
+from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
+from lightfield_gs.panels import framing
+from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.frame_cuda import Frames
+from lightfield_gs.rasterizer.images import background_tensor
+from lightfield_gs.rasterizer.lens_job import LensJob
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.scene.gaussians import Gaussians
+
+_WARM_UP = 2  # calls before a capture: libraries load and choose their algorithms
+
+
+class PhotoEncoder:
+    """Draws what a panel shows of the object in a photo: SplatterNet.predict, Rig.frame and `encode`, without detours.
+
+    net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
+    ("uint8" or "float32") and quality are those of `encode`. On CUDA the U-Net runs in bfloat16, crop, network and
+    framing are CUDA graphs, captured for the first photo of each size, and the host waits for the device once a photo,
+    to learn where the object is. Raises InputError.
+    """
+
+    def __init__(
+        self,
+        net: SplatterNet,
+        panel: Panel,
+        *,
+        views: Views = "integer",
+        background: Colour = (1.0, 1.0, 1.0),
+        output: Output = "uint8",
+        quality: QualityName | Quality = "exact",
+    ):
+        self.quality = Quality.of(quality)
+        check_options("direct", views, output)
+        expect("net", net, SplatterNet)
+        expect("panel", panel, Panel)
+        background_tensor(background, torch.empty(0))
+        if output == "float64":
+            raise InputError("a PhotoEncoder puts out uint8 or float32, got 'float64'")
+        self.panel, self.views, self.background, self.output = panel, views, background, output
+        self.net = copy.deepcopy(net).eval()
+        if net.device.type == "cuda":
+            self.net.unet.to(torch.bfloat16, memory_format=torch.channels_last)
+        self.gaussians: Gaussians | None = None
+        self.rig: Rig | None = None
+        self._captured: _Capture | None = None
+        self._frames: Frames | None = None
+
+    @torch.no_grad()
+    def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
+        """The image [H, W, 3] of a photo as SplatterNet.predict takes it, on the network's device.
+
+        Afterwards `gaussians` and `rig` are what was drawn; on CUDA the next call writes over the former, and those
+        that are not seen are among them. stats: a dict to fill with stages_ms, of crop, network, framing and encode (on
+        CUDA they wait for each other then). Raises InputError.
+        """
+        expect("stats", stats, dict, type(None))
+        photo = checked_photo(rgba)
+        counters = Stats(device=self.net.device if stats is not None else None)
+        draw = self._draw_on_cuda if self.net.device.type == "cuda" else self._draw_on_cpu
+        image = draw(photo, counters)
+        if stats is not None:
+            stats.update(stages_ms=dict(counters.stages_ms))
+        return image
+
+    def _draw_on_cpu(self, photo: Tensor, stats: Stats) -> Tensor:
+        with stats.stage("crop"):
+            cropped = self.net.crop_photo(photo)
+        with stats.stage("network"):
+            self.gaussians = self.net.seen_gaussians(cropped)
+        with stats.stage("framing"):
+            self.rig = framing.frame_photo(self.gaussians, self.panel)
+        with stats.stage("encode"):
+            return encode(
+                self.gaussians,
+                self.panel,
+                self.rig,
+                views=self.views,
+                background=self.background,
+                output=self.output,
+                quality=self.quality,
+            )
+
+    def _draw_on_cuda(self, photo: Tensor, stats: Stats) -> Tensor:
+        with torch.cuda.device(self.net.device):
+            if self._captured is None or not self._captured.takes(photo):
+                self._captured = _Capture(self.net, photo)
+            captured = self._captured
+            with stats.stage("crop"):
+                captured.crop(photo)
+            with stats.stage("network"):
+                captured.network()
+            with stats.stage("framing"):
+                self.gaussians, self.rig = captured.gaussians, captured.rig(self.panel)
+            with stats.stage("encode"):
+                return self._draw_frame()
+
+    def _draw_frame(self) -> Tensor:
+        """The frame's kernels as ordinary launches: the rig, another for each photo, is part of their arguments."""
+        background = background_tensor(self.background, self.gaussians.means).reshape(-1)
+        view = lens_view(self.panel, self.rig, self.views == "continuous")
+        job = LensJob(self.gaussians.fields().values(), background, view)
+        if self._frames is None:
+            self._frames = Frames(job, self.quality)
+        return self._frames.draw(job, self.output == "uint8")
+
+
+class _Capture:
+    """Crop, network and framing of photos of one size and type as CUDA graphs."""
+
+    def __init__(self, net: SplatterNet, photo: Tensor):
+        self.net, self.intrinsics = net, net.photo_intrinsics()
+        self.host = torch.empty(photo.shape, dtype=photo.dtype, pin_memory=True)
+        self.photo = torch.empty(photo.shape, dtype=photo.dtype, device=net.device)
+        self.photo.copy_(photo)
+        self._crop, (self.cropped, self.checks) = _captured(self._cropped)
+        self._network, self.gaussians = _captured(lambda: net.all_gaussians(self.cropped, self.intrinsics))
+        self._framing, self.numbers = _captured(lambda: torch.cat([self.checks, framing.extent(self.gaussians)]))
+
+    def takes(self, photo: Tensor) -> bool:
+        return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype
+
+    def crop(self, photo: Tensor) -> None:
+        """From the host through pinned memory, which the last photo has left by now: its rig was waited for."""
+        if not photo.is_cuda:
+            photo = self.host.copy_(photo)
+        self.photo.copy_(photo, non_blocking=True)
+        self._crop.replay()
+
+    def network(self) -> None:
+        self._network.replay()
+
+    def rig(self, panel: Panel) -> Rig:
+        """Waits for the device. Raises InputError where the photo is none or shows no object."""
+        self._framing.replay()
+        values_in_range, has_object, *extent = self.numbers.tolist()
+        check_values(values_in_range)
+        crop.check_object(has_object)
+        return framing.fit(extent, panel, np.eye(4))
+
+    def _cropped(self) -> tuple[Tensor, Tensor]:
+        image = crop.premultiplied(self.photo)
+        square = crop.object_square_on_device(image[3])
+        checks = torch.stack([in_range(self.photo), crop.has_object(image[3])])
+        return crop.crop_resize_on_device(image, square, self.net.config.image_size_px), checks
+
+
+def _captured(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:
+    """The launches of a call as a graph, and what the call returned, which every replay writes over.
+
+    Replayed once: a capture computes nothing, and the calls captured next read the result as they warm up.
+    """
+    beside = torch.cuda.Stream()
+    beside.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(beside):
+        for _ in range(_WARM_UP):
+            call()
+    torch.cuda.current_stream().wait_stream(beside)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph, stream=beside):  # torch's own is of the device that captured first
+        result = call()
+    graph.replay()
+    return graph, result

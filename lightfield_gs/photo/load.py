@@ -1,0 +1,232 @@
+"""A photo as RGBA: one object cut out, whatever way the cut-out is given, or the whole picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.images import Picture, as_floats, read_picture
+from lightfield_gs.photo.background import background_removed
+from lightfield_gs.photo.colour import in_srgb
+from lightfield_gs.photo.orientation import turned_with_photo
+from lightfield_gs.photo.pieces import object_pieces
+from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, plain_background_mask
+from lightfield_gs.photo.strips import strips
+
+__all__ = ["Photo", "load_photo", "photo_of", "plain_background_mask"]
+_MIN_OBJECT_SHARE = 0.001  # of the pixels
+_OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
+_COVERS_ALL = 0.93  # share of the pixels: alpha that leaves less out has rounded corners or a frame, and no object
+# Shares of what an object encloses: what is more is likely to be the object itself, or may be
+_MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.12, 0.6, 0.3
+_FEW_LEVELS = 16  # of 255: a mask that is never brighter numbers things
+_STRIP_PIXELS = 1 << 19
+_OTHER_CUT_OUTS = "give RGBA, a cut-out with --mask FILE, or --remove-background (pip install 'lightfield-gs[rembg]')"
+
+
+@dataclass
+class Photo:
+    """pixels: RGBA [H, W, 4] in sRGB, upright, uint8 or float32 in 0..1, alpha straight. orientation: the Exif
+    orientation that was undone. said: what was decided, in words; notes: what may not be as it was meant."""
+
+    pixels: np.ndarray
+    orientation: int = 1
+    said: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def floats(self) -> np.ndarray:
+        """The pixels as float32 in 0..1."""
+        return as_floats(self.pixels)
+
+
+def load_photo(
+    path: str | Path,
+    mask: str | Path | None = None,
+    *,
+    remove_background: bool = False,
+    whole: bool = False,
+    map_orientation: str | None = None,
+) -> np.ndarray:
+    """The photo as float32 RGBA [H, W, 4] in 0..1, sRGB, upright, alpha straight: 1 on the object, 0 beside it.
+
+    The cut-out is `mask` (an image of the photo's size: its alpha, else its brightness), or with `remove_background`
+    what the package rembg finds, else the photo's own alpha, else what stands out from a plain background; or
+    everything, with `whole`. Specks beside the object are left out. Alpha that covers nearly everything is no cut-out
+    by itself; an object that hardly differs from its plain background is refused. A mask whose size does not tell
+    whether it is turned as the photo is by its Exif orientation takes `map_orientation`, "stored" or "upright".
+    Raises InputError when there is none of these, or nothing in it.
+    """
+    photo = photo_of(
+        path,
+        read_picture(path),
+        mask,
+        remove_background=remove_background,
+        whole=whole,
+        map_orientation=map_orientation,
+    )
+    return photo.floats()
+
+
+def photo_of(
+    path: str | Path,
+    picture: Picture,
+    mask: str | Path | None = None,
+    *,
+    remove_background: bool = False,
+    whole: bool = False,
+    map_orientation: str | None = None,
+) -> Photo:
+    """load_photo, of the image that read_picture found at `path`, with what was decided."""
+    expect("remove_background", remove_background, bool)
+    expect("whole", whole, bool)
+    if mask is not None and remove_background:
+        raise InputError("--mask and --remove-background are two ways to the same cut-out; leave out one of them")
+    if picture.pixels.dtype == np.float32 and not np.isfinite(picture.pixels).all():
+        raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
+    rgb, alpha = _colour_and_alpha(picture.pixels)
+    colours = in_srgb(rgb, picture)
+    photo = Photo(colours.pixels, picture.orientation, notes=[f"{path} {words}" for words in colours.notes])
+    if picture.orientation in range(2, 9):
+        photo.said.append(f"turned by its Exif orientation {picture.orientation}")
+    if mask is not None:
+        alpha = _read_mask(mask, photo, map_orientation)
+        empty = f"{mask}: nothing is cut out, the mask is (nearly) empty; give another"
+        said = f"cut out by {Path(mask).name}"
+    elif remove_background:
+        alpha = background_removed(as_floats(photo.pixels))
+        empty = f"{path}: rembg found no object; give a cut-out with --mask FILE"
+        said = "cut out by rembg"
+    elif alpha is not None and (whole or (alpha > alpha.dtype.type(0.5 * _most(alpha))).mean() < _COVERS_ALL):
+        alpha = _shares(alpha)
+        empty = f"{path}: nothing is cut out, its alpha is (nearly) empty; give another photo or --mask FILE"
+        said = "cut out by its alpha" if alpha.min() < 1 else "whole picture"
+    elif whole:
+        alpha, empty, said = np.ones(rgb.shape[:2], np.float32), "", "whole picture"
+    else:
+        alpha, said = _from_background(path, photo, alpha)
+        empty = f"{path}: its background looks plain and nothing stands out from it; {_OTHER_CUT_OUTS}"
+    if np.count_nonzero(alpha > 0.5) < _MIN_OBJECT_SHARE * alpha.size:
+        raise InputError(empty)
+    photo.said.append(said if whole else said + _without_specks(alpha))
+    photo.said += [colours.said] if colours.said else []
+    photo.pixels = _joined(photo.pixels, alpha)
+    return photo
+
+
+def _most(values: np.ndarray) -> float:
+    """What stands for 1 in an array of this type."""
+    return 1.0 if values.dtype == np.float32 else float(np.iinfo(values.dtype).max)
+
+
+def _shares(alpha: np.ndarray) -> np.ndarray:
+    return np.clip(as_floats(alpha), 0, 1)
+
+
+def _joined(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """RGBA of the type of rgb [H, W, 3]; alpha: [H, W] float32."""
+    rgba = np.empty((*alpha.shape, 4), rgb.dtype)
+    for top, bottom in strips(*alpha.shape, _STRIP_PIXELS):
+        rgba[top:bottom, :, :3] = rgb[top:bottom]
+        rgba[top:bottom, :, 3] = alpha[top:bottom] if rgb.dtype == np.float32 else np.rint(255 * alpha[top:bottom])
+    return rgba
+
+
+def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -> tuple[np.ndarray, str]:
+    """Alpha [H, W] of what stands out from a plain background, and words for it; alpha: the photo's own, which leaves
+    out next to nothing."""
+    covered = None if alpha is None or alpha.min() >= _most(alpha) else _shares(alpha)
+    cut = cut_from_plain_background(photo.pixels) if covered is None else _cut_within(photo.pixels, covered)
+    if cut is None and covered is None:
+        raise InputError(
+            f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
+            "to show the whole scene, give its distances with --depth FILE"
+        )
+    if cut is None:
+        photo.notes.append(
+            f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "
+            f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}"
+        )
+        return covered, "cut out by its alpha"
+    if cut.faded > _MOST_FADED or cut.holes > _MOST_HOLES:
+        raise InputError(
+            f"{path}: the object is hardly different from its plain background: "
+            f"{cut.faded + cut.holes:.0%} of what its outline encloses would be gone; {_OTHER_CUT_OUTS}"
+        )
+    if cut.holes > _MANY_HOLES:
+        photo.notes.append(
+            f"{path}: {cut.holes:.0%} of what the object encloses has the background's colour and is "
+            f"taken for holes; where it is not, {_OTHER_CUT_OUTS}"
+        )
+    said = "cut out by its plain background"
+    return cut.alpha, said if covered is None else f"{said} (its alpha covers {covered.mean():.1%})"
+
+
+def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
+    """What stands out from the plain background of the pixels that alpha [H, W] leaves; of all its pixels."""
+    opaque = alpha > 0.5
+    rows, columns = np.flatnonzero(opaque.any(1)), np.flatnonzero(opaque.any(0))
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    inside, seen = rgb[box].copy(), opaque[box]
+    edges = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
+    inside[~seen] = np.median(np.concatenate([inside[edge][seen[edge]] for edge in edges]), 0)
+    cut = cut_from_plain_background(inside)
+    if cut is None:
+        return None
+    whole = np.zeros_like(alpha)
+    whole[box] = np.minimum(cut.alpha, alpha[box])
+    return replace(cut, alpha=whole)
+
+
+def _without_specks(alpha: np.ndarray) -> str:
+    """Clears specks beside the object, in place; words for what is left."""
+    kept, pieces, specks = object_pieces(alpha, _OPAQUE)
+    alpha[(alpha >= _OPAQUE) & ~kept] = 0
+    rows, columns = np.flatnonzero(kept.any(1)), np.flatnonzero(kept.any(0))
+    words = (
+        f", fills {kept.mean():.1%} of the picture, {columns[-1] - columns[0] + 1} x {rows[-1] - rows[0] + 1} pixels"
+    )
+    if pieces > 1:
+        words += f", in {pieces} pieces"
+    return words + (f" (specks beside it left out: {specks})" if specks else "")
+
+
+def _colour_and_alpha(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Colours [H, W, 1 or 3] and alpha [H, W] or None of 1 (grey), 2 (grey, alpha), 3 or 4 and more channels."""
+    channels = pixels.shape[2]
+    if channels < 3:
+        return pixels[..., :1], pixels[..., 1] if channels == 2 else None
+    return pixels[..., :3], pixels[..., 3] if channels >= 4 else None
+
+
+def _read_mask(path: str | Path, photo: Photo, map_orientation: str | None) -> np.ndarray:
+    """Alpha [H, W] float32 in 0..1 of a mask, upright as the photo is."""
+    picture = read_picture(path)
+    size = photo.pixels.shape[:2]
+    pixels, turned = turned_with_photo(
+        str(path), picture.pixels, picture.orientation, size, photo.orientation, map_orientation
+    )
+    photo.said += [f"{Path(path).name} turned with it"] if turned else []
+    if pixels.shape[:2] != size:
+        raise InputError(
+            f"{path}: expected a mask of the photo's size {size[1]} x {size[0]}, "
+            f"got {pixels.shape[1]} x {pixels.shape[0]}"
+        )
+    colours, alpha = _colour_and_alpha(pixels)
+    mask = as_floats(colours).mean(2) if alpha is None or alpha.min() >= _most(alpha) else as_floats(alpha)
+    if not np.isfinite(mask).all():
+        raise InputError(f"{path} has pixels that are not finite; export it as 8- or 16-bit")
+    if pixels.dtype != np.float32:
+        levels = round(float(mask.max()) * _most(pixels))
+        if 1 < levels < _FEW_LEVELS:
+            raise InputError(
+                f"{path}: expected a mask of 0 and {_most(pixels):g}, or of 0 and 1; its brightest pixel "
+                f"has {levels}, as where things are numbered; make the object white and the rest black"
+            )
+        if levels == 1:
+            mask = mask * np.float32(_most(pixels))
+            photo.said.append("a mask of 0 and 1")
+    return np.array(np.clip(mask, 0, 1))

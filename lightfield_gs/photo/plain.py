@@ -1,0 +1,291 @@
+"""What stands out from a plain background, by colour and connection; and whether that can be trusted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lightfield_gs.photo.pieces import Pieces, object_pieces
+from lightfield_gs.photo.strips import strips
+
+_BORDER_SHARE = 0.02  # of the shorter side, at least one pixel: what has to be plain
+_PLAIN_STD = 0.04  # largest spread of the border's colour, but for its outliers
+_PLAIN_SHARE = 0.9  # of the border pixels that must be near the background's colour
+_NEAR, _FAR = 0.06, 0.14  # colour distances between which the mask rises from 0 to 1
+_SAME = 0.02  # colour distance below which an enclosed patch is the background, seen through a hole ...
+_PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits in it: smaller ones are highlights
+_WINDOWS_PX = (1, 3, 5, 7, 9)  # means over such squares make noise smaller, where it is too strong
+_LEAST_SLOPE = 0.02  # of a background's colour, from the middle to an edge
+_USUAL_SHARE = 0.98  # of the border: has nothing but noise
+_NOISE_REACH = 3.4  # deviations of noise in a channel: a colour is farther off by chance once in a hundred times
+_LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from a background without noise is part of it
+_BAND_LINES = 16  # of the border that are looked at, at most twice as many
+_EDGE_PX, _CLEARLY, _SHARP_SHARE = 3, 2.0, 0.5  # how far inside an edge, how many times what differs, on how much of it
+_BLOCK_PX = 16  # as far from a strong edge JPEG makes colours up
+_SHARE_SAMPLES = 1500  # pixels of the longer side that are looked at to see what is lost
+_MOST_PIXELS = 1 << 24  # that are looked at one by one: a display shows no more
+_STRIP_PIXELS = 1 << 19  # at a time in floating point: eight bytes times all pixels would be more than a photo itself
+
+
+@dataclass(frozen=True)
+class PlainCut:
+    """alpha: float32 [H, W] in 0..1, 1 on the object. Shares 0..1 of it and what lies between its parts: faded, what
+    went with the background though its colour is another, as a pale body does; holes, where that shows through."""
+
+    alpha: np.ndarray
+    faded: float
+    holes: float
+
+
+def plain_background_mask(rgb: np.ndarray) -> np.ndarray | None:
+    """Alpha [H, W] of what stands out from the plain background of `rgb` [H, W, 3], or None where it is not plain."""
+    cut = cut_from_plain_background(rgb)
+    return None if cut is None else cut.alpha
+
+
+def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
+    """What stands out from the plain background of rgb [H, W, 3], uint8 or floats in 0..1; None where it is not plain.
+
+    The background is what is near the border's colour and connected to the border, or to a patch of just that colour
+    that is large enough to be a hole of the object (a handle); smaller spots inside the object stay opaque. The edge is
+    soft, rising with the distance in colour. Where the border is noisy, colours are means over a few pixels. Photos of
+    more than 16 megapixels are cut out by the means of blocks, of 2 x 2 pixels and more.
+    """
+    height, width = rgb.shape[:2]
+    if height * width > _MOST_PIXELS:
+        factor = math.ceil(math.sqrt(height * width / _MOST_PIXELS))
+        cut = cut_from_plain_background(_block_means(rgb, factor))
+        return None if cut is None else replace(cut, alpha=_enlarged(cut.alpha, factor, height, width))
+    if min(height, width) < 8:
+        return None
+    ground = _ground_of(rgb)
+    if ground is None:
+        return None
+    distance = _distances(rgb, ground.colours, ground.window)
+    outside, holes = _background(distance)
+    if ground.window > 1:
+        raw = _distances(rgb, ground.colours, 1)
+        raw -= max(0.0, _NOISE_REACH * ground.noise - _NEAR)
+        outside, distance = _sharpened(outside, distance, raw, ground.window // 2)
+    shares = _shares_lost(outside, holes, distance, ground.differs)
+    distance -= _NEAR
+    distance /= _FAR - _NEAR
+    alpha = np.clip(distance, 0, 1, out=distance)
+    alpha[~outside] = 1
+    return PlainCut(alpha, *shares)
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """A plain background. colours: what 1 and the place of a pixel, -1..1 from edge to edge downwards and across, are
+    to be multiplied by, [3, 3] float32. noise: its deviation in a channel; window: over how many pixels a side means
+    make little of it. differs: the colour distance from which on a pixel, as such a mean, is of another colour."""
+
+    colours: np.ndarray
+    noise: float
+    window: int
+    differs: float
+
+
+def _ground_of(rgb: np.ndarray) -> _Ground | None:
+    height, width = rgb.shape[:2]
+    thick = max(1, round(_BORDER_SHARE * min(height, width)))
+    bands = _border(rgb, thick)
+    noise = _noise(bands)
+    window = _window_px(noise)
+    border = np.concatenate([_means(band, window).reshape(-1, 3) for band in bands])
+    near = np.linalg.norm(border - np.median(border, 0), axis=1) < _NEAR + _PLAIN_STD
+    if near.mean() < _PLAIN_SHARE or border[near].std(0).max() > _PLAIN_STD:
+        return None
+    places = _places(height, width, thick)[near]
+    colours = _fitted(border[near], places)
+    usual = float(np.quantile(np.linalg.norm(border[near] - places @ colours, axis=1), 0.995))
+    return _Ground(colours, noise, window, max(_LEAST_DIFFERENCE, 1.2 * usual))
+
+
+def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
+    """rgb [H, W, 3] made smaller by a whole factor, of the same type; what is over at the far edges is left out."""
+    height, width = (size // factor for size in rgb.shape[:2])
+    means = np.empty((height, width, 3), rgb.dtype)
+    for top, bottom in strips(height, width, _STRIP_PIXELS):
+        block = rgb[top * factor : bottom * factor, : width * factor]
+        total = sum(
+            block[down::factor, across::factor].astype(np.float32) for down in range(factor) for across in range(factor)
+        )
+        total *= np.float32(1 / factor**2)
+        means[top:bottom] = total if rgb.dtype == np.float32 else np.rint(total)
+    return means
+
+
+def _enlarged(alpha: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
+    """alpha of _block_means as that of the picture [height, width]."""
+    bottom, right = (size * factor for size in alpha.shape)
+    enlarged = np.empty((height, width), np.float32)
+    for down in range(factor):
+        for across in range(factor):
+            enlarged[down:bottom:factor, across:right:factor] = alpha
+    enlarged[bottom:] = enlarged[bottom - 1]
+    enlarged[:, right:] = enlarged[:, right - 1 : right]
+    return enlarged
+
+
+def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
+    """The four bands [., ., 3] along the edges, float32 in 0..1; of thick ones some of the lines."""
+    each = max(1, thick // _BAND_LINES)
+    middle = rgb[thick:-thick]
+    bands = (rgb[:thick], rgb[-thick:], middle[:, :thick].swapaxes(0, 1), middle[:, -thick:].swapaxes(0, 1))
+    return [_floats(band[::each]) for band in bands]
+
+
+def _places(height: int, width: int, thick: int) -> np.ndarray:
+    """1, and where each pixel of _border is, -1..1 from edge to edge downwards and across: [N, 3] float32."""
+    down, across = (np.linspace(-1, 1, size, dtype=np.float32) for size in (height, width))
+    grids = (np.broadcast_to(values, (height, width))[..., None] for values in (np.float32(1), down[:, None], across))
+    return np.stack([np.concatenate([band.ravel() for band in _border(grid, thick)]) for grid in grids], 1)
+
+
+def _fitted(colours: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """_Ground's colours, of pixels [N, 3] at their places [N, 3]. They have a slope where that is clearly seen, as on a
+    wall that is lit from the side."""
+    level = np.zeros((3, 3), np.float32)
+    level[0] = colours.mean(0)
+    sloping = np.linalg.lstsq(places.astype(np.float64), colours.astype(np.float64), rcond=None)[0].astype(np.float32)
+    return sloping if np.abs(sloping[1:]).max() > _LEAST_SLOPE else level
+
+
+def _floats(rgb: np.ndarray) -> np.ndarray:
+    return rgb.astype(np.float32) * np.float32(1 / 255) if rgb.dtype == np.uint8 else rgb.astype(np.float32)
+
+
+def _noise(bands: list[np.ndarray]) -> float:
+    """The standard deviation of noise, per channel, from pixels two apart (JPEG shares colours among neighbours): that
+    of a slow gradient is not in it."""
+    squares = np.concatenate([(band[:, 2:] - band[:, :-2]).reshape(-1, 3) for band in bands]) ** 2 / 2
+    usual = np.sort(squares, 0)[: max(1, round(_USUAL_SHARE * len(squares)))]  # not what specks and objects do there
+    return float(np.sqrt(usual.mean()))
+
+
+def _window_px(noise: float) -> int:
+    """Over how many pixels a side to take means, so that noise stays well below the colour distances that count."""
+    enough = [window for window in _WINDOWS_PX if 5 * noise / max(1, window - 1) <= _NEAR]
+    return enough[0] if enough else _WINDOWS_PX[-1]
+
+
+def _means(values: np.ndarray, window: int) -> np.ndarray:
+    """Means of values [H, W, C] over window x window pixels, which end at the edges."""
+    reach = window // 2
+    for axis in (0, 1):
+        if reach:
+            size = values.shape[axis]
+            padded = np.pad(values, [(reach, reach) if a == axis else (0, 0) for a in range(3)], mode="edge")
+            parts = (padded[(slice(None),) * axis + (slice(at, at + size),)] for at in range(window))
+            values = sum(parts) / np.float32(window)
+    return values
+
+
+def _distances(rgb: np.ndarray, ground: np.ndarray, window: int) -> np.ndarray:
+    """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from _Ground's."""
+    (height, width), reach = rgb.shape[:2], window // 2
+    distances = np.empty((height, width), np.float32)
+    tables = (_floats(np.arange(256, dtype=np.uint8))[:, None] - ground[0]).T ** 2
+    down, across = (np.linspace(-1, 1, size, dtype=np.float32)[:, None] for size in (height, width))
+    for top, bottom in strips(height, width, _STRIP_PIXELS):
+        if window == 1 and rgb.dtype == np.uint8 and not ground[1:].any():
+            squares = (tables[channel][rgb[top:bottom, :, channel]] for channel in range(3))
+        else:
+            first = max(0, top - reach)
+            block = _floats(rgb[first : bottom + reach]) - (ground[0] + across * ground[2])
+            block -= (down[first : bottom + reach] * ground[1])[:, None]
+            block = _means(block, window)[top - first :][: bottom - top]
+            squares = (block[..., channel] ** 2 for channel in range(3))
+        np.sqrt(sum(squares), out=distances[top:bottom])
+    return distances
+
+
+def _background(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What belongs to the background [H, W], and those of its pieces that the border does not reach."""
+    height, width = distance.shape
+    thick = max(1, round(_BORDER_SHARE * min(height, width)))
+    ring = np.ones((height, width), bool)
+    ring[thick:-thick, thick:-thick] = False
+    side = max(3, round(_PATCH_SHARE * min(height, width)))
+    pieces = Pieces.of(distance < _FAR, diagonal=False)
+    from_border, from_patch = pieces.hit(ring), pieces.hit(full_squares(distance < _SAME, side))
+    return pieces.mask(from_border | from_patch), pieces.mask(from_patch & ~from_border)
+
+
+def full_squares(flags: np.ndarray, side: int) -> np.ndarray:
+    """The pixels [H, W] at whose lower right a square of `side` pixels is all set."""
+    full = flags
+    for axis in (0, 1):
+        full, covered = full.swapaxes(0, axis), 1
+        while covered < side:  # each step joins two stretches of what is covered so far
+            step = min(covered, side - covered)
+            full, covered = full[:-step] & full[step:], covered + step
+        full = full.swapaxes(0, axis)
+    return np.pad(full, [(0, before - after) for before, after in zip(flags.shape, full.shape)])
+
+
+def _sharpened(outside: np.ndarray, distance: np.ndarray, raw: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """outside and distance without the fringe round the object, where means took in some of its colour."""
+    fringe = _grown(outside, reach)
+    fringe &= raw < _FAR
+    fringe |= outside
+    return fringe, np.minimum(distance, raw, out=distance)
+
+
+def _grown(flags: np.ndarray, reach: int) -> np.ndarray:
+    """The pixels [H, W] that are set within a square of so many pixels to each side."""
+    grown = flags
+    for axis in (0, 1):
+        before, grown = grown, grown.copy()
+        for step in range(1, reach + 1):
+            for one, other in ((np.s_[step:], np.s_[:-step]), (np.s_[:-step], np.s_[step:])):
+                target, source = (one, other) if axis == 0 else ((slice(None), one), (slice(None), other))
+                grown[target] |= before[source]
+    return grown
+
+
+def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
+    """PlainCut's faded and holes; differs: the colour distance from which on a pixel is not of the background's colour.
+
+    Of a white body before white all but its outline goes, or all: its shades are faded, the rest is taken for holes.
+    """
+    step = max(1, round(max(distance.shape) / _SHARE_SAMPLES))  # of a large picture a part will do
+    outside, holes, distance = (values[::step, ::step] for values in (outside, holes, distance))
+    opaque = distance > (_NEAR + _FAR) / 2
+    opaque |= ~outside
+    other = distance > differs
+    object_ = object_pieces(opaque.astype(np.float32), 1)[0]
+    other &= object_ | ~opaque  # no specks
+    opaque = object_
+    between = _between(opaque, 0) | _between(opaque, 1)
+    between &= ~opaque
+    bodies = _with_sharp_edges(other & ~opaque, other, distance, differs)
+    bodies &= ~_grown(opaque, round(_BLOCK_PX / step))
+    faded = other & ~opaque & (between | bodies)
+    seen_through = between & holes & ~other
+    kept, *lost = (np.count_nonzero(pixels) for pixels in (opaque, faded, seen_through))
+    return tuple(count / max(1, kept + sum(lost)) for count in lost)
+
+
+def _with_sharp_edges(pale: np.ndarray, other: np.ndarray, distance: np.ndarray, differs: float) -> np.ndarray:
+    """The pieces of `pale` [H, W], which hardly differ from the background, that end at it as a body does and not as a
+    soft shadow: a few pixels inside `other`, what is not of the background's colour, they differ from it clearly."""
+    depth, inner = np.zeros(other.shape, np.int8), other
+    for _ in range(_EDGE_PX + 1):
+        depth += inner
+        padded = np.pad(inner, 1)
+        inner = inner & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    ring = pale & (depth == _EDGE_PX)
+    pieces = Pieces.of(pale, diagonal=True)
+    sharp = pieces.masses((ring & (distance > _CLEARLY * differs)).astype(np.float32))
+    return pieces.mask(sharp > _SHARP_SHARE * np.maximum(1, pieces.masses(ring.astype(np.float32))))
+
+
+def _between(flags: np.ndarray, axis: int) -> np.ndarray:
+    """Whether there is a flag on both sides of each pixel along the axis, or on it."""
+    forwards = np.maximum.accumulate(flags, axis)
+    return forwards & np.flip(np.maximum.accumulate(np.flip(flags, axis), axis), axis)

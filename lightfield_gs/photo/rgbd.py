@@ -1,0 +1,196 @@
+"""A photo and its depth map as 3D Gaussians: a whole scene, without the network."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.photo.depth import FARTHEST
+from lightfield_gs.photo.depth_edges import continue_behind, slopes, snap_mixed
+from lightfield_gs.rasterizer.quality import OPACITY_CUT
+from lightfield_gs.scene.gaussians import Gaussians
+
+FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
+MAX_PIXELS = 1 << 24
+_NEAREST = 1e-12  # scene units
+_SPREAD = 0.65  # standard deviation in pixels: neighbours one apart close into a surface, 99 % opaque when magnified
+_THICKNESS = 0.1  # across the surface, in pixels
+_OPACITY = 0.99  # the most that the rasterizer makes of any
+
+
+def focal_length_px(field_of_view_deg: float, height_px: int, width_px: int) -> float:
+    """The focal length of square pixels at which the longer side of the image takes this angle, 0..180 exclusive."""
+    if not 0 < field_of_view_deg < 180:
+        raise InputError(f"field of view: expected degrees between 0 and 180, got {field_of_view_deg}")
+    return max(height_px, width_px) / 2 / math.tan(math.radians(field_of_view_deg) / 2)
+
+
+@torch.no_grad()
+def from_depth(
+    image: np.ndarray | Tensor,
+    depth: np.ndarray | Tensor,
+    focal_px: Sequence[float] | None = None,
+    principal_point_px: Sequence[float] | None = None,
+) -> Gaussians:
+    """The Gaussians of a photo whose depths are known: one per pixel, in its camera's axes (OpenCV, at the origin).
+
+    image: [H, W, 3], or [H, W, 4] with straight alpha, floating point in 0..1. depth: [H, W], the view-space z of each
+    pixel (not its distance along the ray), scene units; anything but 1e-12..1e12 means that nothing was measured.
+    Arrays or tensors; the work is done on the image's device.
+    focal_px: (fx, fy), pixels; None: the longer side takes 60 degrees. principal_point_px: (cx, cy), pixels from the
+    outer corner of the first pixel; None: the middle.
+
+    Each Gaussian lies in the surface, with a standard deviation of 0.65 pixels as its own camera sees it: its
+    covariance is that of the pixel through the inverse of the projection's Jacobian (Zwicker et al., "EWA splatting",
+    2002, the other way round), so that a slanted surface stays closed when seen from the side. Where a surface would
+    be seen at less than 5 degrees it is torn instead; there the far side goes on behind the near one, by a quarter of
+    the image's width at most, as stripes of its border's colour, for cameras beside this one. Smoothed edges of the
+    depth map are made sharp first.
+
+    Returns float32 Gaussians of SH degree 0: those of the pixels row by row, without what has no depth or no opacity,
+    then the hidden ones. Raises InputError on other shapes, types or values, or where no pixel has a depth.
+    """
+    image, depth = _checked_image(image), _checked_depth(depth)
+    height, width = depth.shape
+    check_depth_size("depth", depth, image)
+    depth = depth.to(image.device)
+    opacity = _OPACITY * image[..., 3] if image.shape[2] == 4 else torch.full_like(depth, _OPACITY)
+    measured = (depth >= _NEAREST) & (depth <= FARTHEST) & (opacity >= OPACITY_CUT)
+    depth = torch.where(measured, depth, torch.nan)
+    if not bool(measured.any()):
+        raise InputError("depth: expected distances > 0, no opaque pixel of the photo has one")
+    focal = _pair("focal_px", focal_px, (focal_length_px(FIELD_OF_VIEW_DEG, height, width),) * 2)
+    centre = _pair("principal_point_px", principal_point_px, (width / 2, height / 2))
+    if min(focal) <= 0:
+        raise InputError(f"focal_px: expected pixels > 0, got {focal}")
+    depth = snap_mixed(depth, focal)
+    parts = (_visible(image, depth, opacity, focal, centre), _hidden(image, depth, opacity, focal, centre))
+    return Gaussians(*(torch.cat(fields) for fields in zip(*parts)))
+
+
+def _visible(
+    image: Tensor, depth: Tensor, opacity: Tensor, focal: tuple[float, float], centre: tuple[float, float]
+) -> tuple[Tensor, ...]:
+    """The Gaussians of the pixels that have a depth."""
+    rows, columns = torch.isfinite(depth).nonzero().unbind(1)
+    z, across, down = (
+        values[rows, columns] for values in (depth, slopes(depth, focal[0]), slopes(depth.T, focal[1]).T)
+    )
+    rays = _rays(columns + 0.5, rows + 0.5, focal, centre)
+    x, y = torch.eye(3, device=z.device)[:2]
+    tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
+    return _surface_elements(
+        rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], image[rows, columns, :3]
+    )
+
+
+def _hidden(
+    image: Tensor, depth: Tensor, opacity: Tensor, focal: tuple[float, float], centre: tuple[float, float]
+) -> tuple[Tensor, ...]:
+    """The Gaussians of what goes on behind the edges, parallel to the image."""
+    more = continue_behind(depth, focal[0])
+    z = depth[more.rows, more.columns]
+    x, y = torch.eye(3, device=z.device)[:2]
+    tangents = (more.widths[:, None] * x, (focal[0] / focal[1] * y).expand(len(z), 3))
+    means = _rays(more.centres, more.rows + 0.5, focal, centre) * z[:, None]
+    return _surface_elements(
+        means, tangents, z / focal[0], opacity[more.rows, more.columns], image[more.rows, more.colour_columns, :3]
+    )
+
+
+def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:
+    """Directions [M, 3] through places in the image, pixels from its corner; z is 1."""
+    x, y = (columns - centre[0]) / focal[0], (rows - centre[1]) / focal[1]
+    return torch.stack([x, y, torch.ones_like(x)], 1)
+
+
+def _surface_elements(
+    means: Tensor, tangents: tuple[Tensor, Tensor], footprint: Tensor, opacities: Tensor, colours: Tensor
+) -> tuple[Tensor, ...]:
+    """Fields of flat Gaussians [M, ...] with the covariance (_SPREAD footprint)^2 (t_u t_u^T + t_v t_v^T).
+
+    t_u and t_v [M, 3] are the steps in the surface from column to column and row to row, in footprints; footprint [M]
+    is the width of a pixel there, scene units.
+    """
+    normal = torch.nn.functional.normalize(torch.linalg.cross(*tangents), dim=1)
+    # The shortest turn of the z-axis to the normal. It points away from the camera, and so never at -z.
+    turn = torch.stack([1 + normal[:, 2], -normal[:, 1], normal[:, 0], torch.zeros_like(normal[:, 0])], 1)
+    turn = torch.nn.functional.normalize(turn, dim=1)
+    (a, b), (c, d) = ([(axis * tangent).sum(1) for tangent in tangents] for axis in _plane_axes(normal))
+    # Eigenvectors and eigenvalues of the 2 x 2 covariance within the plane.
+    xx, xy, yy = a * a + b * b, a * c + b * d, c * c + d * d
+    angle, middle, radius = 0.5 * torch.atan2(2 * xy, xx - yy), (xx + yy) / 2, torch.hypot((xx - yy) / 2, xy)
+    area = (a * d - b * c).abs()
+    long = (middle + radius).sqrt()
+    scales = footprint[:, None] * torch.stack(
+        [_SPREAD * long, _SPREAD * area / long, torch.full_like(long, _THICKNESS)], 1
+    )
+    cos, sin = torch.cos(angle / 2), torch.sin(angle / 2)
+    w, x, y, _ = turn.unbind(1)
+    quaternions = torch.stack([w * cos, x * cos + y * sin, y * cos - x * sin, w * sin], 1)
+    return means, quaternions, scales, opacities, ((colours - 0.5) / SH_CONSTANT)[:, None]
+
+
+def _plane_axes(normal: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the shortest turn of the z-axis to the normal [M, 3] takes the x-axis and the y-axis, [M, 3] each."""
+    nx, ny, nz = normal.unbind(1)
+    shared = -nx * ny / (1 + nz)
+    return (
+        torch.stack([1 - nx * nx / (1 + nz), shared, -nx], 1),
+        torch.stack([shared, 1 - ny * ny / (1 + nz), -ny], 1),
+    )
+
+
+def _checked_image(image: np.ndarray | Tensor) -> Tensor:
+    """The photo as float32 [H, W, 3 or 4], or InputError."""
+    image = dense_tensor("photo", image)
+    if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
+        raise InputError(f"photo: expected [H, W, 3] or [H, W, 4], got {list(image.shape)}")
+    if not image.is_floating_point():
+        raise InputError(f"photo: expected floating point values in 0..1, got {image.dtype}; divide by 255")
+    if image.shape[0] * image.shape[1] > MAX_PIXELS:
+        raise InputError(
+            f"photo: {image.shape[1]} x {image.shape[0]} pixels, each a Gaussian; expected at most "
+            f"{MAX_PIXELS}; make photo and depth map smaller"
+        )
+    if not bool(torch.isfinite(image).all()) or float(image.min()) < 0 or float(image.max()) > 1:
+        raise InputError("photo: expected values in 0..1, got values outside or not finite")
+    return image.to(torch.float32)
+
+
+def check_depth_size(name: str, depth: np.ndarray | Tensor, photo: np.ndarray | Tensor) -> None:
+    """Raises InputError where a depth map [H, W] is not as large as its photo [H, W, C]; name: of the map."""
+    (height, width), expected = depth.shape, photo.shape[:2]
+    if (height, width) != tuple(expected):
+        raise InputError(
+            f"{name}: expected a depth map of the photo's size {expected[1]} x {expected[0]}, got {width} "
+            f"x {height}; resize one of them (the map without smoothing: it would join far and near)"
+        )
+
+
+def _checked_depth(depth: np.ndarray | Tensor) -> Tensor:
+    depth = dense_tensor("depth", depth)
+    if depth.ndim != 2 or not depth.is_floating_point():
+        raise InputError(f"depth: expected floating point [H, W], got {depth.dtype} {list(depth.shape)}")
+    return depth.to(torch.float32)
+
+
+def _pair(name: str, given: Sequence[float] | None, default: tuple[float, float]) -> tuple[float, float]:
+    if given is None:
+        return default
+    try:
+        expect(name, given, Sequence, np.ndarray)
+        x, y = (float(value) for value in given)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name}: expected two numbers, got {type(given).__name__}") from None
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(f"{name}: expected finite numbers, got {x}, {y}")
+    return x, y

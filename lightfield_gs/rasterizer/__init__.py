@@ -1,0 +1,1 @@
+"""The rasterizer: torch operators, their stages and work memory, ordinary images."""

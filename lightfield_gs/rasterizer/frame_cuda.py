@@ -1,0 +1,225 @@
+"""Light-field images on a CUDA device, forward only: frames whose sizes are fixed and that never wait for the device.
+
+How many (tile, splat) pairs a frame has is known only to the device. The first frame of its kind reads it back; later
+ones reserve what the frames before needed and a little more. A frame that needs more than was reserved is still drawn
+right, every tile looking through all splats, and the next frame reserves more.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from lightfield_gs import _core
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.rasterizer.lens_job import LensJob
+from lightfield_gs.rasterizer.quality import EXACT, Quality
+from lightfield_gs.rasterizer.stats import Stats
+
+_SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share; of changing rigs
+# Polynomial orders tried for colours that vary over a rig; the order that was good enough is remembered
+COLOUR_ORDERS = (2, 4, 8, 12, 16)
+_LEAST_PAIRS = 1 << 12
+_MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # numbered with 32 bits
+_MOST_KNOWN = 64
+# Of exact frames, whose other errors leave less room than on the CPU: what the order of colours may leave, and what is
+# left out of each splat's; the latter adds up over all of them
+_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT = 2e-5, 5e-6
+
+
+def _colour_tolerances(quality: Quality) -> tuple[float, float]:
+    """Both; of what is left out, kernels that draw colours as lines or parabolas leave as much again."""
+    exact = quality.colour_error == EXACT.colour_error
+    return (_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT) if exact else (quality.colour_error, quality.colour_error / 2)
+
+
+class Frame:
+    """A light-field image in the making: its work buffer, from torch's allocator, and its stages, on torch's stream."""
+
+    def __init__(self, job: LensJob, quality: Quality, colour_order: int, capacity: int, kernel: str | None = None):
+        """capacity: pairs that there is room for. kernel: one of _core.cuda.FRAME_KERNELS (None: chosen by cost)."""
+        self.scene = scene = job.scene
+        self.native = _core.cuda.LensFrame(
+            gaussians=scene.count,
+            sh_degree=scene.degree,
+            colour_order=colour_order,
+            rig=job.native.rig,
+            lens=job.native.lens,
+            capacity=capacity,
+            quality=quality.native,
+            tolerance=_colour_tolerances(quality)[1],
+        )
+        if kernel is not None:
+            self.native.force(_core.cuda.FRAME_KERNELS.index(kernel))
+        self.work = scene.new(self.native.bytes(), dtype=torch.uint8)
+        self.native.place(self.work.data_ptr())
+        self.capacity, self.colour_order = capacity, colour_order
+
+    @property
+    def stream(self) -> int:
+        return torch.cuda.current_stream(self.work.device).cuda_stream
+
+    def project(self, keep_lists: bool = False) -> None:
+        """keep_lists: only colours are others than when these splats were binned and ordered."""
+        _core.cuda.frame_project(self.native, self.scene.native(), keep_lists, self.stream)
+
+    def bin(self) -> None:
+        _core.cuda.frame_bin(self.native, self.stream)
+
+    def order(self) -> None:
+        _core.cuda.frame_order(self.native, self.stream)
+
+    def composite(self, background: Tensor, out: Tensor) -> None:
+        floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
+        _core.cuda.frame_composite(self.native, background.data_ptr(), floats, bytes_, self.stream)
+
+    def draw(self, background: Tensor, out: Tensor, stats: Stats | None = None, keep_lists: bool = False) -> None:
+        """All stages, in order; keep_lists: see project, without bin and order."""
+        stats = stats or Stats()
+        with stats.stage("project"):
+            self.project(keep_lists)
+        if not keep_lists:
+            with stats.stage("bin"):
+                self.bin()
+            with stats.stage("order"):
+                self.order()
+        with stats.stage("composite"):
+            self.composite(background, out)
+
+    def state(self) -> dict[str, Any]:
+        """What the frame found out: pairs, drawn, colour_error, kernel, exact, curved, pruned, lattice_tiles,
+        refused_tiles, tried_tiles. Waits for the device."""
+        return _state_of(self.state_bytes().cpu())
+
+    def state_bytes(self) -> Tensor:
+        offset = self.native.state_address() - self.work.data_ptr()
+        return self.work[offset : offset + _core.cuda.FRAME_STATE_BYTES]
+
+
+def _state_of(host: Tensor) -> dict[str, Any]:
+    state = _core.cuda.frame_state(host.data_ptr())
+    return {**state, "kernel": _core.cuda.FRAME_KERNELS[state["kernel"]]}
+
+
+def _free_bytes(device: torch.device) -> int:
+    """What the device has left, and what torch keeps of it for later."""
+    kept = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return torch.cuda.mem_get_info(device)[0] + kept
+
+
+class Frames:
+    """Frames of scenes of one kind and quality, by whatever rigs: draws them, and remembers what they needed.
+
+    Their colour polynomials have the highest order that a frame before needed. Where rigs change, colours may so differ
+    from those of `frames_of` by the errors of both, each at most twice the tolerance: once what the order leaves, once
+    the powers left out. A frame that needs a higher one than those before is drawn with theirs, and the next with its
+    own.
+    """
+
+    def __init__(self, job: LensJob, quality: Quality, slack: float = _MOVING_SLACK):
+        """job: any of them; slack: pairs to reserve beyond those of the last frame, as a share.
+
+        Anti-aliased ones know neither lattices nor half precision, whatever the quality.
+        """
+        if job.antialiased:
+            quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)
+        self.device, self.quality, self.slack = job.scene.tensors[0].device, quality, slack
+        self.orders = (0,) if job.scene.degree == 0 else COLOUR_ORDERS
+        self.capacity: int | None = None
+        self.colour_order = self.orders[0]
+        self.kernel = forced_kernel
+        self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
+        self.noted: torch.cuda.Event | None = None  # after it `host` holds the state of a frame
+
+    def takes(self, job: LensJob) -> bool:
+        """Whether it may draw such a scene; of any number of Gaussians."""
+        return job.scene.tensors[0].device == self.device and (job.scene.degree == 0) == (self.orders == (0,))
+
+    def draw(
+        self, job: LensJob, as_bytes: bool = False, stats: Stats | None = None, out: Tensor | None = None
+    ) -> Tensor:
+        """The image [H, W, 3], in `out` where it is given. Fills `stats`."""
+        stats = stats or Stats()
+        with job.scene.guard:
+            with stats.stage("plan"):
+                frame, out = self.frame(job), job.image(as_bytes) if out is None else out
+            frame.draw(job.background, out, stats)
+            if not torch.cuda.is_current_stream_capturing():  # the user's graph may outlive these, whose memory it is
+                self.note(frame)
+            if stats.device is not None:
+                stats.count_frame(frame.state(), frame.work)
+        return out
+
+    def frame(self, job: LensJob) -> Frame:
+        """A frame that is large enough, as far as known. The first waits for the device, later ones do not."""
+        if self.capacity is None:
+            self._learn(job)
+        elif not torch.cuda.is_current_stream_capturing():
+            self.adapt()
+        return self._frame(job, self.capacity)
+
+    def note(self, frame: Frame) -> None:
+        """Has the frame's state copied to the host, for adapt."""
+        self.host.copy_(frame.state_bytes(), non_blocking=True)
+        if not torch.cuda.is_current_stream_capturing():
+            self.mark()
+
+    def mark(self) -> None:
+        """The copy of a frame's state is under way on the current stream."""
+        self.noted = torch.cuda.Event()
+        self.noted.record()
+
+    def adapt(self) -> bool:
+        """Reserves more, and says so, when the last noted frame has arrived and had not enough."""
+        if self.noted is None or not self.noted.query():
+            return False
+        self.noted = None
+        return self._needs(_state_of(self.host))
+
+    def _learn(self, job: LensJob) -> None:
+        if torch.cuda.is_current_stream_capturing():
+            raise InputError(
+                "the first frame of a kind waits for the device, which a stream that captures a graph "
+                "must not: encode once before the capture"
+            )
+        while True:
+            frame = self._frame(job, 0)
+            frame.project()
+            frame.bin()  # without places it only says how many pairs there are
+            order = self.colour_order
+            self._needs(frame.state())
+            if order == self.colour_order:
+                return
+
+    def _needs(self, state: dict[str, Any]) -> bool:
+        before = self.capacity, self.colour_order
+        if self.capacity is None or state["pairs"] > self.capacity:
+            affordable = _free_bytes(self.device) // (2 * _PAIR_BYTES)
+            enough = min(int(state["pairs"] * (1 + self.slack)) + _LEAST_PAIRS, _MOST_PAIRS, affordable)
+            self.capacity = max(self.capacity or 0, enough)
+        if state["colour_error"] > _colour_tolerances(self.quality)[0]:
+            self.colour_order = next((o for o in self.orders if o > self.colour_order), self.colour_order)
+        return before != (self.capacity, self.colour_order)
+
+    def _frame(self, job: LensJob, capacity: int) -> Frame:
+        return Frame(job, self.quality, self.colour_order, capacity, self.kernel)
+
+
+_known: OrderedDict[tuple, Frames] = OrderedDict()
+forced_kernel: str | None = None  # of _core.cuda.FRAME_KERNELS; None: chosen by cost. For tests and measurements
+
+
+def frames_of(job: LensJob, quality: Quality) -> Frames:
+    """The frames of one view, number of Gaussians and quality. Remembers the last 64 of them."""
+    scene = job.scene
+    key = (scene.tensors[0].device, scene.count, scene.degree, job.view, job.antialiased, quality, forced_kernel)
+    if key not in _known:
+        _known[key] = Frames(job, quality, _SLACK)
+        while len(_known) > _MOST_KNOWN:
+            _known.popitem(last=False)
+    _known.move_to_end(key)
+    return _known[key]

@@ -1,0 +1,57 @@
+"""One light-field image to be drawn: what the operator render_lens takes, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.rasterizer.lens_view import LensView
+from lightfield_gs.rasterizer.quality import EXACT, Quality
+from lightfield_gs.rasterizer.scene import Scene, check
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import Workspace
+from lightfield_gs.rasterizer.workspaces import workspace_of
+
+COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a rig
+
+
+class LensJob:
+    """fields: means [N,3], quaternions, scales, opacities and sh of one scene; background [3]; view: what the panel's
+    sub-pixels see of it. antialiased: see encoding.encode. Raises InputError."""
+
+    def __init__(self, fields: Iterable[Tensor], background: Tensor, view: LensView, antialiased: bool = False):
+        self.scene = Scene(*(t.unsqueeze(0) for t in fields))
+        self.background = check("background", background, (3,), self.scene.tensors[0])
+        self.view, self.antialiased, self.native = view, antialiased, view.native(antialiased)
+        self.width, self.height = view.lens.width_px, view.lens.height_px
+        # Colours: raise the order until the polynomials are good enough. float64 is the exact twin: highest order.
+        exact = background.dtype == torch.float64
+        self.colour_orders = (0,) if self.scene.degree == 0 else COLOUR_ORDERS[-1:] if exact else COLOUR_ORDERS
+
+    def image(self, as_bytes: bool = False) -> Tensor:
+        """Memory for the image [H, W, 3]."""
+        return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
+
+    def workspace(self, stats: Stats, threads: int, quality: Quality = EXACT) -> Workspace:
+        """The workspace after all stages up to the composite."""
+        with self.scene.guard:
+            with stats.stage("project"):
+                for order in self.colour_orders:
+                    work = workspace_of(
+                        self.scene,
+                        1,
+                        self.width,
+                        self.height,
+                        stats,
+                        threads,
+                        lens=True,
+                        colour_order=order,
+                        compensated=self.antialiased,
+                    )
+                    stats.colour_error = work.project_lens(self.native, quality)
+                    if stats.colour_error <= quality.colour_error:
+                        break
+            work.order_and_bin()
+        return work

@@ -1,0 +1,97 @@
+"""How much of a light-field image may be given up for time: knobs, and named settings of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from lightfield_gs import _core
+from lightfield_gs.base.checks import real_number, shown
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import QualityName
+
+OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Knobs of run time against error, all of them errors of colours in 0..1. As they are made: nothing given up.
+
+    opacity_cut: 1/255..0.5; a Gaussian leaves samples alone where its alpha is below. What that loses outside is added
+        inside: opacities rise by cut - 1/255 (to 0.99 at most), which keeps the integral of alpha. A sample that K
+        Gaussians would have reached changes by at most K cut. With rough evaluation it is whole patches of samples that
+        are left alone, and opacities rise by as much less: the same cut costs about 6 dB less.
+    transmittance_stop: 1e-4..0.5; a sample ends before its transmittance would fall below, and the Gaussian that ends
+        it takes what light is left: an error of at most the stop. Pays where scenes are deep and opaque.
+    colour_error: 0..1; of the polynomials that stand for spherical harmonics over the rig, hence of the image.
+    lattice_error: 0..1; where the light field is smooth it is evaluated on a coarse lattice in (x, y, view) only, and
+        interpolated. The middle of every cell is evaluated too, and nodes are moved by two thirds of the errors round
+        them (on CUDA, if those are too large), which makes bends err to both sides: nowhere in the middles is what is
+        left larger than this, nor its root mean square over a run of tiles (on CUDA: a tile) larger than a fifth, nor
+        is a node moved farther; else the lattice is refined, split or given up. Between corners and middles the error
+        is what a smooth field leaves it, not bounded. Colours on a lattice end at 0 and 1; on the CPU its nodes have 8
+        bits. 0: no lattice. On CUDA panels with sub-pixel cells and anti-aliased scenes have none.
+    contribution_cut: 0..1; a Gaussian is left out whose alphas, summed over all sub-pixels of the panel as if nothing
+        hid it, are less than its even share of this: contribution_cut * sub-pixels / Gaussians. A sample changes by at
+        most the sum of the alphas left out there, and the mean of all samples by at most this; for the sums are taken
+        as integrals, where Gaussians are not few. Pays in captures of many small Gaussians, not where all are alike.
+        `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
+    evaluation_error: 0..1; of the arithmetic. From 0.02 on samples may be evaluated with numbers of 16 bits, twice as
+        many at a time (on CUDA), or in fewer operations and until a transmittance of 0.002 (on the CPU): some 60 dB;
+        colours above 1 lose at most that share. 0: float32.
+    Raises InputError for numbers out of their ranges.
+    """
+
+    opacity_cut: float = OPACITY_CUT
+    transmittance_stop: float = TRANSMITTANCE_STOP
+    colour_error: float = COLOUR_ERROR
+    lattice_error: float = 0.0
+    contribution_cut: float = 0.0
+    evaluation_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("opacity_cut", OPACITY_CUT, 0.5),
+            ("transmittance_stop", TRANSMITTANCE_STOP, 0.5),
+            ("colour_error", 0.0, 1.0),
+            ("lattice_error", 0.0, 1.0),
+            ("contribution_cut", 0.0, 1.0),
+            ("evaluation_error", 0.0, 1.0),
+        ):
+            real_number(f"quality: {name}", getattr(self, name), low, high)
+
+    @staticmethod
+    def of(quality: QualityName | Quality) -> Quality:
+        """The setting of that name, or the object itself. Raises InputError."""
+        if isinstance(quality, Quality):
+            return quality
+        if not isinstance(quality, str) or quality not in QUALITIES:
+            raise InputError(f"quality must be one of {', '.join(QUALITIES)} or a Quality, got {shown(quality)}")
+        return QUALITIES[quality]
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether nothing is given up."""
+        return self == EXACT
+
+    @cached_property
+    def native(self) -> Any:
+        return _core.Quality(
+            opacity_cut=self.opacity_cut,
+            transmittance_stop=self.transmittance_stop,
+            lattice=self.lattice_error,
+            contribution=self.contribution_cut,
+            evaluation=self.evaluation_error,
+        )
+
+
+EXACT = Quality()
+# PSNR on 8K frames of scenes and photos as `bench pareto` has them: high at least 50 dB, fast 40 dB, draft 33 dB. Cuts
+# are for photos, in which many faint Gaussians overlap; scenes that are less deep bear four times as much
+QUALITIES: dict[str, Quality] = {
+    "exact": EXACT,
+    "high": Quality(opacity_cut=1 / 128, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.02),
+    "fast": Quality(opacity_cut=1 / 64, colour_error=4e-3, lattice_error=0.08, evaluation_error=0.02),
+    "draft": Quality(opacity_cut=1 / 20, colour_error=1e-2, lattice_error=0.2, evaluation_error=0.02),
+}

@@ -1,0 +1,75 @@
+"""What a render did, counted and timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.rasterizer import skips
+
+
+@dataclass
+class Stats:
+    """What a render did: milliseconds per stage, counts, bytes of work memory.
+
+    device: waits for a CUDA device at both ends of a stage, or its work would be timed elsewhere; None: does not wait.
+    """
+
+    device: torch.device | None = None
+    stages_ms: dict[str, float] = field(default_factory=dict)
+    pairs: int = 0
+    evaluations: int = 0
+    work_bytes: int = 0
+    memory_bytes: dict[str, int] = field(default_factory=dict)  # of method sorted, see sorted.encode_sorted
+    memory_bytes_unchunked: dict[str, int] = field(default_factory=dict)
+    images: int = 0
+    gaussians_drawn: int = 0  # in all images
+    pruned: int = 0  # of a light field, see Quality
+    colour_error: float = 0.0
+    kernel: str | None = None  # that drew a light field on CUDA
+    skipped: dict[str, Any] = field(default_factory=dict)  # of a light field, see skips.lines
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        self._wait()
+        start = time.perf_counter()
+        yield
+        self._wait()
+        self.stages_ms[name] = self.stages_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - start)
+
+    def _wait(self) -> None:
+        if self.device is not None and self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+
+    def add_render(self, other: Stats) -> None:
+        """One of several renders that follow each other: their work adds up, their memory is used again."""
+        for name, ms in other.stages_ms.items():
+            self.stages_ms[name] = self.stages_ms.get(name, 0.0) + ms
+        self.pairs += other.pairs
+        self.evaluations += other.evaluations
+        self.images += other.images
+        self.gaussians_drawn += other.gaussians_drawn
+        self.work_bytes = max(self.work_bytes, other.work_bytes)
+
+    def add_buffers(self, *buffers: Tensor) -> None:
+        self.work_bytes += sum(t.numel() * t.element_size() for t in buffers)
+
+    def count_frame(self, state: dict[str, Any], work: Tensor) -> None:
+        """A light-field frame on CUDA and its work buffer."""
+        self.pairs += state["pairs"]
+        self.images += 1
+        self.gaussians_drawn += state["drawn"]
+        self.colour_error, self.kernel, self.pruned = state["colour_error"], state["kernel"], state["pruned"]
+        self.skipped = skips.of_frame(state)
+        self.add_buffers(work)
+
+    def count(self, counters: Any) -> None:
+        self.pairs += counters.pairs
+        self.evaluations += counters.evaluations
+        self.work_bytes += counters.scratch_bytes

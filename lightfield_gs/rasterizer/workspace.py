@@ -1,0 +1,84 @@
+"""The stages of a render, and their buffers, whatever device they are on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from lightfield_gs import _core
+from lightfield_gs.rasterizer.lens_view import NativeView
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.scene import Scene, State
+from lightfield_gs.rasterizer.stats import Stats
+
+
+class Splats:
+    """Projected Gaussians of `images` images: what `project` writes and all later stages read."""
+
+    def __init__(
+        self, scene: Scene, images: int, colour_order: int, with_orders: bool, compensated: bool, state: State | None
+    ):
+        """colour_order: of polynomials of the offset, for the colours of a light field. with_orders: each Gaussian may
+        have one of its own. compensated: of an anti-aliased light field, whose opacities change over the rig. state:
+        what a render left of them."""
+        n, self.colour_order = scene.count, colour_order
+        if state is None:
+            self.splats, self.colours = (scene.new(*shape) for shape in State.shapes(images, n, colour_order))
+        else:
+            self.splats, self.colours = state.splats, state.colours
+        self.orders = scene.new(images, n if with_orders else 0, dtype=torch.int32)
+        self.compensations = scene.new(n, _core.COMPENSATION_FIELDS) if compensated else None
+        self.native = scene.core.Splats(
+            images,
+            n,
+            colour_order,
+            self.splats.data_ptr(),
+            self.colours.data_ptr(),
+            self.orders.data_ptr(),
+            0 if self.compensations is None else self.compensations.data_ptr(),
+        )
+
+    def buffers(self) -> list[Tensor]:
+        extra = [] if self.compensations is None else [self.compensations]
+        return [self.splats, self.colours, self.orders, *extra]
+
+
+class Workspace(Protocol):
+    """project_dense or project_lens comes first, then order_and_bin, then a composite, or its reverse.
+
+    A *pair* is a Gaussian and a tile that it may touch (on the CPU a band of rows); what lists hold.
+    """
+
+    stats: Stats
+    splats: Splats
+    pair_count: int
+
+    def state(self) -> State:
+        """What a reverse needs."""
+
+    def project_dense(self, cameras: Any) -> None: ...
+
+    def project_lens(self, view: NativeView, quality: Quality) -> float:
+        """Returns the largest estimated error of a colour polynomial."""
+
+    def order_and_bin(self, admit: Callable[[], bool] = ...) -> bool:
+        """admit: asked once `pair_count` is known, whether to go on; returns its answer."""
+
+    def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
+        """background: [I, 3]; out: the core's DenseImages."""
+
+    def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
+        """background: [3]; out: [H, W, 3]."""
+
+    def dense_backward(
+        self, cameras: Any, background: Tensor, images: Any, gradients: Any
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Gradients of the five fields, of the background in parts [I * parts, 3], and of the cameras [I, 4, 4]."""
+
+    def lens_backward(
+        self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
+    ) -> tuple[list[Tensor], Tensor]:
+        """Gradients of the five fields, and of the background in parts [parts, 3]."""

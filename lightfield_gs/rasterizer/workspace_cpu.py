@@ -1,0 +1,176 @@
+"""The stages of a render on the CPU, and their buffers. See workspace.Workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from lightfield_gs import _core
+from lightfield_gs.rasterizer import skips
+from lightfield_gs.rasterizer.lens_view import NativeView
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.scene import Scene, State
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import Splats
+
+
+class CpuWorkspace:
+    """Splats and bins of one render on the CPU, and the stages over them."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        images: int,
+        width: int,
+        height: int,
+        colour_order: int,
+        stats: Stats,
+        threads: int,
+        state: State | None = None,
+        compensated: bool = False,
+    ):
+        self.scene, self.images, self.stats, self.threads = scene, images, stats, threads
+        self.width, self.height = width, height
+        self.offsets = images * _core.band_count(height) + 1  # of bands into their lists
+        if state is not None:
+            state = state.check(images, scene, colour_order, 8 * self.offsets)
+            self._use_lists(state.lists)
+        self.splats = Splats(scene, images, colour_order, True, compensated, state)
+
+    def _use_lists(self, lists: Tensor) -> None:
+        """Bytes: band offsets [I * bands + 1] int64, then the splats of the pairs, int32."""
+        self.lists, self.pair_count = lists, (lists.numel() - 8 * self.offsets) // 4
+        self.bins = _core.Bins(lists.data_ptr(), lists.data_ptr() + 8 * self.offsets)
+
+    def state(self) -> State:
+        return State(self.splats.splats, self.splats.colours, self.lists)
+
+    def project_dense(self, cameras: Any) -> None:
+        self.scene.core.project_dense(self.scene.native(), cameras, self.splats.native, self.threads)
+
+    def project_lens(self, view: NativeView, quality: Quality) -> float:
+        return self.scene.core.project_lens(
+            self.scene.native(),
+            view.rig,
+            view.lens,
+            quality.native,
+            quality.colour_error,
+            self.splats.native,
+            self.threads,
+        )
+
+    def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        scene, core, native, threads = self.scene, self.scene.core, self.splats.native, self.threads
+        with self.stats.stage("order"):  # splats [I, N], of which the first `drawn` [I] are drawn, nearest first
+            order = scene.new(self.images, scene.count, dtype=torch.int32)
+            drawn = scene.new(self.images, dtype=torch.int64)
+            core.order(native, order.data_ptr(), drawn.data_ptr(), threads)
+        with self.stats.stage("bin"):
+            self.band_offsets = scene.new(self.offsets, dtype=torch.int64)
+            bins = _core.Bins(self.band_offsets.data_ptr(), 0)
+            self.pair_count = core.bin_count(native, order.data_ptr(), drawn.data_ptr(), self.height, bins, threads)
+            if not admit():
+                return False
+            self._use_lists(scene.new(8 * self.offsets + 4 * self.pair_count, dtype=torch.uint8))
+            self.lists[: 8 * self.offsets] = self.band_offsets.view(torch.uint8)
+            core.bin_fill(native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
+        self.stats.images += self.images
+        self.stats.gaussians_drawn += int(drawn.sum())
+        self.stats.add_buffers(*self.splats.buffers(), order, drawn, self.lists)
+        return True
+
+    def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
+        self.stats.count(
+            self.scene.core.composite_dense(
+                self.splats.native, self.bins, cameras, background.data_ptr(), out, self.threads
+            )
+        )
+
+    def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
+        """out: [H, W, 3], of the scene's dtype or uint8."""
+        floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
+        counters = self.scene.core.composite_lens(
+            self.splats.native,
+            self.bins,
+            view.lens,
+            quality.native,
+            background.data_ptr(),
+            floats,
+            bytes_,
+            self.threads,
+        )
+        self.stats.count(counters)
+        if self.stats.device is not None:
+            splats = self.splats
+            self.stats.pruned = int((splats.splats[..., _core.SPLAT_REACH_INDEX] == _core.PRUNED).sum())
+            self.stats.skipped = skips.of_lens(counters, splats.orders, splats.splats, splats.colour_order)
+
+    def dense_backward(
+        self, cameras: Any, background: Tensor, images: Any, gradients: Any
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
+        core.composite_dense_backward(
+            self.splats.native,
+            self.bins,
+            cameras,
+            background.data_ptr(),
+            images,
+            gradients,
+            first.data_ptr(),
+            pairs.data_ptr(),
+            g_background.data_ptr(),
+            self.threads,
+        )
+        out, native = self.scene.gradients()
+        g_cameras = self.scene.new(self.images, 4, 4, zero=True)
+        core.project_dense_backward(
+            self.scene.native(),
+            cameras,
+            self.splats.native,
+            first.data_ptr(),
+            pairs.data_ptr(),
+            native,
+            g_cameras.data_ptr(),
+            self.threads,
+        )
+        return out, g_background, g_cameras
+
+    def lens_backward(
+        self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
+    ) -> tuple[list[Tensor], Tensor]:
+        core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
+        core.composite_lens_backward(
+            self.splats.native,
+            self.bins,
+            view.lens,
+            background.data_ptr(),
+            image.data_ptr(),
+            g_image.data_ptr(),
+            first.data_ptr(),
+            pairs.data_ptr(),
+            g_background.data_ptr(),
+            self.threads,
+        )
+        out, native = self.scene.gradients()
+        core.project_lens_backward(
+            self.scene.native(),
+            view.rig,
+            view.lens,
+            self.splats.native,
+            first.data_ptr(),
+            pairs.data_ptr(),
+            native,
+            self.threads,
+        )
+        return out, g_background
+
+    def _gradient_buffers(self) -> tuple[Tensor, Tensor, Tensor]:
+        """first_pair [I, N], pair gradients [pairs, size], background gradient per band [bands, 3]."""
+        first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
+        self.scene.core.first_pairs(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
+        size = _core.pair_gradient_size(self.splats.colour_order, self.splats.compensations is not None)
+        pairs = self.scene.new(self.pair_count, size, zero=True)
+        return first, pairs, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)

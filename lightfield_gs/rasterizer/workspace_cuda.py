@@ -1,0 +1,232 @@
+"""The stages of a render on a CUDA device, float32: what workspace_cpu.CpuWorkspace is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from lightfield_gs import _core
+from lightfield_gs.rasterizer.lens_view import NativeView
+from lightfield_gs.rasterizer.quality import Quality
+from lightfield_gs.rasterizer.scene import Scene, State
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import Splats
+
+
+class CudaWorkspace:
+    """Splats, keys and tile lists of one render; every buffer from torch's allocator, all work on its stream."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        images: int,
+        width: int,
+        height: int,
+        colour_order: int,
+        stats: Stats,
+        lens: bool,
+        state: State | None = None,
+        tile: Any = None,
+        compensated: bool = False,
+    ):
+        self.scene, self.images, self.stats, self.items = scene, images, stats, images * scene.count
+        self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
+        self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
+        self.ranges_bytes = 16 * self.image.tiles()  # of tiles
+        self.lists_bytes = self.ranges_bytes + 8 * self.items  # before those of the pairs
+        if state is None:
+            self.keys = scene.new(self.items, dtype=torch.int64)
+        else:
+            state = state.check(images, scene, colour_order, self.lists_bytes)
+            self._use_lists(state.lists)
+        self.splats = Splats(scene, images, colour_order, lens, compensated, state)
+
+    def _use_lists(self, lists: Tensor, unsorted: Tensor | None = None) -> None:
+        """Bytes: range of each tile [tiles, 2] int64, of slots of each splat [I, N, 2] int32, then slots and splats of
+        the sorted pairs, int32. unsorted [4, pairs] int32: tiles, sorted tiles, slots and their splats, which only the
+        filling needs. Kept as addresses: parts of tensors take the host longer, and here the device waits for it.
+        """
+        self.lists, self.pair_count = lists, (lists.numel() - self.lists_bytes) // 8
+        self.ranges, sorted_slots = lists.data_ptr(), lists.data_ptr() + self.lists_bytes
+        self.slot_ranges = self.ranges + self.ranges_bytes
+        tiles, sorted_tiles, slots, slot_splats = (
+            0 if unsorted is None else unsorted.data_ptr() + 4 * self.pair_count * row for row in range(4)
+        )
+        self.pair_lists = _core.cuda.Pairs(
+            self.pair_count, tiles, sorted_tiles, slots, sorted_slots, slot_splats, sorted_slots + 4 * self.pair_count
+        )
+
+    def tile_ranges(self) -> Tensor:
+        """[tiles, 2] int64, of each tile's pairs among the sorted ones."""
+        return self.lists[: self.ranges_bytes].view(torch.int64).view(-1, 2)
+
+    def state(self) -> State:
+        return State(self.splats.splats, self.splats.colours, self.lists)
+
+    def project_dense(self, cameras: Any) -> None:
+        _core.cuda.project_dense(self.scene.native(), cameras, self.splats.native, self.keys.data_ptr(), self.stream)
+
+    def project_lens(self, view: NativeView, quality: Quality) -> float:
+        error = self.scene.new(1, zero=True)
+        _core.cuda.project_lens(
+            self.scene.native(),
+            view.rig,
+            view.lens,
+            quality.colour_error,
+            self.splats.native,
+            self.keys.data_ptr(),
+            error.data_ptr(),
+            self.stream,
+        )
+        return float(error) if self.scene.degree > 0 else 0.0
+
+    def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
+        """The pairs are counted first: the host, which has to know their number, learns it while the device sorts."""
+        scene, cuda, items = self.scene, _core.cuda, self.items
+        with self.stats.stage("bin"):
+            counts, pairs = scene.new(items, dtype=torch.int32), scene.new(1, dtype=torch.int64, zero=True)
+            total = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
+            cuda.bin_count(
+                self.splats.native,
+                self.image,
+                counts.data_ptr(),
+                pairs.data_ptr(),
+                total.data_ptr(),
+                total.numel(),
+                self.stream,
+            )
+            pairs, counted = pairs.to("cpu", non_blocking=True), torch.cuda.Event()
+            counted.record()
+        with self.stats.stage("order"):
+            sorted_keys, indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
+            temporary = scene.new(cuda.order_bytes(items), dtype=torch.uint8)
+            cuda.order(
+                items,
+                self.images,
+                self.keys.data_ptr(),
+                sorted_keys.data_ptr(),
+                indices.data_ptr(),
+                temporary.data_ptr(),
+                temporary.numel(),
+                self.stream,
+            )
+        with self.stats.stage("bin"):
+            counted.synchronize()
+            self.pair_count = count = int(pairs)
+            if not admit():
+                return False
+            # First: raises for more pairs than can be
+            scratch = scene.new(cuda.fill_bytes(items, count), dtype=torch.uint8)
+            ends = scene.new(items, dtype=torch.int64)
+            unsorted = scene.new(4, count, dtype=torch.int32)
+            self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), unsorted)
+            self.lists[: self.ranges_bytes].zero_()
+            cuda.bin_fill(
+                self.splats.native,
+                self.image,
+                indices.data_ptr(),
+                counts.data_ptr(),
+                ends.data_ptr(),
+                self.pair_lists,
+                self.ranges,
+                self.slot_ranges,
+                scratch.data_ptr(),
+                scratch.numel(),
+                self.stream,
+            )
+        self.stats.pairs += count
+        if self.stats.device is not None:  # reading the count back waits
+            self.stats.images += self.images
+            self.stats.gaussians_drawn += int((self.keys != -1).sum())
+        self.stats.add_buffers(
+            *self.splats.buffers(),
+            self.keys,
+            sorted_keys,
+            indices,
+            temporary,
+            counts,
+            ends,
+            total,
+            unsorted,
+            self.lists,
+            scratch,
+        )
+        return True
+
+    def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
+        _core.cuda.composite_dense(
+            self.splats.native, self.image, self.ranges, self.pair_lists, background.data_ptr(), out, self.stream
+        )
+
+    def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
+        """out: [H, W, 3], float32. Images of bytes are frames (frame_cuda)."""
+        _core.cuda.composite_lens(
+            self.splats.native,
+            self.image,
+            self.ranges,
+            self.pair_lists,
+            view.lens,
+            background.data_ptr(),
+            out.data_ptr(),
+            self.stream,
+        )
+
+    def dense_backward(
+        self, cameras: Any, background: Tensor, images: Any, gradients: Any
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        scene, cuda = self.scene, _core.cuda
+        slots = scene.new(self.pair_count, cuda.DENSE_SUMS)
+        g_background = scene.new(self.image.tiles(), 3)
+        cuda.composite_dense_backward(
+            self.splats.native,
+            self.image,
+            self.ranges,
+            self.pair_lists,
+            images,
+            gradients,
+            slots.data_ptr(),
+            g_background.data_ptr(),
+            self.stream,
+        )
+        out, native = scene.gradients()
+        views = scene.new(self.images, cuda.view_blocks(scene.count), 3, 4)
+        cuda.project_dense_backward(
+            scene.native(),
+            cameras,
+            self.splats.native,
+            self.slot_ranges,
+            slots.data_ptr(),
+            native,
+            views.data_ptr(),
+            self.stream,
+        )
+        return out, g_background, functional.pad(views.sum(1), (0, 0, 0, 1))
+
+    def lens_backward(
+        self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
+    ) -> tuple[list[Tensor], Tensor]:
+        scene, cuda = self.scene, _core.cuda
+        sharp = 0 if self.splats.compensations is None else _core.COMPENSATION_FIELDS
+        slots = scene.new(self.pair_count, cuda.LENS_SUMS + 3 * self.splats.colours.shape[2] + sharp)
+        g_background = scene.new(self.image.tiles(), 3)
+        cuda.composite_lens_backward(
+            self.splats.native,
+            self.image,
+            self.ranges,
+            self.pair_lists,
+            view.lens,
+            image.data_ptr(),
+            g_image.data_ptr(),
+            slots.data_ptr(),
+            g_background.data_ptr(),
+            self.stream,
+        )
+        out, native = scene.gradients()
+        cuda.project_lens_backward(
+            scene.native(), view.rig, self.splats.native, self.slot_ranges, slots.data_ptr(), native, self.stream
+        )
+        return out, g_background

@@ -1,0 +1,208 @@
+"""The float64 oracle's arithmetic: one Gaussian, one sample, one formula at a time, as published equations print them.
+
+Sources: Kerbl et al., "3D Gaussian Splatting", 2023 (blending and its thresholds); Zwicker et al., "EWA Splatting",
+2002 (projected covariance); Yu et al., "Mip-Splatting", 2024 (opacities of anti-aliased scenes). Nothing here is shared
+with the native rasterizer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.harmonics import harmonics, rotations
+
+if TYPE_CHECKING:
+    from lightfield_gs.scene.gaussians import Gaussians
+
+NEAR = 0.01  # view-space depth below which a Gaussian is not drawn, scene units
+LOW_PASS_PX2 = 0.3  # added to both variances of the projected Gaussian
+ALPHA_MAX = 0.99
+ALPHA_MIN = 1 / 255
+TRANSMITTANCE_MIN = 1e-4
+NEARLY = 0.9  # Gaussians with alpha above NEARLY * ALPHA_MIN are looked at, so that margins below it are known
+ALPHAS_AT_ONCE = {"cpu": 2**13, "cuda": 2**24}  # samples times Gaussians: what a core's cache holds, what fills a GPU
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Float64 tensors of a set: means [N,3], quaternions [N,4] (wxyz), scales [N,3], opacities [N], sh [N,K,3]."""
+
+    means: Tensor
+    quaternions: Tensor
+    scales: Tensor
+    opacities: Tensor
+    sh: Tensor
+
+    @staticmethod
+    def of(gaussians: Gaussians) -> Scene:
+        fields = (gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.opacities, gaussians.sh)
+        return Scene(*(field.detach().to(torch.float64) for field in fields))
+
+
+@dataclass(frozen=True)
+class Eye:
+    """A camera that may also look from `offset` to its right, its principal point then moved by `shift_px` * offset.
+
+    limits: (lo_x, hi_x, lo_y, hi_y) of X/Z and Y/Z as seen from the centre camera, which stands `to_centre` to the left
+    of this one.
+    """
+
+    world_to_camera: Tensor  # [4,4]
+    intrinsics: Tensor  # fx, fy, cx, cy in pixels
+    limits: Tensor
+    to_centre: Tensor | float = 0.0
+    shift_px: float = 0.0  # pixels per scene unit
+
+    def to(self, device: torch.device) -> Eye:
+        """The same eye, its tensors on a device."""
+        to_centre = self.to_centre.to(device) if isinstance(self.to_centre, Tensor) else self.to_centre
+        return replace(
+            self,
+            world_to_camera=self.world_to_camera.to(device),
+            intrinsics=self.intrinsics.to(device),
+            limits=self.limits.to(device),
+            to_centre=to_centre,
+        )
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Places in pixels (centres at +0.5) and view offsets in scene units, each [M] float64, sorted by row."""
+
+    columns: Tensor
+    rows: Tensor
+    offsets: Tensor
+
+    def part(self, begin: int, end: int) -> Samples:
+        return Samples(self.columns[begin:end], self.rows[begin:end], self.offsets[begin:end])
+
+
+@dataclass(frozen=True)
+class Blend:
+    """Weights of M samples as P pairs: sample, gaussian and weight [P]; transmittance left [M], margin [M]."""
+
+    sample: Tensor
+    gaussian: Tensor
+    weight: Tensor
+    transmittance: Tensor
+    margin: Tensor
+
+    def sum(self, values: Tensor) -> Tensor:
+        """Weighted sum over each sample's Gaussians of values [P] or [P,C] -> [M] or [M,C]."""
+        weight = self.weight.reshape(-1, *[1] * (values.dim() - 1))
+        total = values.new_zeros(len(self.transmittance), *values.shape[1:])
+        return total.index_add(0, self.sample, weight * values)
+
+
+def square(vectors: Tensor) -> Tensor:
+    """Squared length of vectors [3, ...]."""
+    return (vectors * vectors).sum(0)
+
+
+class Projection:
+    """One scene before one eye: view-space means and spreads of the Gaussians it may draw, near ones first.
+
+    antialiased: opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its light."""
+
+    def __init__(self, scene: Scene, eye: Eye, antialiased: bool = False):
+        self.scene, self.eye, self.antialiased = scene, eye.to(scene.means.device), antialiased
+        self.axes, self.translation = self.eye.world_to_camera[:3, :3], self.eye.world_to_camera[:3, 3]
+        self.position = scene.means @ self.axes.T + self.translation
+        self.spread = (self.axes @ rotations(scene.quaternions) * scene.scales[:, None, :]).permute(1, 2, 0)
+        depth = self.position[:, 2].detach()
+        drawn = torch.nonzero((depth >= NEAR) & (scene.opacities.detach() * 255 >= 1)).flatten()
+        self.order = drawn[torch.sort(depth[drawn], stable=True).indices]
+        self.row, self.rows_reached = self._rows()
+
+    @torch.no_grad()
+    def _rows(self) -> tuple[Tensor, Tensor]:
+        """The row of each Gaussian of `order`, px, and how far above and below it its alpha nearly reaches the cut."""
+        _, v, _, down = self.footprint(self.order, self.position.new_zeros(()))
+        variance = square(down) + LOW_PASS_PX2
+        return v, (2 * variance * (self.scene.opacities[self.order] / (NEARLY * ALPHA_MIN)).log()).sqrt()
+
+    def footprint(self, gaussian: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
+        """Projected mean u, v (px) of Gaussians seen from an offset, and the rows [3, ...] of their spread (px): two
+        vectors whose products are the covariance (EWA) before the low pass. Both arguments of as many dimensions, and
+        broadcast against each other, or one offset for all."""
+        fx, fy, cx, cy = self.eye.intrinsics.unbind()
+        low_x, high_x, low_y, high_y = self.eye.limits.unbind()
+        X, Y, Z = self.position[gaussian].unbind(-1)
+        F = self.spread[:, :, gaussian]
+
+        # The Jacobian is taken at a point within the limits, the mean is projected from where it is.
+        from_centre = self.eye.to_centre
+        tx = Z * ((X + from_centre) / Z).clamp(low_x, high_x) - from_centre - offset
+        ty = Z * (Y / Z).clamp(low_y, high_y)
+        a, b, c, e = fx / Z, -fx * tx / Z**2, fy / Z, -fy * ty / Z**2
+        across, down = a * F[0] + b * F[2], c * F[1] + e * F[2]
+        u = fx * (X - offset) / Z + cx + self.eye.shift_px * offset
+        v = fy * Y / Z + cy
+        return u, v, *torch.broadcast_tensors(across, down)
+
+    def alpha(self, gaussian: Tensor, samples: Samples) -> Tensor:
+        """Opacity of Gaussians at samples (broadcast against each other), before the cut at 1/255."""
+        u, v, across, down = self.footprint(gaussian, samples.offsets)
+        dx, dy = samples.columns - u, samples.rows - v
+        # Sums of squares, no differences of products: these keep their digits where a needle is 10^9 pixels long.
+        along = square(down * dx - across * dy) + LOW_PASS_PX2 * (dx * dx + dy * dy)
+        sharp = square(torch.linalg.cross(across, down, dim=0))  # determinant before the low pass
+        determinant = sharp + LOW_PASS_PX2 * (square(across) + square(down) + LOW_PASS_PX2)
+        q, opacity = along / determinant, self.scene.opacities[gaussian]
+        if self.antialiased:
+            opacity = opacity * (sharp / determinant).sqrt()
+        return (opacity * torch.exp(-q / 2)).clamp(max=ALPHA_MAX)
+
+    def colour(self, gaussian: Tensor, offset: Tensor, channel: Tensor | None = None) -> Tensor:
+        """Colour [P,3] of Gaussians seen from offsets, or [P] of one channel each."""
+        centre = -self.axes.T @ self.translation + offset[:, None] * self.axes[0]
+        direction = self.scene.means[gaussian] - centre
+        basis = harmonics(direction / direction.norm(dim=-1, keepdim=True), self.scene.sh.shape[1])
+        if channel is None:
+            return (0.5 + (basis[:, :, None] * self.scene.sh[gaussian]).sum(1)).clamp(min=0)
+        return (0.5 + (basis * self.scene.sh[gaussian, :, channel]).sum(1)).clamp(min=0)
+
+    @torch.no_grad()
+    def pairs(self, samples: Samples) -> tuple[Tensor, Tensor]:
+        """Pairs (sample, Gaussian), each [P], whose alpha nearly reaches the cut: by sample, then near to far."""
+        rows, counts = torch.unique_consecutive(samples.rows, return_counts=True)
+        begin, found, most = 0, [], ALPHAS_AT_ONCE[samples.rows.device.type]
+        for row, count in zip(rows, counts.tolist()):
+            near_row = self.order[(row - self.row).abs() <= self.rows_reached][None]
+            end, step = begin + count, max(1, most // max(1, near_row.numel()))
+            for first in range(begin, end, step):
+                here = samples.part(first, min(first + step, end))
+                column = Samples(here.columns[:, None], row, here.offsets[:, None])
+                hit = torch.nonzero(self.alpha(near_row, column) > NEARLY * ALPHA_MIN)
+                found.append((hit[:, 0] + first, near_row[0, hit[:, 1]]))
+            begin = end
+        return tuple(torch.cat(part) for part in zip(*found))
+
+    def blend(self, samples: Samples) -> Blend:
+        """Front-to-back blending; a sample stops before its transmittance would fall below 1e-4 (Kerbl et al.)."""
+        sample, gaussian = self.pairs(samples)
+        count = torch.bincount(sample, minlength=len(samples.rows))
+        rank = torch.arange(len(sample), device=sample.device) - (count.cumsum(0) - count)[sample]
+        full = self.alpha(gaussian, Samples(samples.columns[sample], samples.rows[sample], samples.offsets[sample]))
+        shape = (len(samples.rows), max(1, int(count.max())))
+
+        # Every sample a row of the table, its Gaussians from near to far; what is missing is transparent.
+        table = full.new_zeros(shape).index_put((sample, rank), full)
+        drawn = table.detach() >= ALPHA_MIN
+        table = torch.where(drawn, table, 0.0)
+        after = torch.cumprod(1 - table, 1)
+        kept = after.detach() >= TRANSMITTANCE_MIN
+        before = torch.cat([after.new_ones(shape[0], 1), after[:, :-1]], 1)
+        weight = torch.where(kept, before * table, 0.0)[sample, rank]
+        left = torch.where(kept, 1 - table, 1.0).prod(1)
+
+        # Decisions are made up to and including the Gaussian that stops the sample.
+        alive = before.detach() >= TRANSMITTANCE_MIN
+        cut = (full.new_zeros(shape).index_put((sample, rank), full.detach()) * 255 - 1).abs()
+        stop = torch.where(drawn, (after.detach() / TRANSMITTANCE_MIN - 1).abs(), torch.inf)
+        margin = torch.where(alive, torch.minimum(cut, stop), torch.inf).amin(1).clamp(max=1 - NEARLY)
+        return Blend(sample, gaussian, weight, left, margin)

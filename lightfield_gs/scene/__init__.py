@@ -1,0 +1,1 @@
+"""Gaussians and cameras, in the axes of the world."""

@@ -1,0 +1,185 @@
+"""Ordinary pinhole cameras, many at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from lightfield_gs.base.checks import expect, whole_number
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.scene.gaussians import check_finite
+
+if TYPE_CHECKING:
+    from lightfield_gs.io.captures.camera_files import FileCamera
+
+
+@dataclass
+class Cameras:
+    """C cameras of one image size, or [B, C] of them: C for each of B sets of Gaussians.
+
+    world_to_camera:    [..., C, 4, 4], [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
+    focal_px:           [..., C, 2] (fx, fy), pixels, > 0.
+    principal_point_px: [..., C, 2] (cx, cy), pixels from the outer corner of the first pixel (centres at i + 0.5).
+                        In place of both, K as other rasterizers take it: Cameras(world_to_camera, K, width_px=...,
+                        height_px=...), [..., C, 3, 3], fx 0 cx over 0 fy cy over 0 0 1, without skew.
+    width_px, height_px: image size, 1..65536 pixels.
+    jacobian_limits:    optional [..., C, 5] (low_x, high_x, low_y, high_y, offset): the limits of X/Z and Y/Z in the
+                        projection's Jacobian, taken at the centre of a rig that this camera stands `offset` to the
+                        right of. None: the camera's own frustum and 15 % of the image beyond each edge (Kerbl et al.).
+    Raises InputError for shapes and values that make no camera; values on a device are not looked at, which would wait
+    for it: there, what is not finite draws nothing that means anything.
+    """
+
+    world_to_camera: torch.Tensor
+    focal_px: torch.Tensor
+    principal_point_px: torch.Tensor | None = None
+    width_px: int | None = None
+    height_px: int | None = None
+    jacobian_limits: torch.Tensor | None = None
+
+    def __post_init__(self) -> None:
+        if self.principal_point_px is None:
+            self.focal_px, self.principal_point_px = _of_matrices(self.focal_px)
+        for name in ("world_to_camera", "focal_px", "principal_point_px", "jacobian_limits"):
+            value = getattr(self, name)
+            if name != "jacobian_limits" or value is not None:
+                expect(f"cameras: {name}", value, torch.Tensor)
+                if not value.is_floating_point() or value.layout != torch.strided or value.is_meta:
+                    raise InputError(
+                        f"cameras: {name} must be floating point numbers, got {value.dtype} "
+                        f"({value.layout}, {value.device})"
+                    )
+        lead = self.world_to_camera.shape[:-2]
+        expected = {"world_to_camera": (*lead, 4, 4), "focal_px": (*lead, 2), "principal_point_px": (*lead, 2)}
+        if self.jacobian_limits is not None:
+            expected["jacobian_limits"] = (*lead, 5)
+        for name, shape in expected.items():
+            found = tuple(getattr(self, name).shape)
+            if found != shape or len(lead) not in (1, 2):
+                raise InputError(f"cameras: {name} must be {['...', 'C', *shape[len(lead) :]]}, got {list(found)}")
+            if getattr(self, name).device.type == "cpu":
+                check_finite(f"cameras: {name}", getattr(self, name))
+        if self.focal_px.device.type == "cpu" and not bool((self.focal_px > 0).all()):
+            raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
+        for name in ("width_px", "height_px"):
+            if getattr(self, name) is None:
+                raise InputError(
+                    f"cameras: {name} is missing; no matrix says how large the image is: give width_px and height_px"
+                )
+            setattr(self, name, whole_number(f"cameras: {name}", getattr(self, name), 1, 65536))
+
+    @classmethod
+    def from_inria(cls, path: str | Path, index: int | None = None) -> Cameras:
+        """The cameras [C] of a cameras.json as 3D Gaussian splatting writes it, or only that of this index, float64.
+
+        Raises InputError that names file and key, also where images are of several sizes and no index is given.
+        """
+        from lightfield_gs.io.captures.camera_files import read_inria
+
+        return _of_file(cls, path, read_inria(path), index)
+
+    @classmethod
+    def from_transforms(cls, path: str | Path, index: int | None = None) -> Cameras:
+        """The cameras [C] of a transforms.json (NeRF; OpenGL axes in the file), or only that of this index, float64.
+
+        Raises InputError that names file and key, also where images are of several sizes and no index is given, where
+        their size is not known, and on lens distortion.
+        """
+        from lightfield_gs.io.captures.camera_files import read_transforms
+
+        return _of_file(cls, path, read_transforms(path), index)
+
+    @property
+    def count(self) -> int:
+        """C."""
+        return self.world_to_camera.shape[-3]
+
+    def intrinsics(self) -> torch.Tensor:
+        """[..., C, 4]: fx, fy, cx, cy."""
+        return torch.cat([self.focal_px, self.principal_point_px], -1)
+
+    def limits(self) -> torch.Tensor:
+        """jacobian_limits, or the default ones, [..., C, 5]."""
+        if self.jacobian_limits is not None:
+            return self.jacobian_limits
+        edges = []
+        for axis, size in enumerate((self.width_px, self.height_px)):
+            centre, focal = self.principal_point_px[..., axis], self.focal_px[..., axis]
+            edges += [-(centre + 0.15 * size) / focal, (1.15 * size - centre) / focal]
+        return torch.stack([*edges, torch.zeros_like(edges[0])], -1)
+
+    def select(self, views: slice | list[int] | torch.Tensor) -> Cameras:
+        """The cameras at these places along C."""
+        limits = None if self.jacobian_limits is None else self.jacobian_limits[..., views, :]
+        return Cameras(
+            self.world_to_camera[..., views, :, :],
+            self.focal_px[..., views, :],
+            self.principal_point_px[..., views, :],
+            self.width_px,
+            self.height_px,
+            limits,
+        )
+
+    def relative_to(self, origin: Sequence[float]) -> Cameras:
+        """The same cameras for coordinates that are given from `origin`; see Rig.relative_to."""
+        poses = self.world_to_camera.clone()
+        poses[..., :3, 3] += poses[..., :3, :3] @ poses.new_tensor(origin)
+        return replace(self, world_to_camera=poses)
+
+    def to(self, *args, **kwargs) -> Cameras:
+        """Every tensor through torch.Tensor.to."""
+        limits = None if self.jacobian_limits is None else self.jacobian_limits.to(*args, **kwargs)
+        return Cameras(
+            self.world_to_camera.to(*args, **kwargs),
+            self.focal_px.to(*args, **kwargs),
+            self.principal_point_px.to(*args, **kwargs),
+            self.width_px,
+            self.height_px,
+            limits,
+        )
+
+
+def _of_matrices(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """focal_px and principal_point_px of intrinsics K [..., C, 3, 3]; values on a device are not looked at."""
+    expect("cameras: K", matrices, torch.Tensor)
+    if matrices.shape[-2:] != (3, 3):
+        raise InputError(
+            "cameras: expected focal_px [..., C, 2] and principal_point_px [..., C, 2], or K "
+            f"[..., C, 3, 3] in place of both, got {list(matrices.shape)} alone"
+        )
+    if matrices.device.type == "cpu":
+        for row, column, value in ((0, 1, 0), (1, 0, 0), (2, 0, 0), (2, 1, 0), (2, 2, 1)):
+            if not bool((matrices[..., row, column] == value).all()):
+                raise InputError(
+                    f"cameras: expected K of fx 0 cx, 0 fy cy, 0 0 1 (no skew), got other than {value} in "
+                    f"row {row}, column {column}"
+                )
+    return matrices[..., (0, 1), (0, 1)], matrices[..., :2, 2]
+
+
+def _of_file(cls: type[Cameras], path: str | Path, cameras: list[FileCamera], index: int | None) -> Cameras:
+    """The cameras of a file; they all need one size."""
+    if index is not None:
+        cameras = [cameras[whole_number(f"{path}: index", index, 0, len(cameras) - 1)]]
+    sizes = {(camera.width_px, camera.height_px) for camera in cameras}
+    if len(sizes) > 1:
+        raise InputError(f"{path}: expected images of one size, got {len(sizes)} sizes; choose a camera by its index")
+    for camera in cameras:
+        if camera.assumed:
+            raise InputError(f"{path}: expected w and h, the size of the images: {camera.assumed}")
+        if camera.distorted:
+            raise InputError(
+                f"{path}: expected cameras without lens distortion (k1 ... p2 zero); undistort the images "
+                "first, or set these to zero for their flat perspective"
+            )
+    arrays = (
+        np.array([getattr(camera, name) for camera in cameras], np.float64)
+        for name in ("world_to_camera", "focal_px", "principal_point_px")
+    )
+    ((width, height),) = sizes
+    return cls(*(torch.from_numpy(array) for array in arrays), width, height)

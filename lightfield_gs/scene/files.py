@@ -1,0 +1,42 @@
+"""Files of Gaussians: the scene, and what else such a file says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.io.scenes.stored import read_stored
+from lightfield_gs.scene.gaussians import Gaussians, of_arrays
+
+
+@dataclass
+class SceneFile:
+    """What a file of Gaussians holds.
+
+    gaussians: float32 on the CPU, N >= 1, SH degree 0-3.
+    comments: text of the header's comment and obj_info lines, in file order.
+    elements: every element of at most 64 KiB beside the vertices, without lists, by name: structured arrays.
+    notes: what looks wrong, one line each, without the file's name.
+    """
+
+    gaussians: Gaussians
+    comments: tuple[str, ...] = ()
+    elements: dict[str, np.ndarray] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def read_scene(path: str | Path, *, skip_invalid: bool = False) -> SceneFile:
+    """Reads a standard 3DGS .ply.
+
+    Text or binary of either byte order, properties in any order and number type; properties that no Gaussian has are
+    ignored. Coordinates that are stored as double, far from zero, are given from an origin of whole numbers near them,
+    which the Gaussians remember. skip_invalid: leave out Gaussians with values that have no meaning (a note counts
+    them): not finite, a rotation of zeros, a scale that overflows. Infinite logits and a log scale of -inf have one.
+    Raises InputError when the file is not such a .ply, is cut, has wrong counts, lacks a property (it is named) or,
+    without skip_invalid, holds a value that has no meaning (property, index and count are named).
+    """
+    stored = read_stored(path, skip_invalid=skip_invalid)
+    gaussians = of_arrays(stored.fields, stored.origin)
+    return SceneFile(gaussians, stored.comments, stored.elements, stored.notes)

@@ -1,0 +1,234 @@
+"""A set of 3D Gaussians."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import torch
+
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.harmonics import SH_COEFFICIENTS
+from lightfield_gs.io.scenes import ply
+from lightfield_gs.io.scenes.stored import read_stored
+from lightfield_gs.scene.turning import rotated_fields
+
+
+@dataclass
+class Gaussians:
+    """N Gaussians, or B sets of N, in right-handed world axes (Kerbl et al., "3D Gaussian Splatting", 2023).
+
+    All fields are floating-point tensors of one dtype on one device. `...` is empty, or the batch dimension B.
+
+    means:       [..., N, 3] centres, scene units.
+    quaternions: [..., N, 4] rotations wxyz, any length but zero; normalized where they are used.
+    scales:      [..., N, 3] standard deviations along the rotated axes, scene units, > 0.
+    opacities:   [..., N] in (0, 1].
+    sh:          [..., N, K, 3] spherical harmonics of red, green and blue; K = (degree + 1)^2, degree 0..3;
+                 colour = max(0, 0.5 + sum), in the (sRGB-coded) colour space of the training images.
+    origin:      where the zero of `means` lies in the coordinates of the file they are from, scene units, double
+                 precision. Cameras for these Gaussians are given from there too: Rig.relative_to(origin).
+    """
+
+    means: torch.Tensor
+    quaternions: torch.Tensor
+    scales: torch.Tensor
+    opacities: torch.Tensor
+    sh: torch.Tensor
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        self._expect_tensors()
+
+    def __repr__(self) -> str:
+        """One line, of what needs no look at the values: that would wait for a device."""
+        try:
+            self.validate_layout()
+        except InputError as error:
+            return f"Gaussians(not valid: {error})"
+        sets = f"{len(self.means)} sets of " if self.is_batched else ""
+        return f"Gaussians({sets}{self.count}, SH degree {self.sh_degree}, {self.dtype}, {self.device})"
+
+    def _expect_tensors(self) -> None:
+        for name, tensor in self.fields().items():
+            expect(name, tensor, torch.Tensor)
+
+    @property
+    def count(self) -> int:
+        """N, the number of Gaussians in each set."""
+        return self.means.shape[-2]
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0..3."""
+        return SH_COEFFICIENTS.index(self.sh.shape[-2])
+
+    @property
+    def device(self) -> torch.device:
+        return self.means.device
+
+    @property
+    def dtype(self) -> torch.dtype:
+        return self.means.dtype
+
+    @property
+    def is_batched(self) -> bool:
+        """Whether the tensors have the leading batch dimension B."""
+        return self.means.ndim == 3
+
+    def fields(self) -> dict[str, torch.Tensor]:
+        """The five tensors by name."""
+        return {
+            "means": self.means,
+            "quaternions": self.quaternions,
+            "scales": self.scales,
+            "opacities": self.opacities,
+            "sh": self.sh,
+        }
+
+    def to(self, *args, **kwargs) -> Gaussians:
+        """As torch.Tensor.to, on every field."""
+        return replace(self, **{name: tensor.to(*args, **kwargs) for name, tensor in self.fields().items()})
+
+    def detach(self) -> Gaussians:
+        """The same data outside the autograd graph."""
+        return replace(self, **{name: tensor.detach() for name, tensor in self.fields().items()})
+
+    def rotated(self, rotation: Any) -> Gaussians:
+        """The same Gaussians turned about the zero of their file: places, quaternions and harmonics of degree 0..3.
+
+        rotation: [3, 3], applied to column vectors, or a quaternion [4] (wxyz, any length but zero): tensor, array or
+        numbers. What a camera `world_to_camera` sees of them, one with the rotation world_to_camera[:3, :3] @
+        rotation^T and the same translation sees of what is returned, exactly. Keeps batch, dtype, device and gradients.
+        Raises InputError for what is no proper rotation.
+        """
+        self.validate_layout()
+        means, quaternions, sh, origin = rotated_fields(self.means, self.quaternions, self.sh, self.origin, rotation)
+        return replace(self, means=means, quaternions=quaternions, sh=sh, origin=origin)
+
+    def validate(self) -> Gaussians:
+        """Returns self.
+
+        Raises InputError that names the field and the first bad index: wrong shape, dtype or device, NaN or infinity,
+        scale not above 0, opacity outside [0, 1] (zero is invisible, but no error), zero quaternion.
+        """
+        self.validate_layout()
+        if self.count == 0:
+            return self
+        for name, tensor in self.fields().items():
+            low, high = _extremes(tensor)
+            if not (math.isfinite(low) and math.isfinite(high)):
+                _complain(torch.isfinite(tensor), name, tensor, "a finite number")
+            if name == "scales" and low <= 0:
+                _complain(tensor > 0, name, tensor, "a standard deviation > 0")
+            if name == "opacities" and (low < 0 or high > 1):
+                _complain((tensor >= 0) & (tensor <= 1), name, tensor, "0..1")
+        if not self.quaternions.any(-1).all():
+            _complain(self.quaternions.any(-1), "quaternions", self.quaternions, "not all four zero")
+        return self
+
+    def validate_layout(self) -> None:
+        """Raises InputError that names the field with a wrong type, shape, dtype or device; reads no values."""
+        self._expect_tensors()  # fields can be set
+        means = self.means
+        for name, tensor in self.fields().items():
+            if tensor.layout != torch.strided:
+                raise InputError(f"{name}: expected a dense tensor, got {tensor.layout}")
+        if means.ndim not in (2, 3):
+            raise InputError(f"means: expected shape [N, 3] or [B, N, 3], got {list(means.shape)}")
+        if means.device.type not in ("cpu", "cuda"):
+            raise InputError(f"means: expected a tensor on the CPU or CUDA, got {means.device}")
+        if means.dtype not in (torch.float32, torch.float64):
+            way_out = "; convert them with gaussians.to(torch.float32), or each field with .float()"
+            raise InputError(
+                f"means: expected float32 or float64, got {means.dtype}"
+                f"{way_out if means.dtype in (torch.float16, torch.bfloat16) else ''}"
+            )
+        lead = means.shape[:-1]
+        shapes = {
+            "means": (*lead, 3),
+            "quaternions": (*lead, 4),
+            "scales": (*lead, 3),
+            "opacities": lead,
+            "sh": (*lead, self.sh.shape[-2] if self.sh.ndim >= 2 else 0, 3),
+        }
+        for name, tensor in self.fields().items():
+            if tuple(tensor.shape) != tuple(shapes[name]):
+                raise InputError(
+                    f"{name}: expected shape {list(shapes[name])} beside means {list(means.shape)}, "
+                    f"got {list(tensor.shape)}"
+                )
+            if tensor.dtype != means.dtype or tensor.device != means.device:
+                raise InputError(
+                    f"{name}: expected {means.dtype} on {means.device} as means, got {tensor.dtype} on {tensor.device}"
+                )
+        if self.sh.shape[-2] not in SH_COEFFICIENTS:
+            raise InputError(f"sh: expected 1, 4, 9 or 16 coefficients (degree 0..3), got {self.sh.shape[-2]}")
+        if not is_row(self.origin, 3):
+            raise InputError(f"origin: expected three numbers, got {shown(self.origin)}")
+        for value in self.origin:
+            real_number("origin", value, -1e300, 1e300)
+
+    @staticmethod
+    def load(path: str | Path, *, skip_invalid: bool = False) -> Gaussians:
+        """Reads a standard 3DGS .ply: float32, CPU. What looks wrong is a warning, and so is an origin.
+
+        skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.scene.files.read_scene,
+        which tells more of the file.
+        """
+        stored = read_stored(path, skip_invalid=skip_invalid)
+        gaussians = of_arrays(stored.fields, stored.origin)
+        for words in stored.notes:
+            warnings.warn(f"{path}: {words}", stacklevel=2)
+        if any(gaussians.origin):
+            warnings.warn(
+                f"{path}: the means are given from the origin {gaussians.origin}; cameras in the "
+                "file's coordinates fit after relative_to(gaussians.origin)",
+                stacklevel=2,
+            )
+        return gaussians
+
+    def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
+        """Writes one set of Gaussians as a standard 3DGS .ply, complete or not at all: float32, but for the centres of
+        Gaussians with an origin, which are written as double with the origin added.
+
+        comments: texts of one line each for the header, 64 KiB in all at most with it.
+        Raises InputError on a batch of sets, a set of none, on values that `validate` refuses, on comments that are no
+        single lines, or when it cannot be written.
+        """
+        if self.is_batched:
+            raise InputError(f"a .ply holds one set of Gaussians, got a batch of {self.means.shape[0]}; save one")
+        if self.count == 0:
+            raise InputError(f"{path}: there are no Gaussians to write; expected at least one")
+        values = self.detach().validate().fields()
+        ply.write(path, {name: value.cpu().double().numpy() for name, value in values.items()}, self.origin, comments)
+
+
+def _extremes(tensor: torch.Tensor) -> tuple[float, float]:
+    """Smallest and largest value; NaN where there is any. One pass, without a temporary."""
+    low, high = tensor.detach().aminmax()
+    return float(low), float(high)
+
+
+def check_finite(name: str, tensor: torch.Tensor) -> None:
+    """Raises InputError that names the first index where there is NaN or an infinity."""
+    good = torch.isfinite(tensor.detach())
+    if not bool(good.all()):
+        _complain(good, name, tensor, "a finite number")
+
+
+def _complain(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str) -> NoReturn:
+    """Raises InputError for the first index where `good` is false."""
+    index = tuple(int(i) for i in (~good).nonzero()[0])
+    raise InputError(f"{name}{list(index)}: expected {expected}, got {tensor[index].tolist()}")
+
+
+def of_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:
+    """Gaussians on the CPU that share the memory of the arrays; fields: as of Gaussians.fields, [N, ...]."""
+    return Gaussians(**{name: torch.from_numpy(array) for name, array in fields.items()}, origin=origin)

@@ -1,0 +1,1 @@
+"""Pictures of what an eye sees of a panel."""

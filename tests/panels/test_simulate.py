@@ -1,0 +1,134 @@
+"""What an eye sees: the view that the geometry of the lens demands, from every place."""
+
+import math
+
+import numpy as np
+import pytest
+from rasterizer_cases import CELLS
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.simulate import simulate
+
+BASE = dict(
+    width_px=600,
+    height_px=300,
+    views=96,
+    line_number=9.848282191911,
+    slant_tan=1 / 6,
+    phase=-2161.2,
+    cone_deg=40,
+    viewing_distance_mm=2000,
+    pixel_pitch_mm=0.19,
+)
+KINDS = [
+    {},
+    dict(slant_tan=-0.18, subpixel_order="BGR", phase=7.3),
+    dict(slant_tan=0.0, line_number=16.01),
+    dict(cone_deg=15, line_number=4.2),
+    dict(width_px=397, height_px=131),
+    dict(subpixel_cells=CELLS, cell_pattern=2, line_number=19.17),
+    dict(subpixel_cells=CELLS, cell_pattern=1),
+]
+
+
+def views_seen(panel: Panel, eye, **options) -> np.ndarray:
+    """x that the eye sees on every lens, when each sub-pixel has x/N as its colour."""
+    picture = simulate(panel.view_map(continuous=True) / panel.views, panel, eye, **options)
+    return picture * panel.views
+
+
+@pytest.mark.parametrize("change", KINDS)
+@pytest.mark.parametrize("invert", [False, True])
+@pytest.mark.parametrize("eye", [(0, 0), (31.5, 0), (-31.5, 0), (120, 0), (60, 200), (-90, -150)])
+def test_at_the_viewing_distance_one_view_fills_the_panel(change, invert, eye):
+    panel = Panel(**{**BASE, **change, "invert_views": invert})
+    zone_mm = 2 * 2000 * math.tan(math.radians(panel.cone_deg) / 2)
+    xi = (eye[0] - eye[1] * panel.slant_tan) * (-1 if invert else 1)
+    expected = panel.views * (0.5 - xi / zone_mm)
+    seen = views_seen(panel, (*eye, 2000), spread_subpixels=0.6)
+    inner = seen[2:-2, 2:-2]
+    assert inner.mean() == pytest.approx(expected, abs=0.02 * panel.views)
+    # A lens shows a view every 1/P_e of the cone; a patch of a few lenses is never further off than that.
+    assert np.abs(inner - expected).max() < panel.views / panel.line_number
+
+
+def test_right_eye_sees_small_views():
+    panel = Panel(**BASE)
+    right, left = (views_seen(panel, (x, 0, 2000)).mean() for x in (31.5, -31.5))
+    assert right < 48 < left
+
+
+def test_zones_repeat():
+    panel = Panel(**BASE)
+    zone_mm = 2 * 2000 * math.tan(math.radians(20))
+    assert views_seen(panel, (zone_mm + 50, 0, 2000)) == pytest.approx(views_seen(panel, (50, 0, 2000)), abs=0.5)
+
+
+@pytest.mark.parametrize("invert", [False, True])
+@pytest.mark.parametrize("z", [1400.0, 3000.0])
+def test_nearer_or_farther_the_view_drifts_as_rays_demand(z, invert):
+    """An eye at (0, 0, z) looks at a lens at X in the direction of an eye at the viewing distance L at X (1 - L/z)."""
+    panel = Panel(
+        **{**BASE, "slant_tan": 0.0, "line_number": 9.85, "width_px": 3000, "height_px": 40, "invert_views": invert}
+    )
+    seen = views_seen(panel, (0, 0, z))[1:-1].mean((0, 2))
+    lenses_mm = (np.arange(len(seen)) + 0.5 - len(seen) / 2) * 3000 * 0.19 / len(seen)
+    zone_mm = 2 * 2000 * math.tan(math.radians(20))
+    expected = 96 * (0.5 - (-1 if invert else 1) * lenses_mm * (1 - 2000 / z) / zone_mm)
+    kept = slice(20, -20)
+    assert np.polyfit(lenses_mm[kept], seen[kept], 1)[0] == pytest.approx(
+        np.polyfit(lenses_mm[kept], expected[kept], 1)[0], rel=0.03
+    )
+    assert np.abs(seen - expected)[kept].mean() < 2
+
+
+def test_a_picture_per_view_comes_out_whole():
+    """Interlaced from two pictures, left half of the views and right half, each eye gets its own, in its place."""
+    panel = Panel(**BASE)
+    rows, columns = np.mgrid[0:300, 0:600]
+    square = (abs(rows - 80) < 40) & (abs(columns - 450) < 40)
+    image = np.where((panel.view_map() < 48), square[..., None], 1 - 0.5 * square[..., None])
+    right, left = (simulate((255 * image).astype(np.uint8), panel, (x, 0, 2000)) for x in (300, -300))
+    assert right.shape == (round(900 / BASE["line_number"]), round(1800 / BASE["line_number"]), 3)
+    centre = int(80 / 300 * right.shape[0]), int(450 / 600 * right.shape[1])
+    assert right[centre].min() > 0.95 and right[-8, 8].max() < 0.05
+    assert abs(left[centre] - 0.5).max() < 0.05 and left[-8, 8].min() > 0.95
+
+
+def test_crosstalk_mixes_views():
+    panel = Panel(**BASE)
+    image = (panel.view_map() < 48).astype(np.float32)
+    sharp, blurred = (simulate(image, panel, (150, 0, 2000), spread)[3:-3, 3:-3].mean() for spread in (1, 4))
+    assert sharp > 0.97 and 0.6 < blurred < 0.95
+
+
+def test_number_types_agree_and_white_is_white():
+    panel = Panel(**BASE)
+    values = np.random.default_rng(0).random((300, 600, 3))
+    pictures = [
+        simulate(image, panel, (10, 0, 1900))
+        for image in (values, (values * 255).round().astype(np.uint8), (values * 65535).round().astype(np.uint16))
+    ]
+    assert np.abs(pictures[0] - pictures[1]).max() < 0.003 and np.abs(pictures[0] - pictures[2]).max() < 1e-4
+    assert simulate(np.ones((300, 600, 4), np.float32), panel, (0, 0, 700)) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    "image, change, eye, words",
+    [
+        (np.zeros((10, 10, 3)), {}, (0, 0, 2000), "10 x 10"),
+        (np.zeros((300, 600)), {}, (0, 0, 2000), "H, W, 3"),
+        (np.zeros((300, 600, 3), bool), {}, (0, 0, 2000), "bool"),
+        (None, {}, (0, 0, 0), "above 0"),
+        (None, {}, (0, 0, -5), "above 0"),
+        (None, {}, (0, math.nan, 5), "eye: y"),
+        (None, {}, (0, 0), "three numbers"),
+        (None, dict(viewing_distance_mm=None), (0, 0, 9), "lacks viewing_distance_mm"),
+        (None, dict(pixel_pitch_mm=None), (0, 0, 9), "lacks pixel_pitch_mm"),
+        (None, dict(invert_views=True), (0, 0, 0.1), "lens gap"),
+    ],
+)
+def test_nonsense_is_refused(image, change, eye, words):
+    with pytest.raises(InputError, match=words):
+        simulate(np.zeros((300, 600, 3)) if image is None else image, Panel(**{**BASE, **change}), eye)

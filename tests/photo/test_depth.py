@@ -1,0 +1,315 @@
+"""Depth maps from files, and the command line that shows a photo with one."""
+
+import json
+import re
+import zipfile
+
+import numpy as np
+import pytest
+import torch
+from command_line import PANEL, complaint, run
+from PIL import Image
+from rgbd_scene import view
+
+import lightfield_gs as lf
+from lightfield_gs import cli
+from lightfield_gs.io.images import read_image, read_info, write_image
+from lightfield_gs.photo.depth import depth_map, read_depth, read_numbers
+from lightfield_gs.show.preview import to_integers
+
+Z = np.array([[0.5, 1.0, 2.0], [4.0, 1.5, 0.8]])
+
+
+# Numbers and what they mean
+
+
+def test_millimetres(tmp_path):
+    stored = np.round(Z * 1000).astype(np.uint16)
+    stored[0, 0] = 0
+    write_image(tmp_path / "a.png", stored[..., None])
+    np.save(tmp_path / "a.npy", stored)
+    for name in ("a.png", "a.npy"):
+        depth = read_depth(tmp_path / name, scale=0.001)
+        assert depth.dtype == np.float32 and np.isnan(depth[0, 0])
+        assert np.allclose(depth.ravel()[1:], Z.ravel()[1:], rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+def test_near_and_far(tmp_path, dtype):
+    """The ends of the file's full scale; between them z is linear, or its inverse is."""
+    top = np.iinfo(dtype).max if dtype != "float32" else 1
+    share = np.array([[0, 1], [51 / 255, 204 / 255]])
+    path = tmp_path / ("a.exr" if dtype == "float32" else "a.png")
+    write_image(path, np.repeat((share * top).astype(dtype)[..., None], 3, 2))
+    assert np.allclose(read_depth(path, limits=(2, 6)), 2 + 4 * share, rtol=1e-4)
+    assert np.allclose(read_depth(path, "disparity", limits=(2, 6)), 1 / (1 / 6 + share / 3), rtol=1e-4)
+    assert read_depth(path, "disparity", limits=(2, 6))[0].tolist() == [6, 2]
+
+
+def test_floats_are_distances_or_their_inverse(tmp_path):
+    write_image(tmp_path / "z.exr", Z.astype(np.float32)[..., None])
+    np.save(tmp_path / "d.npy", 50 / Z)
+    np.save(tmp_path / "h.npy", Z.astype(np.float16))
+    assert np.array_equal(read_depth(tmp_path / "z.exr"), Z.astype(np.float32))
+    assert np.allclose(read_depth(tmp_path / "d.npy", "disparity", scale=50), Z, rtol=1e-6)
+    assert np.allclose(read_depth(tmp_path / "h.npy"), Z, rtol=1e-3)
+
+
+def test_what_is_infinitely_far_is_far_or_left_out_as_asked(tmp_path):
+    """Infinite distances and the disparity 0, behind all else; what is no distance at all is a hole."""
+    path = tmp_path / "i.npy"
+    np.save(path, np.array([[1, np.inf, -np.inf, np.nan, 0, -1, 2]]))
+    for kind, far, last in (("distance", 1, 2), ("disparity", 4, 0.5)):
+        expected = np.array([1, *[np.nan] * 5, last])
+        assert np.array_equal(read_depth(path, kind, invalid="hole"), expected[None], equal_nan=True)
+        expected[far] = 2 * np.nanmax(expected)
+        assert np.array_equal(read_depth(path, kind), expected[None], equal_nan=True)
+    np.save(path, np.array([[0, 51, 255]], np.uint8))
+    assert np.isnan(read_depth(path, "disparity", limits=(2, 6), invalid="hole")).tolist() == [[True, False, False]]
+
+
+@pytest.mark.parametrize(
+    "array, options, words",
+    [
+        (np.ones((2, 3), np.uint16), {}, "whole numbers.*--depth-range"),
+        (np.ones((2, 3, 1)), {}, r"expected numbers \[H, W\]"),
+        (np.ones((2, 3), bool), {}, "bool"),
+        (np.ones((2, 3), complex), {}, "complex"),
+        (np.ones((0, 3)), {}, "0, 3"),
+        (np.zeros((2, 3)), {}, "there is none"),
+        (np.full((2, 3), np.nan), {"limits": (1, 2)}, "there is none"),
+        (np.ones((2, 3)), {"limits": (2, 1)}, "near < far"),
+        (np.ones((2, 3)), {"limits": (0, 1)}, "> 0"),
+        (np.ones((2, 3)), {"limits": (1, np.inf)}, "> 0"),
+        (np.ones((2, 3)), {"scale": 0}, "> 0"),
+        (np.ones((2, 3)), {"scale": float("nan")}, "> 0"),
+        (np.full((2, 3), 1.5), {"limits": (1, 2)}, "0..1, got 1.5..1.5"),
+        (np.ones((2, 3), np.int32), {"limits": (1, 2)}, "uint8, uint16"),
+        (np.ones((2, 3)), {"limits": (1, 2), "scale": 1}, "not both"),
+        (np.ones((2, 3)), {"kind": "height"}, "disparity"),
+    ],
+)
+def test_numbers_that_make_no_depth(tmp_path, array, options, words):
+    np.save(tmp_path / "a.npy", array)
+    with pytest.raises(lf.InputError, match=words) as caught:
+        read_depth(tmp_path / "a.npy", **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_maps_that_are_almost_grey(tmp_path):
+    """Saved in colour, as by a JPEG; or in two channels alone."""
+    grey = np.repeat(np.arange(0, 240, 20, dtype=np.uint8).reshape(3, 4, 1), 3, 2)
+    for change, expected in (((0, 0, 1), grey[..., 0]), ((-3, 3, 0), grey[..., 0])):
+        write_image(tmp_path / "a.png", (grey.astype(int) + np.array(change)).clip(0, 255).astype(np.uint8))
+        numbers = read_numbers(tmp_path / "a.png")
+        assert np.abs(numbers.values.astype(int) - expected).max() <= 1 and "almost grey" in numbers.notes[0]
+    grey[..., 2] = 255
+    write_image(tmp_path / "a.png", grey)
+    assert np.array_equal(read_numbers(tmp_path / "a.png").values, grey[..., 0])
+    Image.fromarray(grey[..., :2], "LA").save(tmp_path / "a.png")
+    assert np.array_equal(read_numbers(tmp_path / "a.png").values, grey[..., 0])
+
+
+def test_an_archive_of_arrays(tmp_path):
+    path = tmp_path / "a.npz"
+    for names, kind in (
+        ({"depth": Z, "focallength_px": np.array(50.0), "canonical": np.ones((2, 3))}, None),
+        ({"x": Z.T.copy().T}, None),
+        ({"disparity": 1 / Z, "other": Z}, "disparity"),
+    ):
+        np.savez_compressed(path, **names)
+        numbers = read_numbers(path)
+        assert numbers.kind == kind and numbers.focal_px == (50 if "depth" in names else None)
+        assert np.allclose(depth_map(path, numbers).z, Z)
+    np.savez(path, first=Z, second=Z)
+    with pytest.raises(lf.InputError, match="a.npz: expected a depth map .* named depth, .* holds first, second"):
+        read_numbers(path)
+    stored = path.read_bytes()
+    for damaged in (b"", b"hello", stored[:-30], stored[:200], stored.replace(b"(2, 3)", b"(9**9)")):
+        path.write_bytes(damaged)
+        with pytest.raises(lf.InputError, match="a.npz"):
+            read_numbers(path)
+
+
+def test_an_archive_that_would_fill_the_memory(tmp_path):
+    """A few kilobytes that say they are 16 GB."""
+    header = np.lib.format.header_data_from_array_1_0(np.ones((1, 1)))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open("depth.npy", "w") as file:
+            np.lib.format.write_array_header_1_0(file, {**header, "shape": (1 << 14, 1 << 17)})
+            file.write(bytes(1 << 20))
+    with pytest.raises(lf.InputError, match="'depth.npy' is damaged, too large"):
+        read_numbers(tmp_path / "a.npz")
+
+
+def test_files_that_are_no_depth_map(tmp_path):
+    write_image(tmp_path / "colour.png", np.arange(12, dtype=np.uint8).reshape(2, 2, 3))
+    (tmp_path / "text.png").write_text("hello")
+    (tmp_path / "text.npy").write_text("hello")
+    for name, words in (
+        ("colour.png", "in colour"),
+        ("text.png", "not an image"),
+        ("text.npy", "not a .npy"),
+        ("no.npy", "cannot read"),
+        ("no.png", "cannot read"),
+    ):
+        with pytest.raises(lf.InputError, match=f"{name}.*{words}|{words}.*{name}"):
+            read_depth(tmp_path / name, limits=(1, 2))
+
+
+# The command
+
+
+def write_scene() -> np.ndarray:
+    """photo.png and depth.exr of the known scene; the photo."""
+    colours, depth, _ = view(60, 40, 50.0)
+    write_image("photo.png", to_integers(colours, 8))
+    write_image("depth.exr", depth.astype(np.float32)[..., None])
+    return read_image("photo.png")
+
+
+def test_encode_of_a_photo_with_depth_is_the_library_call(folder, capsys):
+    photo = write_scene()
+    depth = read_image("depth.exr")[..., 0]
+    out = run(
+        capsys,
+        "encode photo.png --depth depth.exr --intrinsics 50,50,30,20 -o o.exr --panel p.yaml "
+        "--device cpu --save-rig r.yaml --save-gaussians g.ply",
+    )
+    gaussians = lf.from_depth(photo, depth, (50, 50), (30, 20))
+    rig = lf.Rig.frame(gaussians, PANEL, np.eye(4))
+    expected = lf.encode(gaussians, PANEL, rig, output="float32").numpy()
+    assert np.array_equal(read_image("o.exr"), expected) and "depth" in out and "network" not in out
+    assert lf.Rig.from_yaml("r.yaml").to_dict() == rig.to_dict()
+    assert torch.allclose(lf.Gaussians.load("g.ply").means, gaussians.means)
+    assert json.loads(read_info("o.exr").metadata["encoding"])["depth"]["file"] == "depth.exr"
+
+
+def test_every_way_to_say_the_depth(folder, capsys):
+    write_scene()
+    depth = read_image("depth.exr")[..., 0].astype(np.float64)
+    write_image("mm.png", np.round(depth * 1000).astype(np.uint16)[..., None])
+    write_image("near.png", np.round((1 / depth - 1 / 6) / (1 - 1 / 6) * 65535).astype(np.uint16)[..., None])
+    for number, options in enumerate(
+        ("depth.exr", "mm.png --depth-scale 0.001", "near.png --depth-kind disparity --depth-range 1,6")
+    ):
+        run(
+            capsys,
+            f"encode photo.png -o {number}.png --panel p.yaml --fov 70 --save-gaussians {number}.ply --depth "
+            + options,
+        )
+    scenes = [lf.Gaussians.load(f"{number}.ply") for number in range(3)]
+    for other in scenes[1:]:
+        assert torch.allclose(scenes[0].means[:2400], other.means[:2400], atol=2e-3)
+    half = scenes[0].means[:60, 0] / scenes[0].means[:60, 2]
+    assert float(half[-1]) == pytest.approx(np.tan(np.radians(35)) * 59 / 60, rel=1e-4)
+
+
+def test_a_mask_cuts_the_scene(folder, capsys):
+    write_scene()
+    mask = np.zeros((40, 60, 1), np.uint8)
+    mask[10:30, 20:40] = 255
+    write_image("mask.png", mask)
+    run(capsys, "encode photo.png --depth depth.exr --mask mask.png -o o.png --panel p.yaml --save-gaussians g.ply")
+    means = lf.Gaussians.load("g.ply").means[:400]
+    assert means[:, 0].div(means[:, 2]).abs().max() < 10 / 52  # the middle 20 of 60 columns, 60 degrees wide
+
+
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ("encode photo.png --depth mm.png", "whole numbers"),
+        ("encode photo.png --depth small.npy", "size 60 x 40, got 7 x 5"),
+        ("encode s.ply --depth depth.exr", "--depth is for photos"),
+        ("encode s.ply --remove-background", "--remove-background is for photos"),
+        ("encode photo.png --depth-range 1,2", "no --depth"),
+        ("encode photo.png --fov 50", "no --depth"),
+        ("encode photo.png --depth depth.exr --checkpoint c.safetensors", "does without"),
+        ("encode photo.png --depth depth.exr --fov 0", "between 0 and 180"),
+        ("encode photo.png --depth depth.exr --fov 50 --intrinsics 1,1,1,1", "place of --fov"),
+        ("encode photo.png --depth depth.exr --intrinsics -1,1,1,1", "--intrinsics: .* > 0 px"),
+        ("encode photo.png --depth mm.png --depth-scale 1 --depth-range 1,2", "place of --depth-range"),
+        ("encode photo.png --depth mm.png --depth-range 2,1", "near < far"),
+        ("encode photo.png --depth mm.png --depth-range 2", "2 numbers"),
+        ("encode photo.png --depth photo.png", "in colour"),
+        ("encode photo.png --depth depth.exr --intrinsics 50,50,100,20", "principal point 100,20 is outside"),
+        ("encode photo.png --depth depth.exr --intrinsics 0.8,0.8,0.5,0.5", "--intrinsics: .* 176.9 degrees .* --fov"),
+        ("encode photo.png --depth depth.exr --rgbd left", "--rgbd takes the place of --depth"),
+        ("encode photo.png --map-orientation stored", "file of its own, and there is none"),
+        ("encode photo.png --depth-invalid far", "no --depth"),
+        ("encode photo.png --rgbd right", "photo.png: its right half is in colour"),
+        ("encode odd.png --rgbd top", "odd.png: expected two halves of one size, its height is 5"),
+        ("encode photo.png --depth depth.exr --depth-kind height", "invalid choice"),
+        ("encode photo.png --mask mm.png --remove-background", "leave out one"),
+    ],
+)
+def test_complaints(folder, capsys, line, words):
+    write_scene()
+    write_image("mm.png", np.full((40, 60, 1), 1000, np.uint16))
+    np.save("small.npy", np.ones((5, 7)))
+    write_image("odd.png", np.zeros((5, 7, 3), np.uint8))
+    assert re.search(words, complaint(capsys, f"{line} -o o.png --panel p.yaml"))
+    assert not (folder / "o.png").exists()
+
+
+def test_a_command_says_what_it_took_the_photo_for(folder, capsys):
+    write_scene()
+    depth = read_image("depth.exr")[..., 0].copy()
+    depth[0, :30], depth[1, :12] = np.inf, np.nan
+    np.savez("d.npz", depth=depth, focallength_px=np.float32(50))
+    out = run(capsys, "encode photo.png --depth d.npz -o o.png --panel p.yaml --save-gaussians g.ply").splitlines()[0]
+    near, far = np.nanmin(depth), depth[np.isfinite(depth)].max()
+    assert out == (
+        f"photo.png: 60 x 40, whole picture, depth by d.npz: distance as z {near:.4g}..{far:.4g}, 1.2% "
+        f"infinitely far (put at {2 * far:.4g}), 0.5% not measured, focal length 50 px, of d.npz"
+    )
+    means = lf.Gaussians.load("g.ply").means
+    assert float(means[0, 2]) == pytest.approx(2 * far, rel=1e-5)
+    assert float(means[0, 0] / means[0, 2]) == pytest.approx(-29.5 / 50, rel=1e-5)
+
+
+def test_intrinsics_of_another_photo_are_noted(folder, capsys):
+    write_scene()
+    for intrinsics, words in (("50,50,20,20", "far off its middle"), ("400,400,30,20", "8.578 degrees")):
+        line = f"encode photo.png --depth depth.exr --intrinsics {intrinsics} -o o.png --panel p.yaml"
+        assert cli.main(line.split()) == 0
+        assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("side", ["right", "left", "top", "bottom"])
+def test_a_photo_with_its_depth_map_beside_it(folder, capsys, side):
+    """By option, by its name, and hinted at where neither says it."""
+    colours, depth, _ = view(60, 40, 50.0)
+    near = (1 / depth - 1 / 6) / (1 - 1 / 6)
+    parts = [to_integers(colours, 8), to_integers(near[..., None].repeat(3, 2).clip(0, 1), 8)]
+    write_image("photo.png", parts[0])
+    write_image("near.png", parts[1])
+    both = np.concatenate(parts if side in ("right", "bottom") else parts[::-1], 1 if side in ("right", "left") else 0)
+    write_image("both.png", both)
+    write_image("both_rgbd.png", both)
+    rest = "-o o.png --panel p.yaml --save-gaussians"
+    run(capsys, f"encode photo.png --depth near.png --depth-kind disparity --depth-range 1,1.6 {rest} a.ply")
+    out = run(capsys, f"encode both.png --rgbd {side} {rest} b.ply")
+    assert f"depth by its {side} half: disparity" in out and "assumed; --depth-kind, --depth-range)" in out
+    run(capsys, f"encode both_rgbd.png {rest} c.ply")
+    scenes = [lf.Gaussians.load(f"{name}.ply") for name in "abc"]
+    assert torch.equal(scenes[0].means, scenes[1].means) and torch.equal(scenes[0].means, scenes[2].means)
+    assert f"--rgbd {side}" in complaint(capsys, "encode both.png -o no.png --panel p.yaml")
+
+
+def test_a_depth_map_is_turned_with_the_photo(folder, capsys):
+    write_scene()
+    exif = Image.Exif()
+    exif[0x0112] = 8
+    Image.open("photo.png").save("turned.png", exif=exif)
+    depth = read_image("depth.exr")[..., 0]
+    np.save("stored.npy", depth)
+    np.save("upright.npy", np.rot90(depth))
+    for name in ("stored", "upright"):
+        run(capsys, f"encode turned.png --depth {name}.npy -o o.png --panel p.yaml --save-gaussians {name}.ply")
+    assert torch.equal(*(lf.Gaussians.load(f"{name}.ply").means for name in ("stored", "upright")))
+    np.save("square.npy", depth[:, :40])
+    Image.open("photo.png").crop((0, 0, 40, 40)).save("square.png", exif=exif)
+    line = "encode square.png --depth square.npy -o o.png --panel p.yaml"
+    assert "--map-orientation" in complaint(capsys, line)
+    run(capsys, f"{line} --map-orientation stored")

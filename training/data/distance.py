@@ -1,0 +1,46 @@
+"""How far the cameras of a set stand from what they look at, and where the network expects that to be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.views import ObjectViews, depths_of_object
+
+OBJECT_DISTANCE = 1.3
+_NEAREST, _FARTHEST = 0.75, 1.33  # times that, of cameras that are not scaled: further off the network has no depths
+
+
+def at_object_distance(path: Path, views: ObjectViews) -> ObjectViews:
+    """The same views, their poses scaled about the origin so that the mean depth of the point looked at is
+    OBJECT_DISTANCE: the unit of length of a transforms file is arbitrary.
+
+    Raises InputError, which names the file, where that depth is unknown.
+    """
+    poses = views.camera_to_world
+    directions = poses[:, :3, 2]
+    spread, distance = np.linalg.norm(directions - directions.mean(0), axis=-1).max(), depths_of_object(poses).mean()
+    if spread < 1e-3 or distance <= 0:
+        raise InputError(
+            f"{path}: transform_matrix: the {len(poses)} cameras look in one direction, so that their "
+            "distance from the object is unknown: expected views from several sides"
+        )
+    scaled = poses.copy()
+    scaled[:, :3, 3] *= OBJECT_DISTANCE / distance
+    return replace(views, camera_to_world=scaled)
+
+
+def distance_doubt(camera_to_world: np.ndarray) -> str | None:
+    """What to do about cameras [V,4,4] that stand elsewhere than the network expects, as they may in SRN layout."""
+    if len(camera_to_world) < 2:
+        return None
+    distance = depths_of_object(camera_to_world).mean()
+    if _NEAREST < distance / OBJECT_DISTANCE < _FARTHEST:
+        return None
+    return (
+        f"the cameras stand {distance:.2f} units from what they look at, the network expects it at "
+        f"{OBJECT_DISTANCE}: multiply the positions in the poses by {OBJECT_DISTANCE / distance:.3g}"
+    )
