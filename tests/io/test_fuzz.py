@@ -9,6 +9,8 @@ from fuzzing.readers import READERS, attempt, corpus, memory_limit
 
 INPUTS = 1000
 
+pytestmark = pytest.mark.not_sanitized
+
 
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_files_are_refused_or_read(name, tmp_path):
