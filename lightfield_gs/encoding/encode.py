@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -131,7 +131,15 @@ def encode(
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "classic":
         image = encode_classic(
-            gaussians, panel, rig, views == "continuous", colour, _DTYPES[output], threads, counters, antialiased
+            gaussians,
+            panel,
+            cast(Rig, rig),
+            views == "continuous",
+            colour,
+            _DTYPES[output],
+            threads,
+            counters,
+            antialiased,
         )
     elif method == "sorted":
         with counters.stage("plan"):
@@ -151,12 +159,15 @@ def encode(
             quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
         )
         image = torch.ops.lightfield_gs.render_lens(
-            *gaussians.fields().values(), colour, *lens_view(panel, rig, views == "continuous").lists(), antialiased
+            *gaussians.fields().values(),
+            colour,
+            *lens_view(panel, cast(Rig, rig), views == "continuous").lists(),
+            antialiased,
         )
     else:
         image = _direct(
             gaussians,
-            lens_view(panel, rig, views == "continuous"),
+            lens_view(panel, cast(Rig, rig), views == "continuous"),
             colour,
             output,
             quality,
@@ -170,7 +181,7 @@ def encode(
         if method == "direct":
             drawn = gaussians.count - stats["gaussians_culled"]
             stats["skipped"] = {
-                "gaussians": skips.culled(gaussians, rig.world_to_camera, drawn, counters.pruned),
+                "gaussians": skips.culled(gaussians, cast(Rig, rig).world_to_camera, drawn, counters.pruned),
                 **counters.skipped,
             }
     return image

@@ -7,7 +7,8 @@ binned like an ordinary image, and only its own sub-pixels are drawn, straight i
 from __future__ import annotations
 
 from bisect import bisect_right
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -45,7 +46,7 @@ def cameras_and_plan(
     if rig is None and cameras is None:
         raise InputError("method sorted takes a rig, or cameras= with one for each view; got neither")
     if continuous:
-        if cameras is not None or view_map is not None:
+        if rig is None or cameras is not None or view_map is not None:
             raise InputError(
                 "continuous views are those of a rig and the panel's own lens: leave out cameras= and "
                 "view_map=, or use integer views"
@@ -54,7 +55,7 @@ def cameras_and_plan(
         table = places.astype(np.int32).reshape(panel.height_px, panel.width_px, 3)
         return rig.cameras_at(panel, x), SortedPlan(panel, table, len(x), device)
     if cameras is None:
-        cameras = rig.cameras(panel)
+        cameras = cast(Rig, rig).cameras(panel)
     elif cameras.world_to_camera.dim() != 3 or (cameras.width_px, cameras.height_px) != (
         panel.width_px,
         panel.height_px,
@@ -184,7 +185,7 @@ def _floats_or_bytes(out: Tensor) -> tuple[int, int]:
 
 @torch.no_grad()
 def encode_sorted(
-    fields: list[Tensor],
+    fields: Iterable[Tensor],
     cameras: Cameras,
     plan: SortedPlan,
     budget: int | None,
