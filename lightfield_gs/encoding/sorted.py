@@ -118,7 +118,12 @@ class _CpuStages:
         return work.pair_count, int(per_band.max()) if per_band.numel() else 0
 
     def composite(
-        self, work: CpuWorkspace, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+        self,
+        work: CpuWorkspace,
+        cameras: _core._Stages.Cameras,
+        lists: tuple[Tensor, Tensor],
+        background: Tensor,
+        out: Tensor,
     ) -> None:
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
         work.stats.count(
@@ -162,7 +167,9 @@ class _CudaStages:
     def counts(self, work: Any) -> Counts:
         return work.pair_count, 0
 
-    def composite(self, work: Any, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor) -> None:
+    def composite(
+        self, work: Any, cameras: _core._Stages.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+    ) -> None:
         pairs = work.tile_ranges().diff().squeeze(1)
         heaviest = torch.argsort((pairs + 1) * lists[0].diff(), descending=True)
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
@@ -323,13 +330,14 @@ class _Encoding:
         self.plan.release()
         self.resident = False
 
-    def _native_cameras(self, first: int, views: int) -> tuple[Any, list[Tensor]]:
+    def _native_cameras(self, first: int, views: int) -> tuple[_core._Stages.Cameras, list[Tensor]]:
         """The core's view of a chunk's cameras, and the tensors that it points into."""
         chosen = torch.from_numpy(self.plan.shown[first : first + views])
         cameras = self.cameras.select(chosen).to(self.scene.tensors[0])
         tensors = [t.contiguous() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
+        poses, optics, edges = (t.data_ptr() for t in tensors)
         native = self.scene.core.Cameras(
-            1, views, self.plan.width_px, self.plan.height_px, *(t.data_ptr() for t in tensors), self.antialiased
+            1, views, self.plan.width_px, self.plan.height_px, poses, optics, edges, self.antialiased
         )
         return native, tensors
 

@@ -56,9 +56,8 @@ class _DenseJob:
             check("intrinsics", intrinsics, (*lead, 4), means),
             check("limits", limits, (*lead, 5), means),
         ]
-        self.cameras = scene.core.Cameras(
-            *lead, width, height, *(t.data_ptr() for t in self.cameras_tensors), antialiased
-        )
+        poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
+        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased)
         with scene.guard:
             self.work = workspace_of(scene, self.images, width, height, stats, threads, state=state)
             if state is None:
