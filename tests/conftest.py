@@ -6,6 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+
+# Before torch: it compiles in this process, not in some that import all of it first.
+os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")
+
 import torch
 
 import lightfield_gs

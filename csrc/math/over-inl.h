@@ -59,8 +59,8 @@ HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_REST
   return stop;
 }
 
-// dL/dalpha; `prefix` goes on by this splat. kEstimate: divides by an estimate and a Newton step, which is quicker by
-// as much as the dense sensor has more of it to do; the lens sensor divides.
+// dL/dalpha; `prefix` goes on by this splat. kEstimate: divides by an estimate and a Newton step, as the dense sensor
+// does; the lens sensor divides. Each keeps the last digits that its gradients have always had.
 template <bool kEstimate, class D>
 HWY_INLINE hn::Vec<D> OverAdjoint(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn::Vec<D> weight, hn::Vec<D> v,
                                   const hn::TFromD<D>* HWY_RESTRICT total, hn::TFromD<D>* HWY_RESTRICT prefix) {

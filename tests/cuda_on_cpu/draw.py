@@ -1,12 +1,16 @@
-"""python draw.py MODULE WHAT OUT: the cases, drawn by the CUDA stages in a native module of build.py.
+"""python draw.py MODULE OUT: the cases, drawn by the CUDA stages in a native module of build.py.
 
-OUT: by torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense, of
-gradients and of norms.
+Draws each case whose name comes in a line of its input, and answers with the exit code of the process that drew it: one
+of its own for each, since some change what others rely on, which starts where all has been imported. OUT/NAME.pt: by
+torch.save, a list of images and what was counted, one for every frame of cases.py, or the numbers of dense, of
+gradients and of norms. OUT/NAME.log: what the process said.
 """
 
 from __future__ import annotations
 
+import os
 import sys
+import traceback
 from dataclasses import replace
 from pathlib import Path
 
@@ -205,5 +209,23 @@ def main(what: str) -> object:
     return [frame(what, *case) for case in cases.frames_of(what)]
 
 
+def apart(what: str, out: Path) -> int:
+    """Draws in a process of its own. Returns its exit code."""
+    process = os.fork()
+    if process:
+        return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    code = 1
+    try:
+        with (out / f"{what}.log").open("w") as log:
+            os.dup2(log.fileno(), 1), os.dup2(log.fileno(), 2)
+        torch.save(main(what), out / f"{what}.pt")
+        code = 0
+    except BaseException:
+        traceback.print_exc()
+        sys.stderr.flush()
+    os._exit(code)
+
+
 if __name__ == "__main__":
-    torch.save(main(sys.argv[2]), sys.argv[3])
+    for line in sys.stdin:
+        print(apart(line.strip(), Path(sys.argv[2])), flush=True)

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 import torch
+from photo_cases import TINY
 from PIL import Image
 from srn_scene import HEIGHT, WIDTH, look_at, write_object
-from test_model import TINY
 
 from lightfield_gs import Gaussians, InputError
 from lightfield_gs.models import ModelConfig, SplatterNet

@@ -367,7 +367,7 @@ def test_photo_rows(tmp_path, capsys):
                 "--threads",
                 "1,2",
                 "--model",
-                "default",
+                "small",
                 "--repeats",
                 "1",
                 "--json",
@@ -377,7 +377,7 @@ def test_photo_rows(tmp_path, capsys):
         == 0
     )
     rows = json.loads(path.read_text())["rows"]
-    assert [row["threads"] for row in rows] == [1, 2] and rows[0]["model"] == "default"
+    assert [row["threads"] for row in rows] == [1, 2] and rows[0]["model"] == "small"
     for row in rows:
         assert list(row["stages_ms"]) == ["crop", "network", "framing", "encode"]
         assert min(row["stages_ms"].values()) > 0 and row["decode_ms"] > 0

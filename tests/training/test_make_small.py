@@ -18,7 +18,7 @@ from training.data.validate import problems
 from training.evaluation import azimuths_from_source
 from training.train import read_config
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs/training"
+CONFIGS = Path(__file__).resolve().parents[2] / "configs/training"
 
 
 @pytest.fixture(scope="module")

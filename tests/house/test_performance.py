@@ -5,7 +5,7 @@ They see more pairs, more evaluations, more memory; the ratios see an evaluation
 counter counts. Those are of processor time, which others on the machine do not add to, each the least of several runs
 by turns, and tried again before they fail. A slower `direct` or training step makes its ratio fall.
 
-After a change that is meant, and on a machine with nothing else to do: python tests/test_performance.py --renew
+After a change that is meant, and on a machine with nothing else to do: python tests/house/test_performance.py --renew
 """
 
 from __future__ import annotations

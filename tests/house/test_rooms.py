@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 # From the ground up: a room imports itself and rooms above it in this list, never one below. The package's own names
 # (lightfield_gs, its version) and the native module belong to the ground.

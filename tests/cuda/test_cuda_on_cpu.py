@@ -22,7 +22,7 @@ from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.rasterizer import frame_cuda
 from lightfield_gs.rasterizer.quality import QUALITIES
 
-FOLDER = Path(__file__).parent / "cuda_on_cpu"
+FOLDER = Path(__file__).parents[1] / "cuda_on_cpu"
 CSRC = FOLDER.parents[1] / "csrc"
 
 if platform.machine() != "x86_64" or shutil.which("g++") is None or not Path("/usr/include/hwy").exists():
@@ -60,23 +60,40 @@ DRAWN = (
 )
 
 
-class Drawings:
-    """What draw.py draws, each in a process of its own that has one thread: all of it from the last on, while tests ask
-    for it from the first on and draw themselves what has not begun."""
+class Drawer:
+    """A draw.py that runs, and draws one thing after the other."""
 
     def __init__(self, module: str, folder: Path):
-        self.module, self.folder, self.pool = module, folder, ThreadPoolExecutor(1)
-        self.begun = {what: self.pool.submit(self._draw, what) for what in reversed(DRAWN)}
+        command = [sys.executable, FOLDER / "draw.py", module, folder]
+        self.folder = folder
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def __call__(self, what: str) -> Any:
-        return self._draw(what) if self.begun[what].cancel() else self.begun[what].result()
+        print(what, file=self.process.stdin, flush=True)
+        code = self.process.stdout.readline().strip()
+        assert code == "0", f"{code}: {(self.folder / f'{what}.log').read_text()[-2000:]}"
+        return torch.load(self.folder / f"{what}.pt", weights_only=True)
 
-    def _draw(self, what: str) -> Any:
-        out = self.folder / f"{what}.pt"
-        command = [sys.executable, FOLDER / "draw.py", self.module, what, out]
-        run = subprocess.run(command, capture_output=True, text=True)
-        assert run.returncode == 0, run.stderr[-2000:]
-        return torch.load(out, weights_only=True)
+    def end(self) -> None:
+        self.process.stdin.close()
+        self.process.wait()
+
+
+class Drawings:
+    """What is drawn by two at a time: by one all of it from the last on, while tests ask for it from the first on and
+    have the other draw what has not begun."""
+
+    def __init__(self, module: str, folder: Path):
+        self.asked, self.ahead = (Drawer(module, folder) for _ in range(2))
+        self.pool = ThreadPoolExecutor(1)
+        self.begun = {what: self.pool.submit(self.ahead, what) for what in reversed(DRAWN)}
+
+    def __call__(self, what: str) -> Any:
+        return self.asked(what) if self.begun[what].cancel() else self.begun[what].result()
+
+    def end(self) -> None:
+        self.pool.shutdown(cancel_futures=True)
+        self.asked.end(), self.ahead.end()
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +108,7 @@ def drawn(tmp_path_factory) -> Iterator[Drawings]:
     )
     drawings = Drawings(built.stdout.strip(), out)
     yield drawings
-    drawings.pool.shutdown(cancel_futures=True)
+    drawings.end()
 
 
 @pytest.mark.parametrize(

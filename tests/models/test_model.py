@@ -8,6 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from photo_cases import TINY
 
 from lightfield_gs import Cameras, InputError, render
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -16,12 +17,6 @@ from lightfield_gs.models.composer import parameter_groups
 from lightfield_gs.models.crop import Square, crop_resize, object_square
 from lightfield_gs.models.initializer import describe_pixels
 from lightfield_gs.models.splatter_net import PRETRAINED
-
-TINY = {
-    "image_size_px": 32,
-    "features": 16,
-    "unet": {"base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [16], "heads": 2},
-}
 
 
 def tiny_net(**changes) -> SplatterNet:

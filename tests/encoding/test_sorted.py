@@ -267,7 +267,7 @@ def test_the_process_grows_by_no_more_than_the_budget(budget):
     # Buffers then go back to the system when they are freed, and what stays is what is in use
     environment = {**os.environ, "MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
     done = subprocess.run(
-        [sys.executable, "-c", RESIDENT, str(Path(__file__).parent), str(budget)],
+        [sys.executable, "-c", RESIDENT, str(Path(__file__).parents[1]), str(budget)],
         capture_output=True,
         text=True,
         check=True,

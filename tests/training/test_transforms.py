@@ -10,10 +10,10 @@ import pytest
 import torch
 import yaml
 from faulty_set import assert_fault_is_named
+from photo_cases import TINY
 from PIL import Image
 from srn_scene import HEIGHT, WIDTH, look_at, write_object
 from test_evaluate import ANGLES, KnownScene
-from test_model import TINY
 from transforms_scene import OPENGL, edit, write_transforms
 
 from lightfield_gs import Gaussians, InputError, cli

@@ -226,7 +226,7 @@ def entries() -> dict:
         ),
         "load_photo": (load_photo, dict(path=CAT, mask=None, remove_background=False, whole=False)),
         "Panel.load": (Panel.load, dict(source="toy-8v")),
-        "load": (Gaussians.load, dict(path=Path(__file__).parent / "fuzzing/corpus/ply/degree0.ply")),
+        "load": (Gaussians.load, dict(path=Path(__file__).parents[1] / "fuzzing/corpus/ply/degree0.ply")),
         "predict": (tiny_net().predict, dict(rgba=photo(30, 40))),
         "PhotoEncoder": (PhotoEncoder, dict(net=tiny_net(), panel=PANEL) | options),
         "a PhotoEncoder": (PhotoEncoder(tiny_net(), PANEL), dict(rgba=photo(30, 40), stats=None)),
