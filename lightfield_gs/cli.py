@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import signal
 import sys
 import time
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import NoReturn, cast
 
 from lightfield_gs.base.complaint import assumptions_said, complain
 from lightfield_gs.base.errors import InputError
@@ -42,7 +43,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     began = time.perf_counter() - (time.process_time() if argv is None else 0)
     arguments = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
-        sys.stdout.reconfigure(errors="backslashreplace")  # what files are called, or hold, may be no text
+        # What files are called, or hold, may be no text
+        cast(io.TextIOWrapper, sys.stdout).reconfigure(errors="backslashreplace")
     try:
         args = build_parser(*arguments[:1]).parse_args(_joined(arguments), argparse.Namespace(began=began))
         with assumptions_said():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, cast
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
@@ -24,7 +24,7 @@ def _missing_for_cuda() -> str | None:
 
     from lightfield_gs import build_info
 
-    if "cuda" not in build_info()["devices"]:
+    if "cuda" not in cast(list[str], build_info()["devices"]):
         return "this build has no CUDA stages; install it with nvcc on the PATH and -C cmake.define.LFGS_CUDA=ON"
     if torch.version.cuda is None:
         return f"this torch, {torch.__version__}, is a CPU build; install a CUDA build of torch"

@@ -6,11 +6,12 @@ import statistics
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.options import Method
 from lightfield_gs.bench.peers import PEERS
 from lightfield_gs.bench.timing import timed
 from lightfield_gs.encoding.encode import encode
@@ -60,7 +61,7 @@ def measure(
         peer = PEERS[method](gaussians, panel, rig)
         image, times = timed(peer, True, repeats)
         return Measurement(image, times, *_counted_on_cuda(peer.counted, image))
-    draw = partial(encode, gaussians, panel, rig, method, threads=threads, memory_budget=memory_budget)
+    draw = partial(encode, gaussians, panel, rig, cast(Method, method), threads=threads, memory_budget=memory_budget)
     if not gaussians.means.is_cuda:
         return _measure_on_cpu(draw, repeats)
 

@@ -73,7 +73,7 @@ def _time_table(rows: list[dict[str, Any]]) -> list[str]:
 
 def _memory_table(rows: list[dict[str, Any]]) -> list[str]:
     """A line for each row: what each stage holds, where the method tells; else the work memory as a whole."""
-    lines = [("scene", "method", *STAGES, "all work memory", "paper")]
+    lines: list[tuple[str, ...]] = [("scene", "method", *STAGES, "all work memory", "paper")]
     for row in rows:
         before, after = row["memory_bytes_unchunked"], row["memory_bytes"]
         stages = [

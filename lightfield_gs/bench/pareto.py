@@ -133,7 +133,8 @@ def rows(
     for name, (quality, cut) in chosen.items():
         if cut not in scenes:
             scenes[cut] = replace(subject, gaussians=prune(subject.gaussians, subject.panel, subject.rig, cut))
-        drawn, stats = scenes[cut], {}
+        drawn = scenes[cut]
+        stats: dict[str, Any] = {}
         out = encode(drawn.gaussians, drawn.panel, drawn.rig, quality=quality, threads=threads, stats=stats, out=out)
         found.append(
             {

@@ -110,8 +110,8 @@ def _rasterize(rasterization: Any, gaussians: Gaussians, cameras: Cameras) -> tu
     """gsplat's images [..., C, H, W, 3] before white and their coverage [..., C, H, W, 1], its numerics as ours."""
     lead, count = gaussians.means.shape[:-2], cameras.count
     intrinsics = torch.zeros(count, 3, 3, dtype=gaussians.dtype, device=gaussians.device)
-    intrinsics[:, 0, 0], intrinsics[:, 1, 1] = cameras.focal_px.unbind(-1)
-    intrinsics[:, :2, 2], intrinsics[:, 2, 2] = cameras.principal_point_px, 1
+    intrinsics[:, 0, 0], intrinsics[:, 1, 1], intrinsics[:, 0, 2], intrinsics[:, 1, 2] = cameras.intrinsics().unbind(-1)
+    intrinsics[:, 2, 2] = 1
     degree = gaussians.sh_degree
     colours = gaussians.sh if degree else (0.5 + SH_CONSTANT * gaussians.sh[..., 0, :]).clamp_min(0)
     image, coverage, _ = rasterization(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import statistics
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from lightfield_gs.models.splatter_net import PRETRAINED
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo.encoder import PhotoEncoder
 from lightfield_gs.photo.load import load_photo
+from lightfield_gs.scene.gaussians import Gaussians
 
 EXAMPLE = Path(__file__).parent.parent / "data" / "cat.png"
 STAGES = ("crop", "network", "framing", "encode")
@@ -55,7 +56,7 @@ def row(
             "height_px": rgba.shape[0],
             "width_px": rgba.shape[1],
             "model": model or PRETRAINED.name,
-            "gaussians": encoder.gaussians.count,
+            "gaussians": cast(Gaussians, encoder.gaussians).count,  # of the photo just drawn
             "panel": panel.name,
             "device": device,
             "threads": torch.get_num_threads(),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 ZERO_DEPTH = 2.0
 NARROW_PX = 40.0  # disparity over all views of a point at 4/5 of the zero plane's depth, cone "narrow"
@@ -122,7 +123,7 @@ def cone_degrees(cone: str | float | None, panel: Panel, focal_px: float) -> flo
         return 2 * math.degrees(math.atan(2 * NARROW_PX / focal_px))
     if cone == "wide":
         return WIDE_DEG
-    return panel.cone_deg if cone is None else cone
+    return panel.cone_deg if cone is None else cast(float, cone)  # _cones lets no other names through
 
 
 def benchmark_rig(scene: str, gaussians: Gaussians, panel: Panel, cone: str | float | None) -> Rig:
@@ -144,4 +145,4 @@ def _gaussians(
     stored = colours.astype(np.float32)
     harmonics = (stored.astype(np.float64)[:, None, :] - 0.5) / SH_CONSTANT
     fields = (np.ascontiguousarray(field, np.float32) for field in (means, unit, scales, opacities, harmonics))
-    return Gaussians(*(torch.from_numpy(field) for field in fields))
+    return of_tensors(torch.from_numpy(field) for field in fields)

@@ -28,7 +28,7 @@ from lightfield_gs.rasterizer.images import background_tensor
 from lightfield_gs.rasterizer.lens import draw_lens
 from lightfield_gs.rasterizer.lens_job import COLOUR_ORDERS, LensJob
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 SCENES = ("cloud:65536",)
 OPACITY_CUT, LATTICE_ERROR = QUALITIES["fast"].opacity_cut, QUALITIES["high"].lattice_error
@@ -155,11 +155,11 @@ def _counted(subject: Subject, quality: Quality = EXACT) -> dict[str, Any]:
 def _culling(subject: Subject, skipped: dict[str, Any]) -> Skip:
     """The scene with as many Gaussians again behind the cameras, and by itself."""
     scene = subject.gaussians
-    *forward, shift = (float(value) for value in subject.rig.world_to_camera[2])
-    forward = scene.means.new_tensor(forward)
+    *axis, shift = (float(value) for value in subject.rig.world_to_camera[2])
+    forward = scene.means.new_tensor(axis)
     depths = scene.means @ forward + shift
     behind = replace(scene, means=scene.means - (depths + depths.abs() + 1)[:, None] * forward)
-    both = Gaussians(*(torch.cat(pair) for pair in zip(scene.fields().values(), behind.fields().values())))
+    both = of_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), behind.fields().values()))
     return Skip(
         "culling",
         ", ".join(f"{n} {why}" for why, n in skipped["gaussians"].items()),
@@ -179,15 +179,14 @@ def _empty_tiles(subject: Subject, skipped: dict[str, Any]) -> Skip:
     )
     depth = 2 * float((scene.means @ rotation[2] + shift[2]).clamp_min(rig.zero_depth).max())
     mean = (torch.tensor([0, 0, depth], dtype=scene.dtype, device=scene.device) - shift) @ rotation
-    like = {"dtype": scene.dtype, "device": scene.device}
     veil = (
         mean[None],
-        torch.tensor([[1.0, 0, 0, 0]], **like),
-        torch.full((1, 3), 10 * depth, **like),
-        torch.full((1,), 1.1 / 255, **like),
+        scene.means.new_tensor([[1.0, 0, 0, 0]]),
+        scene.means.new_full((1, 3), 10 * depth),
+        scene.means.new_full((1,), 1.1 / 255),
         torch.zeros_like(scene.sh[:1]),
     )
-    veiled = Gaussians(*(torch.cat(pair) for pair in zip(scene.fields().values(), veil)))
+    veiled = of_tensors(torch.cat(pair) for pair in zip(scene.fields().values(), veil))
     empty = skipped.get("tiles", {}).get("empty")
     return Skip(
         "empty tiles",
@@ -263,13 +262,13 @@ def _reuse(subject: Subject) -> Iterator[Skip]:
         def draw_anew(scene: Gaussians, rig: Rig) -> Tensor:
             return encode(scene, subject.panel, rig)
 
-        films = [
-            _Film(Gaussians(*(t.clone() for t in subject.gaussians.fields().values())), subject.rig, change, draw)
+        film, anew = (
+            _Film(of_tensors(t.clone() for t in subject.gaussians.fields().values()), subject.rig, change, draw)
             for draw in (repeat, draw_anew)
-        ]
+        )
         for _ in range(3):
-            films[0]()
+            film()
         before = dict(encoder.stats["reused"])
-        films[0]()
+        film()
         spared = [stage for stage, n in encoder.stats["reused"].items() if n > before[stage]]
-        yield Skip(f"reuse, {change}", ", ".join(spared) or "no stage", *films, note)
+        yield Skip(f"reuse, {change}", ", ".join(spared) or "no stage", film, anew, note)

@@ -40,7 +40,8 @@ def timed_in_turn(
     what takes less than 50 ms on CUDA, 5 of all else. At least one run, and none begins after a minute.
     """
     clock = partial(_cuda_ms, ahead=ahead) if cuda else _wall_ms
-    warm, spent = [], 0.0
+    warm: list[float] = []
+    spent = 0.0
     while cuda and (len(warm) < WARM_UP or spent < WARM_UP_MS):
         warm.append(sum(clock(calls)[1]))
         spent += warm[-1]

@@ -97,7 +97,9 @@ def bench_case(
         "cone": "panel" if case.cone is None else case.cone,
         "cone_deg": rig.cone_deg,
     }
-    rows, comparisons, first = [], [], None
+    rows: list[dict[str, Any]] = []
+    comparisons: list[dict[str, Any]] = []
+    first = None
     for method in methods:
         budget = memory_budget if method == "sorted" else None
         measured = measure(gaussians, panel, rig, method, repeats, threads, budget)
@@ -355,9 +357,9 @@ def _check_scenes(scenes: Sequence[str], sh_degrees: Sequence[int | None] = (Non
 
 def _light_field(args: argparse.Namespace, threads: list[int | None], published: bool) -> tuple[dict[str, Any], str]:
     """Rows of every case and method, and their text. paper: its scenes and methods, unless others are named."""
-    scenes, methods = (paper.SCENES, paper.METHODS) if published else (DEFAULT_SCENES, DEFAULT_METHODS)
-    scenes = scenes if args.scene is None else args.scene.split(",")
-    methods = _methods(list(methods) if args.methods is None else args.methods.split(","), args.device)
+    usual_scenes, usual = (paper.SCENES, paper.METHODS) if published else (DEFAULT_SCENES, DEFAULT_METHODS)
+    scenes = usual_scenes if args.scene is None else args.scene.split(",")
+    methods = _methods(list(usual) if args.methods is None else args.methods.split(","), args.device)
     count = _one_thread_count(args, threads)
     if args.memory_budget is not None and "sorted" not in methods:
         raise InputError(f"--memory-budget is for the method sorted, not {', '.join(methods)}; add it to --methods")
@@ -425,7 +427,7 @@ def _thread_counts(text: str | None) -> list[int | None]:
         counts = []
     if not counts or min(counts) < 1:
         raise InputError(f"--threads: expected positive numbers with commas between, got {text!r}")
-    return counts
+    return [*counts]
 
 
 def _progress(line: str) -> None:

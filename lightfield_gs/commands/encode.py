@@ -6,7 +6,7 @@ import argparse
 import hashlib
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -169,7 +169,9 @@ def run(args: argparse.Namespace) -> None:
     if args.threads is not None:
         _use_threads(args.threads)
     device = choose_device(args.device)
-    given, rig, said = read_given(args, panel), None, []
+    given = read_given(args, panel)
+    rig: Rig | None = None
+    said: list[str] = []
     views = _views(args, panel)
     lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
     if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
@@ -189,7 +191,7 @@ def run(args: argparse.Namespace) -> None:
             rig, said = choose_rig(given, args, panel, gaussians, file)
         rig_of_file = rig and rig.relative_to([-part for part in gaussians.origin])
         stats: dict = {}
-        image = encode(
+        drawn = encode(
             gaussians,
             panel,
             rig,
@@ -203,11 +205,12 @@ def run(args: argparse.Namespace) -> None:
             antialiased=args.antialiased,
             **views,
         )
-        image = image.cpu().numpy()
+        image = drawn.cpu().numpy()
+        del drawn  # a device has other use for its memory
         watch.lap("image", stats["stages_ms"])
         write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig_of_file), args.compression)
         if args.save_rig is not None:
-            rig_of_file.to_yaml(args.save_rig)
+            cast("Rig", rig_of_file).to_yaml(args.save_rig)
         if args.save_gaussians is not None:
             gaussians.save(args.save_gaussians, comments_of(args, panel, file, rig_of_file))
             said.append(f"{args.save_gaussians}: the Gaussians in their own axes, with the framing and what is up")
@@ -215,7 +218,7 @@ def run(args: argparse.Namespace) -> None:
         if args.preview is not None:
             from lightfield_gs.show.preview import write_preview
 
-            write_preview(args.preview, image, gaussians, panel, rig, args.background, args.antialiased)
+            write_preview(args.preview, image, gaussians, panel, cast("Rig", rig), args.background, args.antialiased)
             watch.lap("preview")
             if why := why_no_eye(panel):
                 note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
@@ -356,7 +359,7 @@ def scene_hash(gaussians: Gaussians) -> str:
     """SHA-256 of the five fields as little-endian float32, one after the other, hexadecimal."""
     digest = hashlib.sha256()
     for tensor in gaussians.fields().values():
-        digest.update(np.ascontiguousarray(tensor.detach().cpu().numpy(), "<f4"))
+        digest.update(np.ascontiguousarray(tensor.detach().cpu().numpy(), "<f4").data)
     return digest.hexdigest()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
+from typing import cast
 
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
@@ -81,11 +82,9 @@ def _doubt_of_eye(panel: Panel, eye_mm: tuple[float, float, float]) -> str | Non
     Along the slant of the lenses the view stays the same, so that only the rest of the way counts for the cone.
     """
     x, y, z = eye_mm
-    if not 0.1 <= z / panel.viewing_distance_mm <= 10:
-        return (
-            f"the eye is {z:g} mm from the panel, which is made for {panel.viewing_distance_mm:g} mm: "
-            "views repeat or mix"
-        )
+    distance_mm = cast(float, panel.viewing_distance_mm)  # or the eye would have had no place
+    if not 0.1 <= z / distance_mm <= 10:
+        return f"the eye is {z:g} mm from the panel, which is made for {distance_mm:g} mm: views repeat or mix"
     aside_deg = math.degrees(math.atan2(abs(x - y * panel.slant_tan), z))
     if aside_deg > panel.cone_deg / 2:
         return (

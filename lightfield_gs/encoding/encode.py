@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -84,12 +84,12 @@ def encode(
     colour = background_tensor(background, gaussians.means).reshape(-1)
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "direct":
-        view = lens_view(panel, rig, continuous)
+        view = lens_view(panel, cast(Rig, rig), continuous)
         counted = None if stats is None else counters
         image = encode_direct(gaussians, view, colour, output, quality, threads, counted, out, antialiased)
     elif method == "classic":
         image = encode_classic(
-            gaussians, panel, rig, continuous, colour, DTYPES[output], threads, counters, antialiased
+            gaussians, panel, cast(Rig, rig), continuous, colour, DTYPES[output], threads, counters, antialiased
         )
     else:
         with counters.stage("plan"):
@@ -99,7 +99,7 @@ def encode(
         stats.update(counters.report(gaussians.count, image.numel()))
         if method == "direct":
             drawn = gaussians.count - stats["gaussians_culled"]
-            culled = skips.culled(gaussians, rig.world_to_camera, drawn, counters.pruned)
+            culled = skips.culled(gaussians, cast(Rig, rig).world_to_camera, drawn, counters.pruned)
             stats["skipped"] = {"gaussians": culled, **counters.skipped}
     return image
 

@@ -53,19 +53,19 @@ class CpuFrames:
         changed = {name for name, value in inputs.items() if name not in before or not _same(before[name], value)}
         if changed - {"background"}:
             gaussians.validate()
-        same_view = last is not None and last.view == view
-        if same_view and not changed and last.image is not None:
-            return last.image.clone(), set(STAGES)
+        same = last if last is not None and last.view == view else None
+        if same is not None and not changed and same.image is not None:
+            return same.image.clone(), set(STAGES)
 
         self.last = None  # what fails below leaves nothing half done
         job = LensJob(gaussians.to(dtype=self.precision).fields().values(), background, view, self.antialiased)
-        keeps = same_view and changed <= {"background"}
-        work = last.work if keeps else job.workspace(Stats(), torch.get_num_threads(), self.quality)
+        kept = same.work if same is not None and changed <= {"background"} else None
+        work = job.workspace(Stats(), torch.get_num_threads(), self.quality) if kept is None else kept
         image = job.image(self.as_bytes)
         work.composite_lens(job.native, self.quality, job.background, image)
         copies = {name: value.detach().clone() if name in changed else before[name] for name, value in inputs.items()}
-        self.last = _Drawn(copies, view, work, image.clone() if same_view and not changed else None)
-        return image, {"project", "order", "bin"} if keeps else set()
+        self.last = _Drawn(copies, view, work, image.clone() if same is not None and not changed else None)
+        return image, set() if kept is None else {"project", "order", "bin"}
 
 
 def _same(a: Tensor, b: Tensor) -> bool:

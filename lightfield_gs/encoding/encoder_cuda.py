@@ -67,17 +67,17 @@ class CudaFrames:
         gaussians: float32, contiguous. Raises InputError.
         """
         given = _Input([*gaussians.fields().values(), self._on_device(background, gaussians.means)], view)
-        shown, self.shown = self.shown, None
+        shown, self.shown, image = self.shown, None, self.image
         moved, self.last_view = self.last_view not in (None, view), view
         outgrown = self.frames is not None and self.frames.adapt()  # the last frame had not enough of something
         if outgrown or self.captured is not None and self.captured.is_outgrown():
             self.captured = None
-        elif shown and self._still_shows(given, *shown):
+        elif shown and image is not None and self._still_shows(given, *shown, _version(image)):
             self.shown = shown
-            return self.image, set(STAGES)
+            return image, set(STAGES)
         if shown is None or not given.reads(shown[0]):
             gaussians.validate()
-        kept = self._draw(given, moved)
+        self.image, kept = self._draw(given, moved)
         self.shown = given, _version(self.image)
         return self.image, kept
 
@@ -94,11 +94,11 @@ class CudaFrames:
                 kept.copy_(colour)
         return self.background[1]
 
-    def _still_shows(self, given: _Input, before: _Input, image_version: int | None) -> bool:
-        untouched = image_version is not None and image_version == _version(self.image)
+    def _still_shows(self, given: _Input, before: _Input, image_version: int | None, now: int | None) -> bool:
+        untouched = image_version is not None and image_version == now
         return self.versioned and untouched and given.view == before.view and not given.changed_since(before)
 
-    def _draw(self, given: _Input, moved: bool) -> set[str]:
+    def _draw(self, given: _Input, moved: bool) -> tuple[Tensor, set[str]]:
         if self.captured is None or not self.captured.draws(given):
             *fields, background = given.tensors
             job = LensJob(fields, background, given.view, self.antialiased)
@@ -109,11 +109,10 @@ class CudaFrames:
                     if self.moving is None or not self.moving.takes(job):
                         self.moving = Frames(job, self.quality)
                     self.frames = self.moving
-                    self.moving.draw(job, out=self.image)
-                    return set()
+                    return self.moving.draw(job, out=self.image), set()
                 self.captured = _Capture(given, job, self.image, self.quality)
         self.frames = self.captured.frames
-        return self.captured.replay(given, self.versioned)
+        return self.captured.image, self.captured.replay(given, self.versioned)
 
 
 class _Capture:
@@ -124,7 +123,8 @@ class _Capture:
         self.drawn: _Input | None = None  # last time, whose lists the frame still has
         self.frames: Frames = frames_of(job, quality)
         self.frame: Frame = self.frames.frame(job)
-        self.graph, self.recolour = self._graph(False), None
+        self.graph = self._graph(False)
+        self.recolour: torch.cuda.CUDAGraph | None = None
 
     def draws(self, given: _Input) -> bool:
         return self.given.reads(given) and self.given.view == given.view
@@ -137,9 +137,10 @@ class _Capture:
         """Draws; returns the stages that were not repeated."""
         kept = versioned and given.changed_since(self.drawn) <= {_SH, _BACKGROUND}
         with self.job.scene.guard:
-            if kept and self.recolour is None:
-                self.recolour = self._graph(True)
-            (self.recolour if kept else self.graph).replay()
+            graph = self.graph
+            if kept:
+                graph = self.recolour = self.recolour or self._graph(True)
+            graph.replay()
             self.frames.mark()
         self.drawn = given
         return {"order", "bin"} if kept else set()

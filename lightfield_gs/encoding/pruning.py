@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -10,10 +10,11 @@ from torch import Tensor
 from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
+from lightfield_gs.base.options import Output
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, mapped, of_tensors
 
 
 def prune(
@@ -37,7 +38,7 @@ def prune(
     ascending = weights.sort()
     left_out = ascending.values.cumsum(0) <= contribution_cut * 3 * panel.width_px * panel.height_px
     kept = ascending.indices[~left_out].sort().values
-    return replace(gaussians, **{name: field[kept] for name, field in gaussians.fields().items()})
+    return mapped(gaussians, lambda field: field[kept])
 
 
 def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: bool = False) -> Tensor:
@@ -59,8 +60,8 @@ def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: boo
     grey = torch.zeros(gaussians.count, 1, 3, dtype=means.dtype, device=means.device)
     with torch.inference_mode(False), torch.enable_grad():
         means, *shape, grey = (t.clone() if t.is_inference() else t for t in (means, *shape, grey))
-        scene = Gaussians(means, *shape, grey.requires_grad_())
-        output = str(means.dtype).removeprefix("torch.")
+        scene = of_tensors((means, *shape, grey.requires_grad_()))
+        output = cast(Output, str(means.dtype).removeprefix("torch."))
         image = encode(scene, panel, rig, output=output, antialiased=antialiased)
         (gradient,) = torch.autograd.grad(image, grey, torch.ones_like(image))
     return gradient.double().sum((1, 2)) / SH_CONSTANT

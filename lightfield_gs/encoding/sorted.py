@@ -7,7 +7,7 @@ binned like an ordinary image, and only its own sub-pixels are drawn, straight i
 from __future__ import annotations
 
 from bisect import bisect_right
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -46,7 +46,7 @@ def cameras_and_plan(
     if rig is None and cameras is None:
         raise InputError("method sorted takes a rig, or cameras= with one for each view; got neither")
     if continuous:
-        if cameras is not None or view_map is not None:
+        if rig is None or cameras is not None or view_map is not None:
             raise InputError(
                 "continuous views are those of a rig and the panel's own lens: leave out cameras= and "
                 "view_map=, or use integer views"
@@ -55,7 +55,7 @@ def cameras_and_plan(
         table = places.astype(np.int32).reshape(panel.height_px, panel.width_px, 3)
         return rig.cameras_at(panel, x), SortedPlan(panel, table, len(x), device)
     if cameras is None:
-        cameras = rig.cameras(panel)
+        cameras = cast(Rig, rig).cameras(panel)
     elif cameras.world_to_camera.dim() != 3 or (cameras.width_px, cameras.height_px) != (
         panel.width_px,
         panel.height_px,
@@ -118,7 +118,12 @@ class _CpuStages:
         return work.pair_count, int(per_band.max()) if per_band.numel() else 0
 
     def composite(
-        self, work: CpuWorkspace, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+        self,
+        work: CpuWorkspace,
+        cameras: _core._Stages.Cameras,
+        lists: tuple[Tensor, Tensor],
+        background: Tensor,
+        out: Tensor,
     ) -> None:
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
         work.stats.count(
@@ -162,7 +167,9 @@ class _CudaStages:
     def counts(self, work: Any) -> Counts:
         return work.pair_count, 0
 
-    def composite(self, work: Any, cameras: Any, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor) -> None:
+    def composite(
+        self, work: Any, cameras: _core._Stages.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
+    ) -> None:
         pairs = work.tile_ranges().diff().squeeze(1)
         heaviest = torch.argsort((pairs + 1) * lists[0].diff(), descending=True)
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
@@ -325,13 +332,14 @@ class _Encoding:
         self.plan.release()
         self.resident = False
 
-    def _native_cameras(self, first: int, views: int) -> tuple[Any, list[Tensor]]:
+    def _native_cameras(self, first: int, views: int) -> tuple[_core._Stages.Cameras, list[Tensor]]:
         """The core's view of a chunk's cameras, and the tensors that it points into."""
         chosen = torch.from_numpy(self.plan.shown[first : first + views])
         cameras = self.cameras.select(chosen).to(self.scene.tensors[0])
         tensors = [t.contiguous() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
+        poses, optics, edges = (t.data_ptr() for t in tensors)
         native = self.scene.core.Cameras(
-            1, views, self.plan.width_px, self.plan.height_px, *(t.data_ptr() for t in tensors), self.antialiased
+            1, views, self.plan.width_px, self.plan.height_px, poses, optics, edges, self.antialiased
         )
         return native, tensors
 

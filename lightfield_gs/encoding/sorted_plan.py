@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import torch
@@ -169,11 +168,11 @@ def views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]
     )
 
 
-def _core_map(panel: Panel) -> Any:
+def _core_map(panel: Panel) -> _core.ViewMap:
     return _core.ViewMap(lens_of(panel).native())
 
 
-def _tile(views: int, width_px: int, device_type: str) -> Any:
+def _tile(views: int, width_px: int, device_type: str) -> _core.SubpixelTile:
     """The rule that SortedPlan states."""
     rows = math.sqrt(BLOCK * views / 3)
     bits = int(math.log2(_core.BAND_ROWS)) if device_type == "cpu" else min(max(round(math.log2(rows)), 2), 7)

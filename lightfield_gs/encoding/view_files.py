@@ -46,7 +46,8 @@ def read_cameras(path: str | Path, panel: Panel) -> Cameras:
         )
     _check_poses(f"{path}: world_to_camera", arrays["world_to_camera"])
     with named(path):
-        return Cameras(*(torch.from_numpy(array) for array in arrays.values()), panel.width_px, panel.height_px)
+        pose, focal, centre = (torch.from_numpy(array) for array in arrays.values())
+        return Cameras(pose, focal, centre, panel.width_px, panel.height_px)
 
 
 def read_view_map(path: str | Path, panel: Panel, views: int) -> np.ndarray:

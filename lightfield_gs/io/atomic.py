@@ -38,7 +38,8 @@ def check_outputs(outputs: Iterable[str | Path | None], inputs: Iterable[str | P
 
     None stands for a file that was not given.
     """
-    read, written = [checked_path(path) for path in inputs if path is not None], []
+    read = [checked_path(path) for path in inputs if path is not None]
+    written: list[Path] = []
     for path in (checked_path(path) for path in outputs if path is not None):
         if any(_is_same_file(path, other) for other in read):
             raise InputError(f"{path} is also an input; give the output another name")

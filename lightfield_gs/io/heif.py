@@ -7,7 +7,7 @@ import importlib
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def decoded_heif(path: Path, image: Image.Image) -> tuple[np.ndarray, int, dict[
         orientation = image.getexif().get(_ORIENTATION_TAG, 1)
     except (OSError, ValueError, SyntaxError, RuntimeError, EOFError, MemoryError) as error:
         raise InputError(f"{path} is damaged or cut: {_one_line(error)}") from error
-    colour: dict[str, Any] = {"format": image.format.lower()}
+    colour: dict[str, Any] = {"format": cast(str, image.format).lower()}  # none only of images that no file holds
     if profile := image.info.get("icc_profile"):
         colour["ICCProfile"] = profile
     elif kind := image.info.get("nclx_profile"):

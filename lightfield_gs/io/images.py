@@ -47,7 +47,7 @@ _DTYPES = {
 # Measured on an 8K frame with two cores: PNG level 0 without filter 0.2 s, 89 MB; level 1 0.5 s; OpenImageIO's default
 # 10 s where the content is busy. EXR without compression 0.5 s, zip 1.7 s. TIFF without 0.1 s, zip 7 s.
 _PNG_NO_FILTER = 8
-_SETTINGS = {
+_SETTINGS: dict[Compression, dict[str, dict[str, int | str]]] = {
     "fast": {
         ".png": {"png:compressionLevel": 0, "png:filter": _PNG_NO_FILTER},
         ".exr": {"compression": "none"},

@@ -35,7 +35,8 @@ def png_damage(path: Path, pixels: bool) -> str | None:
 
 
 def _damage(data: memoryview, pixels: bool) -> str | None:
-    place, least_bytes, packed = len(_SIGNATURE), 0, []
+    place, least_bytes = len(_SIGNATURE), 0
+    packed: list[tuple[int, int]] = []
     while place + 8 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, place)
         name = kind.decode("ascii", errors="backslashreplace")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -11,7 +12,7 @@ from torch import Tensor, nn
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.initializer import Pixels
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 # Opacity logits of untrained Gaussians inside and outside the object's mask: first layer, layers behind it. A line of
 # sight outside the mask meets nothing at all, so its Gaussians start below the visible 1/255 and cost nothing.
@@ -81,13 +82,14 @@ class DeltaComposer(nn.Module):
 
     def forward(self, raw: Tensor, pixels: Pixels) -> Gaussians:
         """raw: [B, layers * sum(groups), H, W] float32; zeros give the base Gaussians. N = layers * H * W."""
-        nearness, parts = 1.0, []
+        nearness: Tensor | float = 1.0
+        parts: list[tuple[Tensor, ...]] = []
         for index, layer in enumerate(raw.chunk(self.layers, dim=1)):
             values = dict(zip(self.groups, layer.split(list(self.groups.values()), dim=1)))
             # The share of the disparity range shrinks from layer to layer: each lies behind the one before.
             nearness = nearness * torch.sigmoid(values["depth"] + (self.base_logit if index == 0 else 0.0))
             parts.append(self._layer(values, 1 / (self.far_disparity + self.disparity_range * nearness), pixels, index))
-        return Gaussians(*(torch.cat(fields, dim=1) for fields in zip(*parts)))
+        return of_tensors(torch.cat(fields, dim=1) for fields in zip(*parts))
 
     def _layer(self, values: dict[str, Tensor], depth: Tensor, pixels: Pixels, index: int) -> tuple[Tensor, ...]:
         """Means, quaternions, scales, opacities and harmonics of one layer at depth [B,1,H,W]."""
@@ -143,5 +145,5 @@ class AbsoluteComposer(nn.Module):
             gain, bias = settings[group]
             channels *= block
             nn.init.xavier_uniform_(head.weight.data[start : start + channels], gain)
-            nn.init.constant_(head.bias.data[start : start + channels], bias)
+            nn.init.constant_(cast(Tensor, head.bias).data[start : start + channels], bias)
             start += channels

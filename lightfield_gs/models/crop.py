@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import torch
 import torch.nn.functional as F
@@ -16,25 +17,29 @@ MARGIN = 0.08
 _OBJECT_ALPHA = 0.2
 _STRIP_PIXELS = 1 << 20
 
+Number = TypeVar("Number")
+
 
 @dataclass(frozen=True)
-class Square:
+class Square(Generic[Number]):
     """A square of whole pixels: left and top edge (may be negative) and side length. It may reach beyond the image.
 
     Many squares may be one Square whose fields are arrays. Tensors [] int64 where only a device knows the numbers.
     """
 
-    left: int
-    top: int
-    side: int
+    left: Number
+    top: Number
+    side: Number
 
-    def intrinsics(self, focal: tuple[float, float], centre: tuple[float, float], size_px: int) -> list[float]:
+    def intrinsics(
+        self: Square[int], focal: tuple[float, float], centre: tuple[float, float], size_px: int
+    ) -> list[float]:
         """(fx, fy, cx, cy) in pixels after the square was cut out and resized to size_px."""
         scale = size_px / self.side
         return [focal[0] * scale, focal[1] * scale, (centre[0] - self.left) * scale, (centre[1] - self.top) * scale]
 
 
-def object_square(alpha: Tensor, margin: float = MARGIN) -> Square:
+def object_square(alpha: Tensor, margin: float = MARGIN) -> Square[int]:
     """The square round the object, centred on its bounding box, with `margin` times its longer side left on each side.
 
     alpha: [H,W], 0..1 or uint8. Raises InputError when nothing is opaque.
@@ -44,7 +49,7 @@ def object_square(alpha: Tensor, margin: float = MARGIN) -> Square:
     return Square(*(int(value) for value in (square.left, square.top, square.side)))
 
 
-def object_square_on_device(alpha: Tensor, margin: float = MARGIN) -> Square:
+def object_square_on_device(alpha: Tensor, margin: float = MARGIN) -> Square[Tensor]:
     """object_square as tensors, without waiting for a device; meaningless where nothing is opaque (see has_object)."""
     opaque = _opaque(alpha)
     (top, bottom), (left, right) = (_span(opaque.any(axis)) for axis in (1, 0))
@@ -73,7 +78,7 @@ def _span(flags: Tensor) -> tuple[Tensor, Tensor]:
     return flags.int().argmax(), len(flags) - flags.flip(0).int().argmax()
 
 
-def crop_resize(image: Tensor, square: Square, size_px: int) -> Tensor:
+def crop_resize(image: Tensor, square: Square[int], size_px: int) -> Tensor:
     """Cut the square out of image [C,H,W] (zero beyond its edges) and resize it to [C,size_px,size_px], antialiased.
 
     Colours must be premultiplied by alpha, or the background would bleed into the outline. Returns float32 in the range
@@ -87,7 +92,7 @@ def crop_resize(image: Tensor, square: Square, size_px: int) -> Tensor:
     return _resized(padded, (size_px, size_px))
 
 
-def crop_resize_premultiplied(image: Tensor, square: Square, size_px: int) -> Tensor:
+def crop_resize_premultiplied(image: Tensor, square: Square[int], size_px: int) -> Tensor:
     """crop_resize of image [H,W,4], uint8 or float32 in 0..1, whose alpha is straight: [4,size_px,size_px], multiplied.
 
     A strip of rows at a time, across and then down, as the filter goes anyway: a photo of 50 megapixels in floating
@@ -120,7 +125,7 @@ def _resized(image: Tensor, size: tuple[int, int]) -> Tensor:
     return F.interpolate(image[None], size=size, mode="bilinear", antialias=True)[0]
 
 
-def crop_resize_on_device(image: Tensor, square: Square, size_px: int, margin: float = MARGIN) -> Tensor:
+def crop_resize_on_device(image: Tensor, square: Square[Tensor], size_px: int, margin: float = MARGIN) -> Tensor:
     """crop_resize for a square in tensors, of object_square_on_device with this margin, without waiting for a device.
 
     Two products with matrices of the image's size: more arithmetic than crop_resize, so for GPUs only.

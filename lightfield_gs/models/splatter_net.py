@@ -8,6 +8,7 @@ turns them into Gaussians.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -25,7 +26,7 @@ from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
 from lightfield_gs.models.initializer import describe_pixels, mirror_image, network_input
 from lightfield_gs.models.unet import UNet
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 PRETRAINED = Path(__file__).parent / "checkpoints" / "splatter_net.safetensors"
 
@@ -46,7 +47,7 @@ class SplatterNet(nn.Module):
         if config.composer == "delta":
             self.composer: DeltaComposer | AbsoluteComposer = DeltaComposer(config)
             nn.init.zeros_(self.head.weight)
-            nn.init.zeros_(self.head.bias)
+            nn.init.zeros_(cast(Tensor, self.head.bias))
         else:
             self.composer = AbsoluteComposer(config)
             self.composer.initialise(self.head, block)
@@ -102,7 +103,7 @@ class SplatterNet(nn.Module):
         """Gaussians of a cropped picture, but for those too faint to be drawn. Waits for the device."""
         gaussians = self.all_gaussians(cropped, self.photo_intrinsics())
         seen = gaussians.opacities >= OPACITY_CUT
-        return Gaussians(*(field[seen].contiguous() for field in gaussians.fields().values()))
+        return of_tensors(field[seen].contiguous() for field in gaussians.fields().values())
 
     @property
     def device(self) -> torch.device:
@@ -126,7 +127,7 @@ class SplatterNet(nn.Module):
         finally:
             self.train(was_training)
         fields = (batch.means, F.normalize(batch.quaternions, dim=-1), batch.scales, batch.opacities, batch.sh)
-        return Gaussians(*(field[0].contiguous() for field in fields))
+        return of_tensors(field[0].contiguous() for field in fields)
 
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
         """Write the weights as float16 safetensors, configuration and notes in the metadata."""

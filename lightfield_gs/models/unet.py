@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import torch
 import torch.nn.functional as F
@@ -102,7 +102,7 @@ def _convolution(inputs: int, outputs: int, kernel: int, *, gain: float | None =
     layer = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2)
     if gain is not None:
         nn.init.xavier_uniform_(layer.weight, gain)
-        nn.init.zeros_(layer.bias)
+        nn.init.zeros_(cast(Tensor, layer.bias))
     return layer
 
 

@@ -67,10 +67,15 @@ def _checked_cell(number: int, cell: Any) -> Cell:
     where = f"panel: subpixel_cells[{number}]"
     if not is_row(cell, 3) or not all(is_row(place, 2) for place in cell):
         raise InputError(f"{where} must be [x, y] of red, green and blue, pixels, right and up; got {shown(cell)}")
-    return tuple(
-        tuple(real_number(f"{where}, {name}", value, -_FARTHEST_PX, _FARTHEST_PX) for value in place)
-        for name, place in zip(("red", "green", "blue"), cell)
+    red, green, blue = (
+        _checked_place(f"{where}, {name}", place) for name, place in zip(("red", "green", "blue"), cell)
     )
+    return red, green, blue
+
+
+def _checked_place(where: str, place: Any) -> tuple[float, float]:
+    x, y = (real_number(where, value, -_FARTHEST_PX, _FARTHEST_PX) for value in place)
+    return x, y
 
 
 def check_pattern(panel: Panel) -> None:

@@ -29,9 +29,10 @@ def panel_fields(
     Raises InputError when the file cannot be read, or a value is missing or makes no sense.
     """
     expect("calibration", source, dict, list, str, Path)
-    is_file = isinstance(source, (str, Path))
-    where = str(source) if is_file else "Looking Glass calibration"
-    data = find_calibration(read_json(source, _LIMIT_BYTES) if is_file else source, where, serial)
+    where, given = "Looking Glass calibration", source
+    if isinstance(source, (str, Path)):
+        where, given = str(source), read_json(source, _LIMIT_BYTES)
+    data = find_calibration(given, where, serial)
     pitch, slope, center, dpi, width, height = (
         _number(data, key, where) for key in ("pitch", "slope", "center", "DPI", "screenW", "screenH")
     )
@@ -52,7 +53,7 @@ def panel_fields(
     mirrored, blue_first = _is_set(data, "flipImageX", where), _is_set(data, "flipSubp", where)
     slant_tan = (1 if mirrored else -1) / slope
     center += flip_center if mirrored else 0
-    fields = {
+    fields: dict[str, Any] = {
         "width_px": width,
         "height_px": height,
         "views": views,

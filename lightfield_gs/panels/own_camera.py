@@ -77,7 +77,7 @@ def photo_camera(elements: Mapping[str, np.ndarray]) -> FileCamera | None:
     numbers = {}
     for name, count in _PHOTO.items():
         array = elements[name]
-        numbers[name] = np.concatenate([np.ravel(array[field]) for field in array.dtype.names or ()] or [[]])
+        numbers[name] = np.concatenate([np.ravel(array[field]) for field in array.dtype.names or ()] or [np.empty(0)])
         if len(numbers[name]) != count or not np.isfinite(numbers[name].astype(np.float64)).all():
             raise InputError(
                 f"its element {name} is none of a camera: expected {count} finite numbers, got "

@@ -37,7 +37,8 @@ _WORD = 1 << 64
 @lru_cache(maxsize=64)  # asked for in every frame
 def _phase_steps(line_number: float, slant_tan: float, phase: float) -> tuple[int, int, int]:
     lens, down, start = Fraction(line_number), 3 * Fraction(slant_tan), Fraction(phase)
-    return tuple(math.ceil(_WORD * step / lens) % _WORD for step in (start, Fraction(1), down))
+    first, across, below = (math.ceil(_WORD * step / lens) % _WORD for step in (start, Fraction(1), down))
+    return first, across, below
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Panel:
     def __post_init__(self) -> None:
         for key, low, high in (("width_px", 1, MAX_SIZE_PX), ("height_px", 1, MAX_SIZE_PX), ("views", 1, MAX_VIEWS)):
             self._set(key, whole_number(f"panel: {key}", getattr(self, key), low, high))
-        for key, low, high in (
+        for key, least, most in (
             ("line_number", 1e-3, 1e6),
             ("slant_tan", -10, 10),
             ("phase", -1e12, 1e12),
@@ -92,7 +93,7 @@ class Panel:
             ("pixel_pitch_mm", 1e-6, 1e6),
         ):
             if getattr(self, key) is not None or key not in ("viewing_distance_mm", "pixel_pitch_mm"):
-                self._set(key, real_number(f"panel: {key}", getattr(self, key), low, high))
+                self._set(key, real_number(f"panel: {key}", getattr(self, key), least, most))
         if self.cone_deg >= 180:
             raise InputError(f"panel: cone_deg must be below 180, got {self.cone_deg}")
         if not isinstance(self.subpixel_order, str) or self.subpixel_order not in SUBPIXEL_ORDERS:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 _HAZE = 0.1  # Gaussians fainter than this share of the usual opacity do not count as content
 _LEAST_WEIGHT = 1e-6  # of a Gaussian where all have opacity 0
@@ -54,7 +54,7 @@ def some(gaussians: Gaussians) -> Gaussians:
 
 
 def part(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:
-    return Gaussians(*(field[which] for field in gaussians.fields().values()))
+    return of_tensors(field[which] for field in gaussians.fields().values())
 
 
 def sizes_of(gaussians: Gaussians) -> Tensor:

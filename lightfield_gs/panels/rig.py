@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -170,7 +170,7 @@ class Rig:
         positions = _float64(x)
         if positions is None or positions.ndim != 1 or not ((positions >= 0) & (positions <= panel.views)).all():
             raise InputError(f"x must be a row of numbers in 0..{panel.views}, got {shown(x)}")
-        offsets = self.offset(positions, panel)
+        offsets = cast(np.ndarray, self.offset(positions, panel))
         matrices = np.repeat(self.world_to_camera[None], len(offsets), 0)
         matrices[:, 0, 3] -= offsets
         centres = np.stack(
@@ -196,9 +196,8 @@ def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
     scale = min(1.0, width_px / panel.width_px)
     width, height = max(1, round(panel.width_px * scale)), max(1, round(panel.height_px * scale))
     scales = width / panel.width_px, height / panel.height_px
-    focal, centre = (
-        tuple(value * s for value, s in zip(pair, scales)) for pair in (rig.focal_px, rig.principal_point_px)
-    )
+    (fx, fy), (cx, cy) = rig.focal_px, rig.principal_point_px
+    focal, centre = (fx * scales[0], fy * scales[1]), (cx * scales[0], cy * scales[1])
     return replace(panel, width_px=width, height_px=height), replace(rig, focal_px=focal, principal_point_px=centre)
 
 

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import cast
 
 import numpy as np
 
@@ -39,7 +40,9 @@ def simulate(
     x, y, z = _eye(eye_mm)
     spread = real_number("spread_subpixels", spread_subpixels, 1e-2, 1e3)
     threads = os.cpu_count() if threads is None else whole_number("threads", threads, 1, 4096)
-    distance, sub_mm, lens = panel.viewing_distance_mm, panel.pixel_pitch_mm / 3, panel.line_number
+    # Of a panel that _check let through both are known
+    distance, pitch_mm = cast(float, panel.viewing_distance_mm), cast(float, panel.pixel_pitch_mm)
+    sub_mm, lens = pitch_mm / 3, panel.line_number
     gap = lens * sub_mm / (2 * math.tan(math.radians(panel.cone_deg) / 2)) * (-1 if panel.invert_views else 1)
     if z + gap <= 0 or distance + gap <= 0:
         raise InputError(f"eye: z must be larger than the lens gap of {abs(gap):.4g} mm, got {z}")

@@ -61,7 +61,8 @@ class PhotoEncoder:
         self.panel, self.views, self.background, self.output = panel, views, background, output
         self.net = copy.deepcopy(net).eval()
         if net.device.type == "cuda":
-            self.net.unet.to(torch.bfloat16, memory_format=torch.channels_last)
+            # torch takes memory_format of a module too, which its stub does not know
+            self.net.unet.to(torch.bfloat16, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.gaussians: Gaussians | None = None
         self.rig: Rig | None = None
         self._captured: _Capture | None = None
@@ -114,13 +115,13 @@ class PhotoEncoder:
             with stats.stage("framing"):
                 self.gaussians, self.rig = captured.gaussians, captured.rig(self.panel)
             with stats.stage("encode"):
-                return self._draw_frame()
+                return self._draw_frame(self.gaussians, self.rig)
 
-    def _draw_frame(self) -> Tensor:
+    def _draw_frame(self, gaussians: Gaussians, rig: Rig) -> Tensor:
         """The frame's kernels as ordinary launches: the rig, another for each photo, is part of their arguments."""
-        background = background_tensor(self.background, self.gaussians.means).reshape(-1)
-        view = lens_view(self.panel, self.rig, self.views == "continuous")
-        job = LensJob(self.gaussians.fields().values(), background, view)
+        background = background_tensor(self.background, gaussians.means).reshape(-1)
+        view = lens_view(self.panel, rig, self.views == "continuous")
+        job = LensJob(gaussians.fields().values(), background, view)
         if self._frames is None:
             self._frames = Frames(job, self.quality)
         return self._frames.draw(job, self.output == "uint8")

@@ -129,7 +129,7 @@ def _shares(alpha: np.ndarray) -> np.ndarray:
 def _joined(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """RGBA of the type of rgb [H, W, 3]; alpha: [H, W] float32."""
     rgba = np.empty((*alpha.shape, 4), rgb.dtype)
-    for top, bottom in strips(*alpha.shape, _STRIP_PIXELS):
+    for top, bottom in strips(alpha.shape[0], alpha.shape[1], _STRIP_PIXELS):
         rgba[top:bottom, :, :3] = rgb[top:bottom]
         rgba[top:bottom, :, 3] = alpha[top:bottom] if rgb.dtype == np.float32 else np.rint(255 * alpha[top:bottom])
     return rgba
@@ -140,12 +140,12 @@ def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -
     out next to nothing."""
     covered = None if alpha is None or alpha.min() >= _most(alpha) else _shares(alpha)
     cut = cut_from_plain_background(photo.pixels) if covered is None else _cut_within(photo.pixels, covered)
-    if cut is None and covered is None:
-        raise InputError(
-            f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
-            "to show the whole scene, give its distances with --depth FILE"
-        )
     if cut is None:
+        if covered is None:
+            raise InputError(
+                f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
+                "to show the whole scene, give its distances with --depth FILE"
+            )
         photo.notes.append(
             f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "
             f"of it is taken as one object, as flat as it may look; {_OTHER_CUT_OUTS}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -111,9 +112,10 @@ def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
     means = np.empty((height, width, 3), rgb.dtype)
     for top, bottom in strips(height, width, _STRIP_PIXELS):
         block = rgb[top * factor : bottom * factor, : width * factor]
-        total = sum(
+        parts = (
             block[down::factor, across::factor].astype(np.float32) for down in range(factor) for across in range(factor)
         )
+        total = cast(np.ndarray, sum(parts))
         total *= np.float32(1 / factor**2)
         means[top:bottom] = total if rgb.dtype == np.float32 else np.rint(total)
     return means
@@ -181,7 +183,7 @@ def _means(values: np.ndarray, window: int) -> np.ndarray:
             size = values.shape[axis]
             padded = np.pad(values, [(reach, reach) if a == axis else (0, 0) for a in range(3)], mode="edge")
             parts = (padded[(slice(None),) * axis + (slice(at, at + size),)] for at in range(window))
-            values = sum(parts) / np.float32(window)
+            values = cast(np.ndarray, sum(parts)) / np.float32(window)
     return values
 
 
@@ -267,8 +269,9 @@ def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, d
     bodies &= ~_grown(opaque, round(_BLOCK_PX / step))
     faded = other & ~opaque & (between | bodies)
     seen_through = between & holes & ~other
-    kept, *lost = (np.count_nonzero(pixels) for pixels in (opaque, faded, seen_through))
-    return tuple(count / max(1, kept + sum(lost)) for count in lost)
+    kept, gone, hollow = (int(np.count_nonzero(pixels)) for pixels in (opaque, faded, seen_through))
+    enclosed = max(1, kept + gone + hollow)
+    return gone / enclosed, hollow / enclosed
 
 
 def _with_sharp_edges(pale: np.ndarray, other: np.ndarray, distance: np.ndarray, differs: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
 from lightfield_gs.photo.depth_edges import continue_behind, slopes, snap_mixed
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
-from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
 MAX_PIXELS = 1 << 24
@@ -73,7 +73,7 @@ def from_depth(
         raise InputError(f"focal_px: expected pixels > 0, got {focal}")
     depth = snap_mixed(depth, focal)
     parts = (_visible(image, depth, opacity, focal, centre), _hidden(image, depth, opacity, focal, centre))
-    return Gaussians(*(torch.cat(fields) for fields in zip(*parts)))
+    return of_tensors(torch.cat(fields) for fields in zip(*parts))
 
 
 def _visible(

@@ -16,6 +16,11 @@ from lightfield_gs.rasterizer.scene import Scene, State, check
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspaces import workspace_of
 
+_Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
+_Arguments = tuple[  # of render_dense
+    Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, int, int, bool
+]
+
 
 class _DenseJob:
     """Arguments of render_dense, checked, and the stages up to the composite, or what a render left of them."""
@@ -51,9 +56,8 @@ class _DenseJob:
             check("intrinsics", intrinsics, (*lead, 4), means),
             check("limits", limits, (*lead, 5), means),
         ]
-        self.cameras = scene.core.Cameras(
-            *lead, width, height, *(t.data_ptr() for t in self.cameras_tensors), antialiased
-        )
+        poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
+        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased)
         with scene.guard:
             self.work = workspace_of(scene, self.images, width, height, stats, threads, state=state)
             if state is None:
@@ -66,18 +70,18 @@ class _DenseJob:
         return [(*size, 3), size, size]
 
 
-def dense_forward(*arguments: Any, stats: Stats | None = None, threads: int | None = None) -> tuple[Tensor, ...]:
+def dense_forward(*arguments: Any, stats: Stats | None = None, threads: int | None = None) -> _Images:
     """render_dense without autograd; see there. Also fills `stats`."""
     return _dense_forward(arguments, stats or Stats(), threads or torch.get_num_threads())[0]
 
 
-def _dense_forward(arguments: tuple[Any, ...], stats: Stats, threads: int) -> tuple[tuple[Tensor, ...], State]:
+def _dense_forward(arguments: _Arguments, stats: Stats, threads: int) -> tuple[_Images, State]:
     job = _DenseJob(*arguments, stats, threads)
     with job.scene.guard, stats.stage("composite"):
-        out = [job.scene.new(*shape) for shape in job.image_shapes()]
-        native = job.scene.core.DenseImages(*(t.data_ptr() for t in out))
+        image, alpha, depth = (job.scene.new(*shape) for shape in job.image_shapes())
+        native = job.scene.core.DenseImages(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
         job.work.composite_dense(job.cameras, job.background, native)
-    return tuple(out), job.work.state()
+    return (image, alpha, depth), job.work.state()
 
 
 def render_dense(
@@ -226,7 +230,9 @@ def render_dense_backward(
     native = [core.DenseImages(*(t.data_ptr() for t in ts)) for ts in (images, grads)]
     with job.scene.guard:
         out, parts, g_cameras = work.dense_backward(job.cameras, job.background, *native)
-    return (*out, parts.view(*job.lead, -1, 3).sum(2), g_cameras.view(*job.lead, 4, 4))
+    g_means, g_quaternions, g_scales, g_opacities, g_sh = out
+    g_background = parts.view(*job.lead, -1, 3).sum(2)
+    return g_means, g_quaternions, g_scales, g_opacities, g_sh, g_background, g_cameras.view(*job.lead, 4, 4)
 
 
 @render_dense_backward.register_fake

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -160,7 +160,7 @@ class Frames:
             self._learn(job)
         elif not torch.cuda.is_current_stream_capturing():
             self.adapt()
-        return self._frame(job, self.capacity)
+        return self._frame(job, cast(int, self.capacity))
 
     def note(self, frame: Frame) -> None:
         """Has the frame's state copied to the host, for adapt."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Literal, overload
 
@@ -106,7 +106,7 @@ def render(
         )
     tensors = [t if batched else t.unsqueeze(0) for t in gaussians.fields().values()]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
-    draw = torch.ops.lightfield_gs.render_dense
+    draw: Callable[..., tuple[Tensor, Tensor, Tensor]] = torch.ops.lightfield_gs.render_dense
     if not (torch.is_grad_enabled() and any(t.requires_grad for t in (*tensors, colour, *views))):
         draw = dense_forward  # the first call of an operator with a reverse has torch import for a second
     image, coverage, weighted_depth = draw(*tensors, colour, *views, cameras.width_px, cameras.height_px, antialiased)
@@ -146,9 +146,9 @@ def _checked_background(background: Colour, dtype: torch.dtype, device: torch.de
 
     Tensors and arrays may leave 0..1, for optimizers do; plain numbers that do are mistakes.
     """
-    plain = not isinstance(background, (Tensor, np.ndarray))
-    if not plain:
-        background = dense_tensor("background", background)
+    plain = True
+    if isinstance(background, (Tensor, np.ndarray)):
+        plain, background = False, dense_tensor("background", background)
     there = isinstance(background, Tensor) and background.is_cuda
     try:
         colour = torch.as_tensor(background, dtype=dtype, device=device)

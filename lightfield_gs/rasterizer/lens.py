@@ -106,7 +106,8 @@ def render_lens_backward(
     work = job.workspace(Stats(), torch.get_num_threads())
     with job.scene.guard:
         out, parts = work.lens_backward(job.native, job.background, image, g_image)
-    return (*(g.squeeze(0) for g in out), parts.sum(0))
+    g_means, g_quaternions, g_scales, g_opacities, g_sh = (g.squeeze(0) for g in out)
+    return g_means, g_quaternions, g_scales, g_opacities, g_sh, parts.sum(0)
 
 
 @render_lens_backward.register_fake

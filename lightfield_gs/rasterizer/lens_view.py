@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
@@ -17,8 +17,8 @@ _RIG_SIZE, _SHAPE_SIZE = 26, 5
 class NativeView(NamedTuple):
     """The same for the native code."""
 
-    rig: Any  # _core.Rig
-    lens: Any  # _core.Lens
+    rig: _core.Rig
+    lens: _core.Lens
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Lens:
         if any(sorted(channels[m : m + 3]) != [0, 1, 2] for m in range(0, len(channels), 3)):
             raise InputError(f"lens: every pixel of the cells must have the channels 0, 1 and 2 once, got {channels}")
 
-    def native(self) -> Any:
+    def native(self) -> _core.Lens:
         """The core's Lens; the only place that makes one."""
         phase0, phase_x, phase_y = self.phases
         return _core.Lens(

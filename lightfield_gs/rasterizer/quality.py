@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 from lightfield_gs import _core
 from lightfield_gs.base.checks import real_number, shown
@@ -76,7 +75,7 @@ class Quality:
         return self == EXACT
 
     @cached_property
-    def native(self) -> Any:
+    def native(self) -> _core.Quality:
         return _core.Quality(
             opacity_cut=self.opacity_cut,
             transmittance_stop=self.transmittance_stop,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,7 +16,7 @@ def _devices() -> str:
     return "CPU or CUDA" if hasattr(_core, "cuda") else "CPU"
 
 
-def _core_of(tensor: Tensor) -> Any:
+def _core_of(tensor: Tensor) -> type[_core._Stages]:
     """The core's functions for the tensor's precision."""
     if tensor.dtype == torch.float32:
         return _core.float32
@@ -67,14 +67,14 @@ class Scene:
         device = self.tensors[0].device
         return torch.cuda.device(device) if device.type == "cuda" else nullcontext()
 
-    def native(self) -> Any:
+    def native(self) -> _core._Stages.Gaussians:
         return self.core.Gaussians(self.count, self.degree, *(t.data_ptr() for t in self.tensors))
 
     def new(self, *shape: int, dtype: torch.dtype | None = None, zero: bool = False) -> Tensor:
         make = torch.zeros if zero else torch.empty
         return make(shape, dtype=dtype or self.tensors[0].dtype, device=self.tensors[0].device)
 
-    def gradients(self) -> tuple[list[Tensor], Any]:
+    def gradients(self) -> tuple[list[Tensor], _core._Stages.Gaussians]:
         grads = [torch.zeros_like(t) for t in self.tensors]
         return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))
 

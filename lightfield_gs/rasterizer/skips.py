@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
 
 
-def culled(gaussians: Gaussians, world_to_camera: Any, drawn: int, pruned: int) -> dict[str, int]:
+def culled(gaussians: Gaussians, world_to_camera: np.ndarray, drawn: int, pruned: int) -> dict[str, int]:
     """Gaussians that are not drawn, by the first reason that holds: behind (or nearer than the near plane), faint
     (opacity below 1/255), outside the panel from every camera of the rig (or of no shape: a quaternion of zeros; or
     nowhere above a raised opacity cut, or for anti-aliasing above 1/255), pruned (Quality.contribution_cut)."""
@@ -24,7 +25,7 @@ def culled(gaussians: Gaussians, world_to_camera: Any, drawn: int, pruned: int) 
     return {**counts, "outside": gaussians.count - drawn - sum(counts.values())}
 
 
-def of_lens(counters: Any, orders: Tensor, splats: Tensor, most: int) -> dict[str, Any]:
+def of_lens(counters: _core.Counters, orders: Tensor, splats: Tensor, most: int) -> dict[str, Any]:
     """Tiles, lattices and samples of a composite; splats [1, N, ...] by the polynomial orders [1, N] of their colours,
     0..most."""
     drawn = splats[..., _core.SPLAT_REACH_INDEX] >= 0  # by their reach

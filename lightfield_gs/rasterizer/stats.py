@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from lightfield_gs import _core
 from lightfield_gs.rasterizer import skips
 
 
@@ -69,7 +70,7 @@ class Stats:
         self.skipped = skips.of_frame(state)
         self.add_buffers(work)
 
-    def count(self, counters: Any) -> None:
+    def count(self, counters: _core.Counters) -> None:
         self.pairs += counters.pairs
         self.evaluations += counters.evaluations
         self.work_bytes += counters.scratch_bytes

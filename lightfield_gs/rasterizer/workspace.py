@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -59,7 +59,7 @@ class Workspace(Protocol):
     def state(self) -> State:
         """What a reverse needs."""
 
-    def project_dense(self, cameras: Any) -> None: ...
+    def project_dense(self, cameras: _core._Stages.Cameras) -> None: ...
 
     def project_lens(self, view: NativeView, quality: Quality) -> float:
         """Returns the largest estimated error of a colour polynomial."""
@@ -67,14 +67,20 @@ class Workspace(Protocol):
     def order_and_bin(self, admit: Callable[[], bool] = ...) -> bool:
         """admit: asked once `pair_count` is known, whether to go on; returns its answer."""
 
-    def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
+    def composite_dense(
+        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
+    ) -> None:
         """background: [I, 3]; out: the core's DenseImages."""
 
     def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
         """background: [3]; out: [H, W, 3]."""
 
     def dense_backward(
-        self, cameras: Any, background: Tensor, images: Any, gradients: Any
+        self,
+        cameras: _core._Stages.Cameras,
+        background: Tensor,
+        images: _core._Stages.DenseImages,
+        gradients: _core._Stages.DenseImages,
     ) -> tuple[list[Tensor], Tensor, Tensor]:
         """Gradients of the five fields, of the background in parts [I * parts, 3], and of the cameras [I, 4, 4]."""
 

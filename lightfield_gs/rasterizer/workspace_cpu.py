@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -48,7 +47,7 @@ class CpuWorkspace:
     def state(self) -> State:
         return State(self.splats.splats, self.splats.colours, self.lists)
 
-    def project_dense(self, cameras: Any) -> None:
+    def project_dense(self, cameras: _core._Stages.Cameras) -> None:
         self.scene.core.project_dense(self.scene.native(), cameras, self.splats.native, self.threads)
 
     def project_lens(self, view: NativeView, quality: Quality) -> float:
@@ -82,7 +81,9 @@ class CpuWorkspace:
         self.stats.add_buffers(*self.splats.buffers(), order, drawn, self.lists)
         return True
 
-    def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
+    def composite_dense(
+        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
+    ) -> None:
         self.stats.count(
             self.scene.core.composite_dense(
                 self.splats.native, self.bins, cameras, background.data_ptr(), out, self.threads
@@ -109,7 +110,11 @@ class CpuWorkspace:
             self.stats.skipped = skips.of_lens(counters, splats.orders, splats.splats, splats.colour_order)
 
     def dense_backward(
-        self, cameras: Any, background: Tensor, images: Any, gradients: Any
+        self,
+        cameras: _core._Stages.Cameras,
+        background: Tensor,
+        images: _core._Stages.DenseImages,
+        gradients: _core._Stages.DenseImages,
     ) -> tuple[list[Tensor], Tensor, Tensor]:
         core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
         core.composite_dense_backward(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -30,7 +29,7 @@ class CudaWorkspace:
         stats: Stats,
         lens: bool,
         state: State | None = None,
-        tile: Any = None,
+        tile: _core.SubpixelTile | None = None,
         compensated: bool = False,
     ):
         self.scene, self.images, self.stats, self.items = scene, images, stats, images * scene.count
@@ -67,7 +66,7 @@ class CudaWorkspace:
     def state(self) -> State:
         return State(self.splats.splats, self.splats.colours, self.lists)
 
-    def project_dense(self, cameras: Any) -> None:
+    def project_dense(self, cameras: _core._Stages.Cameras) -> None:
         _core.cuda.project_dense(self.scene.native(), cameras, self.splats.native, self.keys.data_ptr(), self.stream)
 
     def project_lens(self, view: NativeView, quality: Quality) -> float:
@@ -157,7 +156,9 @@ class CudaWorkspace:
         )
         return True
 
-    def composite_dense(self, cameras: Any, background: Tensor, out: Any) -> None:
+    def composite_dense(
+        self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages
+    ) -> None:
         _core.cuda.composite_dense(
             self.splats.native, self.image, self.ranges, self.pair_lists, background.data_ptr(), out, self.stream
         )
@@ -176,7 +177,11 @@ class CudaWorkspace:
         )
 
     def dense_backward(
-        self, cameras: Any, background: Tensor, images: Any, gradients: Any
+        self,
+        cameras: _core._Stages.Cameras,
+        background: Tensor,
+        images: _core._Stages.DenseImages,
+        gradients: _core._Stages.DenseImages,
     ) -> tuple[list[Tensor], Tensor, Tensor]:
         scene, cuda = self.scene, _core.cuda
         slots = scene.new(self.pair_count, cuda.DENSE_SUMS)

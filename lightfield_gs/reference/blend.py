@@ -180,7 +180,8 @@ class Projection:
                 hit = torch.nonzero(self.alpha(near_row, column) > NEARLY * ALPHA_MIN)
                 found.append((hit[:, 0] + first, near_row[0, hit[:, 1]]))
             begin = end
-        return tuple(torch.cat(part) for part in zip(*found))
+        sample, gaussian = (torch.cat(part) for part in zip(*found))
+        return sample, gaussian
 
     def blend(self, samples: Samples) -> Blend:
         """Front-to-back blending; a sample stops before its transmittance would fall below 1e-4 (Kerbl et al.)."""

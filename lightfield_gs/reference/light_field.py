@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -60,7 +60,11 @@ def _colours(
 
 
 def lens_views(
-    panel: Panel, rows: Sequence[int], columns: Sequence[int], channels: Sequence[int], continuous: bool = False
+    panel: Panel,
+    rows: Sequence[int] | np.ndarray,
+    columns: Sequence[int] | np.ndarray,
+    channels: Sequence[int] | np.ndarray,
+    continuous: bool = False,
 ) -> np.ndarray:
     """View x in [0,N) of sub-pixels, float64 [M]: exact in fractions; n + 1/2 (n whole) unless continuous."""
     pitch, slant, phase = (Fraction(float(value)) for value in (panel.line_number, panel.slant_tan, panel.phase))
@@ -228,7 +232,8 @@ def dense_torch(
         for pose, camera, limit, colour in zip(*views)
     ]
     batch = world_to_camera.shape[:2]
-    return tuple(torch.stack(part).reshape(*batch, *part[0].shape) for part in zip(*images))
+    image, alpha, depth = (torch.stack(part).reshape(*batch, *part[0].shape) for part in zip(*images))
+    return image, alpha, depth
 
 
 def _dense_image(projection: Projection, background: Tensor, width: int, height: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -248,10 +253,12 @@ def _dense_image(projection: Projection, background: Tensor, width: int, height:
 
 
 def _camera_eye(cameras: Cameras, camera: int) -> Eye:
-    intrinsics = torch.cat([cameras.focal_px[camera], cameras.principal_point_px[camera]]).to("cpu", torch.float64)
+    intrinsics = cameras.intrinsics()[camera].to("cpu", torch.float64)
     pose = cameras.world_to_camera[camera].to("cpu", torch.float64)
     if cameras.jacobian_limits is None:
-        return Eye(pose, intrinsics, frustum_limits(*intrinsics.tolist(), cameras.width_px, cameras.height_px))
+        fx, fy, cx, cy = intrinsics.tolist()
+        width, height = cast(int, cameras.width_px), cast(int, cameras.height_px)  # no cameras are without a size
+        return Eye(pose, intrinsics, frustum_limits(fx, fy, cx, cy, width, height))
     limits = cameras.jacobian_limits[camera].to("cpu", torch.float64)
     return Eye(pose, intrinsics, limits[:4], limits[4])
 

@@ -56,17 +56,23 @@ def stated_up(comments: Iterable[str]) -> Up | None:
 
 def check_up(up: str) -> str:
     """`up`, or InputError where it is no direction."""
-    if not isinstance(up, str) or _direction(up) is None:
-        raise InputError(f"up: expected one of {', '.join(UP_AXES)}, or three numbers, got {shown(up)}")
+    _known_direction(up)
     return up
+
+
+def _known_direction(up: str) -> np.ndarray:
+    """The unit vector [3]. Raises InputError where the words say none."""
+    direction = _direction(up) if isinstance(up, str) else None
+    if direction is None:
+        raise InputError(f"up: expected one of {', '.join(UP_AXES)}, or three numbers, got {shown(up)}")
+    return direction
 
 
 def upright(up: str) -> np.ndarray:
     """World-to-camera rotation [3, 3] of an upright camera before the scene: rows right, down, forward. See UP_AXES."""
-    check_up(up)
-    direction = _direction(up)
+    direction = _known_direction(up)
     nearest = up if up in UP_AXES else _nearest(direction)
-    down, forward = -_direction(nearest), np.array(_FORWARD[nearest], np.float64)
+    down, forward = -_known_direction(nearest), np.array(_FORWARD[nearest], np.float64)
     return np.stack([np.cross(down, forward), down, forward]) @ _shortest_turn(direction, -down) + 0.0  # no minus zeros
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
@@ -101,15 +101,15 @@ class Cameras:
 
     def intrinsics(self) -> torch.Tensor:
         """[..., C, 4]: fx, fy, cx, cy."""
-        return torch.cat([self.focal_px, self.principal_point_px], -1)
+        return torch.cat([self.focal_px, self._centres()], -1)
 
     def limits(self) -> torch.Tensor:
         """jacobian_limits, or the default ones, [..., C, 5]."""
         if self.jacobian_limits is not None:
             return self.jacobian_limits
         edges = []
-        for axis, size in enumerate((self.width_px, self.height_px)):
-            centre, focal = self.principal_point_px[..., axis], self.focal_px[..., axis]
+        for axis, size in enumerate(self._size()):
+            centre, focal = self._centres()[..., axis], self.focal_px[..., axis]
             edges += [-(centre + 0.15 * size) / focal, (1.15 * size - centre) / focal]
         return torch.stack([*edges, torch.zeros_like(edges[0])], -1)
 
@@ -119,11 +119,19 @@ class Cameras:
         return Cameras(
             self.world_to_camera[..., views, :, :],
             self.focal_px[..., views, :],
-            self.principal_point_px[..., views, :],
+            self._centres()[..., views, :],
             self.width_px,
             self.height_px,
             limits,
         )
+
+    def _centres(self) -> torch.Tensor:
+        """principal_point_px, which is none only until K was taken apart."""
+        return cast(torch.Tensor, self.principal_point_px)
+
+    def _size(self) -> tuple[int, int]:
+        """width_px and height_px, without which none is made."""
+        return cast(int, self.width_px), cast(int, self.height_px)
 
     def relative_to(self, origin: Sequence[float]) -> Cameras:
         """The same cameras for coordinates that are given from `origin`; see Rig.relative_to."""
@@ -137,7 +145,7 @@ class Cameras:
         return Cameras(
             self.world_to_camera.to(*args, **kwargs),
             self.focal_px.to(*args, **kwargs),
-            self.principal_point_px.to(*args, **kwargs),
+            self._centres().to(*args, **kwargs),
             self.width_px,
             self.height_px,
             limits,
@@ -177,9 +185,10 @@ def _of_file(cls: type[Cameras], path: str | Path, cameras: list[FileCamera], in
                 f"{path}: expected cameras without lens distortion (k1 ... p2 zero); undistort the images "
                 "first, or set these to zero for their flat perspective"
             )
-    arrays = (
-        np.array([getattr(camera, name) for camera in cameras], np.float64)
+    pose, focal, centre = (
+        torch.from_numpy(np.array([getattr(camera, name) for camera in cameras], np.float64))
         for name in ("world_to_camera", "focal_px", "principal_point_px")
     )
     ((width, height),) = sizes
-    return cls(*(torch.from_numpy(array) for array in arrays), width, height)
+    # In the file they are numbers of any kind: Cameras looks whether they are whole
+    return cls(pose, focal, centre, cast(int, width), cast(int, height))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -94,11 +94,11 @@ class Gaussians:
 
     def to(self, *args, **kwargs) -> Gaussians:
         """As torch.Tensor.to, on every field."""
-        return replace(self, **{name: tensor.to(*args, **kwargs) for name, tensor in self.fields().items()})
+        return mapped(self, lambda tensor: tensor.to(*args, **kwargs))
 
     def detach(self) -> Gaussians:
         """The same data outside the autograd graph."""
-        return replace(self, **{name: tensor.detach() for name, tensor in self.fields().items()})
+        return mapped(self, torch.Tensor.detach)
 
     def rotated(self, rotation: Any) -> Gaussians:
         """The same Gaussians turned about the zero of their file: places, quaternions and harmonics of degree 0..3.
@@ -227,6 +227,24 @@ def _complain(good: torch.Tensor, name: str, tensor: torch.Tensor, expected: str
     """Raises InputError for the first index where `good` is false."""
     index = tuple(int(i) for i in (~good).nonzero()[0])
     raise InputError(f"{name}{list(index)}: expected {expected}, got {tensor[index].tolist()}")
+
+
+def of_tensors(fields: Iterable[torch.Tensor]) -> Gaussians:
+    """Gaussians of the five tensors, in the order of Gaussians.fields."""
+    means, quaternions, scales, opacities, sh = fields
+    return Gaussians(means, quaternions, scales, opacities, sh)
+
+
+def mapped(gaussians: Gaussians, change: Callable[[torch.Tensor], torch.Tensor]) -> Gaussians:
+    """The same Gaussians, each of the five tensors changed."""
+    return replace(
+        gaussians,
+        means=change(gaussians.means),
+        quaternions=change(gaussians.quaternions),
+        scales=change(gaussians.scales),
+        opacities=change(gaussians.opacities),
+        sh=change(gaussians.sh),
+    )
 
 
 def of_arrays(fields: dict[str, np.ndarray], origin: tuple[float, float, float]) -> Gaussians:

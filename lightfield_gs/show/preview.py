@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
             remove_file(path)
         return []
     for path, side in zip(paths, _EYES.values()):
-        eye = (side * EYE_SEPARATION_MM, 0.0, panel.viewing_distance_mm)
+        eye = (side * EYE_SEPARATION_MM, 0.0, cast(float, panel.viewing_distance_mm))
         write_image(path, to_integers(simulate(image, panel, eye), 8), compression="small")
     return paths
 

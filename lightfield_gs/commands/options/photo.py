@@ -152,7 +152,8 @@ def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaus
     )
     depth = _depth_file(args, photo) if side is None else _depth_beside(args, picture, side)
     check_depth_size(str(args.depth), depth.z, photo.pixels)
-    focal, centre, camera, notes = _camera(args, *photo.pixels.shape[:2], depth.focal_px)
+    height, width = photo.pixels.shape[:2]
+    focal, centre, camera, notes = _camera(args, height, width, depth.focal_px)
     watch.lap("load")
     gaussians = from_depth(torch.from_numpy(photo.floats()).to(device), depth.z, focal, centre)
     watch.lap("depth")

@@ -31,7 +31,7 @@ def load_cameras(args: argparse.Namespace, panel: Panel) -> Cameras:
     from lightfield_gs.encoding.view_files import read_cameras
 
     cameras = read_cameras(args.cameras, panel)
-    _note_of_centre(args.cameras, cameras.principal_point_px.median(0).values.tolist(), panel)
+    _note_of_centre(args.cameras, cameras.intrinsics()[:, 2:].median(0).values.tolist(), panel)
     if args.view_map is None:  # which has the views in an order of its own
         _note_of_order(args.cameras, cameras, panel)
     return cameras

@@ -107,16 +107,14 @@ def _inria(path: str | Path, data: list) -> list[FileCamera]:
     cameras = []
     for index, entry in enumerate(_objects(f"{path}: ", data, "position, rotation, fx, fy, width, height")):
         where = f"{path}: [{index}]"
-        size = [_number(where, entry, key, 1, _MAX_SIZE_PX) for key in ("width", "height")]
-        focal = tuple(_number(where, entry, key, 1e-6, 1e9) for key in ("fx", "fy"))
-        centre = tuple(
-            side / 2 if entry.get(key) is None else _number(where, entry, key, -1e9, 1e9)
-            for key, side in zip(("cx", "cy"), size)
-        )
+        width, height = (_number(where, entry, key, 1, _MAX_SIZE_PX) for key in ("width", "height"))
+        fx, fy = (_number(where, entry, key, 1e-6, 1e9) for key in ("fx", "fy"))
+        centre = _centre(where, entry, width, height)
         position = _array(f"{where}.position", entry.get("position"), (3,))
         rotation = _rotation(f"{where}.rotation", _array(f"{where}.rotation", entry.get("rotation"), (3, 3)))
         name = entry.get("img_name", entry.get("id", index))
-        cameras.append(FileCamera(shown(name).strip("'\""), _pose(rotation, position), focal, centre, *size))
+        pose = _pose(rotation, position)
+        cameras.append(FileCamera(shown(name).strip("'\""), pose, (fx, fy), centre, width, height))
     return cameras
 
 
@@ -142,10 +140,7 @@ def _frame(where: str, fields: dict[str, Any], images: _Images) -> FileCamera:
         )
     width, height, assumed = _size(where, fields, images)
     focal = _focal(where, fields, width, height)
-    centre = tuple(
-        side / 2 if fields.get(key) is None else _number(where, fields, key, -1e9, 1e9)
-        for key, side in zip(("cx", "cy"), (width, height))
-    )
+    centre = _centre(where, fields, width, height)
     distorted = any(fields.get(key) is not None and _number(where, fields, key, -1e9, 1e9) for key in COEFFICIENTS)
     name = shown(fields.get("file_path", "")).strip("'\"")
     return FileCamera(
@@ -165,6 +160,15 @@ def _size(where: str, fields: dict[str, Any], images: _Images) -> tuple[float, f
         f"{where}.w: expected w and h, the size of the image, beside fl_x: neither does the file say it, "
         "nor is there the image of file_path"
     )
+
+
+def _centre(where: str, fields: dict[str, Any], width: float, height: float) -> tuple[float, float]:
+    """The principal point: cx and cy, or the middle of the image."""
+    cx, cy = (
+        side / 2 if fields.get(key) is None else _number(where, fields, key, -1e9, 1e9)
+        for key, side in (("cx", width), ("cy", height))
+    )
+    return cx, cy
 
 
 def _focal(where: str, fields: dict[str, Any], width: float, height: float) -> tuple[float, float]:
@@ -192,8 +196,8 @@ class _Images:
             found = (
                 path for suffix in _SIZE_SUFFIXES if _is_file(path := self.folder / (name.replace("\\", "/") + suffix))
             )
-            if (path := next(found, None)) is not None:
-                info = read_info(path)
+            if (image := next(found, None)) is not None:
+                info = read_info(image)
                 self.known = float(info.width_px), float(info.height_px)
         return self.known
 

@@ -35,7 +35,7 @@ def masks_beside(folder: Path, images: list[Path]) -> tuple[Path, ...] | None:
             f"{root}: missing masks: none for {names} of {len(images)} images: expected "
             f"{missing[0]}.png or {Path(missing[0]).stem}.png; or another name for that folder"
         )
-    return tuple(found)
+    return tuple(mask for mask in found if mask is not None)
 
 
 def _mask_of(folder: Path, image: Path, known: dict[str, Path]) -> Path | None:

@@ -30,6 +30,6 @@ def focal_lengths(
             length = size / 2 / math.tan(angle / 2)
         found.append(length)
     fx, fy = found
-    if fx is None and fy is None:
-        return None
-    return (fy if fx is None else fx), (fx if fy is None else fy)
+    if fx is None:
+        return None if fy is None else (fy, fy)
+    return fx, (fx if fy is None else fy)

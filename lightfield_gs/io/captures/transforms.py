@@ -68,12 +68,14 @@ def read_transforms(path: Path) -> ObjectViews:
                 f"got w x h of {size[0]} x {size[1]}; resize the images to one size"
             )
     masks = _masks(fields, frames, path.parent, images)
+    width, height = sizes[0]
     return ObjectViews(
         path.parent.name,
         tuple(images),
         poses,
         np.stack(intrinsics),
-        *sizes[0],
+        width,
+        height,
         f"{path}: w, h",
         masks,
         np.stack(lenses) if np.any(lenses) else None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def _wrong(fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         good = np.isfinite(fields[name])
         if not good.all():
             wrong[reason] = ~good.reshape(len(good), -1).all(1)
-    zero = ~fields["quaternions"].any(1)
+    zero = cast(np.ndarray, ~fields["quaternions"].any(1))
     return {**wrong, _ZERO_ROTATION: zero} if zero.any() else wrong
 
 
@@ -63,7 +64,7 @@ def _named(record: np.void, index: int, fields: dict[str, np.ndarray]) -> str:
     for field, (beginnings, _) in _REASONS.items():
         if np.isfinite(fields[field][index]).all():
             continue
-        for name in record.dtype.names:
+        for name in record.dtype.names or ():
             if name.startswith(beginnings) and (words := _without_meaning(name, float(record[name]))):
                 return f"{name} of Gaussian {index} is {words}"
     return f"rot_0..rot_3 of Gaussian {index} are all zero, which is no rotation"

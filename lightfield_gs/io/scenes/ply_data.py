@@ -128,7 +128,7 @@ def _end_of_lists(file: BinaryIO, element: Element, order: str, at: int, size: i
     if element.count * len(element.properties) > _MOST_STEPS:
         return None
     columns = [
-        (np.dtype(column.kind).itemsize, column.length_kind and struct.Struct(order + _CODES[column.length_kind]))
+        (np.dtype(column.kind).itemsize, struct.Struct(order + _CODES[kind]) if (kind := column.length_kind) else None)
         for column in element.properties
     ]
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
