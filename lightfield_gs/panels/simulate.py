@@ -16,7 +16,8 @@ from lightfield_gs.panels.cells import PERIOD, subpixel_offsets
 from lightfield_gs.panels.panel import Panel
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
-_ROWS_PER_CHUNK_PX = 16  # small temporaries stay in the cache
+_ROWS_PER_CHUNK_PX = 8  # small temporaries stay in the cache
+_CELL_ROWS_PER_CHUNK = 32  # the same of cells
 
 
 def simulate(
@@ -57,37 +58,54 @@ def simulate(
     weight = np.zeros_like(lit)
     sigma = spread * _FWHM_TO_SIGMA / lens
     cells_per_chunk = max(1, int(_ROWS_PER_CHUNK_PX * len(rows) / panel.height_px))
+    along = [_turns_along(panel, channel, shift, slope, middle) for channel in range(3)]
 
     def sum_up(first: int) -> None:
         bounds = rows[first : first + cells_per_chunk + 1]
         cells = slice(first, first + len(bounds) - 1)
+        numbers = np.arange(bounds[0], bounds[-1])
+        down = _fractions(slope * 3 * panel.slant_tan * numbers)[:, None]
         for channel in range(3):
-            light = _light(panel, channel, slice(bounds[0], bounds[-1]), shift, slope, middle, sigma)
+            light = _light(along[channel][numbers % PERIOD] + down, sigma)
             weight[cells, :, channel] = _sums(light, bounds, columns)
             light *= image[bounds[0] : bounds[-1], :, channel]
             lit[cells, :, channel] = _sums(light, bounds, columns)
 
+    scale = np.float32(1 / np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else 1.0)
+    seen = np.empty_like(lit)
+
+    def blur(first: int) -> None:
+        cells = slice(first, min(first + _CELL_ROWS_PER_CHUNK, len(lit)))
+        np.divide(scale * _blurred(lit, cells), _blurred(weight, cells), out=seen[cells])
+
     with ThreadPoolExecutor(threads) as pool:  # NumPy works outside the interpreter lock
-        list(pool.map(sum_up, range(0, len(rows) - 1, cells_per_chunk)))
-    scale = 1 / np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else 1.0
-    return np.float32(scale) * _blurred(lit) / _blurred(weight)
+        list(pool.map(sum_up, range(0, len(lit), cells_per_chunk)))
+        list(pool.map(blur, range(0, len(lit), _CELL_ROWS_PER_CHUNK)))
+    return seen
 
 
-def _light(
-    panel: Panel, channel: int, rows: slice, shift: float, slope: float, middle: float, sigma: float
-) -> np.ndarray:
-    """How much each sub-pixel of a channel is lit, float32 [rows, W]."""
-    columns, numbers = np.arange(panel.width_px), np.arange(rows.start, rows.stop)
-    within = subpixel_offsets(panel)[..., channel].astype(np.float64)[:, columns % PERIOD]  # [PERIOD, W]
-    along = slope * (3 * columns + within + panel.phase - middle) + shift
-    down = slope * 3 * panel.slant_tan * numbers
-    along, down = along - np.floor(along), down - np.floor(down)  # small numbers keep float32 exact enough
-    turns = along.astype(np.float32)[numbers % PERIOD] + down.astype(np.float32)[:, None]
+def _turns_along(panel: Panel, channel: int, shift: float, slope: float, middle: float) -> np.ndarray:
+    """Where on its lens the eye sees each sub-pixel of a channel, without its row's part: float32 [PERIOD, W], 0..1."""
+    columns = np.arange(panel.width_px)
+    within = subpixel_offsets(panel)[..., channel].astype(np.float64)[:, columns % PERIOD]
+    return _fractions(slope * (3 * columns + within + panel.phase - middle) + shift)
+
+
+def _fractions(numbers: np.ndarray) -> np.ndarray:
+    """What is behind the point, as float32, for which these numbers are small enough."""
+    return (numbers - np.floor(numbers)).astype(np.float32)
+
+
+def _light(turns: np.ndarray, sigma: float) -> np.ndarray:
+    """How much sub-pixels are lit that are seen at these places, in lens widths; in the place of `turns`."""
     turns -= np.floor(turns)
     turns -= np.float32(0.5)
     turns *= np.float32(1 / (sigma * math.sqrt(2)))
-    # The floor keeps a cell defined whose every sub-pixel is dark.
-    return np.exp(-np.square(turns, out=turns)) + np.float32(1e-20)
+    np.square(turns, out=turns)
+    np.negative(turns, out=turns)
+    np.exp(turns, out=turns)
+    turns += np.float32(1e-20)  # a cell stays defined whose every sub-pixel is dark
+    return turns
 
 
 def _cells(size_px: int, lens_subpixels: float) -> np.ndarray:
@@ -103,9 +121,12 @@ def _sums(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarr
     return np.add.reduceat(joined, columns[:-1], 1)
 
 
-def _blurred(cells: np.ndarray) -> np.ndarray:
-    """Cells joined with their neighbours, 1 2 1 both ways: the brightest sub-pixels around decide."""
-    padded = np.pad(cells, ((1, 1), (1, 1), (0, 0)))
+def _blurred(cells: np.ndarray, rows: slice) -> np.ndarray:
+    """These rows of cells joined with their neighbours, 1 2 1 both ways: the brightest sub-pixels around decide."""
+    first, last = max(0, rows.start - 1), rows.stop + 1
+    around = cells[first:last]
+    missing = (first - (rows.start - 1), max(0, last - len(cells)))  # rows beyond the edges are dark
+    padded = np.pad(around, (missing, (1, 1), (0, 0)))
     across = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
     return across[:-2] + 2 * across[1:-1] + across[2:]
 

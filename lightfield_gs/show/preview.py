@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import cast
@@ -18,9 +19,12 @@ from lightfield_gs.scene.gaussians import Gaussians
 EYE_SEPARATION_MM = 63.0
 _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of the middle, in eye separations
 FILES = ("views.png", "look-around.webp", *_EYES)
-_SHEET_COLUMNS, _SHEET_ROWS = 4, 3
-_SHEET_VIEW_WIDTH_PX, _ANIMATION_WIDTH_PX = 480, 960
-_FRAMES, _FRAME_MS, _WEBP_QUALITY = 24, 60, 85
+_FRAMES, _LOOP_MS, _WEBP_QUALITY = 24, 60 * 46, 85
+_FRAME_PIXELS = 960 * 480  # of any shape, so that upright panels take no longer
+# Of a scene of so many Gaussians a view takes a CPU longer than all else of it, and every second one has to do.
+_MANY_GAUSSIANS = 200_000
+_MOST_SPLATS = 1_000_000  # of the views that are rendered at a time, so that threads wait less for each other
+_SHEET_VIEWS, _SHEET_WIDTH_PX = 12, 1920
 
 
 def write_preview(
@@ -34,7 +38,8 @@ def write_preview(
 ) -> list[Path]:
     """Writes previews of an encoded light field into `folder` (made if absent) and returns their paths.
 
-    views.png: views from the left-most to the right-most camera, row by row.
+    views.png: twelve views from the left-most to the right-most camera, row by row; of upright panels in two rows, so
+    that the sheet fills a screen.
     look-around.webp: a camera that goes from left to right and back.
     left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, the eyes 63 mm apart at the viewing distance;
     only where the panel knows its viewing distance and pixel pitch. Elsewhere those of an earlier preview are removed.
@@ -42,10 +47,10 @@ def write_preview(
     """
     folder = make_folder(folder)
     paths = [folder / name for name in FILES[:2]]
-    frames = _views(gaussians, panel, rig, background, _FRAMES, _ANIMATION_WIDTH_PX, antialiased)
+    frames = look_around(gaussians, panel, rig, background, antialiased)
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
-        write_image(paths[0], contact_sheet(gaussians, panel, rig, background, antialiased), compression="small")
+        write_image(paths[0], contact_sheet(frames))
         paths += _write_eyes(folder, image, panel)
         animation.result()
     return paths
@@ -60,55 +65,59 @@ def _write_eyes(folder: Path, image: np.ndarray, panel: Panel) -> list[Path]:
         return []
     for path, side in zip(paths, _EYES.values()):
         eye = (side * EYE_SEPARATION_MM, 0.0, cast(float, panel.viewing_distance_mm))
-        write_image(path, to_integers(simulate(image, panel, eye), 8), compression="small")
+        write_image(path, to_integers(simulate(image, panel, eye), 8))
     return paths
 
 
-def contact_sheet(
+def look_around(
     gaussians: Gaussians,
     panel: Panel,
     rig: Rig,
     background: tuple[float, float, float] = (1.0, 1.0, 1.0),
     antialiased: bool = False,
-) -> np.ndarray:
-    """Twelve views of the light field, left-most camera first, in rows of four: uint8 [H, W, 3]."""
-    views = _views(gaussians, panel, rig, background, _SHEET_COLUMNS * _SHEET_ROWS, _SHEET_VIEW_WIDTH_PX, antialiased)
-    rows = [np.concatenate(views[i : i + _SHEET_COLUMNS], 1) for i in range(0, len(views), _SHEET_COLUMNS)]
-    return np.concatenate(rows)
+) -> list[np.ndarray]:
+    """Views spread over the fan, left-most camera first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
+    from lightfield_gs.rasterizer.images import render
+
+    small_panel, small_rig = reduced(panel, rig, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
+    is_slow = gaussians.count > _MANY_GAUSSIANS and gaussians.device.type == "cpu"
+    positions = np.linspace(panel.views - 0.5, 0.5, _FRAMES // 2 if is_slow else _FRAMES)
+    if panel.invert_views:
+        positions = positions[::-1]
+    views: list[np.ndarray] = []
+    each = max(1, min(8, _MOST_SPLATS // max(1, gaussians.count)))
+    for first in range(0, len(positions), each):
+        cameras = small_rig.cameras_at(small_panel, positions[first : first + each])
+        rendered = render(gaussians, cameras, background=background, antialiased=antialiased)
+        views += (to_integers(view.cpu().numpy(), 8) for view in rendered)
+    return views
+
+
+def contact_sheet(frames: list[np.ndarray]) -> np.ndarray:
+    """Twelve of the frames, in rows of four, or of six where they are upright: uint8 [H, W, 3]."""
+    from PIL import Image
+
+    height, width = frames[0].shape[:2]
+    columns = 4 if width >= height else 6
+    scale = min(1.0, _SHEET_WIDTH_PX / columns / width)
+    size = max(1, round(scale * width)), max(1, round(scale * height))
+    chosen = np.linspace(0, len(frames) - 1, _SHEET_VIEWS).round().astype(int)
+    views = [np.asarray(Image.fromarray(frames[i]).resize(size, Image.Resampling.BOX)) for i in chosen]
+    return np.concatenate([np.concatenate(views[i : i + columns], 1) for i in range(0, len(views), columns)])
 
 
 def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
     """round((2^bits - 1) clamp(c, 0, 1)) of a float image; bits 8 or 16. NaN becomes 0."""
     top = (1 << bits) - 1
     out = np.empty(image.shape, np.uint8 if bits == 8 else np.uint16)
-    for first in range(0, len(image), 256):  # in strips: an 8K frame in float64 would be 700 MB
-        strip = np.nan_to_num(image[first : first + 256].astype(np.float64))
-        out[first : first + 256] = np.floor(np.clip(strip, 0, 1) * top + 0.5)
+    for first in range(0, len(image), 16):  # in strips that stay in the cache
+        strip = image[first : first + 16].astype(np.float64)
+        np.fmax(strip, 0, out=strip)  # of NaN and 0, 0
+        np.fmin(strip, 1, out=strip)
+        strip *= top
+        strip += 0.5
+        out[first : first + 16] = strip  # without what is behind the point
     return out
-
-
-def _views(
-    gaussians: Gaussians,
-    panel: Panel,
-    rig: Rig,
-    background: tuple[float, float, float],
-    count: int,
-    width_px: int,
-    antialiased: bool,
-) -> list[np.ndarray]:
-    """`count` views spread over the fan, left-most camera first, each uint8 [h, w, 3]."""
-    from lightfield_gs.rasterizer.images import render
-
-    small_panel, small_rig = reduced(panel, rig, width_px)
-    positions = np.linspace(panel.views - 0.5, 0.5, count)
-    if panel.invert_views:
-        positions = positions[::-1]
-    views = []
-    for position in positions:
-        cameras = small_rig.cameras_at(small_panel, [position])
-        view = render(gaussians, cameras, background=background, antialiased=antialiased)[0]
-        views.append(to_integers(view.cpu().numpy(), 8))
-    return views
 
 
 def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
@@ -121,7 +130,7 @@ def _write_webp(path: Path, frames: list[np.ndarray]) -> None:
             temporary,
             save_all=True,
             append_images=images[1:],
-            duration=_FRAME_MS,
+            duration=round(_LOOP_MS / len(images)),
             loop=0,
             quality=_WEBP_QUALITY,
             method=2,

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from command_line import PANEL, complaint, run
+from command_line import PANEL, complaint, run, scene
 from PIL import Image
 
 from lightfield_gs import cli
@@ -17,6 +17,8 @@ from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.show import preview
+from lightfield_gs.show.preview import contact_sheet, look_around
 
 # encode
 
@@ -195,6 +197,28 @@ def test_preview(folder, capsys):
     assert eyes[0].shape == (round(180 / PANEL.line_number), round(288 / PANEL.line_number), 3)
     assert not np.array_equal(*eyes)
     assert len(list((folder / "deep/preview").iterdir())) == 4
+
+
+def test_preview_of_an_upright_panel_fills_a_screen_and_takes_no_longer():
+    upright, lying = (
+        Panel(**{**PANEL.to_dict(), "width_px": w, "height_px": h}) for w, h in ((900, 1600), (1600, 900))
+    )
+    for panel, size, sheet in ((upright, (509, 905), (320, 569)), (lying, (905, 509), (480, 270))):
+        frames = look_around(scene(), panel, Rig.frame(scene(), panel))
+        assert len(frames) == 24 and {frame.shape for frame in frames} == {(size[1], size[0], 3)}
+        columns = 6 if panel is upright else 4
+        shown = contact_sheet(frames)
+        assert shown.shape == (12 // columns * sheet[1], columns * sheet[0], 3)
+        assert np.abs(shown.mean((0, 1)) - np.mean(frames, (0, 1, 2))).max() < 1  # the same views, smaller
+
+
+def test_preview_of_a_large_scene_has_every_second_view(folder, capsys, monkeypatch):
+    monkeypatch.setattr(preview, "_MANY_GAUSSIANS", 10)
+    run(capsys, "encode s.ply -o o.png --panel p.yaml --device cpu --preview v")
+    animation = Image.open("v/look-around.webp")
+    assert animation.n_frames == 12 + 10 and read_image("v/views.png").shape == (3 * 60, 4 * 96, 3)
+    animation.load()
+    assert animation.info["duration"] == round(60 * 46 / 22)  # the loop takes as long
 
 
 def test_preview_of_a_panel_without_viewing_distance_keeps_no_old_eyes(folder, capsys):

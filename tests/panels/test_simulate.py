@@ -53,6 +53,17 @@ def test_at_the_viewing_distance_one_view_fills_the_panel(change, invert, eye):
     assert np.abs(inner - expected).max() < panel.views / panel.line_number
 
 
+@pytest.mark.parametrize("change", KINDS)
+def test_the_picture_is_the_same_in_any_chunks(change, monkeypatch):
+    panel = Panel(**{**BASE, **change})
+    image = np.random.default_rng(0).integers(0, 255, (panel.height_px, panel.width_px, 3), np.uint8)
+    whole = simulate(image, panel, (30, 10, 1900), threads=1)
+    for rows, cell_rows in ((1, 1), (40, 7), (1000, 1000)):
+        monkeypatch.setattr("lightfield_gs.panels.simulate._ROWS_PER_CHUNK_PX", rows)
+        monkeypatch.setattr("lightfield_gs.panels.simulate._CELL_ROWS_PER_CHUNK", cell_rows)
+        assert np.array_equal(simulate(image, panel, (30, 10, 1900), threads=2), whole)
+
+
 def test_right_eye_sees_small_views():
     panel = Panel(**BASE)
     right, left = (views_seen(panel, (x, 0, 2000)).mean() for x in (31.5, -31.5))

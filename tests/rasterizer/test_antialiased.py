@@ -16,7 +16,7 @@ from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.quality import QUALITIES
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.show.preview import contact_sheet
+from lightfield_gs.show.preview import contact_sheet, look_around
 
 BACKGROUND = (0.1, 0.6, 0.3)
 SHAPES = {"specks": (1, 1, 1), "wires": (0.1, 30, 0.1), "discs": (10, 10, 1e-5), "mixed": (0.3, 4, 20)}
@@ -257,7 +257,7 @@ def test_the_commands_take_the_option(tmp_path, monkeypatch):
     made, metadata = read_image("made.png", as_stored=True), read_info("made.png").metadata
     assert np.array_equal(made, encode(stored, shown, fan, antialiased=True).numpy())
     assert json.loads(metadata["encoding"])["antialiased"] is True
-    sheets = [contact_sheet(stored, shown, fan, antialiased=antialiased) for antialiased in (True, False)]
+    sheets = [contact_sheet(look_around(stored, shown, fan, antialiased=antialiased)) for antialiased in (True, False)]
     assert np.array_equal(read_image("views/views.png", as_stored=True), sheets[0]) and not np.array_equal(*sheets)
     assert cli.main(f"prune scene.ply -o less.ply --contribution-cut 1e-3 {common}".split()) == 0
     assert torch.equal(Gaussians.load("less.ply").means, prune(stored, shown, fan, 1e-3, antialiased=True).means)
