@@ -137,76 +137,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Encodes args.input into args.output. Raises InputError."""
     watch = Stopwatch(args.began)
-    bits = _bits(check_image_path(args.output), args.bit_depth)
-    if args.save_rig is not None:
-        check_output_path(args.save_rig)
-    if args.save_gaussians is not None:
-        check_scene_path(args.save_gaussians)
-    if args.preview is not None:
-        check_folder(args.preview)
-    check_outputs(
-        _outputs(args),
-        (
-            args.input,
-            args.rig,
-            args.panel,
-            args.mask,
-            args.depth,
-            args.cameras,
-            args.view_map,
-            args.checkpoint,
-            args.camera and args.camera[0],
-        ),
-    )
+    bits = _check_files(args)
     _check_options(args)
     panel = load_panel(args)
     import torch
 
-    from lightfield_gs.encoding.encode import encode
-    from lightfield_gs.panels.lens import slow_way
-    from lightfield_gs.rasterizer.quality import Quality
-
     if args.threads is not None:
         _use_threads(args.threads)
     device = choose_device(args.device)
-    given = read_given(args, panel)
-    rig: Rig | None = None
-    said: list[str] = []
-    views = _views(args, panel)
-    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
-    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
-        note(why)
-    if args.antialiased and args.quality != "exact" and device == "cuda":
-        note(
-            "anti-aliased scenes are drawn neither from lattices nor in half precision on CUDA: --quality "
-            f"{args.quality} saves little time"
-        )
+    given, views = read_given(args, panel), _views(args, panel)
+    _note_slow_ways(args, panel, device)
     watch.lap("start")
     with torch.inference_mode():
         gaussians, file = load_scene(args, device, watch)
         # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
+        rig: Rig | None = None
+        said: list[str] = []
         if "cameras" in views:
             views["cameras"] = views["cameras"].relative_to(gaussians.origin)
         else:
             rig, said = choose_rig(given, args, panel, gaussians, file)
         rig_of_file = rig and rig.relative_to([-part for part in gaussians.origin])
-        stats: dict = {}
-        drawn = encode(
-            gaussians,
-            panel,
-            rig,
-            args.method,
-            views=args.views,
-            background=args.background,
-            output="uint8" if bits == 8 else "float32",
-            quality=args.quality,
-            threads=args.threads,
-            stats=stats,
-            antialiased=args.antialiased,
-            **views,
-        )
-        image = drawn.cpu().numpy()
-        del drawn  # a device has other use for its memory
+        image, stats = _drawn(args, gaussians, panel, rig, views, bits)
         watch.lap("image", stats["stages_ms"])
         write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig_of_file), args.compression)
         if args.save_rig is not None:
@@ -220,17 +172,78 @@ def run(args: argparse.Namespace) -> None:
 
             write_preview(args.preview, image, gaussians, panel, cast("Rig", rig), args.background, args.antialiased)
             watch.lap("preview")
-            if why := why_no_eye(panel):
-                note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
-    if stats["pairs"] == 0 and stats["gaussians_culled"] == gaussians.count:
+    _say(args, panel, gaussians.count, stats, watch.line(), said)
+
+
+def _check_files(args: argparse.Namespace) -> int:
+    """Raises InputError for files that cannot be written, or would be written over; returns the bits of the image."""
+    bits = _bits(check_image_path(args.output), args.bit_depth)
+    if args.save_rig is not None:
+        check_output_path(args.save_rig)
+    if args.save_gaussians is not None:
+        check_scene_path(args.save_gaussians)
+    if args.preview is not None:
+        check_folder(args.preview)
+    camera_file = args.camera and args.camera[0]
+    read = (args.input, args.rig, args.panel, args.mask, args.depth, args.cameras, args.view_map, args.checkpoint)
+    check_outputs(_outputs(args), (*read, camera_file))
+    return bits
+
+
+def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None:
+    """Says where a panel or an option keeps the method `direct` from its fastest ways."""
+    from lightfield_gs.panels.lens import slow_way
+    from lightfield_gs.rasterizer.quality import Quality
+
+    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
+    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+        note(why)
+    if args.antialiased and args.quality != "exact" and device == "cuda":
         note(
-            f"{args.output} is all background: none of {gaussians.count} Gaussians is within what the cameras see, or "
+            "anti-aliased scenes are drawn neither from lattices nor in half precision on CUDA: --quality "
+            f"{args.quality} saves little time"
+        )
+
+
+def _drawn(
+    args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig | None, views: dict[str, Any], bits: int
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """The image on the host, and what `encode` tells of it; views: arguments in place of the rig."""
+    from lightfield_gs.encoding.encode import encode
+
+    stats: dict[str, Any] = {}
+    drawn = encode(
+        gaussians,
+        panel,
+        rig,
+        args.method,
+        views=args.views,
+        background=args.background,
+        output="uint8" if bits == 8 else "float32",
+        quality=args.quality,
+        threads=args.threads,
+        stats=stats,
+        antialiased=args.antialiased,
+        **views,
+    )
+    return drawn.cpu().numpy(), stats
+
+
+def _say(
+    args: argparse.Namespace, panel: Panel, gaussians: int, stats: dict[str, Any], times: str, said: list[str]
+) -> None:
+    """What was made, how long it took, and what was decided or looks wrong."""
+    if args.preview is not None and (why := why_no_eye(panel)):
+        note(f"{args.preview} has no left-eye.png and right-eye.png: {why}")
+    if stats["pairs"] == 0 and stats["gaussians_culled"] == gaussians:
+        note(
+            f"{args.output} is all background: none of {gaussians} Gaussians is within what the cameras see, or "
             "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
         )
-    print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians.count} Gaussians")
-    print(watch.line())
+    print(f"{args.output}: {panel.width_px} x {panel.height_px}, {panel.views} views, {gaussians} Gaussians")
+    print(times)
     if args.stats:
-        print("\n".join(_stats_lines(stats, gaussians.count)))
+        print("\n".join(_stats_lines(stats, gaussians)))
     print("".join(f"{line}\n" for line in said), end="")
 
 
