@@ -17,10 +17,10 @@ demo: setup
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
 
 # The suite: tests side by side, one process a core and each on one thread, for a thread that waits for another would wait
-# for the other processes as well; then, one by one, those that compare times. Tests of one group (xdist_group), which
-# share what takes long to make, are in one process.
+# for the other processes as well; then, one by one, those that compare times. A file is in one process, for its tests
+# share what takes long to make.
 PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
-BESIDE := --numprocesses auto --maxprocesses 8 --dist loadgroup
+BESIDE := --numprocesses auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 test: setup
 	$(PYTEST) $(BESIDE) -m "not alone" tests

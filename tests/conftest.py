@@ -20,6 +20,11 @@ if os.environ.get("LFGS_CORE"):
     specification.loader.exec_module(lightfield_gs._core)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that take longest come first, so that processes side by side end together."""
+    items.sort(key=lambda item: item.get_closest_marker("long_file") is None)
+
+
 @pytest.fixture(scope="session")
 def shared_dir() -> Path:
     """The folder of test data beside the checkout; the tests that need it are skipped where it is absent."""

@@ -28,7 +28,7 @@ CSRC = FOLDER.parents[1] / "csrc"
 if platform.machine() != "x86_64" or shutil.which("g++") is None or not Path("/usr/include/hwy").exists():
     pytest.skip("needs g++ on x86-64, and the packages of GLM and Highway", allow_module_level=True)
 pybind11 = pytest.importorskip("pybind11")
-pytestmark = [pytest.mark.slow, pytest.mark.not_sanitized, pytest.mark.xdist_group("cuda_on_cpu")]
+pytestmark = [pytest.mark.slow, pytest.mark.long_file, pytest.mark.not_sanitized]
 
 
 DRAWN = (

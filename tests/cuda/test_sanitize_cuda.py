@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 import sanitize_cuda
 
-pytestmark = pytest.mark.not_sanitized
+pytestmark = [pytest.mark.long_file, pytest.mark.not_sanitized]
 
 TOOL = """#!{python}
 import os, subprocess, sys

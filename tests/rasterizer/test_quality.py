@@ -13,6 +13,8 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.rasterizer.quality import QUALITIES
 from lightfield_gs.reference.blend import ALPHA_MIN
 
+pytestmark = pytest.mark.long_file
+
 FLOAT_ERROR = 2e-4  # of exact float32 frames, and more where a sample sits on a threshold
 LENSES = [
     "default lens",

@@ -18,7 +18,7 @@ from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
 from training.data.transfer import packed
 
-pytestmark = pytest.mark.not_sanitized
+pytestmark = [pytest.mark.long_file, pytest.mark.not_sanitized]
 
 AZIMUTHS = (0, -25, -10, 10, 25, 100)
 

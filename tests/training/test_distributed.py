@@ -24,7 +24,7 @@ train.main()
 """
 # Float32 without dropout, whose masks belong to a process.
 STEPS = {"bfloat16": False, "stages": [{"steps": 4, "image_size_px": 16, "objects": 4}]}
-pytestmark = pytest.mark.not_sanitized
+pytestmark = [pytest.mark.long_file, pytest.mark.not_sanitized]
 TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
 
 

@@ -17,6 +17,8 @@ from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
 from training.data.superquadrics import SHAPE, lengths, lies_inside, profile_points, section_points
 
+pytestmark = pytest.mark.long_file
+
 CONE_DEG = (30.0, 12.0)
 
 

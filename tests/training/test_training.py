@@ -29,6 +29,8 @@ from training.losses import LossWeights, composite, roughness, total_loss, trans
 from training.schedule import WeightAverage, learning_rate
 from training.trainer import Trainer
 
+pytestmark = pytest.mark.long_file
+
 
 def test_psnr_of_a_constant_error():
     image = torch.rand(2, 3, 8, 8)
