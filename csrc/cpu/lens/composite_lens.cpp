@@ -191,7 +191,7 @@ class LensBands {
           break;
         case LensLattice::Verdict::kSplit: {
           ++counters_.split_lattices;
-          // What the halves need says little about the runs that follow
+          // The runs that follow begin with what this run has taught, not with what its halves need
           const float fineness = lattice_.fineness;
           draw_runs(splats, cells, level + 1);
           lattice_.fineness = fineness;

@@ -241,7 +241,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     if (hn::AllFalse(d, lit)) return;
     touched = true;
 
-    // Exponent
+    // Gradients of alpha and of the exponent
     const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s) : ColourAt<-1>(d, colour, order, channel, s);
     const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
     const V g_alpha = OverAdjoint<false>(d, alpha, before, weight, v, &tile.total[i], &tile.prefix[i]);

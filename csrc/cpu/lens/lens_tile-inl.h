@@ -303,8 +303,7 @@ class LensTile {
     alignas(64) T columns[kLanes];
     alignas(64) uint64_t phases[kLanes];
     [[maybe_unused]] const CellRow* cells[kLanes] = {};
-    constexpr uint64_t kAbove = uint64_t(3)
-                                << 32;  // added where a cell may begin left of the panel, to divide unsigned
+    constexpr uint64_t kAbove = uint64_t(3) << 32;  // keeps numbers positive for cells that begin left of the panel
     const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
     for (int lane = 0; lane < kLanes; ++lane) {
       const int64_t r = down * kRows + lane / kCellsPerPatch, c = across * kCellsPerPatch + lane % kCellsPerPatch;
