@@ -15,6 +15,8 @@ void parallel_for(int64_t items, int threads, const std::function<void(int64_t, 
   std::atomic<int64_t> next{0};
   std::exception_ptr failure;
   std::mutex failure_mutex;
+
+  // What every thread does; the first failure ends the work of all
   auto work = [&](int worker) {
     try {
       for (int64_t item = next++; item < items; item = next++) body(item, worker);

@@ -18,7 +18,7 @@ namespace lfgs {
 // them.
 constexpr int kCellPeriod = 4, kRowPeriod = 3 * kCellPeriod;  // columns; the same in sub-pixels
 struct SubpixelCells {
-  uint64_t phases[kCellPeriod][kRowPeriod] = {};  // 2^64 = one lens; signed, as most are near 0
+  uint64_t phases[kCellPeriod][kRowPeriod] = {};  // 2^64 = one lens; to be read as signed
   uint8_t channels[kCellPeriod][kRowPeriod] = {};
 };
 

@@ -98,6 +98,7 @@ struct DenseSplat : SplatTerms<T> {
   }
 };
 
+// Blends a splat into the patches that find() has marked.
 template <class T>
 void ForwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s) {
   using Tile = DenseTile<T>;
@@ -143,6 +144,8 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
     const auto free = hn::And(hn::Gt(alpha, hn::Zero(d)), hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
     sums.Add(ExponentAdjoint(d, g_alpha, alpha, free), dy, hn::Mul(dx, s.inverse_S));
   });
+
+  // Sums over the lanes
   sums.Reduce(d, splat, out.splat());
   out.splat().depth += hn::GetLane(hn::SumOfLanes(d, g_channel[3]));
   for (int k = 0; k < 3; ++k) out.colours()[k] += hn::GetLane(hn::SumOfLanes(d, g_channel[k]));
@@ -154,6 +157,7 @@ void BeginForward(DenseTile<T>& tile) {
   std::fill(std::begin(tile.transmittance), std::end(tile.transmittance), T(1));
 }
 
+// Adds the background and writes colour, alpha and depth.
 template <class T>
 void FinishForward(const DenseJob<T>& job, const DenseTile<T>& tile) {
   const T* background = job.background + 3 * tile.image;

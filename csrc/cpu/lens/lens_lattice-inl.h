@@ -159,6 +159,7 @@ class LensLattice {
     auto worst = hn::Zero(d), squares = hn::Zero(d);
     int64_t count = 0;
     for (int j = 0; j < plan.down; ++j) {
+      // A row of middles, on all planes
       row_.move_to(nodes_, plan.y0 + float(j) * plan.step_y);
       for (int k = 0; k < plan.planes; ++k)
         for (int i = 0; i < plan.across; i += kLanes) {
@@ -176,6 +177,8 @@ class LensLattice {
           count += 3 * kLanes;
         }
     }
+
+    // Over all lanes
     const float sum = hn::GetLane(hn::SumOfLanes(d, squares));
     return {hn::GetLane(hn::MaxOfLanes(d, worst)), std::sqrt(sum / float(std::max<int64_t>(count, 1)))};
   }

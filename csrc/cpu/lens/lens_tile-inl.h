@@ -279,6 +279,8 @@ class LensTile {
     }
     // Retired vectors do no harm in the list: a few are quicker blended than dropped
     if (HWY_LIKELY(8 * open > 7 * int(alive_.size()))) return size;
+
+    // Drop the retired ones, group by group
     int64_t kept = 0;
     for (int64_t k = 0, down = 0; down < kDown; ++down) {
       for (const int64_t end = ends_[down]; k < end; ++k) {
