@@ -1,4 +1,4 @@
-// Host/device qualifiers: one source of the mathematics for C++ and CUDA.
+// Qualifiers that let C++ and CUDA share one source of the mathematics.
 #pragma once
 
 #include <cstdint>

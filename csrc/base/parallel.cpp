@@ -1,3 +1,4 @@
+// Work items are handed out by a counter that all threads share.
 #include "base/parallel.h"
 
 #include <algorithm>
@@ -14,6 +15,8 @@ void parallel_for(int64_t items, int threads, const std::function<void(int64_t, 
   std::atomic<int64_t> next{0};
   std::exception_ptr failure;
   std::mutex failure_mutex;
+
+  // What every thread does; the first failure ends the work of all
   auto work = [&](int worker) {
     try {
       for (int64_t item = next++; item < items; item = next++) body(item, worker);
@@ -30,7 +33,7 @@ void parallel_for(int64_t items, int threads, const std::function<void(int64_t, 
   pool.reserve(size_t(std::max<int64_t>(helpers, 0)));
   try {
     for (int64_t i = 0; i < helpers; ++i) pool.emplace_back(work, int(i + 1));
-  } catch (const std::system_error&) {  // the system starts no more: those that run do all of it
+  } catch (const std::system_error&) {  // no more threads can be had: those that run do all of it
   }
   work(0);
   for (auto& thread : pool) thread.join();

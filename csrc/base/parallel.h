@@ -1,5 +1,5 @@
-// A named parallel-for over independent work items. Results never depend on the number of threads: each item
-// writes its own outputs, and `worker` only selects scratch memory.
+// A parallel for over independent work items. Results never depend on the number of threads: each item writes its own
+// outputs, and `worker` only selects scratch memory.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// How Python hands over buffers: as integers.
+// How Python hands over buffers: as integers, which become pointers here. Python checks sizes and types before.
 #pragma once
 
 #include <pybind11/pybind11.h>

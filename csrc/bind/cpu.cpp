@@ -1,4 +1,4 @@
-// The CPU's stages, in both precisions, and the vector instructions that they use.
+// Binds the CPU's stages in both precisions, and the choice of the vector instructions that they use.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
@@ -138,7 +138,8 @@ void bind_stages(py::module_ m) {
   bind_composite_lens<T>(m);
 }
 
-// What this processor can run of what was compiled: scalar code always, where it was (LFGS_SCALAR).
+// The instruction sets that were compiled and that this processor has. Scalar code, if compiled (LFGS_SCALAR), always
+// runs.
 int64_t usable_targets() { return (hwy::SupportedTargets() | HWY_EMU128) & HWY_TARGETS; }
 
 std::vector<std::string> simd_targets() {

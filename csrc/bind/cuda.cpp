@@ -1,4 +1,5 @@
-// The device's stages. Streams and all pointers are integers, as on the CPU.
+// Binds the stages of a CUDA device and the kernels of the network. Streams and all pointers are integers, as on the
+// CPU.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
@@ -159,7 +160,7 @@ void bind_composite(py::module_ m) {
       py::arg("pixels"), py::arg("gradient"), py::arg("slot_gradients"), py::arg("tile_background"), py::arg("stream"));
 }
 
-// Of the network (network/).
+// Kernels of the network (csrc/network).
 void bind_network(py::module_ m) {
   m.def(
       "group_norm_silu",

@@ -1,4 +1,5 @@
-// The light-field frame of the CUDA backend for Python; see cuda/frame/lens_frame.h and frame_cuda.py.
+// Binds the frame, a light-field image drawn on CUDA without the host in between; see cuda/frame/lens_frame.h and
+// lightfield_gs/rasterizer/frame_cuda.py.
 #include "cuda/frame/lens_frame.h"
 
 #include <pybind11/stl.h>
@@ -18,7 +19,7 @@ using cuda::FrameState;
 using cuda::LensFrame;
 using cuda::LensKernel;
 
-// Has a frame drawn by a kernel in place of the one that it would choose; -1: as it chooses.
+// Makes a frame use this kernel in place of the one that it would choose; -1 lets it choose.
 void force(LensFrame& frame, int kernel) {
   require(kernel >= -1 && kernel < int(LensKernel::kCount), "no such kernel: " + std::to_string(kernel));
   require(kernel != int(LensKernel::kOrdinal) || frame.has_ordinal,
@@ -28,7 +29,7 @@ void force(LensFrame& frame, int kernel) {
   frame.forced = kernel;
 }
 
-// What a frame found out, of a copy in host memory.
+// What a frame found out, read from a copy of its state in host memory.
 py::dict frame_state(Address address) {
   const FrameState& state = *at<FrameState>(address);
   py::dict out;

@@ -1,5 +1,6 @@
-// The Python module: integers -> pointers, Error -> ValueError. It knows neither torch nor NumPy; Python owns every
-// buffer and checks every argument before it hands addresses over. The GIL is released while a stage runs.
+// The Python module: integers become pointers, and an Error becomes a ValueError. It knows neither torch nor NumPy;
+// Python owns every buffer and checks every argument before it hands addresses over. The GIL is released while a stage
+// runs.
 #include <pybind11/pybind11.h>
 
 #include "base/error.h"

@@ -1,4 +1,4 @@
-// The part of the module for sub-pixels sorted by view.
+// Binds the stages of the method `sorted`, whose sub-pixels are sorted by view, on CPU and CUDA.
 #include "bind/addresses.h"
 #include "bind/parts.h"
 #include "stages/stages.h"

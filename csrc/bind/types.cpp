@@ -1,4 +1,5 @@
-// What the functions of the module take: constants, the panel and the rig, and for each precision views of buffers.
+// Binds what the functions of the module take: constants, the panel and the rig, and for each precision the structs
+// that name buffers.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
@@ -99,7 +100,7 @@ void bind_bins_and_counters(py::module_ m) {
       .def_readonly("refused_lattices", &Counters::refused_lattices);
 }
 
-// Views of buffers of one precision.
+// The structs that name the buffers of one precision.
 template <class T>
 void bind_buffers(py::module_ m) {
   py::class_<Gaussians<T>>(m, "Gaussians")

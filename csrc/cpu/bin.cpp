@@ -1,4 +1,5 @@
-// Stage bin: for every band of every image, the splats whose rows touch it, nearest first.
+// Stage bin: lists for every band of every image the splats whose rows touch it, nearest first. Reads splats and their
+// order, writes Bins; also numbers the pairs for the reverse.
 #include <algorithm>
 #include <vector>
 
@@ -9,6 +10,7 @@
 namespace lfgs {
 namespace {
 
+// The bands that a splat touches; none where last < first.
 struct Bands {
   int32_t first, last;
 };
@@ -33,7 +35,7 @@ void for_each_band(const Splats<T>& splats, const int32_t* order, const int64_t*
     const Splat<T>* s = splats.splats + image * splats.count;
     const int32_t* sorted = order + image * splats.count;
 
-    // The bands of every splat in memory order first: then the walk in depth order reads a few bytes each
+    // First the bands of every splat, in the order of memory, so that the walk by depth reads only a few bytes of each
     std::vector<Bands> ranges(size_t(splats.count));
     for (int64_t i = 0; i < splats.count; ++i) {
       const Bands b = bands_of(s[i], height_px);

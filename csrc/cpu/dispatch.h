@@ -3,12 +3,12 @@
 // each precision.
 #pragma once
 
-// In HWY_NAMESPACE, after the template Counters Name(const Job<T>&).
+// To be used in HWY_NAMESPACE, after the template Counters Name(const Job<T>&).
 #define LFGS_FOR_EVERY_TARGET(Name, Job)                          \
   Counters Name##F32(const Job<float>& job) { return Name(job); } \
   Counters Name##F64(const Job<double>& job) { return Name(job); }
 
-// Once, in an unnamed namespace: Counters dispatch(const Job<T>&), of the best target.
+// To be used once, in an unnamed namespace. Defines Counters dispatch(const Job<T>&), which calls the best target.
 #define LFGS_DISPATCH(Name, Job)                                                            \
   HWY_EXPORT(Name##F32);                                                                    \
   HWY_EXPORT(Name##F64);                                                                    \

@@ -1,6 +1,6 @@
-// What both sensors' projections do alike on the CPU: reading one Gaussian, summing the gradients of its pairs, adding
-// to its own. Arithmetic is double whatever the precision of the data: it costs a few milliseconds and keeps needles
-// and far-away means exact.
+// What the projections of both sensors have in common on the CPU: they read one Gaussian, sum the gradients of its
+// pairs and add to its own. Arithmetic is double whatever the precision of the data, which costs a few milliseconds and
+// keeps needles and far-away means exact.
 #pragma once
 
 #include <algorithm>
@@ -21,7 +21,7 @@ Shape<double> shape_of(const Gaussians<const T>& g, int64_t i) {
   return {{m[0], m[1], m[2]}, {q[0], q[1], q[2], q[3]}, {s[0], s[1], s[2]}, double(g.opacities[i])};
 }
 
-// Gradient of one pair summed over the bands of a splat, in band order.
+// Sums the gradients of a splat's pairs, always in the order of its bands, so that every run has the same bits.
 template <class T>
 void sum_pairs(const Splat<T>& splat, int64_t height_px, int64_t first, int size, const T* pairs, double* sum) {
   Range rows = rows_of(splat, height_px);
@@ -32,7 +32,7 @@ void sum_pairs(const Splat<T>& splat, int64_t height_px, int64_t first, int size
     for (int f = 0; f < size; ++f) sum[f] += double(pairs[(first + k) * size + f]);
 }
 
-// A splat and, of an anti-aliased scene, its compensation.
+// Projects a Gaussian; sets `compensation` if the scene is anti-aliased and the splat is drawn.
 inline Splat<double> projected(const View<double>& view, const Shape<double>& shape,
                                Compensation<double>& compensation) {
   const Projection<double> projection(view, shape);
@@ -41,6 +41,7 @@ inline Splat<double> projected(const View<double>& view, const Shape<double>& sh
   return splat;
 }
 
+// Adds the gradient of a Gaussian to those of the set.
 template <class T>
 void add_gradient(const Shape<double>& shape, const Shape<double>& g, const Gaussians<T>& out, int64_t i) {
   const glm::dvec4 g_quaternion = quaternion_gradient(shape.quaternion, g.quaternion);

@@ -1,4 +1,5 @@
-// Stage order: splats of an image by depth, nearest first, ties by index.
+// Stage order: sorts those splats of an image that are drawn, nearest first by depth, ties by index. Reads splats,
+// writes their indices and how many they are.
 #include <array>
 #include <bit>
 #include <type_traits>
@@ -13,7 +14,8 @@ namespace {
 template <class T>
 using Bits = std::conditional_t<sizeof(T) == 4, uint32_t, uint64_t>;
 
-// Stable LSD radix sort of (key, index); depths are positive, so their bits sort like the numbers.
+// Stable radix sort of (key, index), from the lowest digit up. Depths are positive, so their bits sort like the
+// numbers.
 template <class Key>
 void radix_sort(std::vector<std::pair<Key, int32_t>>& items) {
   constexpr int kBits = 11, kBuckets = 1 << kBits;

@@ -1,4 +1,5 @@
-// Samples of one camera in patches, a vector each: which patches a splat may touch, and what it is at their samples.
+// Samples that one camera sees, as dense and sorted have them: a tile's samples form patches of one vector each.
+// Patches tells which of them a splat may touch, SplatTerms evaluates the splat at their samples.
 
 #if defined(LFGS_CPU_PATCHES_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_PATCHES_INL_H_
@@ -18,7 +19,7 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// The boxes around the sample centres of kCount patches, from the tile's corner, and which of them are still open.
+// The boxes around the sample centres of kCount patches, measured from the tile's corner, and which patches are open.
 template <class T, int kCount>
 struct Patches {
   using D = Tag<T>;
@@ -28,7 +29,7 @@ struct Patches {
 
   alignas(64) T x[kCount] = {}, y[kCount] = {}, half_x[kCount] = {}, half_y[kCount] = {};
   uint64_t open[kWords];     // bit per patch: some sample still takes light
-  uint64_t touched[kWords];  // by the splat at hand
+  uint64_t touched[kWords];  // bit per patch: the splat at hand may touch it
 
   // Opens the first `count` patches.
   void reopen(int count) {
@@ -42,23 +43,28 @@ struct Patches {
   }
   void close(int patch) { open[patch / 64] &= ~(1ull << patch % 64); }
 
-  // Marks the open patches that a splat may touch, (u, v) being its centre from the tile's corner; returns how many.
+  // Marks the open patches that a splat may touch, whose centre is (u, v) from the tile's corner; returns how many.
   HWY_INLINE int find(const Splat<T>& s, T u, T v) {
     const D d;
     const V slope = hn::Set(d, std::abs(s.c0)), margin = hn::Set(d, T(0.01));
     int count = 0;
     std::fill(touched, touched + kWords, 0);
     for (int p = 0; p < kCount; p += kLanes) {
+      // What the row nearest to the centre leaves of the exponent
       const V half = hn::Load(d, half_y + p);
       const V middle = hn::Sub(hn::Load(d, y + p), hn::Set(d, v));
       const V nearest = hn::Max(hn::Sub(hn::Abs(middle), half), hn::Zero(d));
       const V exponent = hn::NegMulAdd(hn::Mul(hn::Set(d, s.tau), nearest), nearest,
                                        hn::Set(d, s.log2_opacity - T(kLog2MinAlpha) + T(1e-3)));
+
+      // How far the box is from the footprint's middle line, and whether that is within its half width
       const V centre = hn::MulAdd(hn::Set(d, s.c0), middle, hn::Set(d, u));
       const V spread = hn::Add(hn::MulAdd(half, slope, hn::Load(d, half_x + p)), margin);
       const V distance = hn::Max(hn::Sub(hn::Abs(hn::Sub(hn::Load(d, x + p), centre)), spread), hn::Zero(d));
       const auto near = hn::Le(hn::Mul(distance, distance), hn::Mul(exponent, hn::Set(d, s.S0)));
       const auto hit = hn::And(near, hn::Ge(exponent, hn::Zero(d)));
+
+      // One bit per patch
       alignas(8) uint8_t bits[8] = {};
       hn::StoreMaskBits(d, hit, bits);
       uint64_t word;
@@ -77,7 +83,7 @@ struct Patches {
   }
 };
 
-// A splat's constants as the samples of a tile read them, a vector each.
+// The constants of a splat that samples of a tile read, a vector each.
 template <class T>
 struct SplatTerms {
   using D = Tag<T>;
@@ -89,7 +95,8 @@ struct SplatTerms {
     u = hn::Set(d, u_), v = hn::Set(d, v_), c0 = hn::Set(d, s.c0), tau = hn::Set(d, s.tau);
     log2_opacity = hn::Set(d, s.log2_opacity), inverse_S = hn::Set(d, T(1) / s.S0);
   }
-  // log2 of opacity * weight; also the sample's place in the footprint.
+  // Returns log2 of opacity * weight; also sets dy, the distance from the centre's row, and dx, that from the
+  // footprint's middle in the sample's row.
   HWY_INLINE V power(V x, V y, V& dx, V& dy) const {
     dy = hn::Sub(y, v);
     dx = hn::NegMulAdd(c0, dy, hn::Sub(x, u));

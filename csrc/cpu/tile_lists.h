@@ -1,4 +1,5 @@
-// Inside one band: which splats touch which tile, in the order given. A counting sort in reused memory.
+// Lists which splats of a band touch which of its tiles, in the order given: a counting sort whose memory is reused
+// from band to band.
 #pragma once
 
 #include <cstdint>
@@ -10,9 +11,11 @@ namespace lfgs {
 
 class TileLists {
  public:
-  // tiles_of(id) -> Range of tiles, already clipped to [0, tiles). fetch(id) is called some splats before.
+  // tiles_of(id) returns a Range of tiles within [0, tiles). fetch(id) is called some splats earlier, to ask for
+  // memory.
   template <class TilesOf, class Fetch>
   void build(const int32_t* ids, int64_t count, int64_t tiles, const TilesOf& tiles_of, const Fetch& fetch) {
+    // Count the splats of each tile, and remember the tiles of each splat
     ranges_.resize(size_t(count));
     offsets_.assign(size_t(tiles) + 1, 0);
     for (int64_t k = 0; k < count; ++k) {
@@ -21,6 +24,8 @@ class TileLists {
       ranges_[k] = {int32_t(r.first), int32_t(r.last)};
       for (int64_t t = r.first; t <= r.last; ++t) ++offsets_[t + 1];
     }
+
+    // Where each tile's list begins, then the lists
     for (int64_t t = 0; t < tiles; ++t) offsets_[t + 1] += offsets_[t];
     next_.assign(offsets_.begin(), offsets_.end() - 1);
     splats_.resize(size_t(offsets_[tiles]));

@@ -1,5 +1,6 @@
-// Arithmetic at one vector of samples: powers of two, colours, alpha. Shared by all sensors; included once per target.
-// float runs on full vectors; double on one lane, with the C library's exp2, as the exact twin.
+// Arithmetic on one vector of samples: powers of two, looking colours up, alpha. All sensors share it. Highway includes
+// it once for every instruction set. float runs on full vectors; double is the exact twin and runs on one lane, with
+// the C library's exp2.
 
 #if defined(LFGS_MATH_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_MATH_BLEND_INL_H_
@@ -33,8 +34,8 @@ struct TagOf<double> {
 template <class T>
 using Tag = typename TagOf<T>::type;
 
-// 2^x for x in [-126, 1]; anything (but no trap) below. float: relative error < 2e-7; where 3e-6 will do, kDegree 4
-// saves one of 10 operations.
+// 2^x for x in [-126, 1]; below that the result may be anything. float: relative error < 2e-7; where 3e-6 will do,
+// kDegree 4 saves one of 10 operations.
 template <int kDegree = 5, class D>
 HWY_INLINE hn::Vec<D> Exp2(D d, hn::Vec<D> x) {
   if constexpr (sizeof(hn::TFromD<D>) == 8) {

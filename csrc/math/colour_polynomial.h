@@ -1,5 +1,5 @@
-// Colour of a Gaussian as seen from everywhere along a rig: a polynomial in the normalized offset s in [-1, 1], from
-// its values at Chebyshev nodes. The fit, values -> Chebyshev coefficients -> powers of s, and its adjoint.
+// The colour of a Gaussian as seen from everywhere along a rig: a polynomial in the normalized offset s in [-1, 1]. The
+// fit takes values at Chebyshev nodes to Chebyshev coefficients, and those to powers of s; its adjoint goes back.
 #pragma once
 
 #include <cmath>
@@ -37,7 +37,7 @@ struct ColourBasis {
   }
 };
 
-// Below, Basis is a ColourBasis or what a kernel has of it, and V a colour.
+// Below, Basis is a ColourBasis or a kernel's copy of its tables, and V is a colour.
 
 // Chebyshev coefficients of the polynomial that is value(s) at the nodes. Loops over coefficients are unrolled on the
 // device, where `nodes` is a constant.
@@ -53,8 +53,8 @@ LFGS_HD void chebyshev_of_values(const Basis& basis, int nodes, const Value& val
   }
 }
 
-// The coefficient of s^p, of the Chebyshev coefficients up to `kept`. Only those in [first, end) are looked at: p and
-// kept + 1 would do, but constants let a loop be unrolled.
+// The coefficient of s^p in the polynomial of the Chebyshev coefficients up to `kept`. Only those in [first, end) are
+// looked at: p and kept + 1 would do, but with constants the loop can be unrolled.
 template <class V, class Basis>
 LFGS_HD V power_of_chebyshev(const Basis& basis, int nodes, int p, int kept, int first, int end, const V* chebyshev) {
   V power(0);
@@ -64,8 +64,9 @@ LFGS_HD V power_of_chebyshev(const Basis& basis, int nodes, int p, int kept, int
   return power;
 }
 
-// Adjoint of both: g_powers [kept + 1, 3] -> visit(s, gradient of the value there) at every node. Order 0 was clamped
-// at zero, so a channel counts only where `colours`, what the fit gave, is above. g_chebyshev: room for kept + 1.
+// Adjoint of both: from g_powers, [kept + 1, 3], calls visit(s, gradient of the value at s) for every node. Colours of
+// order 0 were clamped at zero, so a channel counts only where `colours`, the result of the fit, is above. g_chebyshev
+// has room for kept + 1 colours.
 template <class V, class Basis, class G, class T, class Visit>
 LFGS_HD void colour_fit_adjoint(const Basis& basis, int nodes, int kept, const G* g_powers, const T* colours,
                                 V* g_chebyshev, const Visit& visit) {

@@ -10,13 +10,15 @@
 
 namespace lfgs {
 
+// The coefficients of D(s).
 template <class T>
 struct Compensation {
   T D0, D1, D2;
 };
 constexpr int kCompensationFields = 3;
 
-// Largest D(s) / S(s) over the rig. Its derivative has the sign of a parabola, for the cubes of s cancel.
+// Largest D(s) / S(s) over the rig: at an end, or where the derivative is zero. The derivative has the sign of a
+// parabola, for the cubes of s cancel.
 template <class T>
 LFGS_HD T largest_share(T S0, T S1, T S2, const Compensation<T>& c) {
   auto share = [&](T s) { return (c.D0 + s * (c.D1 + s * c.D2)) / (S0 + s * (S1 + s * S2)); };
@@ -26,7 +28,7 @@ LFGS_HD T largest_share(T S0, T S1, T S2, const Compensation<T>& c) {
   const T square = half * half - bend * start;
   if (!(square >= 0)) return most;
   const T q = half < 0 ? std::sqrt(square) - half : -std::sqrt(square) - half;
-  for (const T root : {q / bend, start / q})  // no number: none
+  for (const T root : {q / bend, start / q})  // fails where a root is no number
     if (root > -1 && root < 1 && share(root) > most) most = share(root);
   return most;
 }

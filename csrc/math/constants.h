@@ -5,8 +5,8 @@ namespace lfgs {
 
 constexpr double kBlurVariancePx = 0.3;  // added to the diagonal of the 2D covariance, px^2
 constexpr double kMaxAlpha = 0.99;
-constexpr double kMinTransmittance = 1e-4;  // a sample stops before it falls below
-constexpr double kNearDepth = 0.01;
+constexpr double kMinTransmittance = 1e-4;  // a sample ends before its transmittance falls below
+constexpr double kNearDepth = 0.01;         // nearer Gaussians are not drawn
 constexpr double kMinAlpha = 1.0 / 255;
 constexpr double kLog2MinAlpha = -7.994353436858858;  // log2(1/255)
 constexpr double kLog2MaxAlpha = -0.014499569695115;  // log2(0.99)

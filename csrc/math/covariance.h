@@ -27,7 +27,7 @@ LFGS_HD glm::vec<4, R> rotation_of_adjoint(const glm::vec<4, R>& q, const glm::m
       2 * (x * (g[0][2] + g[2][0]) + y * (g[1][2] + g[2][1]) + w * (g[0][1] - g[1][0])) - 4 * z * (g[0][0] + g[1][1])};
 }
 
-// Symmetric 3x3 matrix by its six numbers.
+// A symmetric 3x3 matrix, by its six numbers.
 template <class R>
 struct Symmetric3 {
   R xx = 0, xy = 0, xz = 0, yy = 0, yz = 0, zz = 0;

@@ -1,4 +1,5 @@
-// Where a splat may bring a sample above the opacity cut: rows, bands, columns. Bounds err on the wide side.
+// Where the alpha of a splat may be above the opacity cut: its rows and columns, from which bands and tiles follow.
+// Bounds err on the wide side. Also what changes a footprint: raising the cut, and culling.
 #pragma once
 
 #include <cmath>
@@ -9,7 +10,7 @@
 
 namespace lfgs {
 
-// Reach of a splat that is not drawn: not seen, or left out for the little light that it is of.
+// Values of reach_y for splats that are not drawn: because they are not seen, or because they have so little light.
 constexpr int kNotSeen = -1, kPruned = -2;
 
 struct Range {
@@ -47,13 +48,16 @@ LFGS_HD T square_reach_x(const Splat<T>& s, T dy) {
   return exponent > 0 ? exponent * (left > right ? left : right) : T(0);
 }
 
-// Interval of shear * (y - 1/2) + x that the footprint covers over rows centres [y_low, y_high] and the whole rig.
+// The interval of x + shear * (y - 1/2) that the footprint covers, from all cameras of the rig, in the rows whose
+// centres are in [y_low, y_high]; false if it touches none of these rows.
 template <class T>
 LFGS_HD bool columns_of(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T& high) {
   T d1 = y_low - s.v0, d2 = y_high - s.v0;
   d1 = d1 > -s.reach_y ? d1 : -s.reach_y, d2 = d2 < s.reach_y ? d2 : s.reach_y;
   const T margin = T(0.01);
   if (!(d1 <= d2 + 2 * margin)) return false;
+
+  // Half width in the nearest row; then the middle of the footprint, and how far it moves over the rows and the rig
   T nearest = d1 > 0 ? d1 : d2 < 0 ? -d2 : T(0);
   T half = std::sqrt(square_reach_x(s, nearest)) + margin;
   T middle = (d1 + d2) / 2, spread = std::fabs(d2 - d1) / 2;
@@ -63,11 +67,11 @@ LFGS_HD bool columns_of(const Splat<T>& s, T y_low, T y_high, T shear, T& low, T
   return true;
 }
 
-// What patches have, on average, of pixels beyond an ellipse that touches them.
+// How many pixels patches that touch an ellipse reach beyond it, on average.
 constexpr int kPatchMargin = 6;
 
-// Of the ring where a splat's alpha lies between 1/255 and a cut, the share left out by who draws what is within
-// `margin_px` of the ellipse inside.
+// A raised cut gives up the ring where a splat's alpha lies between 1/255 and the cut. Who draws whole patches still
+// draws what is within `margin_px` of the ellipse inside the ring; this is the share of the ring that is left out.
 template <class T>
 LFGS_HD T share_left_out(const Splat<T>& s, T log2_cut, T margin_px) {
   const T deviation = std::sqrt(std::sqrt(s.S0 / s.tau)), inside = s.log2_opacity - log2_cut;
@@ -88,16 +92,15 @@ LFGS_HD void raise_cut(Splat<T>& s, T log2_cut, bool by_patches) {
   s.reach_y = s.log2_opacity >= log2_cut ? std::sqrt((s.log2_opacity - log2_cut) / s.tau) : T(kNotSeen);
 }
 
-// Sum of a splat's alphas over the pixels, no edges, cuts or limits in the way, for the camera that sees it widest:
-// the integral of 2^(log2_opacity - tau dy^2 - dx^2 / S).
+// Sum of a splat's alphas over the pixels for the camera that sees it widest, as if there were no edges, cuts or
+// limits: the integral of 2^(log2_opacity - tau dy^2 - dx^2 / S).
 template <class T>
 LFGS_HD T light_of(const Splat<T>& s) {
   const T left = s.S0 - s.S1 + s.S2, right = s.S0 + s.S1 + s.S2;
   return std::exp2(s.log2_opacity) * T(kPi / kLn2) * std::sqrt((left > right ? left : right) / s.tau);
 }
 
-// Gives a splat that touches no pixel of the image, from no camera of the rig, no rows at all; likewise one whose
-// numbers overflowed.
+// Marks splats as not seen that touch no pixel of the image from any camera of the rig, or whose numbers overflowed.
 template <class T>
 LFGS_HD void cull_outside(Splat<T>& s, int64_t width_px, int64_t height_px) {
   if (!(s.reach_y >= 0)) return;

@@ -9,7 +9,7 @@
 
 namespace lfgs {
 
-// Places of the sums in an array. One camera, at s = 0, has the first kDenseFootprintSums of them.
+// Where each sum is in an array. One camera, which is at s = 0, needs only the first kDenseFootprintSums.
 enum FootprintSum : int {
   kPowerSum,
   kPowerDySum,
@@ -25,7 +25,7 @@ enum FootprintSum : int {
   kLensFootprintSums
 };
 
-// The splat's gradient; not of its depth, which samples see otherwise.
+// The splat's gradient without that of its depth, which is blended like a colour.
 template <class R, class T>
 LFGS_HD Splat<R> dense_gradient_of(const Splat<T>& s, const R* sums) {
   Splat<R> g{};

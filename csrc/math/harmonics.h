@@ -11,7 +11,7 @@ namespace lfgs {
 
 constexpr int kMaxShCount = 16;
 
-// basis[k] at the unit direction d, k < (degree + 1)^2.
+// Writes the values of the harmonics at the unit direction d: basis[k], k < (degree + 1)^2.
 template <class R>
 LFGS_HD void sh_basis(int degree, const glm::vec<3, R>& d, R* basis) {
   R x = d.x, y = d.y, z = d.z;
@@ -35,7 +35,7 @@ LFGS_HD void sh_basis(int degree, const glm::vec<3, R>& d, R* basis) {
   basis[15] = -k3 * x * (x * x - 3 * y * y);
 }
 
-// Gradient of d from those of the basis values.
+// Gradient of the direction d from those of the values that sh_basis writes.
 template <class R>
 LFGS_HD glm::vec<3, R> sh_basis_adjoint(int degree, const glm::vec<3, R>& d, const R* g) {
   R x = d.x, y = d.y, z = d.z;
@@ -60,7 +60,7 @@ LFGS_HD glm::vec<3, R> sh_basis_adjoint(int degree, const glm::vec<3, R>& d, con
   return out;
 }
 
-// 0.5 + sum of the harmonics seen from `eye`, before the clamp at zero; sh is [K, 3].
+// The colour seen from `eye`, 0.5 + sum of harmonics, before it is clamped at zero; sh is [K, 3].
 template <class R, class T>
 LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye) {
   R basis[kMaxShCount];
@@ -73,7 +73,7 @@ LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& 
   return colour;
 }
 
-// Adds the gradients of the coefficients (g_sh) and returns that of the mean (minus it: that of the eye).
+// Adds the gradients of the coefficients to g_sh and returns that of the mean; that of the eye is minus this.
 template <class R, class T, class G>
 LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye,
                                          const glm::vec<3, R>& g_colour, G* g_sh) {

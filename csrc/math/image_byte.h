@@ -1,4 +1,4 @@
-// A colour as it stands in an image of bytes.
+// How a colour becomes a byte of an image.
 #pragma once
 
 #include <algorithm>

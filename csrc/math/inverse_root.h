@@ -10,12 +10,13 @@ namespace lfgs {
 
 constexpr double kMostRootError = 4e-5;  // relative; alpha errs by less than 0.74 of it, which keeps 80 dB at 8 bits
 
-// S^(-1/2) ~ r0 + r1 s + r2 s^2 for s in [-1, 1]. Its series in S = S0 (1 + a1 s + a2 s^2) up to s^4, whose last two
-// terms become what is nearest to them: s^3 -> 3/4 s, s^4 -> s^2 - 1/8 (Chebyshev's economization).
+// S^(-1/2) ~ r0 + r1 s + r2 s^2 for s in [-1, 1]. With S = S0 (1 + a1 s + a2 s^2) it is a power series, taken up to
+// s^4; then s^3 and s^4 are replaced by the nearest polynomials of lower order, 3/4 s and s^2 - 1/8 (Chebyshev's
+// economization).
 template <class T>
 struct InverseRoot {
   T r0 = 0, r1 = 0, r2 = 0;
-  T error = 1;  // about the largest relative one
+  T error = 1;  // about the largest relative error
 
   InverseRoot() = default;
   LFGS_HD explicit InverseRoot(const Splat<T>& s) {
@@ -25,7 +26,7 @@ struct InverseRoot {
     const T p4 = T(0.2734375) * square * square - T(0.9375) * square * a2 + T(0.375) * a2 * a2;
     r0 = root * (1 - p4 / 8), r1 = root * (p1 + T(0.75) * p3), r2 = root * (p2 + p4);
     error = std::fabs(p3) / 4 + std::fabs(p4) / 8;
-    // The series of what varies much says little
+    // Where S varies much the terms left out are too large for this estimate
     if (!(std::fabs(a1) + std::fabs(a2) <= T(0.5))) error = 1;
   }
 };

@@ -1,6 +1,7 @@
-// Where a coarse lattice in (x, y, view) is laid for a part of the panel. A light field is the smoother along the view
-// the better x follows the disparity, so between two planes of views places are compared along x + shear s, with the
-// mean disparity of what is seen there.
+// Where a coarse lattice in (x, y, view) is laid for a part of the panel: LatticeCurvature gathers how fast the light
+// field varies, from the splats that are seen there, and makes a LatticePlan of it. From view to view the picture moves
+// by its disparity, so that a light field is smooth along the view only if x moves along. Between two planes,
+// interpolation therefore follows x + shear s, where shear is the mean disparity of what is seen there.
 #pragma once
 
 #include <cmath>
@@ -10,43 +11,47 @@
 
 namespace lfgs {
 
-// Part of the panel: columns and rows of sample centres, and the offsets that its samples show.
+// A part of the panel: the bounds of its sample centres, in pixels, and of the offsets that its samples show.
 struct LatticePart {
   float x_low, x_high, y_low, y_high, s_low, s_high;
 };
 
-// The root mean square of a lattice's errors must be so many times smaller; where nodes were moved for them, more is
-// left between the middles than there.
+// The largest error of a lattice may be as large as the quality says; the root mean square must be so many times
+// smaller. Where nodes were moved to lessen the errors at the middles, it must be smaller still, for elsewhere more
+// error is left than there.
 constexpr float kMeanShare = 5, kMovedShare = 8;
-// What is interpolated straight between the nodes of a bent field errs to one side: by x (1 - x) in every direction,
-// 3/4 in the middle of a cell where the three are alike, 1/2 on average. So much of the errors at the middles round it
-// a node is moved by; what is left is a quarter of the root mean square.
+// By which share of the errors at the middles round it a node is moved. Linear interpolation of a curved field errs to
+// one side, in each direction by x (1 - x) times its curvature, where x is the place in the cell. Where the three
+// directions are alike this adds up to 3/4 in the middle of a cell and to 1/2 on average, which is 2/3 of that. A
+// quarter of the root mean square is left.
 constexpr float kNodeShare = 2.f / 3;
-constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // steps in standard deviations; of the finer ones tried next
+constexpr float kMostFineness = 1.2f, kBackOff = 0.85f;  // largest steps, in standard deviations; margin of the next
 LFGS_HD float first_fineness(float error) { return std::fmin(3.0f * std::sqrt(error), kMostFineness); }
-// Lattices are tried on every kProbeRows-th row of tiles first; where few of its tiles fit, rows between do without.
+// Lattices are tried on every kProbeRows-th row of tiles first; where few of its tiles fit, the rows between do
+// without.
 constexpr int kProbeRows = 8;
 
-// However fine a lattice is wanted, its nodes and middles can be counted in an int: (30001 x 257 + 9999 x 256) x 128.
+// Limits by which an int can count nodes and middles, however fine a lattice is wanted: (30001 x 257 + 9999 x 256) x
+// 128.
 constexpr int kMostPlanes = 128, kMostRows = 256, kMostColumns = 10000;
 
-// Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. What is at a node of a plane is seen up to `margin`
-// nodes aside on the next.
+// Nodes (x0 + i step_x, y0 + j step_y) on planes s0 + k step_s. What is at a node of one plane is seen up to `margin`
+// nodes aside on the next, and so many nodes more there are at both ends of a row.
 struct LatticeGrid {
   int across, down, planes, margin;
   float x0, y0, s0, step_x, step_y, step_s;
 
   LFGS_HD int per_plane() const { return across * down; }
   LFGS_HD int nodes() const { return per_plane() * planes; }
-  // Cells of a row in which samples lie.
+  // How many cells of a row may have samples.
   LFGS_HD int cells() const { return across - 1 - 2 * margin; }
 };
 
-// What is at node i of plane k is seen at about node i + lean[k] of the next.
+// A lattice whose cells lean: what is at node i of plane k is seen at about node i + lean[k] of the next.
 struct LatticePlan : LatticeGrid {
   float lean[kMostPlanes];
 
-  // The middles of the cells that samples of the part lie in.
+  // The middles of the cells in which samples of the part lie, as a plan of their own.
   LFGS_HD LatticePlan middles(const LatticePart& part) const {
     LatticePlan out = *this;
     out.x0 = part.x_low + step_x / 2, out.y0 = y0 + step_y / 2, out.s0 = s0 + step_s / 2;
@@ -55,8 +60,8 @@ struct LatticePlan : LatticeGrid {
   }
 };
 
-// How fast the light field of a part varies: second derivatives of its splats' exponents, weighted by opacity, by the
-// offsets from which they are seen.
+// How fast the light field of a part varies: second derivatives of its splats' exponents, weighted by opacity and
+// summed in bins of the offsets from which the splats are seen.
 class LatticeCurvature {
  public:
   static constexpr int kBins = 16;
@@ -65,9 +70,11 @@ class LatticeCurvature {
     float weight, x, y, x_du, x_du2;
     int first, last;
   };
+  // Opacities, their second derivatives along x and y, and those along x times disparity and its square.
   struct Sums {
     float weight = 0, x = 0, y = 0, x_du = 0, x_du2 = 0;
     LFGS_HD void add(const Term& t) { weight += t.weight, x += t.x, y += t.y, x_du += t.x_du, x_du2 += t.x_du2; }
+    // The mean disparity, and the second derivative along the view if x follows it.
     LFGS_HD float shear() const { return x > 0 ? x_du / x : 0; }
     LFGS_HD float spread() const { return x_du2 - shear() * x_du; }
   };
@@ -78,15 +85,17 @@ class LatticeCurvature {
         half_((part.x_high - part.x_low) / 2),
         bins_per_s_(part.s_high > part.s_low ? kBins / (part.s_high - part.s_low) : 0) {}
 
-  // A splat with its centre at u, from the part's origin.
+  // What a splat adds whose centre is at u from the part's origin.
   LFGS_HD Term term(const Splat<float>& s, float u) const {
     const float opacity = std::exp2(s.log2_opacity), inverse = opacity / s.S0;
     const float y = opacity * s.tau + s.c0 * s.c0 * inverse, x_du = inverse * s.du, x_du2 = x_du * s.du;
+
+    // The bins of the offsets at which its sweep is over the part
     const float reach = half_ + std::sqrt(s.log2_opacity - float(kLog2MinAlpha)) * std::sqrt(s.S0);
     const float near = (middle_ - reach - u) / s.du, far = (middle_ + reach - u) / s.du;
     const float low = (std::fmin(near, far) - part_.s_low) * bins_per_s_;
     const float high = (std::fmax(near, far) - part_.s_low) * bins_per_s_;
-    // Without disparity: seen from everywhere or nowhere, and then not in the list
+    // A splat without disparity is seen from everywhere, for one seen from nowhere is not in the list
     const int first = low > 0 ? int(std::fmin(low, float(kBins))) : 0, last = high < kBins ? int(high) : kBins - 1;
     return {opacity, inverse, y, x_du, x_du2, first, last};
   }
@@ -96,13 +105,14 @@ class LatticeCurvature {
   }
   LFGS_HD void set(int bin, const Sums& sums) { bins_[bin] = sums; }
 
-  // Over all bins.
+  // Sums over all bins.
   struct Totals {
     float weight = 0, x = 0, y = 0, spread = 0;
     LFGS_HD void add(const Sums& b) { weight += b.weight, x += b.x, y += b.y, spread += b.spread(); }
   };
 
-  // Steps of `fineness` standard deviations, about. Planes as needed, but no more than most_planes.
+  // Plans a lattice with steps of about `fineness` standard deviations of what is seen, and with no more than
+  // most_planes planes.
   LFGS_HD void plan(float fineness, LatticePlan& out, int most_planes = kMostPlanes) const {
     Totals totals;
     for (const Sums& b : bins_) totals.add(b);
@@ -112,9 +122,10 @@ class LatticeCurvature {
     widen(margin, out);
   }
 
-  // The three parts of plan(): rows, planes and steps; how planes lean; columns, for the largest of |lean|.
+  // The three parts of plan(), for kernels in which threads share the work: lay() has rows, planes and steps, lean_of()
+  // how a plane leans, and widen() the columns, from the largest of |lean|.
   LFGS_HD void lay(const Totals& of, float fineness, int most_planes, LatticeGrid& out) const {
-    const float unit = of.weight > 0 ? fineness * std::sqrt(of.weight) : 1e20f;  // of nothing the corners say all
+    const float unit = of.weight > 0 ? fineness * std::sqrt(of.weight) : 1e20f;  // if nothing is seen, corners will do
     const int rows = steps(part_.y_high - part_.y_low, unit / std::sqrt(of.y), kMostRows);
     const int views = steps(part_.s_high - part_.s_low, unit / std::sqrt(std::fmax(of.spread, 1e-20f)), kMostPlanes);
     out.down = rows + 1, out.planes = views < most_planes ? views + 1 : most_planes;
@@ -145,7 +156,8 @@ class LatticeCurvature {
     return n >= 1 ? n < float(most) ? int(n) : most : 1;
   }
 
-  // Mean disparity at a share of the offsets, straight between the bins beside that see something.
+  // The mean disparity at a place among the offsets, from 0 for the lowest to 1 for the highest: linear between the two
+  // bins beside it, of which one that sees nothing does not count.
   LFGS_HD float shear_at(float share) const {
     const float place = share * kBins - 0.5f;
     const int below = place > 0 ? int(place) : 0, above = below + 1 < kBins ? below + 1 : below;

@@ -47,7 +47,7 @@ HWY_INLINE bool Over(D d, hn::Vec<D> alpha, hn::TFromD<D>* HWY_RESTRICT transmit
 
 // The same splat on the way back: the transmittances lose what they lost to Over, and where a sample ended before it
 // alpha becomes zero. Returns where; `before` is what they were. Over subtracts the weight that it needs anyway, here
-// one operation does for both: the last digit of a transmittance may differ.
+// one operation does for both: so the last digit of a transmittance may differ.
 template <class D>
 HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_RESTRICT transmittance,
                                  hn::Vec<D>& before) {
@@ -59,8 +59,8 @@ HWY_INLINE hn::Mask<D> OverAgain(D d, hn::Vec<D>& alpha, hn::TFromD<D>* HWY_REST
   return stop;
 }
 
-// dL/dalpha; `prefix` goes on by this splat. kEstimate: divides by an estimate and a Newton step, as the dense sensor
-// does; the lens sensor divides. Each keeps the last digits that its gradients have always had.
+// Returns dL/dalpha, and adds this splat to `prefix`. kEstimate: divides by an estimate and a Newton step, as the dense
+// sensor does; the lens sensor divides exactly. Which is used decides the last digits of its gradients.
 template <bool kEstimate, class D>
 HWY_INLINE hn::Vec<D> OverAdjoint(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn::Vec<D> weight, hn::Vec<D> v,
                                   const hn::TFromD<D>* HWY_RESTRICT total, hn::TFromD<D>* HWY_RESTRICT prefix) {
@@ -71,7 +71,8 @@ HWY_INLINE hn::Vec<D> OverAdjoint(D d, hn::Vec<D> alpha, hn::Vec<D> before, hn::
   return hn::MulSub(before, v, later);
 }
 
-// The gradient of the exponent, log2 alpha, from that of alpha, where alpha follows it.
+// The gradient of the exponent, log2 alpha, from that of alpha: zero unless alpha follows the exponent (`free`), as it
+// does not where it is cut or limited.
 template <class D>
 HWY_INLINE hn::Vec<D> ExponentAdjoint(D d, hn::Vec<D> g_alpha, hn::Vec<D> alpha, hn::Mask<D> free) {
   return hn::IfThenElseZero(free, hn::Mul(hn::Mul(g_alpha, alpha), hn::Set(d, hn::TFromD<D>(kLn2))));
@@ -82,9 +83,9 @@ template <class D>
 struct SplatSums {
   using V = hn::Vec<D>;
   using T = hn::TFromD<D>;
-  V power, power_dy, power_dy2;  // of the exponent, times 1, dy, dy^2
-  V x, x_s, x_dy, x_s_dy;        // of dx = px - m
-  V S, S_s, S_s2;                // of S(s)
+  V power, power_dy, power_dy2;  // gradients of the exponent, times 1, dy and dy^2
+  V x, x_s, x_dy, x_s_dy;        // gradients of dx = px - m
+  V S, S_s, S_s2;                // gradients of S(s)
 
   explicit HWY_INLINE SplatSums(D d) {
     power = power_dy = power_dy2 = x = x_s = x_dy = x_s_dy = S = S_s = S_s2 = hn::Zero(d);
@@ -98,7 +99,7 @@ struct SplatSums {
     x_dy = hn::NegMulAdd(hn::Add(ge, ge), dy, x_dy);
     S = hn::MulAdd(ge, e, S);
   }
-  // A swept splat at the sample's offset s.
+  // A rig: the same at the sample's offset s.
   HWY_INLINE void Add(V g, V dy, V e, V s) {
     AddRows(g, dy);
     const V ge = hn::Mul(g, e), gx = hn::Neg(hn::Add(ge, ge)), gx_s = hn::Mul(gx, s);
@@ -112,7 +113,7 @@ struct SplatSums {
     S_s2 = hn::MulAdd(gS_s, s, S_s2);
   }
 
-  // Adds the splat's gradient.
+  // Adds to `out` the splat's gradient, summed over the lanes.
   HWY_INLINE void Reduce(D d, const Splat<T>& s, Splat<T>& out) const {
     auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
     T sums[kLensFootprintSums];

@@ -1,7 +1,8 @@
-// EWA projection of one Gaussian by a camera, or by all cameras of an off-axis rig at once.
+// EWA projection of one Gaussian by a camera, or by all cameras of an off-axis rig at once: a Shape and a View become a
+// Splat. The adjoint takes the gradient of the Splat back to both.
 //
-// With offset s the projected mean and covariance are u(s) = u0 + s du (linear), xx(s) quadratic, xy(s) linear, yy
-// constant (Zwicker et al. 2001 for the camera at s). A splat stores them in conditional form,
+// For the camera at offset s, the projected mean is u(s) = u0 + s du, and the projected covariance (Zwicker et al.
+// 2001) is xx(s), quadratic, xy(s), linear, and yy, constant. A splat stores them in conditional form,
 //   -log2 weight = tau dy^2 + (px - m(s))^2 / S(s),   dy = py - v0,
 //   m(s) = u0 + c0 dy + s (du + c1 dy),   S(s) = S0 + S1 s + S2 s^2,
 // with log2(e)/2 folded into tau and 1/S.
@@ -18,6 +19,7 @@
 
 namespace lfgs {
 
+// A projected Gaussian, in pixels; the formula is above.
 template <class T>
 struct Splat {
   T u0, du, v0, log2_opacity;
@@ -26,7 +28,7 @@ struct Splat {
   T reach_y;  // half height of the footprint in rows; negative: not drawn
   T depth;    // view-space z
 };
-constexpr int kSplatFields = 12, kSplatReachIndex = 10;  // of reach_y
+constexpr int kSplatFields = 12, kSplatReachIndex = 10;  // how many numbers a Splat has, and which of them is reach_y
 
 template <class T, class R>
 LFGS_HD Splat<T> splat_cast(const Splat<R>& s) {
@@ -50,8 +52,8 @@ LFGS_HD R largest_of(const glm::vec<4, R>& quaternion) {
   return glm::max(glm::max(q.x, q.y), glm::max(q.z, q.w));
 }
 
-// Gradient of a quaternion from that of its unit quaternion: the shorter it is, the larger, up to infinity. Zero stays
-// zero, whatever the quaternion.
+// Gradient of a quaternion from that of its unit quaternion. The shorter the quaternion, the larger its gradient, up to
+// infinity; but zero stays zero.
 LFGS_HD glm::dvec4 quaternion_gradient(const glm::dvec4& quaternion, const glm::dvec4& g_unit) {
   if (g_unit == glm::dvec4(0)) return g_unit;
   const double largest = largest_of(quaternion);
@@ -64,7 +66,7 @@ struct ViewAdjoint {
   glm::vec<3, R> translation{R(0)};
 };
 
-// Everything forward and adjoint share; plain values, recomputed rather than stored.
+// What projection and its adjoint share. It is cheaper to compute it again for the adjoint than to store it.
 template <class R>
 struct Projection {
   glm::vec<3, R> t;                // mean in view axes
@@ -73,13 +75,13 @@ struct Projection {
   Symmetric3<R> V;                 // covariance in view axes
   R iz, kx, ky;                    // 1/Z, clamped slopes
   bool x_free, y_free;             // slopes not clamped
-  R a, b, c, e, g;                 // rows of the Jacobian, and d b / d s
-  R qz, yz, xy0, xy1, yy, iy;
+  R a, b, c, e, g;                 // Jacobian, rows (a, 0, b) and (0, c, e); g = db / ds
+  R qz, yz, xy0, xy1, yy, iy;      // xy(s) = xy0 + s xy1, yy and 1 / yy; qz and yz are terms of xx and xy
   bool drawn;
 
   LFGS_HD Projection(const View<R>& view, const Shape<R>& shape) {
     t = view.rotation * shape.mean + view.translation;
-    const glm::vec<4, R> direction = shape.quaternion / largest_of(shape.quaternion);  // NaN of zero
+    const glm::vec<4, R> direction = shape.quaternion / largest_of(shape.quaternion);  // NaN where it is zero
     drawn = t.z >= R(kNearDepth) && shape.opacity * 255 >= 1 && glm::length(direction) > 0;
     if (!drawn) return;
 
@@ -109,6 +111,7 @@ struct Projection {
     iy = 1 / yy;
   }
 
+  // The splat; its reach_y is negative if it is not drawn.
   LFGS_HD Splat<R> splat(const View<R>& view, R opacity) const {
     Splat<R> s{};
     s.reach_y = -1;
@@ -126,7 +129,8 @@ struct Projection {
     return s;
   }
 
-  // Minors of the rows of the projected factor, which are `across` + s g `deep` and `down` / iy^(1/2).
+  // The projected factor has the rows `across` + s g `deep` and `down` / iy^(1/2); times its own transpose it is the
+  // projected covariance without blur. m0 + s m1 are its minors, times iy^(1/2).
   struct Minors {
     glm::vec<3, R> across, deep, m0, m1;
 
@@ -138,8 +142,8 @@ struct Projection {
     }
   };
 
-  // S(s) = xx(s) - xy(s)^2 / yy as sums of squares (Cauchy and Binet: a determinant by its minors), for the difference
-  // has no digits left where a needle is some thousand pixels long. So S(s) never falls below the blur's variance.
+  // Computes S(s) = xx(s) - xy(s)^2 / yy as a sum of squares of minors (Cauchy and Binet), for the difference has no
+  // digits left where a needle is some thousand pixels long. So S(s) never falls below the blur's variance.
   LFGS_HD void conditional_variance(Splat<R>& s) const {
     const R blur(kBlurVariancePx);
     const Minors m(*this);
@@ -148,8 +152,9 @@ struct Projection {
     s.S2 = (glm::dot(m.m1, m.m1) + blur * g * g * V.zz * iy) / R(kHalfLog2e);
   }
 
-  // Lowers the opacity of a splat of an anti-aliased scene to the highest that it has over the rig, which bounds it
-  // everywhere, and returns the square of the share that is left. D(s) / S(s) is then at most 1.
+  // For anti-aliased scenes: lowers the opacity of a splat to the highest that it has over the rig, so that the splat's
+  // bounds hold for all cameras, and returns the square of the share that is left. `out` is D(s) divided by it; D(s) /
+  // S(s) is then at most 1.
   LFGS_HD R compensate(Splat<R>& s, Compensation<R>& out) const {
     const Minors m(*this);
     out = {glm::dot(m.m0, m.m0) / R(kHalfLog2e), 2 * glm::dot(m.m0, m.m1) / R(kHalfLog2e),
@@ -158,11 +163,12 @@ struct Projection {
     if (most > 0) out = {out.D0 / most, out.D1 / most, out.D2 / most};
     s.log2_opacity += std::log2(most) / 2;
     const R left = s.log2_opacity - R(kLog2MinAlpha);
-    s.reach_y = left >= 0 ? std::sqrt(left / s.tau) : R(-1);  // of an edge, which has no light, too
+    s.reach_y = left >= 0 ? std::sqrt(left / s.tau) : R(-1);  // also if seen edge-on, where it has no light
     return most;
   }
 
-  // For one camera: what follows for D from the gradient of the opacity that compensate() has lowered; adds to g.S0.
+  // The adjoint of compensate() for one camera: returns the gradient of D that follows from that of the lowered
+  // opacity, and adds the gradient of S to g.S0.
   LFGS_HD Compensation<R> compensate_adjoint(Splat<R>& g) const {
     const Minors m(*this);
     Splat<R> s;
@@ -172,18 +178,18 @@ struct Projection {
     return {half * R(kHalfLog2e) / glm::dot(m.m0, m.m0), 0, 0};
   }
 
-  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat, and of an anti-aliased
-  // one from that of D before compensate() divides it; to out.quaternion that of the unit quaternion, for sums over
-  // views may cancel where quaternion_gradient is infinite.
+  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat; for an anti-aliased
+  // splat also from `sharp`, the gradient of D before compensate() divides it. What out.quaternion gets is the gradient
+  // of the unit quaternion: a sum of it over views may cancel where quaternion_gradient would be infinite.
   template <bool kAntialiased = false>
   LFGS_HD void adjoint(const View<R>& view, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
                        ViewAdjoint<R>& view_out, const Compensation<R>& sharp = {}) const {
     if (!drawn) return;
     out.opacity += s.log2_opacity / (shape.opacity * R(kLn2));
 
-    // Conditional form -> xx, xy, yy
+    // From the conditional form to xx, xy and yy
     R gS0 = s.S0 / R(kHalfLog2e), gS1 = s.S1 / R(kHalfLog2e), gS2 = s.S2 / R(kHalfLog2e);
-    R gQ0 = gS0, gQ1 = gS1, gQ2 = gS2, g_iy = 0;  // of -xy(s)^2 / yy; below, gS is that of xx(s)
+    R gQ0 = gS0, gQ1 = gS1, gQ2 = gS2, g_iy = 0;  // of -xy(s)^2 / yy; gS becomes that of xx(s)
     if constexpr (kAntialiased) {
       // D(s) = (xx(s) - blur) (1 - blur / yy) - xy(s)^2 / yy
       const R gD0 = sharp.D0 / R(kHalfLog2e), gD1 = sharp.D1 / R(kHalfLog2e), gD2 = sharp.D2 / R(kHalfLog2e);
@@ -199,14 +205,14 @@ struct Projection {
     R g_qz = 2 * g * gS1;
     R g_yz = b * g_xy0 + g * g_xy1;
 
-    // -> Jacobian entries
+    // To the entries of the Jacobian
     R g_a = gS0 * 2 * (a * V.xx + b * V.xz) + g_qz * V.xz + g_xy0 * (c * V.xy + e * V.xz);
     R g_b = gS0 * 2 * (a * V.xz + b * V.zz) + g_qz * V.zz + g_xy0 * yz;
     R g_c = g_xy0 * a * V.xy + g_yz * V.yz + g_yy * 2 * (c * V.yy + e * V.yz);
     R g_e = g_xy0 * a * V.xz + g_yz * V.zz + g_yy * 2 * (c * V.yz + e * V.zz);
     R g_g = gS1 * 2 * qz + gS2 * 2 * g * V.zz + g_xy1 * yz;
 
-    // -> covariance in view axes -> rotation, scales
+    // To the covariance in view axes, and from there to rotation and scales
     Symmetric3<R> gV;
     gV.xx = gS0 * a * a;
     gV.xz = gS0 * 2 * a * b + g_qz * a + g_xy0 * a * e;
@@ -224,7 +230,7 @@ struct Projection {
     out.quaternion += g_unit - glm::dot(g_unit, unit) * unit;
     view_out.rotation += g_turn * glm::transpose(local);
 
-    // -> mean in view axes; b = -fx (kx - offset iz) iz
+    // To the mean in view axes; b = -fx (kx - offset iz) iz
     R g_kx = -view.fx * iz * g_b, g_ky = -view.fy * iz * g_e;
     R g_iz = view.fx * g_a + view.fy * g_c - view.fx * (kx - 2 * view.offset * iz) * g_b - view.fy * ky * g_e +
              view.sweep * view.fx * (2 * iz * g_g - s.du) + view.fx * t.x * s.u0 + view.fy * t.y * s.v0;
@@ -233,7 +239,7 @@ struct Projection {
     if (y_free) g_t.y += g_ky * iz, g_iz += g_ky * t.y;
     g_t.z -= g_iz * iz * iz;
 
-    // -> mean and camera
+    // To the mean and the camera
     out.mean += glm::transpose(view.rotation) * g_t;
     view_out.rotation += glm::outerProduct(g_t, shape.mean);
     view_out.translation += g_t;

@@ -1,4 +1,5 @@
-// Gradients that a number type cannot hold: that of a quaternion near zero grows as its length falls.
+// Keeps gradients finite that their number type cannot hold: the gradient of a quaternion grows without limit as its
+// length nears zero.
 #pragma once
 
 #include <limits>

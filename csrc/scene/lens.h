@@ -1,4 +1,5 @@
-// The panel: which view, hence which camera offset, every sub-pixel shows.
+// The panel: which view every sub-pixel shows, and so at which offset its camera stands. The formulas are in
+// docs/design.md, "Which view a sub-pixel shows"; lightfield_gs/panels/panel.py is the twin in Python.
 #pragma once
 
 #include <algorithm>
@@ -12,14 +13,16 @@
 
 namespace lfgs {
 
-// Sub-pixels that do not stand in stripes: what a place k of a pixel has beyond the stripe k, and whose it is; by row
-// and column modulo kCellPeriod. Places are in the order in which the lens meets them.
-constexpr int kCellPeriod = 4, kRowPeriod = 3 * kCellPeriod;  // in sub-pixels
+// For panels whose sub-pixels do not stand in stripes: how far place k of a pixel is from stripe k, as a phase, and
+// which channel it has, by row and column modulo kCellPeriod. Places are numbered in the order in which a lens meets
+// them.
+constexpr int kCellPeriod = 4, kRowPeriod = 3 * kCellPeriod;  // columns; the same in sub-pixels
 struct SubpixelCells {
-  uint64_t phases[kCellPeriod][kRowPeriod] = {};  // 2^64 = one lens, signed: about 0
+  uint64_t phases[kCellPeriod][kRowPeriod] = {};  // 2^64 = one lens; to be read as signed
   uint8_t channels[kCellPeriod][kRowPeriod] = {};
 };
 
+// A panel with its lens sheet, and the offsets of the cameras behind its views.
 struct Lens {
   int64_t width_px = 0, height_px = 0;
   int64_t views = 1;
@@ -33,33 +36,35 @@ struct Lens {
   bool has_cells = false;
   SubpixelCells cells;
 
-  // Of a stripe.
+  // The phase of a sub-pixel as if it stood in its stripe.
   LFGS_HD uint64_t phase_at(int64_t row, int64_t subpixel) const {
     return phase0 + phase_x * uint64_t(subpixel) + phase_y * uint64_t(row);
   }
-  // Of place k of a pixel, whatever its cell, subpixel = 3 column + k >= 0; the image channel that lies there.
+  // The phase of place k of a pixel where it really is, subpixel = 3 column + k >= 0.
   LFGS_HD uint64_t true_phase(int64_t row, int64_t subpixel) const {
     const uint64_t stripe = phase_at(row, subpixel);
     return has_cells ? stripe + cells.phases[row % kCellPeriod][subpixel % kRowPeriod] : stripe;
   }
+  // The image channel that lies there.
   LFGS_HD int channel_at(int64_t row, int64_t subpixel) const {
     if (has_cells) return cells.channels[row % kCellPeriod][subpixel % kRowPeriod];
     return int(bgr ? 2 - subpixel % 3 : subpixel % 3);
   }
-  // The sub-pixel of a channel.
+  // The sub-pixel of a pixel that has this channel.
   LFGS_HD int64_t subpixel_of(int64_t row, int64_t column, int channel) const {
     int64_t m = 3 * column;
     while (channel_at(row, m) != channel) ++m;
     return m;
   }
-  // Largest distance of a sub-pixel from its stripe, in sub-pixels.
+  // The largest distance of a sub-pixel from its stripe, in sub-pixels.
   double most_beyond() const;
-  // What there is for every sub-pixel, [kCellPeriod][kRowPeriod]; nothing: stripes.
+  // Sets phases and channels of the cells, both [kCellPeriod][kRowPeriod]. If they are empty, sub-pixels stand in
+  // stripes.
   void set_cells(const std::vector<uint64_t>& phases, const std::vector<int>& channels);
-  // Whether sub-pixels of a row follow each other as their stripes do, less than one aside: those of a lens then lie
-  // side by side.
+  // Whether the sub-pixels of a row follow each other as their stripes do, each less than one sub-pixel from its own:
+  // those of a lens then lie side by side.
   bool stands_in_order() const;
-  // Whether the places of all pixels have the same channels.
+  // Whether a place has the same channel in all pixels.
   bool has_one_order() const;
 
   // Largest |s| over x in [0, views].
@@ -69,7 +74,7 @@ struct Lens {
     b = b < 0 ? -b : b;
     return a > b ? a : b;
   }
-  // Normalized offset, in [-1, 1]: s = s_start() + s_step() * x; zero on a rig without width.
+  // The normalized offset, in [-1, 1], is s = s_start() + s_step() * x; it is zero on a rig without width.
   LFGS_HD double s_start() const { return reach() > 0 ? offset_start / reach() : 0; }
   LFGS_HD double s_step() const { return reach() > 0 ? offset_step / reach() : 0; }
 };

@@ -1,5 +1,6 @@
 // The sub-pixels of a panel, sorted by the view that they show (Shi et al. 2025, section 3.1): what the method `sorted`
-// draws. A list for every (view, tile), view by view; in it the sub-pixels by column, then row, then channel.
+// draws. There is a list for every (view, tile), view by view; its sub-pixels are in order of column, then row, then
+// channel.
 #pragma once
 
 #include <cstdint>
@@ -20,7 +21,7 @@ struct ViewMap {
   }
 };
 
-// Tiles of the lists. A code has 16 bits: width_px << row_bits must not exceed 2^14.
+// The size of the tiles that have lists. A sub-pixel's code has 16 bits, so width_px << row_bits must not exceed 2^14.
 struct SubpixelTile {
   int width_px = 1, row_bits = 0;
 
@@ -46,6 +47,7 @@ LFGS_HD Subpixel decode_subpixel(const SubpixelTile& tile, uint16_t code) {
   return {code >> (tile.row_bits + 2), code >> 2 & (tile.height_px() - 1), code & 3};
 }
 
+// All lists of a panel.
 struct SubpixelLists {
   SubpixelTile tile;
   const int64_t* starts = nullptr;  // [views * tiles + 1] into codes, multiples of kSubpixelBlock

@@ -1,4 +1,4 @@
-// What projection needs to know of a camera, or of a whole rig of cameras that share one projection.
+// What projection needs to know of a camera, or of a whole rig whose cameras are projected to at once.
 #pragma once
 
 #include <glm/glm.hpp>
@@ -7,17 +7,17 @@
 
 namespace lfgs {
 
-// A pinhole camera (OpenCV axes, pixel centres at i + 0.5). A rig is the same with sweep: its cameras stand on the
-// view x-axis at offset s, with the principal point shifted so that the plane z = zero_depth shows no parallax.
+// A pinhole camera (OpenCV axes, pixel centres at i + 0.5). A View with a sweep is a rig: its cameras stand on the view
+// x-axis at offset s, with the principal point shifted so that the plane z = zero_depth shows no parallax.
 template <class R>
 struct View {
   glm::mat<3, 3, R> rotation{R(1)};  // world to camera
   glm::vec<3, R> translation{R(0)};
   R fx = 1, fy = 1, cx = 0, cy = 0;  // pixels
-  R x_low = -1, x_high = 1;          // Jacobian clamp of X/Z and Y/Z, taken at the rig's centre (offset 0)
+  R x_low = -1, x_high = 1;          // limits of X/Z and Y/Z in the Jacobian, at the rig's centre (offset 0)
   R y_low = -1, y_high = 1;
-  R offset = 0;  // where this camera stands in its rig; only the clamp needs it
-  R sweep = 0;   // of a rig its reach, the offset at s = 1: the projection is a polynomial in s; 0: one camera
+  R offset = 0;              // where this camera stands in its rig; only the clamp needs it
+  R sweep = 0;               // of a rig, the offset at s = 1; 0: one camera
   R inverse_zero_depth = 0;  // rig only
   bool antialiased = false;  // opacities compensated for the blur, see math/compensation.h
 

@@ -2,8 +2,9 @@
 //
 //   Gaussians + views -> project -> order -> bin -> composite -> image, and back.
 //
-// An *image* is what one view (Dense) or the whole rig (Lens) shows; it is cut into bands of kBandRows rows. A *pair*
-// is a (band, splat) that may touch each other. Layouts are row-major; N Gaussians, I images.
+// An *image* is what one camera sees (dense, sorted), or the whole panel (lens); it is cut into bands of kBandRows
+// rows. A *pair* is a (band, splat) that may touch each other. Layouts are row-major; there are N Gaussians and I
+// images.
 #pragma once
 
 #include <cstdint>
@@ -19,17 +20,17 @@
 namespace lfgs {
 
 constexpr int kBandRows = 16;
-constexpr int kColourStride = 4;  // r, g, b and padding: what a vector look-up reads
+constexpr int kColourStride = 4;  // r, g, b and padding, since a vector look-up reads four numbers
 
 inline int64_t band_count(int64_t height_px) { return (height_px + kBandRows - 1) / kBandRows; }
 
-// Numbers of a pair's gradient, or of a sum over some: see PairGradient.
+// How many numbers the gradient of a pair has, see PairGradient.
 inline int pair_gradient_size(int colour_order, bool compensated = false) {
   return kSplatFields + 3 * (colour_order + 1) + (compensated ? kCompensationFields : 0);
 }
 
-// What they are: those of the splat's fields, of its colours by power of s, and for an anti-aliased lens those of its
-// compensation.
+// The gradient of a pair, or a sum over pairs: what the samples of a band add to the gradients of a splat's fields, of
+// its colours by power of s, and, for an anti-aliased scene on a panel, of its compensation.
 template <class T>
 struct PairGradient {
   T* numbers;
@@ -44,12 +45,14 @@ struct PairGradient {
 static_assert(sizeof(Splat<float>) == kSplatFields * sizeof(float));
 static_assert(sizeof(Compensation<float>) == kCompensationFields * sizeof(float));
 
+// What composite counted, for statistics.
 struct Counters {
   int64_t pairs = 0;        // (tile, splat)
-  int64_t evaluations = 0;  // samples evaluated, lanes that missed included
+  int64_t evaluations = 0;  // samples at which a splat was evaluated, with the lanes that it missed
   int64_t scratch_bytes = 0;
-  // Lens only: tiles drawn by themselves and those of them without splats, samples that stopped before the last splat;
-  // tiles drawn from lattices; lattices that were good enough, too coarse for a run that was then halved, given up.
+  // Lens only. Tiles drawn splat by splat, tiles without splats, samples that stopped before the last splat, and tiles
+  // drawn from lattices; then lattices that were good enough, lattices so coarse that their run was halved, and runs
+  // for which lattices were given up.
   int64_t tiles = 0, empty_tiles = 0, stopped_samples = 0, lattice_tiles = 0;
   int64_t lattices = 0, split_lattices = 0, refused_lattices = 0;
 
@@ -62,13 +65,13 @@ struct Counters {
   }
 };
 
-// Cameras of a batch of scenes: scene b is seen by cameras b * cameras_per_scene ...
+// Cameras of a batch of scenes: scene b is seen by the cameras [b * per_scene, (b + 1) * per_scene).
 template <class T>
 struct Cameras {
   int64_t scenes = 0, per_scene = 0, width_px = 0, height_px = 0;
   const T* world_to_camera = nullptr;  // [I, 4, 4]
   const T* intrinsics = nullptr;       // [I, 4]: fx, fy, cx, cy
-  const T* limits = nullptr;           // [I, 5]: Jacobian clamp, offset in the rig
+  const T* limits = nullptr;           // [I, 5]: x_low, x_high, y_low, y_high, offset of View
   bool antialiased = false;            // see View
   int64_t images() const { return scenes * per_scene; }
   template <class R = double>
@@ -83,11 +86,11 @@ struct Cameras {
 template <class T>
 struct Splats {
   int64_t images = 0, count = 0;
-  int colour_order = 0;                      // polynomial order of the colours in s; 0 for Dense
+  int colour_order = 0;                      // polynomial order of the colours in s; 0 for dense
   Splat<T>* splats = nullptr;                // [I, N]
   T* colours = nullptr;                      // [I, N, order + 1, kColourStride]
-  int32_t* orders = nullptr;                 // [I, N] order that a splat needs, <= colour_order; null for Dense
-  Compensation<T>* compensations = nullptr;  // [N] of an anti-aliased scene; null for others and for Dense
+  int32_t* orders = nullptr;                 // [I, N] order that a splat needs, <= colour_order; null for dense
+  Compensation<T>* compensations = nullptr;  // [N] of an anti-aliased scene; null for others and for dense
 };
 
 // Which splats touch which band, nearest first.
@@ -96,6 +99,7 @@ struct Bins {
   int32_t* band_splats = nullptr;   // [pairs] splat index within the image
 };
 
+// What composite_dense writes.
 template <class T>
 struct DenseImages {
   T* image = nullptr;  // [I, H, W, 3]
@@ -103,19 +107,20 @@ struct DenseImages {
   T* depth = nullptr;  // [I, H, W] sum of weight * z
 };
 
-// --- plan of sorted sub-pixels: count writes how many show each (view, tile), counts [V * tiles]; fill writes the
-// codes of SubpixelLists. places [map.views]: the place of each view among the V that have lists, or -1.
+// --- plan: lists the sub-pixels of `sorted`. count writes how many are in each (view, tile), counts [V * tiles]; fill
+// writes the codes of SubpixelLists. places [map.views] has the place of each view among the V that have lists, or -1.
 void plan_sorted_count(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t views,
                        int32_t* counts, int threads);
 void plan_sorted_fill(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t views,
                       const int64_t* starts, uint16_t* codes, int threads);
 
-// --- project; project_dense writes colours whole, zeros where nothing is drawn
+// --- project: Gaussians to splats. project_dense writes colours of all, zeros where a splat is not drawn.
 template <class T>
 void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& out, int threads);
 
-// The rig is the view of its centre camera plus the lens; returns the largest estimated error of a colour polynomial.
-// float: a splat's order is the smallest whose dropped Chebyshev coefficients sum to <= tolerance.
+// The rig is a View with a sweep, the lens tells the size of the panel. Returns the largest estimated error of a colour
+// polynomial. In float a splat's order is the smallest whose dropped Chebyshev coefficients sum to <= tolerance; in
+// double nothing is dropped.
 template <class T>
 double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                     const Quality& quality, double tolerance, const Splats<T>& out, int threads);
@@ -129,22 +134,26 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
                            const Splats<T>& splats, const int64_t* first_pair, const T* pair_gradients,
                            const Gaussians<T>& out, int threads);
 
-// --- order: by depth, ties by index; drawn[i] of image i's splats are drawn and stand first in order[i].
+// --- order: sorts by depth, nearest first, ties by index. drawn[i] of the splats of image i are drawn; order[i] begins
+// with them, and only they count.
 template <class T>
 void order(const Splats<T>& splats, int32_t* order, int64_t* drawn, int threads);
 
-// --- bin: count fills band_offsets and returns the number of pairs; fill writes band_splats.
+// --- bin: lists the splats of each band. count fills band_offsets and returns the number of pairs; fill writes
+// band_splats.
 template <class T>
 int64_t bin_count(const Splats<T>& splats, const int32_t* order, const int64_t* drawn, int64_t height_px, Bins bins,
                   int threads);
 template <class T>
 void bin_fill(const Splats<T>& splats, const int32_t* order, const int64_t* drawn, int64_t height_px, Bins bins,
               int threads);
-// Where the gradients of each splat's pairs start, splat-major: first_pair [I, N].
+// For the reverse, whose pairs are in order of splats, then bands: the number of each splat's first pair, first_pair
+// [I, N].
 template <class T>
 void first_pairs(const Splats<T>& splats, int64_t height_px, Bins bins, int64_t* first_pair, int threads);
 
-// --- composite
+// --- composite: blends splats into samples. The reverse writes the gradients of pairs, and that of the background by
+// band.
 template <class T>
 Counters composite_dense(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
                          DenseImages<T> out, int threads);
@@ -153,13 +162,13 @@ Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Came
                                   DenseImages<const T> images, DenseImages<const T> gradients,
                                   const int64_t* first_pair, T* pair_gradients, T* band_background, int threads);
 
-// One channel of one sample a sub-pixel, each view by its own camera: image i is the i-th view of the lists. Writes
-// to out, or where that is null to out8 as round(255 clamp(c, 0, 1)), ties to even; background [3].
+// Draws each sub-pixel by the camera of its view, one channel of one sample: image i is the i-th view of the lists.
+// Writes to out, or where that is null to out8 as round(255 clamp(c, 0, 1)), ties to even; background [3].
 template <class T>
 Counters composite_sorted(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const SubpixelLists& lists,
                           const T* background, T* out, uint8_t* out8, int threads);
 
-// Likewise, every sub-pixel by the camera of its own view of a rig.
+// The same for a rig: the camera of each sub-pixel follows from the lens.
 template <class T>
 Counters composite_lens(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
                         const T* background, T* out, uint8_t* out8, int threads);

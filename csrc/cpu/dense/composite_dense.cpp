@@ -1,5 +1,7 @@
-// Stage composite for ordinary images, and its reverse. A work item is one band of one image; a band is cut into tiles,
-// a tile into patches of one vector each (4 columns, as many rows as fit); splats come nearest first.
+// Stage composite for ordinary images, and its reverse. It reads splats and their lists by band, and writes colour,
+// alpha and depth; the reverse writes the gradients of pairs and of the background. A work item is one band of one
+// image. A band is cut into tiles, a tile into patches of one vector each (4 columns, as many rows as fit), and splats
+// are blended into a tile nearest first.
 #include <algorithm>
 #include <iterator>
 #include <vector>
@@ -31,7 +33,7 @@ struct DenseJob {
   DenseImages<const T> images, gradients;
   const int64_t* first_pair;
   T *pair_gradients, *band_background;
-  bool backward;  // pair_gradients may be null in both directions: nothing may be drawn
+  bool backward;  // the direction; pair_gradients cannot tell, for it is also null where no splat is drawn
   int threads;
 };
 }  // namespace lfgs
@@ -96,6 +98,7 @@ struct DenseSplat : SplatTerms<T> {
   }
 };
 
+// Blends a splat into the patches that find() has marked.
 template <class T>
 void ForwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s) {
   using Tile = DenseTile<T>;
@@ -112,7 +115,8 @@ void ForwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s) {
   });
 }
 
-// See OverAdjoint for the formula.
+// Adds to `out` the gradient of a pair: what the pixels of this tile give to the splat. math/over-inl.h has the
+// formula.
 template <class T>
 void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& splat, const PairGradient<T>& out) {
   using Tile = DenseTile<T>;
@@ -128,6 +132,7 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
     V before;
     if (HWY_UNLIKELY(hn::AllTrue(d, OverAgain(d, alpha, tile.transmittance + i, before)))) tile.patches.close(patch);
 
+    // Gradients of colours and depth, then of alpha and the exponent
     const V weight = hn::Mul(alpha, before);
     V v = hn::Zero(d);
     for (int k = 0; k < 4; ++k) {
@@ -139,6 +144,8 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
     const auto free = hn::And(hn::Gt(alpha, hn::Zero(d)), hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
     sums.Add(ExponentAdjoint(d, g_alpha, alpha, free), dy, hn::Mul(dx, s.inverse_S));
   });
+
+  // Sums over the lanes
   sums.Reduce(d, splat, out.splat());
   out.splat().depth += hn::GetLane(hn::SumOfLanes(d, g_channel[3]));
   for (int k = 0; k < 3; ++k) out.colours()[k] += hn::GetLane(hn::SumOfLanes(d, g_channel[k]));
@@ -150,6 +157,7 @@ void BeginForward(DenseTile<T>& tile) {
   std::fill(std::begin(tile.transmittance), std::end(tile.transmittance), T(1));
 }
 
+// Adds the background and writes colour, alpha and depth.
 template <class T>
 void FinishForward(const DenseJob<T>& job, const DenseTile<T>& tile) {
   const T* background = job.background + 3 * tile.image;
@@ -161,7 +169,8 @@ void FinishForward(const DenseJob<T>& job, const DenseTile<T>& tile) {
   });
 }
 
-// Gradients of colour and depth, and the total: sum of weight * v over the splats, and what the background adds.
+// Loads what the reverse reads at every sample: the gradients of colour and depth, and the total of math/over-inl.h,
+// which follows from the image. Adds the gradient of the background to g_background.
 template <class T>
 void BeginBackward(const DenseJob<T>& job, DenseTile<T>& tile, T* g_background) {
   for (auto& channel : tile.gradient) std::fill(std::begin(channel), std::end(channel), T(0));
@@ -180,7 +189,7 @@ void BeginBackward(const DenseJob<T>& job, DenseTile<T>& tile, T* g_background) 
   });
 }
 
-// One band of one image, tile by tile.
+// Draws one band of one image, or takes its gradients, tile by tile.
 template <class T>
 void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, DenseTile<T>& tile, Counters& counters) {
   using Tile = DenseTile<T>;
@@ -188,6 +197,8 @@ void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, Dense
   const int64_t tiles = (job.width_px + Tile::kSide - 1) / Tile::kSide;
   const Splat<T>* splats = job.splats.splats + image * job.splats.count;
   const int64_t begin = job.bins.band_offsets[item], end = job.bins.band_offsets[item + 1];
+
+  // Which splats touch which tile
   const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job.height_px)) - T(0.5);
   lists.build(job.bins.band_splats + begin, end - begin, tiles, [&](int32_t id) -> Range {
     T left, right;
@@ -198,6 +209,7 @@ void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, Dense
   });
   counters.pairs += lists.pairs();
 
+  // Tile by tile, splats nearest first
   for (int64_t t = 0; t < tiles; ++t) {
     tile.move_to(image, t * Tile::kSide, y0);
     if (job.backward)
@@ -216,6 +228,8 @@ void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, Dense
         ForwardSplat(tile, s);
         continue;
       }
+
+      // The gradient of this pair: pairs of a splat are numbered by its bands
       const int64_t own_band = band - rows_of(splat, job.height_px).first / kBandRows;
       const int64_t pair = job.first_pair[index] + own_band;
       BackwardSplat(tile, s, splat, PairGradient<T>{job.pair_gradients + pair * pair_gradient_size(0)});

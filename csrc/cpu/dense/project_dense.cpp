@@ -1,4 +1,5 @@
-// Stage project for ordinary images, and its reverse.
+// Stage project for ordinary images, and its reverse: Gaussians and cameras to splats with colours, and gradients of
+// pairs to those of Gaussians and cameras.
 #include <algorithm>
 #include <vector>
 
@@ -42,7 +43,8 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
   const int size = pair_gradient_size(0);
   std::vector<ViewAdjoint<double>> partial(cameras.images() * chunks);
 
-  // A scene's Gaussians in chunks; the cameras of the scene in order
+  // A work item is a chunk of one scene's Gaussians, and takes the cameras of the scene in order. What it adds to a
+  // camera's gradient is kept by chunk, so that the sum does not depend on the threads.
   parallel_for(cameras.scenes * chunks, threads, [&](int64_t item, int) {
     const int64_t b = item / chunks, begin = item % chunks * kGrain, end = std::min(n, begin + kGrain);
     const Gaussians<const T> scene = gaussians.slice(b * n);
@@ -60,6 +62,8 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
         const Splat<T>& splat = splats.splats[image * n + i];
         if (splat.reach_y < 0) continue;
         sum_pairs(splat, cameras.height_px, first_pair[image * n + i], size, pair_gradients, sum.data());
+
+        // From the splat to the Gaussian and the camera
         const Shape<double> shape = shape_of(scene, i);
         Shape<double>& g = over_views[i - begin];
         const Projection<double> projection(view, shape);
@@ -81,13 +85,14 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
         g.mean += g_mean;
         g_eye -= g_mean;
       }
-      // eye = -R^T t
+      // The eye is -R^T t
       g_view.rotation += glm::outerProduct(-view.translation, g_eye);
       g_view.translation -= view.rotation * g_eye;
     }
     for (int64_t i = begin; i < end; ++i) add_gradient(shape_of(scene, i), over_views[i - begin], g_scene, i);
   });
 
+  // Gradients of the cameras, summed over chunks
   for (int64_t image = 0; image < cameras.images(); ++image) {
     ViewAdjoint<double> g;
     for (int64_t c = 0; c < chunks; ++c) {

@@ -1,4 +1,7 @@
-// Stage composite for the panel, and its reverse. A work item is one band of rows.
+// Stage composite for the panel, and its reverse. It reads splats, their lists by band and the lens, and writes the
+// image; the reverse writes the gradients of pairs and of the background. A work item is one band of rows: its tiles
+// are drawn splat by splat (lens_blend-inl.h), or in runs from lattices where the quality allows it
+// (lens_lattice-inl.h).
 #include <algorithm>
 #include <array>
 #include <memory>
@@ -30,7 +33,8 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// From the places of a panel to the channels of an image, rows from `row0` on.
+// Puts the sub-pixels of pixels, drawn in the order of their places, in the order of the channels. `image` begins at
+// row0.
 template <class U>
 void PlacesToChannels(const Lens& lens, int64_t row0, int64_t rows, U* image) {
   if (!lens.has_cells) {
@@ -46,14 +50,15 @@ void PlacesToChannels(const Lens& lens, int64_t row0, int64_t rows, U* image) {
     }
 }
 
-constexpr int kLatticeTiles = 8, kLatticeLevels = 3;  // side by side on one lattice; levels: the same, halves, quarters
-// A band is a row of tiles. Where of two probes in turn each drew so many times more tiles by themselves than from
-// lattices, the bands between do without
+// So many tiles side by side form a run with one lattice. A run may be halved, and the halves again: three levels.
+constexpr int kLatticeTiles = 8, kLatticeLevels = 3;
+// Lattices are tried on every kProbeRows-th band first. Such a probe is worth it if it draws more than one tile from
+// lattices for kLeastFitting that it draws splat by splat. Bands between two that were not do without lattices.
 constexpr int64_t kLeastFitting = 3;
-constexpr int64_t kAhead = 4;     // splats that are fetched before they are drawn
-constexpr int64_t kLookOut = 32;  // splats drawn roughly from one look for what has stopped to the next
+constexpr int64_t kAhead = 4;     // so many splats before its turn, a splat is fetched from memory
+constexpr int64_t kLookOut = 32;  // splats drawn roughly between two searches for vectors that have stopped
 
-// What a frame has in common for all its bands.
+// What all bands of an image have in common.
 template <class T>
 struct LensScene {
   const LensJob<T>& job;
@@ -61,7 +66,8 @@ struct LensScene {
   alignas(16) T background[kColourStride];
   Backdrop<T> backdrop;
   Backdrop<uint8_t> backdrop8;
-  // A lattice has no use for jumps at a raised opacity cut: only what is drawn without it is cut
+  // Where lattices are tried, projection leaves the opacity cut at 1/255, for a jump at a higher cut looks like an edge
+  // to a lattice. The cut is raised here, for tiles that are drawn splat by splat.
   TileSplats<T> splats;
 
   explicit LensScene(const LensJob<T>& job_)
@@ -81,7 +87,7 @@ struct SplatList {
   bool empty() const { return begin == end; }
 };
 
-// Draws bands, or takes their gradients: what one worker needs for that.
+// Draws bands, or takes their gradients: one worker's memory and counters.
 template <class T>
 class LensBands {
  public:
@@ -93,7 +99,7 @@ class LensBands {
         tile_(lens_, layout_, job_.backward),
         lattice_(lens_, job_.quality) {}
 
-  // Returns whether a lattice, where it was tried, was worth it.
+  // Draws a band, or takes its gradients. Returns whether lattices were worth trying, if they were tried.
   bool draw(int64_t band, bool try_lattices) {
     band_ = band, row0_ = band * kBandRows, rows_ = std::min<int64_t>(kBandRows, lens_.height_px - row0_);
     const int64_t* offsets = job_.bins.band_offsets + band;
@@ -123,7 +129,8 @@ class LensBands {
   }
 
  private:
-  // Which splats sweep over each `width` cells of some. uncut: as a lattice takes them.
+  // Lists which splats may touch each `width` of the cells. uncut: with the opacity cut at 1/255, as lattices take
+  // them.
   void list(TileLists& out, SplatList splats, Range cells, int64_t width, bool uncut) {
     auto splat_of = [&](int32_t id) -> const Splat<T>& {
       return uncut ? job_.splats.splats[id] : scene_.splats[id].splat;
@@ -151,7 +158,8 @@ class LensBands {
               : scene_.backdrop.draw(run, lens_.width_px, job_.out);
   }
 
-  // Runs of tiles on lattices; those that want a much finer one are halved first.
+  // Draws cells in runs, each from a lattice if it can be. A run that needs a much finer lattice is halved: that is the
+  // next level.
   void draw_runs(SplatList splats, Range cells, int level) {
     TileLists& lists = runs_[size_t(level)];
     const int64_t width = (kLatticeTiles >> level) * layout_.cells_per_tile;
@@ -168,6 +176,7 @@ class LensBands {
     }
   }
 
+  // Draws a run from a lattice, in halves, or tile by tile, as the lattice judges. Lattices exist in float only.
   void draw_run(const LensRun& run, SplatList splats, Range cells, int level) {
     if constexpr (sizeof(T) == 4) {
       const bool last = level + 1 == kLatticeLevels;
@@ -182,6 +191,7 @@ class LensBands {
           break;
         case LensLattice::Verdict::kSplit: {
           ++counters_.split_lattices;
+          // The runs that follow begin with what this run has taught, not with what its halves need
           const float fineness = lattice_.fineness;
           draw_runs(splats, cells, level + 1);
           lattice_.fineness = fineness;
@@ -197,11 +207,14 @@ class LensBands {
   }
 
   void draw_tile(int64_t cell0, SplatList splats) {
+    // Begin the tile, if there is anything to draw
     if (splats.empty() && !job_.backward)
       return draw_empty(LensRun(lens_, layout_, row0_, cell0, layout_.cells_per_tile), {cell0, cell0});
     ++counters_.tiles;
     tile_.move_to(row0_, cell0), blended_ = 0;
     if (job_.backward) LoadGradients(job_, tile_, layout_.samples());
+
+    // Splats, nearest first, while a sample takes light
     for (const int32_t* id = splats.begin; id != splats.end && tile_.open > 0; ++id) {
       if (splats.end - id > kAhead) {
         hwy::Prefetch(&scene_.splats[id[kAhead]]);
@@ -218,6 +231,8 @@ class LensBands {
         Forward(job_, tile_, scene_.background, *id, splat, count);
         continue;
       }
+
+      // The gradient of this pair: pairs of a splat are numbered by its bands
       const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
       const int64_t pair = job_.first_pair[*id] + own_band;
       const int order = job_.splats.colour_order;
@@ -230,7 +245,7 @@ class LensBands {
       counters_.stopped_samples += FinishTile(job_, tile_, layout_.samples(), scene_.background);
   }
 
-  // Blends a splat by a rough footprint, if one is right enough.
+  // Blends a splat by a rough footprint if one is near enough; returns whether.
   bool draw_roughly(int32_t id, const TileSplat<float>& splat) {
     const float cut = float(job_.quality.hit_cut());
     if (RoughFootprint<true>::fits(splat.root)) return blend(id, splat.splat, RoughFootprint<true>(splat.root, cut));
@@ -238,6 +253,7 @@ class LensBands {
     return false;
   }
 
+  // Blends a splat by this footprint. Returns true, as draw_roughly does.
   template <class Footprint>
   bool blend(int32_t id, const Splat<float>& splat, const Footprint& footprint) {
     const int64_t count = tile_.find(splat, footprint.units());
@@ -256,7 +272,7 @@ class LensBands {
   int64_t band_ = 0, row0_ = 0, rows_ = 0;
   LensTile<T> tile_;
   LensLattice lattice_;
-  int64_t blended_ = 0;  // splats of this tile, roughly
+  int64_t blended_ = 0;  // splats of this tile that were drawn roughly
   TileLists tiles_;
   std::array<TileLists, kLatticeLevels> runs_;
   Counters counters_;
@@ -266,12 +282,16 @@ template <class T>
 Counters CompositeLens(LensJob<T> job) {
   if (!LensLattice::knows(*job.lens)) job.quality.lattice = 0;
   const LensScene<T> scene(job);
+
+  // Every worker has memory of its own, from its first band on
   std::vector<std::unique_ptr<LensBands<T>>> workers(size_t(std::max(job.threads, 1)));
   auto draw = [&](int64_t band, int worker, bool try_lattices) {
     auto& bands = workers[size_t(worker)];
     if (!bands) bands = std::make_unique<LensBands<T>>(scene);
     return bands->draw(band, try_lattices);
   };
+
+  // Probes for lattices first, then the bands between them; or all bands as they come
   const int64_t bands = band_count(job.lens->height_px);
   if (job.quality.lattice > 0) {
     std::vector<uint8_t> worth(size_t((bands - 1) / kProbeRows + 1));
@@ -284,6 +304,8 @@ Counters CompositeLens(LensJob<T> job) {
   } else {
     parallel_for(bands, job.threads, [&](int64_t band, int worker) { draw(band, worker, false); });
   }
+
+  // Counters of all workers
   Counters sum;
   sum.scratch_bytes = scene.splats.bytes();
   for (const auto& bands : workers)

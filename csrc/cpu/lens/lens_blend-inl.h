@@ -1,4 +1,5 @@
-// One splat over the samples of a lens tile, and its reverse; what a tile begins and ends with.
+// Blends one splat into the samples of a lens tile, or takes the gradient that these samples give to the splat; also
+// what a tile begins and ends with. composite_lens.cpp calls this splat by splat, nearest first.
 
 #if defined(LFGS_CPU_LENS_BLEND_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_LENS_BLEND_INL_H_
@@ -22,11 +23,12 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Blends a splat over the `count` vectors that it may touch. Never inlined: what is constant stays in registers.
+// Blends a splat into the `count` vectors that tile.find() has listed. It is never inlined, so that the splat's
+// constants stay in registers.
 template <class Footprint, int kOrder, class T>
 HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
                                const Footprint& shape, int64_t count) {
-  constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share the look-out for what stops
+  constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share one test for samples that stop
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
@@ -35,12 +37,14 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
   T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
   const int order = job.splats.orders[id];
   const V least_after = hn::Set(d, T(job.quality.stop));
-  // Positive floats in the order of their bits, less one: samples that have stopped, at zero, come last
+  // Positive floats compare like their bits. With one subtracted, the zero of a sample that has stopped already becomes
+  // the largest number of all, so that the smallest is below the limit only where a sample stops now.
   const hn::RebindToUnsigned<Tag<T>> du;
   const auto one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
   const bool ends_early = job.quality.ends_early();
 
   auto blend = [&](auto vectors, const uint16_t* list) {
+    // Weights, and the light that is left
     V weights[vectors], afters[vectors];
     auto least = limit;
     for (int n = 0; n < vectors; ++n) {
@@ -51,12 +55,15 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
       least = hn::Min(least, hn::Sub(hn::BitCast(du, afters[n]), one));
     }
     const bool stops = !hn::AllTrue(du, hn::Eq(least, limit));
+
+    // Colours
     for (int n = 0; n < vectors; ++n) {
       const int64_t i = int64_t(list[n]) * kLanes;
       const auto channel = hn::Load(di, &tile.channel[i]);
       V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
 
-      // A sample whose transmittance would fall too low shows the background by what is left, and takes no more light
+      // A sample whose transmittance would fall too low ends here: all light that is left goes to the background, or to
+      // this splat where samples end early
       if (HWY_UNLIKELY(stops)) {
         const auto stop = hn::Lt(after, least_after);
         weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
@@ -68,6 +75,8 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
       hn::Store(after, d, transmittances + i);
     }
   };
+
+  // Four vectors at a time, and the last ones by themselves
   const uint16_t *list = tile.list(), *end = list + count;
   for (; list + kStep <= end; list += kStep) blend(std::integral_constant<int, kStep>(), list);
   for (; list < end; ++list) blend(std::integral_constant<int, 1>(), list);
@@ -88,7 +97,7 @@ void with_order(int order, const Visit& visit) {
   }
 }
 
-// The same, by the cheapest code that is right for the splat.
+// Blends a splat by the cheapest code that is near enough for it.
 template <class T>
 void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id, const TileSplat<T>& splat,
              int64_t count) {
@@ -100,7 +109,8 @@ void Forward(const LensJob<T>& job, LensTile<T>& tile, const T* background, int3
   });
 }
 
-// Blends a splat by a rough footprint. Samples that stop are not looked for here: see LensTile::retire_below.
+// Blends a splat by a rough footprint. Samples that stop are not looked for here; LensTile::retire_below does that from
+// time to time.
 template <class Footprint, int kOrder>
 HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, int32_t id, const Footprint& shape) {
   const Tag<float> d;
@@ -123,8 +133,8 @@ HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, i
   });
 }
 
-// Adds the background and writes the tile to the image, a sub-pixel by its place in the pixel. Returns how many samples
-// had stopped.
+// Adds the background and writes the tile to the image, where the sub-pixels of a pixel lie in the order of their
+// places for now. Returns how many samples had stopped.
 template <class T>
 int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, const T* background) {
   const Tag<T> d;
@@ -133,8 +143,10 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
   const hn::Rebind<uint8_t, Tag<T>> d8;
   constexpr int kLanes = LensTile<T>::kLanes;
   const auto darkest = hn::Set(d, T(job.quality.darkest()));
+
+  // Add the background, and make bytes where they are wanted
   int64_t stopped = 0;
-  uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // read no more once they are written
+  uint8_t* bytes = reinterpret_cast<uint8_t*>(tile.transmittance.get());  // overwrites what was read already
   for (int64_t i = 0; i < samples; i += kLanes) {
     const auto b = Lookup(d, background, hn::Load(di, &tile.channel[i]));
     const auto left = hn::Load(d, &tile.transmittance[i]), c = hn::MulAdd(left, b, hn::Load(d, &tile.colour[i]));
@@ -147,6 +159,8 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
       hn::Store(c, d, &tile.colour[i]);
     }
   }
+
+  // Write the sub-pixels, bytes through LensLines where that pays
   auto write = [&](const auto* from, auto* image) {
     tile.for_each_run([&](const auto& run) {
       auto* to = image + run.row * 3 * job.lens->width_px + run.first;
@@ -162,7 +176,8 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
   return stopped;
 }
 
-// Gradient sums of an anti-aliased splat for its share, a vector each: log2 of it is (log2 D(s) - log2 S(s)) / 2.
+// Gradient sums for the share of an anti-aliased splat, a vector each. They follow from the gradient of log2 alpha, for
+// log2 of the share is (log2 D(s) - log2 S(s)) / 2.
 template <class D>
 struct ShareSums {
   using V = hn::Vec<D>;
@@ -177,7 +192,7 @@ struct ShareSums {
     D0 = hn::Add(D0, of_D), D1 = hn::Add(D1, D_s), D2 = hn::MulAdd(D_s, s, D2);
     S0 = hn::Add(S0, of_S), S1 = hn::Add(S1, S_s), S2 = hn::MulAdd(S_s, s, S2);
   }
-  // To the splat's gradient and that of its compensation.
+  // Adds the sums to the splat's gradient and to that of its compensation.
   HWY_INLINE void Reduce(D d, Splat<hn::TFromD<D>>& splat, Compensation<hn::TFromD<D>>& compensation) const {
     auto sum = [&](V v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
     splat.S0 += sum(S0), splat.S1 += sum(S1), splat.S2 += sum(S2);
@@ -185,7 +200,8 @@ struct ShareSums {
   }
 };
 
-// See OverAdjoint for the formula; here a sample has one channel.
+// Adds to `out` the gradient of a pair: what the samples of this tile give to the splat. math/over-inl.h has the
+// formula; a sample has one channel here.
 template <bool kAntialiased, class T>
 void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const PairGradient<T>& out) {
   using V = typename LensTile<T>::V;
@@ -202,6 +218,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
   for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
   auto reverse = [&](uint16_t vector, const RowVectors<Tag<T>>& rows, V dy) {
+    // Alpha again, and the transmittance before the splat
     const int64_t i = int64_t(vector) * LensTile<T>::kLanes;
     const V s = hn::Load(d, &tile.s[i]);
     V dx, inverse_S;
@@ -216,7 +233,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     const V g = hn::Load(d, &tile.gradient[i]);
     const auto channel = hn::Load(di, &tile.channel[i]);
     if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
-      // `colour` collects what each sample lets through to the background
+      // In the reverse `colour` keeps what each sample that stopped lets through to the background
       hn::Store(hn::Add(hn::Load(d, &tile.colour[i]), hn::IfThenElseZero(stop, before)), d, &tile.colour[i]);
       if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(vector);
     }
@@ -224,6 +241,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     if (hn::AllFalse(d, lit)) return;
     touched = true;
 
+    // Gradients of alpha and of the exponent
     const V c = order == 0 ? ColourAt<0>(d, colour, 0, channel, s) : ColourAt<-1>(d, colour, order, channel, s);
     const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
     const V g_alpha = OverAdjoint<false>(d, alpha, before, weight, v, &tile.total[i], &tile.prefix[i]);
@@ -233,7 +251,8 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     sums.Add(g_power, dy, hn::Mul(dx, inverse_S), s);
     if constexpr (kAntialiased) share_sums.Add(d, g_power, share.sharp(s), inverse_S, s);
 
-    // Colour coefficients, unless the clamp at zero holds (order 0 was clamped, and is masked, at projection)
+    // Colour coefficients, where the clamp at zero does not hold. Projection clamps colours of order 0, and its reverse
+    // masks their gradients.
     V g_c = hn::Mul(g, weight);
     if (order > 0) g_c = hn::IfThenElseZero(hn::Gt(c, hn::Zero(d)), g_c);
     for (int k = 0; k < 3; ++k) {
@@ -246,13 +265,16 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     const RowVectors<Tag<T>> rows(of_group);
     for (; list < end; ++list) reverse(*list, rows, hn::Load(d, of_group.dy));
   });
+
+  // Sums over the lanes
   if (!touched) return;
   sums.Reduce(d, splat, out.splat());
   if constexpr (kAntialiased) share_sums.Reduce(d, out.splat(), out.compensation());
   for (int k = 0; k < 3 * (order + 1); ++k) out.colours()[k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
 }
 
-// Fills what the reverse reads at every sample.
+// Loads what the reverse reads at every sample: the gradient of its colour and, as math/over-inl.h needs it, the total,
+// which is gradient times colour.
 template <class T>
 void LoadGradients(const LensJob<T>& job, LensTile<T>& tile, int64_t samples) {
   constexpr int kLanes = LensTile<T>::kLanes;

@@ -1,4 +1,5 @@
-// What composite draws for the panel, or differentiates.
+// What composite reads and writes for the panel, in both directions. composite_lens.cpp fills one LensJob for an image,
+// and all workers read it.
 #pragma once
 
 #include "stages/stages.h"
@@ -12,12 +13,12 @@ struct LensJob {
   const Lens* lens;
   Quality quality;
   const T* background;  // [3]
-  T* out;               // one of these two
+  T* out;               // the image, [H, W, 3], is written here, or as bytes to out8; the other is null
   uint8_t* out8;
-  const T *image, *gradient;  // reverse only
+  const T *image, *gradient;  // reverse only: the image that was drawn, and the gradient of the loss by it
   const int64_t* first_pair;
   T *pair_gradients, *band_background;
-  bool backward;  // pair_gradients may be null in both directions: nothing may be drawn
+  bool backward;  // the direction; pair_gradients cannot tell, for it is also null where no splat is drawn
   int threads;
 };
 

@@ -1,4 +1,5 @@
-// A run of lens tiles drawn from a coarse lattice, where that is as good as asked for.
+// Draws a run of lens tiles from a coarse lattice where that is as good as asked for: judge() draws a lattice for the
+// run and checks it, write() interpolates the run's sub-pixels and writes them to the image.
 
 #if defined(LFGS_CPU_LENS_LATTICE_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_LENS_LATTICE_INL_H_
@@ -26,7 +27,7 @@ class LensLattice {
   static constexpr int kLanes = LatticeNodes::kLanes;
   using Words = hn::RebindToUnsigned<Tag<float>>;
   enum class Verdict { kFits, kSplit, kRefuse };
-  float fineness;  // of the next lattice
+  float fineness;  // of the next lattice, see LatticeCurvature::plan
   int64_t evaluations() const { return nodes_.evaluations + middles_.evaluations; }
 
   LensLattice(const Lens& lens, const Quality& quality)
@@ -40,27 +41,33 @@ class LensLattice {
            row_.bytes();
   }
 
-  // A stop that is seen would be taken for an edge.
+  // The quality by which nodes are drawn. They stop so late that it is not seen, for it would be taken for an edge.
   static Quality on_lattice(Quality quality) {
     quality.stop = std::min(quality.stop, std::max(0.1 * quality.lattice, kMinTransmittance));
     return quality;
   }
-  // A vector of pixels has as many of every kind of cell as the next, and each place one colour.
+  // Whether lattices can draw a panel. If it has cells, every vector of pixels must begin with the same kind of cell,
+  // and a place must have the same channel in all of them.
   static bool knows(const Lens& lens) { return !lens.has_cells || (kLanes % kCellPeriod == 0 && lens.has_one_order()); }
   void start_band() { fineness = first_fineness(float(quality_.lattice)), refused_ = 0; }
 
-  // Evaluates the lattice for a run with samples, and its middles. Refuses where one as good as asked for has too many
-  // nodes to be worth it; would have a run split, unless it is the last, that needs one much finer than was tried.
-  // [begin, end): the splats that the run's samples may meet, nearest first.
+  // Draws the nodes of a lattice for a run that has samples, and the middles of its cells, and compares them. kFits: it
+  // is as good as asked for. kSplit: one much finer than was tried is needed, which half a run may not need; never if
+  // `last`. kRefuse: a lattice as good as asked for has too many nodes to be worth it. [begin, end): the splats that
+  // the run's samples may meet, nearest first.
   Verdict judge(const LensRun& run, const Splats<float>& splats, const int32_t* begin, const int32_t* end,
                 const float* background, bool last) {
-    // Where nothing fitted lately, only one run in some is tried
+    // Where nothing fitted lately, only one run in 2 kPatience is tried
     if (refused_ >= kPatience && ++refused_ % (2 * kPatience) != 0) return Verdict::kRefuse;
+
+    // How fast the light field varies there
     x0_ = double(run.first[0]) / 3, y0_ = double(run.row0);
     const LatticePart part = run.part(lens_, x0_, y0_);
     LatticeCurvature curvature(part);
     for (const int32_t* id = begin; id != end; ++id)
       curvature.add(splats.splats[*id], float(double(splats.splats[*id].u0) - x0_));
+
+    // Lattices by what the one before erred
     const double most = kMostNodes * double(run.samples());
     for (int attempt = 0; attempt < kAttempts; ++attempt) {
       LatticePlan plan;
@@ -70,7 +77,8 @@ class LensLattice {
       draw(nodes_, plan, splats, begin, end, background);
       draw(middles_, middles, splats, begin, end, background);
       const float moved = share_errors();
-      // As a share of what is allowed, and how much finer or coarser the next lattice may be for it
+      // The error as a share of what is allowed. It grows with the square of the steps, which tells how fine the next
+      // lattice must be.
       const Error at_middles = error_at_middles();
       const float largest = std::max(at_middles.largest, moved);
       const float error = std::max(std::max(largest, kMovedShare * at_middles.mean) / float(quality_.lattice), 1e-6f);
@@ -83,7 +91,7 @@ class LensLattice {
     return Verdict::kRefuse;
   }
 
-  // Interpolates the run's samples and writes them, a sub-pixel by its place in the pixel.
+  // Interpolates the run's samples and writes them, the sub-pixels of a pixel in the order of their places.
   template <class Out>
   void write(const LensRun& run, Out* image) {
     for (int64_t r = 0; r < run.rows; ++r) {
@@ -100,10 +108,10 @@ class LensLattice {
 
  private:
   static constexpr int kAttempts = 3;
-  static constexpr int kPatience = 4;  // runs
-  static constexpr int kLookOut = 64;  // splats from one look whether all is opaque to the next
+  static constexpr int kPatience = 4;  // runs in turn that may be refused before most are no longer tried
+  static constexpr int kLookOut = 64;  // splats between two looks whether all nodes are opaque
   static constexpr float kSplitError = 2.5f;
-  static constexpr float kMostNodes = 0.3f;  // of the samples; a node has three channels
+  static constexpr float kMostNodes = 0.3f;  // nodes and middles for each sample of the run; a node has three channels
 
   void draw(LatticeNodes& nodes, const LatticePlan& plan, const Splats<float>& splats, const int32_t* begin,
             const int32_t* end, const float* background) {
@@ -118,8 +126,8 @@ class LensLattice {
     nodes.finish(background);
   }
 
-  // Moves every node by its share of the errors at the middles round it, see kNodeShare; the largest move. Nodes round
-  // which the field errs both ways, as it does at an edge, stay.
+  // Moves every node by its share of the errors at the middles round it, see kNodeShare, and returns the largest move.
+  // Nodes round which errors have both signs, as at an edge, stay.
   float share_errors() {
     const Tag<float> d;
     const LatticePlan& plan = nodes_.plan();
@@ -140,8 +148,8 @@ class LensLattice {
     return hn::GetLane(hn::MaxOfLanes(d, most));
   }
 
-  // Between the middles of cells and what their corners make of them, kept in errors_: the largest, and the root mean
-  // square.
+  // Compares what is interpolated at the middles of cells with what was drawn there: the largest error and the root
+  // mean square. The errors are kept in errors_.
   struct Error {
     float largest, mean;
   };
@@ -151,10 +159,11 @@ class LensLattice {
     auto worst = hn::Zero(d), squares = hn::Zero(d);
     int64_t count = 0;
     for (int j = 0; j < plan.down; ++j) {
+      // A row of middles, on all planes
       row_.move_to(nodes_, plan.y0 + float(j) * plan.step_y);
       for (int k = 0; k < plan.planes; ++k)
         for (int i = 0; i < plan.across; i += kLanes) {
-          // Lanes behind the last repeat it
+          // Lanes beyond the last middle repeat it
           const auto lane = hn::Min(hn::Iota(d, float(i)), hn::Set(d, float(plan.across - 1)));
           const auto index = hn::ConvertTo(hn::RebindToSigned<Tag<float>>(), lane);
           const auto along = hn::Add(lane, hn::Set(d, float(plan.margin) + 0.5f));
@@ -168,6 +177,8 @@ class LensLattice {
           count += 3 * kLanes;
         }
     }
+
+    // Over all lanes
     const float sum = hn::GetLane(hn::SumOfLanes(d, squares));
     return {hn::GetLane(hn::MaxOfLanes(d, worst)), std::sqrt(sum / float(std::max<int64_t>(count, 1)))};
   }
@@ -176,7 +187,7 @@ class LensLattice {
     return hn::Min(hn::Max(c, hn::Zero(d)), hn::Set(d, 1.f));
   }
 
-  // The pixels [pixel0, pixel0 + count) of a row, and some that are not asked for.
+  // Interpolates the pixels [pixel0, pixel0 + count) of a row, and the rest of the last vector.
   template <bool kCells, class Out>
   HWY_NOINLINE void interpolate(int64_t row, int64_t pixel0, int64_t count, Out* to) {
     const Tag<float> d;
@@ -196,7 +207,8 @@ class LensLattice {
     }
   }
 
-  // Phases of every third sub-pixel, a lens being 2^32: enough here but for a view now and then at its border.
+  // The phases of one place in a vector of pixels. 32 bits, of which 2^32 are a lens, will do here: only now and then
+  // does a sub-pixel at the border of a view get the one beside.
   struct Phases {
     hn::Vec<Words> phase;
     HWY_ALIGN uint32_t beyond[3][kLanes];  // what cells add at each place
@@ -219,7 +231,7 @@ class LensLattice {
           beyond[m % 3][m / 3] = uint32_t(lens.cells.phases[row % kCellPeriod][(3 * pixel0 + m) % kRowPeriod] >> 32);
       if (!continuous) plane0 += 0.5f * to_plane;
     }
-    // Of place k, in planes of the lattice; goes on to the next sub-pixel.
+    // The offsets of place k, counted in planes of the lattice. The phases then move on to the next place.
     template <bool kCells>
     HWY_INLINE hn::Vec<Tag<float>> next(int k) {
       const Tag<float> d;
@@ -230,7 +242,7 @@ class LensLattice {
       if (!continuous) view = hn::Floor(view);
       return hn::Max(hn::MulAdd(view, hn::Set(d, to_plane), hn::Set(d, plane0)), hn::Zero(d));
     }
-    // To the next vector of pixels.
+    // Moves on to the next vector of pixels.
     HWY_INLINE void skip() { phase = hn::Add(phase, hn::Set(Words(), pixels)); }
   };
 
@@ -252,7 +264,7 @@ class LensLattice {
   const Lens& lens_;
   const Quality quality_;
   int refused_ = 0;         // runs since one fitted
-  double x0_ = 0, y0_ = 0;  // what places are about
+  double x0_ = 0, y0_ = 0;  // the origin of places in lattices
   LatticeNodes nodes_, middles_;
   LatticeErrors errors_;
   LatticeRow row_;

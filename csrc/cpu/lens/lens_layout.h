@@ -1,4 +1,6 @@
-// How the panel is cut into cells and tiles; the same for a whole frame.
+// How the panel is cut into cells (lenses, or single sub-pixels where lenses are too narrow or too wide) and into tiles
+// of neighbouring cells. It follows from the lens alone and is worked out once for an image; tiles, lists and lattices
+// are laid out by it.
 #pragma once
 
 #include <algorithm>
@@ -18,17 +20,19 @@ struct LensLayout {
   double origin = 0;    // cell coordinate (sub-pixels) of the image's top left corner
   int ordinals = 1;     // most sub-pixels in a cell
   int cells_per_tile = 16;
-  double s_start = 0, s_step = 0;                            // normalized offset s in [-1, 1] = s_start + s_step * x
-  double s_of_ordinal_0 = 0, s_per_ordinal = 0, half_s = 0;  // of the samples at ordinal t: centre, and half spread
+  double s_start = 0, s_step = 0;  // normalized offset s = s_start + s_step * x, in [-1, 1]
+  // At ordinal t the offsets of samples are within half_s of s_of_ordinal_0 + t * s_per_ordinal.
+  double s_of_ordinal_0 = 0, s_per_ordinal = 0, half_s = 0;
   double x_per_ordinal = 1;  // pixels from one ordinal to the next; 1 where there is one ordinal only
-  float half_patch_px = 0;   // half spread in x of a patch's samples at one ordinal, rows apart
-  // Of sub-pixels that do not stand in stripes: how far aside, at most; and so many before that of the first stripe of
-  // a lens, and after that of the last, may be of this lens
+  float half_patch_px = 0;   // half spread in x of a patch's samples at one ordinal, within a row
+  // For panels whose sub-pixels do not stand in stripes: how far from its stripe one stands at most, in sub-pixels; and
+  // how many sub-pixels before the first stripe of a lens, and after its last, may belong to the lens too.
   double beyond = 0;
   int lead = 0;
 
   LensLayout(const Lens& lens, int cells_per_patch) {
-    // A lens must hold a few sub-pixels for its phase to be told from its neighbours', and few enough for a 64-bit mask
+    // A lens must hold a few sub-pixels, so that phases tell it from its neighbours (first_stripe). It may have 64
+    // ordinals at most: that is the room which LensTile has behind its list.
     const double least = lens.has_cells ? 6 : 3, most = lens.has_cells ? 61 : 63;
     by_lens = lens.line_number >= least && lens.line_number <= most && lens.stands_in_order();
     beyond = lens.most_beyond();
@@ -44,22 +48,23 @@ struct LensLayout {
     } else {
       cells_per_tile = 96;
     }
-    // A sub-pixel stands up to 1/3 px from its pixel's centre; lens edges are rounded up to whole sub-pixels
+    // The 0.5 px are for sub-pixels, which stand up to 1/3 px from their pixel's centre, and for the edges of lenses,
+    // which are rounded up to whole sub-pixels
     half_patch_px = float((cells_per_patch - 1) * pitch / 6 + 0.5 + 0.02);
   }
 
   int64_t samples() const { return int64_t(kBandRows) * cells_per_tile * ordinals; }
 
-  // x (pixels) of the samples at ordinal 0 of a cell, in the mean.
+  // Mean x, in pixels, of the samples at ordinal 0 of a cell.
   double cell_x(double cell, double row) const {
     return (cell * pitch - shear * row - origin - lead) / 3 + (by_lens ? 1.0 / 3 : 1.0 / 6);
   }
 
-  // First sub-pixel of a cell in a row.
+  // The first sub-pixel of a cell in a row.
   int64_t cell_start(const Lens& lens, int64_t row, int64_t cell) const {
     int64_t m = first_stripe(lens, row, cell);
     if (lead == 0) return m;
-    constexpr int64_t kAbove = int64_t(kRowPeriod) << 40;  // so that remainders have no sign
+    constexpr int64_t kAbove = int64_t(kRowPeriod) << 40;  // keeps remainders positive left of the panel
     auto inside = [&](int64_t at) {
       const uint64_t aside = lens.cells.phases[row % kCellPeriod][(at + kAbove) % kRowPeriod];
       return int64_t(lens.phase_at(row, at) + aside) >= 0;
@@ -69,7 +74,8 @@ struct LensLayout {
     return m;
   }
 
-  // Where it would begin with stripes: an estimate, made exact by the fixed-point phase.
+  // Where the cell would begin if all sub-pixels stood in their stripes: an estimate, corrected by one sub-pixel where
+  // the fixed-point phase says so.
   int64_t first_stripe(const Lens& lens, int64_t row, int64_t cell) const {
     if (!by_lens) return cell;
     const int64_t m = int64_t(std::ceil(double(cell) * pitch - shear * double(row) - origin));
@@ -77,14 +83,15 @@ struct LensLayout {
     return phase < lens.phase_x ? m : phase >> 63 ? m + 1 : m - 1;
   }
 
-  // Cells that samples of columns [low, high] (pixels, at row 0 after shearing by shear / 3) belong to.
+  // The cells of all samples whose x + shear / 3 (y - 1/2), in pixels, is in [low, high]: the interval that columns_of
+  // finds.
   Range cells_of(double low, double high) const {
     const double aside = by_lens ? beyond : 0;
     return {int64_t(std::floor((3 * (low - 0.5) - aside + origin) / pitch - 1e-6)),
             int64_t(std::floor((3 * (high - 0.5) + 2 + aside + origin) / pitch + 1e-6))};
   }
 
-  // Cells that a band shows.
+  // The cells that may have samples in the band which starts at row0.
   Range cells_of_band(const Lens& lens, int64_t row0) const {
     const double last_row = double(std::min(row0 + kBandRows, lens.height_px) - 1);
     const double a = shear * double(row0), b = shear * last_row;

@@ -1,4 +1,5 @@
-// Bytes of a lens tile, turned from vectors of an ordinal into runs of sub-pixels 16 at a time and copied to the image.
+// Writes the bytes of a lens tile to the image. In a tile the samples of one ordinal lie side by side, in the image
+// those of one cell and row. So blocks of 16 ordinals are transposed first, and then copied 16 sub-pixels at a time.
 
 #if defined(LFGS_CPU_LENS_LINES_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_LENS_LINES_INL_H_
@@ -22,10 +23,11 @@ class LensLines {
  public:
   static constexpr int kLanes = LensTile<T>::kLanes, kLine = 16;
 
-  // Lines of a few ordinals, or of a single lane, are as quickly read where they are.
+  // Whether that is quicker than copying byte by byte. It is not where cells have few ordinals, or vectors a single
+  // lane.
   static constexpr bool pays(int ordinals) { return kLanes >= 4 && ordinals >= kLine / 2; }
 
-  // samples: [patch][ordinal][lane], lines: room for four bytes a sample.
+  // Transposes `samples`, [patch][ordinal][lane], into `lines`, which has room for four bytes a sample.
   LensLines(const LensTile<T>& tile, const uint8_t* samples, uint8_t* lines)
       : tile_(tile), lines_(lines), blocks_((tile.ordinals() + kLine - 1) / kLine) {
     for (int64_t p = 0; p < tile.patches(); ++p)
@@ -33,7 +35,7 @@ class LensLines {
         turn(samples + (p * tile.ordinals() + b * kLine) * kLanes, lines + (p * blocks_ + b) * kBlock);
   }
 
-  // Rows of the image are `stride` bytes.
+  // Copies the transposed samples to an image whose rows are `stride` bytes long.
   void write(uint8_t* image, int64_t stride) const {
     const uint8_t* lines = lines_;
     const int64_t of_patch = blocks_ * kBlock;
@@ -43,7 +45,7 @@ class LensLines {
       int64_t left = run.count;
       for (int64_t place = run.ordinal % kLine; left > 0; from += kBlock, place = 0) {
         const int64_t count = std::min<int64_t>(left, kLine - place);
-        // What is too much is of the next run, which writes over it
+        // A line may be copied whole as long as it stays within the tile: the next run overwrites what is too much
         if (HWY_LIKELY(place == 0 && run.first + run.count - left + kLine <= run.tile_end))
           std::memcpy(to, from, kLine);
         else
@@ -54,10 +56,12 @@ class LensLines {
   }
 
  private:
-  static constexpr int kBlock = kLine * kLanes;  // [lane][ordinal]
+  static constexpr int kBlock = kLine * kLanes;  // bytes of a block, [lane][ordinal]
 
-  // [16 ordinals][lane] -> [lane][16 ordinals]: a riffle of the two halves moves a bit of the ordinal behind those of
-  // the lane. What lies behind the last ordinal is of the next patch, and never copied.
+  // Transposes [16 ordinals][lane] to [lane][16 ordinals]. Interleaving the first half of the bytes with the second
+  // moves the highest bit of their index to its end; doing so four times moves all four bits of the ordinal behind
+  // those of the lane. A block that reaches beyond the last ordinal has samples of the next patch there, which are
+  // never copied.
   static HWY_INLINE void turn(const uint8_t* HWY_RESTRICT from, uint8_t* HWY_RESTRICT to) {
     if constexpr (kLanes >= 4) {
       const hn::FixedTag<uint8_t, kBlock / kLanes> d;

@@ -1,4 +1,5 @@
-// The sub-pixels of some cells side by side, and how they look where nothing is drawn.
+// Runs of neighbouring cells within a band: which sub-pixels they have, and the background for runs that no splat
+// touches. Lattices and the background are drawn run by run.
 #pragma once
 
 #include <algorithm>
@@ -10,9 +11,9 @@
 
 namespace lfgs {
 
-// The sub-pixels of a band of rows that belong to some cells: those of a row lie side by side.
+// The sub-pixels of a band that belong to neighbouring cells. In each row they are an interval.
 struct LensRun {
-  int64_t row0 = 0, rows = 0, first[kBandRows], end[kBandRows];  // of each row, within the panel
+  int64_t row0 = 0, rows = 0, first[kBandRows], end[kBandRows];  // sub-pixels of each row, clipped to the panel
 
   LensRun(const Lens& lens, const LensLayout& layout, int64_t row0_, int64_t cell0, int64_t cells)
       : row0(row0_), rows(std::min<int64_t>(kBandRows, lens.height_px - row0_)) {
@@ -26,7 +27,8 @@ struct LensRun {
     for (int64_t r = 0; r < rows; ++r) sum += std::max<int64_t>(end[r] - first[r], 0);
     return sum;
   }
-  // Columns of sample centres, about x0, y0; what has no samples is skipped.
+  // The part of the panel that a lattice for this run covers, relative to (x0, y0). Rows without samples do not widen
+  // its columns.
   LatticePart part(const Lens& lens, double x0, double y0) const {
     int64_t low = lens.width_px, high = 0;
     for (int64_t r = 0; r < rows; ++r)
@@ -37,11 +39,12 @@ struct LensRun {
   }
 };
 
-// Sub-pixels by their places, all of the background.
+// An image of the background alone, its sub-pixels in the order of their places. Which channel a place has repeats over
+// the panel, so that a few rows, longer than the image by one period, stand for all.
 template <class U>
 class Backdrop {
  public:
-  // value(channel) of the image.
+  // value(channel) is the background in that channel of the image.
   template <class Value>
   Backdrop(const Lens& lens, const Value& value)
       : period_(lens.has_cells ? kRowPeriod : 3),

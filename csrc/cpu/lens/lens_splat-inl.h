@@ -1,4 +1,6 @@
-// A splat as the samples of a lens tile read it: its footprint, as it is written or simplified, and its colour.
+// What the samples of a lens tile evaluate of a splat: its colour, and its footprint. There are several footprints, the
+// exact one and cheaper ones for splats of which they err little; with_footprint chooses among those that every quality
+// allows.
 
 #if defined(LFGS_CPU_LENS_SPLAT_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_LENS_SPLAT_INL_H_
@@ -19,7 +21,7 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-constexpr double kMostRoughError = 0.005;  // relative, of S^(-1/2); see kMostRootError
+constexpr double kMostRoughError = 0.005;  // of S^(-1/2) in rough footprints, relative; others: kMostRootError
 
 // A splat's colour polynomial, [order + 1, kColourStride].
 template <class T>
@@ -27,7 +29,8 @@ const T* colour_of(const Splats<T>& splats, int32_t id) {
   return splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
 }
 
-// Colour of a splat at the samples' offsets. kOrder: 0, 1, 2, or -1 for `order`.
+// The colour of a splat at the samples' offsets. kOrder is its order where that is known at compile time, or -1: then
+// it is `order`.
 template <int kOrder, class D>
 HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::Vec<hn::RebindToSigned<D>> channel,
                                hn::Vec<D> s) {
@@ -38,14 +41,14 @@ HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::
   return hn::Max(c, hn::Zero(d));
 }
 
-// px - m(s); rows: RowTerms or RowVectors.
+// The distance px - m(s) of samples from the middle of the splat in their row. Rows: RowTerms or RowVectors.
 template <class T, class Rows>
 HWY_INLINE hn::Vec<Tag<T>> DistanceX(hn::Vec<Tag<T>> x, hn::Vec<Tag<T>> s, const Rows& rows) {
   const Tag<T> d;
   return hn::NegMulAdd(s, Term(d, rows.M1), hn::Sub(x, Term(d, rows.M0)));
 }
 
-// The footprint as it is written.
+// The footprint by the formula of math/projection.h, right for every splat without compensation.
 template <class T>
 struct ExactFootprint {
   using D = Tag<T>;
@@ -56,7 +59,7 @@ struct ExactFootprint {
     const D d;
     S0 = hn::Set(d, s.S0), S1 = hn::Set(d, s.S1), S2 = hn::Set(d, s.S2), cut = hn::Set(d, log2_cut);
   }
-  // log2 of opacity * weight; also dx = px - m(s) and 1 / S(s).
+  // Returns log2 of opacity * weight; also sets dx = px - m(s) and inverse_S = 1 / S(s).
   template <class Rows>
   HWY_INLINE V power(V x, V s, const Rows& rows, V& dx, V& inverse_S) const {
     const D d;
@@ -64,7 +67,7 @@ struct ExactFootprint {
     inverse_S = Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
     return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, Term(d, rows.A));
   }
-  // alpha * transmittance
+  // Returns alpha * transmittance, by which the splat's colour counts in a sample.
   template <class Rows>
   HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
     V dx, inverse_S;
@@ -72,7 +75,7 @@ struct ExactFootprint {
   }
 };
 
-// The share sqrt(D(s) / S(s)) of its opacity that an anti-aliased splat has at its samples.
+// The share sqrt(D(s) / S(s)) of its opacity that an anti-aliased splat keeps at its samples, see math/compensation.h.
 template <class T>
 struct Share {
   using D = Tag<T>;
@@ -83,6 +86,7 @@ struct Share {
     const D d;
     D0 = hn::Set(d, c.D0), D1 = hn::Set(d, c.D1), D2 = hn::Set(d, c.D2);
   }
+  // D(s), which is S(s) without the blur.
   HWY_INLINE V sharp(V s) const { return hn::MulAdd(hn::MulAdd(s, D2, D1), s, D0); }
   HWY_INLINE V at(V s, V inverse_S) const {
     const D d;
@@ -90,14 +94,14 @@ struct Share {
   }
 };
 
-// alpha = min(0.99, share 2^power), zero where it is below 2^cut.
+// alpha = min(0.99, share 2^power), zero where it is below least = 2^cut.
 template <class D>
 HWY_INLINE hn::Vec<D> SharedAlpha(D d, hn::Vec<D> power, hn::Vec<D> share, hn::Vec<D> cut, hn::Vec<D> least) {
   const auto alpha = hn::Mul(hn::IfThenElseZero(hn::Ge(power, cut), Exp2(d, power)), share);
   return hn::IfThenElseZero(hn::Ge(alpha, least), hn::Min(alpha, hn::Set(d, hn::TFromD<D>(kMaxAlpha))));
 }
 
-// The footprint as it is written, of an anti-aliased splat.
+// The exact footprint of an anti-aliased splat.
 template <class T>
 struct CompensatedFootprint {
   using D = Tag<T>;
@@ -116,7 +120,8 @@ struct CompensatedFootprint {
   }
 };
 
-// The footprint of a splat whose S^(-1/2) is near enough to a parabola over the rig, and whose alpha needs no limit.
+// The footprint of a splat whose S^(-1/2) is near enough to a parabola over the rig, and which is never so opaque that
+// alpha must be limited.
 template <class T>
 struct PlainFootprint {
   using D = Tag<T>;
@@ -139,9 +144,10 @@ struct PlainFootprint {
   }
 };
 
-// The footprint in few operations, read off RowTerms in its units. kEven: S^(-1/2) is the same all over the rig; else
-// it is straight between the rig's ends. 2^power is y^16 with y = gain (power + level)^2 + rest: relative error < 0.9%
-// from 1/255 to 1, < 0.35% from 0.05. Squaring has no use for the parts of an exponent, and little for constants.
+// The footprint in few operations, for rough evaluation. S^(-1/2) is taken as constant over the rig (kEven) or as a
+// straight line in s. 2^power is taken as y^16 with y = (gain (power + level))^2 + rest, whose relative error is below
+// 0.9 % where alpha is 1/255 to 1, and below 0.35 % from 0.05 on: unlike Exp2, squaring need not take the exponent
+// apart, and it loads few constants. RowTerms have gain and level in them already, see units().
 template <bool kEven>
 class RoughFootprint {
  public:
@@ -155,7 +161,7 @@ class RoughFootprint {
         cut_(kGain * (log2_cut + kLevel)) {}
   static bool fits(const InverseRoot<T>& r) {
     const T off = T(0.5) * std::abs(r.r2) + (kEven ? std::abs(r.r1) : T(0));
-    return r.error + off / std::abs(r.r0) < T(kMostRoughError);  // r0 may be anything where the error is 1
+    return r.error + off / std::abs(r.r0) < T(kMostRoughError);  // where the error is 1, r0 may be any number
   }
   RowUnits<T> units() const { return {kGain, kLevel, kEven ? -root_ : T(1)}; }
 
@@ -179,7 +185,7 @@ class RoughFootprint {
   T root_, lean_, cut_;
 };
 
-// Calls visit with the cheapest footprint that is right for a splat; compensation: null, or that of the splat.
+// Calls visit with the cheapest footprint that is near enough for a splat; compensation: null, or that of the splat.
 template <class T, class Visit>
 void with_footprint(const TileSplat<T>& tile_splat, const Compensation<T>* compensation, const Quality& quality,
                     const Visit& visit) {

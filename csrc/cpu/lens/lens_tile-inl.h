@@ -1,7 +1,10 @@
-// Tiles of the lens sensor. A sample is a sub-pixel; a *cell* is a lens, and t counts the sub-pixels of a lens from its
-// left edge (the ordinal). Samples at one ordinal of neighbouring lenses show nearly the same view, so a vector holds
-// 4 lenses x a few rows at one ordinal, and a splat, which sweeps over the views along a row, meets a short interval of
-// ordinals per patch of lenses. Lenses too narrow or too wide for that become cells of one sub-pixel each.
+// A tile of the panel: where its samples stand, what they gather, and which of them a splat may touch. It is laid out
+// by LensLayout, and lens_blend-inl.h blends splats into it.
+//
+// A sample is a sub-pixel; a *cell* is a lens, and the ordinal t counts the sub-pixels of a lens from its left edge.
+// Samples at one ordinal of neighbouring lenses show nearly the same view. So a vector holds 4 lenses x a few rows at
+// one ordinal, and a splat, which sweeps over the views along a row, meets a short interval of ordinals per patch of
+// lenses. Lenses too narrow or too wide for that become cells of one sub-pixel each.
 
 #if defined(LFGS_CPU_LENS_TILE_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef LFGS_CPU_LENS_TILE_INL_H_
@@ -23,7 +26,8 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Per-splat constants of one group of rows, a vector each.
+// What the exponent of a splat needs to know of a row, for one group of rows: as many rows as a vector spans, a number
+// for each lane.
 template <class T, int kLanes>
 struct RowTerms {
   alignas(64) T A[kLanes];   // log2 opacity - tau dy^2
@@ -32,7 +36,7 @@ struct RowTerms {
   alignas(64) T dy[kLanes];
 };
 
-// The same in registers, for all vectors of the group.
+// RowTerms in registers, for loops over the vectors of one group of rows.
 template <class D>
 struct RowVectors {
   hn::Vec<D> A, M0, M1;
@@ -42,7 +46,7 @@ struct RowVectors {
       : A(hn::Load(D(), rows.A)), M0(hn::Load(D(), rows.M0)), M1(hn::Load(D(), rows.M1)) {}
 };
 
-// One of either.
+// Reads a term of RowTerms or of RowVectors.
 template <class D>
 HWY_INLINE hn::Vec<D> Term(D d, const hn::TFromD<D>* term) {
   return hn::Load(d, term);
@@ -52,7 +56,7 @@ HWY_INLINE hn::Vec<D> Term(D, hn::Vec<D> term) {
   return term;
 }
 
-// In what units a splat is read off its RowTerms: A as power * (A + level), M0 and M1 times `place`.
+// The units that a footprint wants RowTerms in: A becomes power * (A + level), and M0 and M1 are multiplied by `place`.
 template <class T>
 struct RowUnits {
   T power = 1, level = 0, place = 1;
@@ -80,6 +84,7 @@ class LensTile {
         across_(layout.cells_per_tile / kCellsPerPatch),
         patches_(kDown * across_),
         samples_(layout.samples()) {
+    // Memory
     const size_t n = size_t(samples_), vectors = n / kLanes;
     for (auto* a : {&x, &s, &colour, &transmittance}) *a = hwy::AllocateAligned<T>(n);
     if (backward)
@@ -93,6 +98,8 @@ class LensTile {
     starts_.resize(size_t(place(kBandRows, 0)));
     if (layout.lead) anchors_.resize(starts_.size());
     if (lens.has_cells) fill_cells();
+
+    // The rows of vectors, patches and lanes; what pads the patches to whole vectors is out of reach
     for (size_t v = 0; v < vectors; ++v) row_of_vector_[v] = uint8_t(v / size_t(layout.ordinals * across_));
     for (int64_t p = 0; p < padded_; ++p) {
       const bool real = p < patches_;
@@ -110,16 +117,22 @@ class LensTile {
   void move_to(int64_t row0, int64_t cell0) {
     row0_ = row0, cell0_ = cell0;
     x0_ = std::floor(layout_.cell_x(double(cell0) + 0.5 * layout_.cells_per_tile, double(row0) + 0.5 * kBandRows));
+
+    // Nothing is drawn yet
     std::fill(transmittance.get(), transmittance.get() + samples_, T(1));
     std::fill(colour.get(), colour.get() + samples_, T(0));
     std::fill(alive_.begin(), alive_.end(), uint8_t(1));
     open = int(alive_.size());
+
+    // Where cells begin in each row
     for (int64_t r = 0; r < kBandRows; ++r)
       for (int64_t c = 0; c <= layout_.cells_per_tile; ++c) {
         start(r, c) = layout_.cell_start(lens_, row0 + r, cell0 + c);
         if (layout_.lead)
           anchors_[size_t(place(r, c))] = layout_.first_stripe(lens_, row0 + r, cell0 + c) - layout_.lead;
       }
+
+    // Samples
     for (int64_t patch = 0; patch < patches_; ++patch)
       lens_.has_cells ? place_patch<true>(patch) : place_patch<false>(patch);
   }
@@ -130,18 +143,22 @@ class LensTile {
     const T u = T(double(splat.u0) - x0_), v = splat.v0 - T(row0_);
     fill_rows(splat, u, v, units);
 
-    // Per patch: |X + t slope| <= w + what the samples at one ordinal spread, around the patch's middle row
+    // A patch at a time, which ordinals t may be touched. At ordinal t the samples lie X + t slope right of the splat,
+    // measured in the middle row of the patch; the splat may touch them where |X + t slope| <= reach
     const T half = T(0.5) * T(kRows - 1);
     const T spread = layout_.half_patch_px + half * (std::abs(splat.c0 + T(layout_.shear / 3)) + std::abs(splat.c1));
     const T left = splat.S0 - splat.S1 + splat.S2, right = splat.S0 + splat.S1 + splat.S2;
     const V widest = hn::Set(d, std::max(left, right)), zero = hn::Zero(d);
     const hn::RebindToSigned<D> di;
     for (int64_t p = 0; p < padded_; p += kLanes) {
+      // Half width w of the splat in the nearest row, and what the samples spread
       const V middle = hn::Sub(hn::Load(d, &patch_row_[p]), hn::Set(d, v));
       const V nearest = hn::Max(hn::Sub(hn::Abs(middle), hn::Set(d, half)), zero);
       const V exponent = hn::NegMulAdd(hn::Mul(hn::Set(d, splat.tau), nearest), nearest,
                                        hn::Set(d, exponent_left(splat, T(0)) + T(1e-3)));
       const V w = hn::Add(hn::Sqrt(hn::Max(hn::Mul(exponent, widest), zero)), hn::Set(d, spread));
+
+      // Distance at ordinal 0, its change per ordinal, and the reach
       const V M0 = hn::MulAdd(hn::Set(d, splat.c0), middle, hn::Set(d, u));
       const V M1 = hn::MulAdd(hn::Set(d, splat.c1), middle, hn::Set(d, splat.du));
       V slope = hn::NegMulAdd(hn::Set(d, T(layout_.s_per_ordinal)), M1, hn::Set(d, T(layout_.x_per_ordinal)));
@@ -149,6 +166,8 @@ class LensTile {
       slope = hn::IfThenElse(hn::Lt(hn::Abs(slope), tiny), tiny, slope);
       const V X = hn::NegMulAdd(hn::Load(d, &patch_s_[p]), M1, hn::Sub(hn::Load(d, &patch_x_[p]), M0));
       const V reach = hn::MulAdd(hn::Abs(M1), hn::Load(d, &patch_half_s_[p]), w);
+
+      // The interval of ordinals, empty where the rows do not meet
       const V per_slope = hn::Div(hn::Set(d, T(1)), slope);
       const V t1 = hn::Mul(hn::Neg(hn::Add(X, reach)), per_slope), t2 = hn::Mul(hn::Sub(reach, X), per_slope);
       const V low = hn::Ceil(hn::Max(hn::Min(t1, t2), zero));
@@ -163,7 +182,7 @@ class LensTile {
 
   const uint16_t* list() const { return list_.get(); }
   const Rows& rows(uint16_t vector) const { return rows_[row_of_vector_[vector]]; }
-  // Calls visit(rows, begin, end) for the groups of rows, with the vectors in each that find listed.
+  // Calls visit(rows, begin, end) for every group of rows in which find() has listed vectors.
   template <class Visit>
   HWY_INLINE void for_each_group(const Visit& visit) const {
     const uint16_t* begin = list_.get();
@@ -174,13 +193,13 @@ class LensTile {
     }
   }
 
-  // No sample of this vector takes light any more: leaves it out of later lists.
+  // Leaves a vector out of later lists, for none of its samples takes light any more.
   void retire(uint16_t vector) {
     open -= alive_[vector];
     alive_[vector] = 0;
   }
 
-  // Leaves out of later lists the vectors all whose samples let less than `least` through.
+  // Retires the vectors in which every sample lets less than `least` through.
   void retire_below(T least) {
     const D d;
     const V limit = hn::Set(d, least);
@@ -188,13 +207,13 @@ class LensTile {
       if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit))) retire(uint16_t(v));
   }
 
-  // A run of sub-pixels: of one cell in one row, the first at this ordinal; its neighbours belong to the tile up to
-  // before `tile_end`.
+  // The sub-pixels of one cell in one row, the first of them at `ordinal`. Those that follow belong to the same tile up
+  // to `tile_end`, which is the first that does not.
   struct Run {
     int64_t row, first, count, tile_end, patch, ordinal, lane;
   };
-  // Calls visit(run) for all runs on the panel, those of a row from left to right. What visits write as bytes could be
-  // anything to the compiler, so it reads what it needs first.
+  // Calls visit(run) for all runs on the panel, those of a row from left to right. Members are copied first, since to
+  // the compiler the bytes that a visit writes could change any of them.
   template <class Visit>
   HWY_INLINE void for_each_run(const Visit& visit) const {
     const int64_t cells = layout_.cells_per_tile, width = 3 * lens_.width_px, across = across_, row0 = row0_;
@@ -211,19 +230,20 @@ class LensTile {
       }
     }
   }
-  // The sample of a run's first sub-pixel; that of the next is kLanes on.
+  // The sample of a run's first sub-pixel; the next sub-pixel's is kLanes further on.
   int64_t sample(const Run& run) const { return (run.patch * layout_.ordinals + run.ordinal) * kLanes + run.lane; }
   int64_t patches() const { return patches_; }
   int ordinals() const { return layout_.ordinals; }
 
  private:
-  // First sub-pixel of cell c of the tile in its row r.
+  // The first sub-pixel of cell c of the tile in row r of the band.
   int64_t& start(int64_t r, int64_t c) { return starts_[size_t(place(r, c))]; }
   int64_t start(int64_t r, int64_t c) const { return starts_[size_t(place(r, c))]; }
-  // That at its ordinal 0, which may be of the cell before.
+  // The sub-pixel at ordinal 0 of the cell, which may belong to the cell before it: see LensLayout::lead.
   int64_t anchor(int64_t r, int64_t c) const { return layout_.lead ? anchors_[size_t(place(r, c))] : start(r, c); }
   int64_t place(int64_t r, int64_t c) const { return r * (layout_.cells_per_tile + 1) + c; }
 
+  // Fills the terms of all groups of rows for a splat at (u, v) from the tile's origin.
   HWY_INLINE void fill_rows(const Splat<T>& splat, T u, T v, const RowUnits<T>& units) {
     const D d;
     const V lane_rows = hn::Load(d, row_of_lane_);
@@ -240,8 +260,9 @@ class LensTile {
     }
   }
 
-  // Ranges of ordinals -> one flat list. Every patch writes as many entries as a cell has ordinals and the next patch
-  // overwrites what was too much: no branch depends on a range, which no processor could predict.
+  // Makes one flat list of vectors from the ranges of ordinals. Every patch writes as many entries as a cell has
+  // ordinals, and the next patch overwrites what was too much: so no branch depends on a range, which no processor
+  // could predict.
   HWY_INLINE int64_t fill_list() {
     const hn::FixedTag<uint16_t, 8> d16;
     const auto eight = hn::Set(d16, uint16_t(8));
@@ -256,8 +277,10 @@ class LensTile {
       }
       ends_[down] = size;
     }
-    // Samples that take no light do no harm: a few are quicker blended than looked for
+    // Retired vectors do no harm in the list: a few are quicker blended than dropped
     if (HWY_LIKELY(8 * open > 7 * int(alive_.size()))) return size;
+
+    // Drop the retired ones, group by group
     int64_t kept = 0;
     for (int64_t k = 0, down = 0; down < kDown; ++down) {
       for (const int64_t end = ends_[down]; k < end; ++k) {
@@ -270,19 +293,19 @@ class LensTile {
     return kept;
   }
 
-  // Positions, offsets and channels of a patch's samples.
+  // Fills in x, s and channel of a patch's samples, and where the patch lies as a whole.
   template <bool kCells>
   void place_patch(int64_t patch) {
     const D d;
     const hn::RebindToSigned<D> di;
     const int64_t down = patch / across_, across = patch % across_;
 
-    // A lane is a cell in a row: which of its ordinals are sub-pixels of the panel, and where it starts
+    // A lane is a cell in a row: where it starts, and which of its ordinals are sub-pixels of the panel
     alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
     alignas(64) T columns[kLanes];
     alignas(64) uint64_t phases[kLanes];
     [[maybe_unused]] const CellRow* cells[kLanes] = {};
-    constexpr uint64_t kAbove = uint64_t(3) << 32;  // no cell begins so far left of the panel: divided without a sign
+    constexpr uint64_t kAbove = uint64_t(3) << 32;  // keeps numbers positive for cells that begin left of the panel
     const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
     for (int lane = 0; lane < kLanes; ++lane) {
       const int64_t r = down * kRows + lane / kCellsPerPatch, c = across * kCellsPerPatch + lane % kCellsPerPatch;
@@ -299,6 +322,7 @@ class LensTile {
       }
     }
 
+    // Ordinal by ordinal, all lanes at once
     V column = hn::Load(d, columns), s_low = hn::Set(d, T(2)), s_high = hn::Set(d, T(-2));
     auto place = hn::Load(di, places);
     const auto before = hn::Load(di, outside), end = hn::Load(di, ends), two = hn::Set(di, TI(2));
@@ -315,7 +339,7 @@ class LensTile {
       s_low = hn::Min(s_low, hn::IfThenElse(shown, offset, s_low));
       s_high = hn::Max(s_high, hn::IfThenElse(shown, offset, s_high));
 
-      // Lanes without a sub-pixel of the panel stand where no splat reaches
+      // A lane without a sub-pixel of the panel stands where no splat reaches
       hn::Store(hn::IfThenElse(shown, column, hn::Set(d, T(1e9))), d, &x[i]);
       hn::Store(offset, d, &s[i]);
       hn::Store(kCells ? hn::Load(di, channels) : lens_.bgr ? hn::Sub(two, place) : place, di, &channel[i]);
@@ -323,6 +347,8 @@ class LensTile {
       place = hn::IfThenZeroElse(last, hn::Add(place, hn::Set(di, TI(1))));
       column = hn::Add(column, hn::IfThenElseZero(hn::RebindMask(d, last), hn::Set(d, T(1))));
     }
+
+    // The patch as a whole, for find()
     const double cell = double(cell0_ + across * kCellsPerPatch) + 0.5 * (kCellsPerPatch - 1);
     patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + down * kRows) + 0.5 * (kRows - 1)) - x0_);
     const T low = hn::GetLane(hn::MinOfLanes(d, s_low)), high = hn::GetLane(hn::MaxOfLanes(d, s_high));
@@ -330,7 +356,8 @@ class LensTile {
     patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
   }
 
-  // Sub-pixels of a row, from the first of a period on, by their number: what their phase has beyond that of number 0.
+  // A sub-pixel of a row of a panel with cells, by its number from the start of a period: its phase less that of the
+  // stripe of number 0, and its channel.
   struct CellRow {
     uint64_t phase;
     int64_t channel;
@@ -342,7 +369,8 @@ class LensTile {
                           lens_.cells.channels[row][m % kRowPeriod]});
   }
 
-  // Offsets of the samples at these phases, which go on to the next sub-pixel. Exact but for the last rounding.
+  // The offsets s of the samples at these phases, exact but for the last rounding. The phases then move on to the next
+  // sub-pixel.
   HWY_INLINE V next_offsets(uint64_t* HWY_RESTRICT phases) const {
     const D d;
     if constexpr (kLanes == 1) {
@@ -350,7 +378,8 @@ class LensTile {
       *phases += lens_.phase_x;
       return hn::Set(d, T(layout_.s_start + layout_.s_step * camera_coordinate(lens_, phase)));
     } else {
-      // camera_coordinate in halves of a vector, as integers: the view, or x as a fraction of 2^31
+      // camera_coordinate for half a vector at a time, in integers: the view, or for continuous cameras x / views in
+      // units of 2^-31
       const hn::RebindToSigned<D> di;
       const hn::RepartitionToWide<hn::RebindToUnsigned<D>> d64;
       const hn::RebindToUnsigned<D> d32;
@@ -376,11 +405,11 @@ class LensTile {
   double x0_ = 0;  // tile origin, pixels
   alignas(64) T row_of_lane_[kLanes];
   Rows rows_[kDown];
-  // Per patch: its middle row; centre and half spread of its samples at ordinal 0, in pixels and offset
+  // Of each patch: its middle row; the mean x of its samples at ordinal 0; the centre and half spread of their offsets
   hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_x_, patch_s_, patch_half_s_;
-  hwy::AlignedFreeUniquePtr<TI[]> low_, count_;  // range of ordinals per patch
+  hwy::AlignedFreeUniquePtr<TI[]> low_, count_;  // range of ordinals of each patch
   hwy::AlignedFreeUniquePtr<uint16_t[]> list_;   // of vectors
-  int64_t ends_[kDown] = {};                     // in the list, of the groups of rows
+  int64_t ends_[kDown] = {};                     // where each group of rows ends in the list
   std::vector<uint8_t> alive_, row_of_vector_;
   std::vector<int64_t> starts_, anchors_;
   std::vector<CellRow> cells_;  // [kCellPeriod][kRowPeriod + ordinals]

@@ -1,4 +1,5 @@
-// Stage project for the panel, and its reverse.
+// Stage project for the panel, and its reverse: Gaussians and the rig to splats, whose colours are polynomials in the
+// offset; and gradients of pairs to those of Gaussians.
 #include <algorithm>
 #include <vector>
 
@@ -23,6 +24,7 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
   parallel_for_chunks(n, kGrain, threads, [&](int64_t begin, int64_t end, int worker) {
     std::vector<dvec3> chebyshev(nodes);
     for (int64_t i = begin; i < end; ++i) {
+      // The splat, unless it is pruned or outside the image
       const Shape<double> shape = shape_of(gaussians, i);
       Compensation<double> compensation{};
       Splat<double> splat = projected(rig, shape, compensation);
@@ -36,7 +38,7 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
       if (out.compensations) out.compensations[i] = {T(compensation.D0), T(compensation.D1), T(compensation.D2)};
       if (splat.reach_y < 0) continue;
 
-      // Values at the nodes -> Chebyshev coefficients
+      // The colour polynomial; its last two coefficients tell its error
       const T* sh = gaussians.sh + 3 * gaussians.sh_count() * i;
       auto value = [&](double s) { return sh_colour<double>(gaussians.sh_degree, sh, shape.mean, rig.eye_at(s)); };
       chebyshev_of_values(basis, nodes, value, chebyshev.data());
@@ -45,7 +47,7 @@ double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig
       };
       if (order >= 2) worst[worker] = std::max(worst[worker], size(order) + size(order - 1));
 
-      // Drop the orders this splat does not need. In double nothing is dropped: that is the exact twin.
+      // Drop the orders that this splat does not need. In double, the exact twin, nothing is dropped.
       int kept = order;
       if (sizeof(T) == 4)
         for (double dropped = 0; kept > 0 && (dropped += size(kept)) <= tolerance;) --kept;
@@ -75,6 +77,8 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
       const Splat<T>& splat = splats.splats[i];
       if (splat.reach_y < 0) continue;
       sum_pairs(splat, lens.height_px, first_pair[i], size, pair_gradients, sum.data());
+
+      // The gradient of the splat, back to the Gaussian
       const Shape<double> shape = shape_of(gaussians, i);
       Shape<double> g{dvec3(0), glm::dvec4(0), dvec3(0), 0};
       const Projection<double> projection(rig, shape);
@@ -90,6 +94,7 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
         projection.adjoint(rig, shape, g_splat, g, unused);
       }
 
+      // The gradient of the colours, back to harmonics and mean
       const T* colours = splats.colours + i * nodes * kColourStride;
       const int64_t first = 3 * gaussians.sh_count() * i;
       auto to_harmonics = [&](double s, const dvec3& g_value) {

@@ -1,4 +1,5 @@
-// Splats as the tiles of a lens read them: what is the same for every tile is worked out once a frame.
+// Splats as the tiles of the panel read them. Many tiles read the same splat, so what does not depend on the tile is
+// worked out once for an image: the raised opacity cut, and the parabola that stands for S^(-1/2).
 #pragma once
 
 #include <vector>
@@ -10,7 +11,7 @@
 
 namespace lfgs {
 
-// As long as a line of the cache, of floats.
+// In floats it fills one line of the cache.
 template <class T>
 struct alignas(16 * sizeof(T)) TileSplat {
   Splat<T> splat;
@@ -20,7 +21,7 @@ struct alignas(16 * sizeof(T)) TileSplat {
 template <class T>
 class TileSplats {
  public:
-  // raise: the opacity cut, which projection has left at 1/255.
+  // raise: whether the opacity cut is still to be raised, since projection left it at 1/255 for lattices.
   TileSplats(const Splats<T>& splats, const Quality& quality, bool raise, int threads) : all_(size_t(splats.count)) {
     parallel_for_chunks(splats.count, kGrain, threads, [&](int64_t begin, int64_t end, int) {
       for (int64_t i = begin; i < end; ++i) {

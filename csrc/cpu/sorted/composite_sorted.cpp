@@ -1,6 +1,7 @@
-// Stage composite for sub-pixels sorted by view, each view an ordinary camera. A work item is a group of bands of one
-// view; their tiles hold few samples of the view each, taken in batches, a batch in patches of one vector each; splats
-// come nearest first. The lists run along the columns, so that a patch is compact.
+// Stage composite for sub-pixels sorted by view, where each view is an ordinary camera. Reads splats and lists of
+// sub-pixels, writes the image. A work item is a group of bands of one view. A tile has only a few samples of the view;
+// they are loaded in batches, which are cut into patches of one vector each, and splats are blended into a batch
+// nearest first. The lists run along the columns, so that a patch is compact.
 #include <algorithm>
 #include <numeric>
 #include <vector>
@@ -36,7 +37,7 @@ struct SortedJob {
   int64_t width_px, height_px;
   const T* background;  // [3]
   T* out;               // [H, W, 3], or null
-  uint8_t* out8;        // the other
+  uint8_t* out8;        // or its bytes; one of the two is null
   int threads;
 };
 }  // namespace lfgs
@@ -46,7 +47,8 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Some sub-pixels of one view and tile. Those that only fill a block repeat the one before and are not stored.
+// Some sub-pixels of one view and tile, and what they gather. Codes that only fill a block up repeat the sub-pixel
+// before, and are not stored.
 template <class T>
 struct SubpixelBatch {
   using D = Tag<T>;
@@ -62,10 +64,10 @@ struct SubpixelBatch {
   int count = 0;
   Patches<T, kPatches> patches;
 
-  // Takes `count_` samples, whole blocks of them; (x0, y0) is the tile's corner.
+  // Loads `count_` samples, which are whole blocks; (x0, y0) is the tile's corner.
   void load(const SubpixelTile& tile, const uint16_t* codes, int count_, int64_t x0, int64_t y0, int64_t width_px) {
     count = count_;
-    Subpixel s{};  // the corner, for a list of filling alone: its map changed after it was counted
+    Subpixel s{};  // the tile's corner, if a list has no sub-pixel: its map changed after counting
     for (int i = 0; i < count; ++i) {
       const bool shown = codes[i] != kNoSubpixel;
       if (shown) s = decode_subpixel(tile, codes[i]);
@@ -74,6 +76,8 @@ struct SubpixelBatch {
     }
     std::fill(value, value + count, T(0));
     std::fill(transmittance, transmittance + count, T(1));
+
+    // The box of each patch; the samples are in order of columns
     const D d;
     for (int p = 0; p < count / kLanes; ++p) {
       const V rows = hn::Load(d, y + p * kLanes);
@@ -85,6 +89,7 @@ struct SubpixelBatch {
     patches.reopen(count / kLanes);
   }
 
+  // Blends a splat into the patches that find() has marked.
   HWY_INLINE void add(const SplatTerms<T>& s, const T* colour) {
     const D d;
     const hn::RebindToSigned<D> di;
@@ -98,6 +103,7 @@ struct SubpixelBatch {
     });
   }
 
+  // Adds the background and writes to the image.
   void store(const SortedJob<T>& job) const {
     for (int i = 0; i < count; ++i) {
       if (place[i] < 0) continue;
@@ -111,7 +117,7 @@ struct SubpixelBatch {
   }
 };
 
-// The sub-pixels of one view in one band.
+// Draws the sub-pixels of one view in one band.
 template <class T>
 void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLists& lists, SubpixelBatch<T>& batch,
                    Counters& counters) {
@@ -123,8 +129,10 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   const Splat<T>* splats = job.splats.splats + image * job.splats.count;
   const T* colours = job.splats.colours + image * job.splats.count * kColourStride;
   const int64_t begin = job.bins.band_offsets[item], end = job.bins.band_offsets[item + 1];
-  // They lie anywhere in memory: ask for all at once, rather than wait for one after the other
+  // The splats lie anywhere in memory. Ask for all at once, rather than wait for one after the other.
   for (int64_t k = begin; k < end; ++k) hwy::Prefetch(splats + job.bins.band_splats[k]);
+
+  // Which splats touch which tile
   const T low = T(y0) + T(0.5), high = T(std::min(y0 + kBandRows, job.height_px)) - T(0.5);
   lists.build(job.bins.band_splats + begin, end - begin, tiles, [&](int32_t id) -> Range {
     T left, right;
@@ -135,6 +143,7 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   });
   counters.pairs += lists.pairs();
 
+  // Tile by tile and batch by batch, splats nearest first
   for (int64_t t = 0; t < tiles; ++t) {
     const int64_t x0 = t * tile.width_px;
     for (int64_t first = starts[t]; first < starts[t + 1]; first += batch.kSamples) {
@@ -153,7 +162,8 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   }
 }
 
-// The groups of bands with the most pairs first: the last work items to be handed out are then small.
+// The groups of bands in the order of their pairs, most first: then the last work items to be handed out are small, and
+// threads end together.
 template <class T>
 std::vector<int64_t> HeaviestFirst(const SortedJob<T>& job) {
   const int64_t bands = band_count(job.height_px), groups = (bands + kBandsPerItem - 1) / kBandsPerItem;
@@ -170,9 +180,13 @@ template <class T>
 Counters CompositeSorted(const SortedJob<T>& job) {
   const std::vector<int64_t> groups = HeaviestFirst(job);
   const int64_t views = job.splats.images, bands = band_count(job.height_px);
+
+  // Memory and counters of each worker
   std::vector<TileLists> lists(size_t(std::max(job.threads, 1)));
   std::vector<Counters> counters(lists.size());
   auto batches = hwy::MakeUniqueAlignedArray<SubpixelBatch<T>>(lists.size());
+
+  // All views of a group of bands before the next, for they write to the same lines of the image
   parallel_for(int64_t(groups.size()) * views, job.threads, [&](int64_t item, int worker) {
     const size_t w = size_t(worker);
     const int64_t first = groups[size_t(item / views)] * kBandsPerItem;

@@ -1,4 +1,5 @@
-// Stage plan of the method `sorted`: a counting sort of the panel's sub-pixels by (view, tile), a tile at a time.
+// Stage plan of the method `sorted`: a counting sort of the panel's sub-pixels by (view, tile), a tile at a time. Reads
+// which view each sub-pixel shows, writes SubpixelLists. Python sums the counts up to starts between the two passes.
 #include <algorithm>
 #include <vector>
 
@@ -8,7 +9,7 @@
 namespace lfgs {
 namespace {
 
-// Calls visit(place of its view, code) for the sub-pixels of a tile that show one of the views placed, in list order.
+// Calls visit(place of its view, code) for the sub-pixels of a tile whose view has a list, in the order of the lists.
 template <class Visit>
 void for_each_subpixel(const ViewMap& map, const SubpixelTile& tile, const int32_t* places, int64_t index,
                        const Visit& visit) {
@@ -25,7 +26,7 @@ void for_each_subpixel(const ViewMap& map, const SubpixelTile& tile, const int32
       }
 }
 
-// Calls body(tile, worker's numbers, one for each view placed) for all tiles.
+// Calls body(tile, numbers) for all tiles, where the numbers are a worker's own, one for each view that has lists.
 template <class Number, class Body>
 void for_each_tile(const ViewMap& map, const SubpixelTile& tile, int64_t views, int threads, const Body& body) {
   std::vector<std::vector<Number>> numbers(size_t(std::max(threads, 1)), std::vector<Number>(size_t(views)));
@@ -51,7 +52,7 @@ void plan_sorted_fill(const ViewMap& map, const SubpixelTile& tile, const int32_
   for_each_tile<int64_t>(map, tile, views, threads, [&](int64_t index, std::vector<int64_t>& next) {
     for (int64_t place = 0; place < views; ++place) next[size_t(place)] = starts[place * tiles + index];
     for_each_subpixel(map, tile, places, index, [&](int32_t place, uint16_t code) {
-      // A table that changed since it was counted spoils the image, no more
+      // A table that has changed since it was counted spoils the image, but nothing is written past a list
       if (next[size_t(place)] < starts[place * tiles + index + 1]) codes[next[size_t(place)]++] = code;
     });
     for (int64_t place = 0; place < views; ++place)
