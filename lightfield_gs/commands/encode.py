@@ -138,33 +138,12 @@ def run(args: argparse.Namespace) -> None:
     """Encodes args.input into args.output. Raises InputError."""
     watch = Stopwatch(args.began)
     bits = _bits(check_image_path(args.output), args.bit_depth)
-    if args.save_rig is not None:
-        check_output_path(args.save_rig)
-    if args.save_gaussians is not None:
-        check_scene_path(args.save_gaussians)
-    if args.preview is not None:
-        check_folder(args.preview)
-    check_outputs(
-        _outputs(args),
-        (
-            args.input,
-            args.rig,
-            args.panel,
-            args.mask,
-            args.depth,
-            args.cameras,
-            args.view_map,
-            args.checkpoint,
-            args.camera and args.camera[0],
-        ),
-    )
+    _check_paths(args)
     _check_options(args)
     panel = load_panel(args)
     import torch
 
     from lightfield_gs.encoding.encode import encode
-    from lightfield_gs.panels.lens import slow_way
-    from lightfield_gs.rasterizer.quality import Quality
 
     if args.threads is not None:
         _use_threads(args.threads)
@@ -173,14 +152,7 @@ def run(args: argparse.Namespace) -> None:
     rig: Rig | None = None
     said: list[str] = []
     views = _views(args, panel)
-    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
-    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
-        note(why)
-    if args.antialiased and args.quality != "exact" and device == "cuda":
-        note(
-            "anti-aliased scenes are drawn neither from lattices nor in half precision on CUDA: --quality "
-            f"{args.quality} saves little time"
-        )
+    _note_slow_ways(args, panel, device)
     watch.lap("start")
     with torch.inference_mode():
         gaussians, file = load_scene(args, device, watch)
@@ -232,6 +204,45 @@ def run(args: argparse.Namespace) -> None:
     if args.stats:
         print("\n".join(_stats_lines(stats, gaussians.count)))
     print("".join(f"{line}\n" for line in said), end="")
+
+
+def _check_paths(args: argparse.Namespace) -> None:
+    """Raises InputError where a file cannot be written, or would be written over one that is read."""
+    if args.save_rig is not None:
+        check_output_path(args.save_rig)
+    if args.save_gaussians is not None:
+        check_scene_path(args.save_gaussians)
+    if args.preview is not None:
+        check_folder(args.preview)
+    check_outputs(
+        _outputs(args),
+        (
+            args.input,
+            args.rig,
+            args.panel,
+            args.mask,
+            args.depth,
+            args.cameras,
+            args.view_map,
+            args.checkpoint,
+            args.camera and args.camera[0],
+        ),
+    )
+
+
+def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None:
+    """Says where the panel or the scene rules out what would make the image quick."""
+    from lightfield_gs.panels.lens import slow_way
+    from lightfield_gs.rasterizer.quality import Quality
+
+    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
+    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+        note(why)
+    if args.antialiased and args.quality != "exact" and device == "cuda":
+        note(
+            "anti-aliased scenes are drawn neither from lattices nor in half precision on CUDA: --quality "
+            f"{args.quality} saves little time"
+        )
 
 
 def _outputs(args: argparse.Namespace) -> list[Path | None]:
