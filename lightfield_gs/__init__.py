@@ -74,7 +74,7 @@ if not TYPE_CHECKING:  # to a checker, every name would be there
 
 
 def __dir__() -> list[str]:
-    return list(__all__)  # sorted() is here what the package has in sorted.py
+    return list(__all__)
 
 
 def build_info() -> dict[str, object]:

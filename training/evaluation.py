@@ -28,6 +28,7 @@ from tqdm import tqdm
 from lightfield_gs.base.checks import whole_number
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.images import write_image
 from lightfield_gs.io.captures.views import ObjectViews
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
@@ -257,8 +258,6 @@ def labelled(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 
 def save_comparison(comparison: Comparison, path: Path, columns: int = 9) -> None:
     """Write a picture: truth above render, views by azimuth; the source image first. At most `columns` views."""
-    from lightfield_gs.io.images import write_image
-
     order = np.argsort(comparison.azimuths_deg, kind="stable")
     order = order[order != comparison.source]
     picked = order[np.linspace(0, len(order) - 1, min(columns, len(order))).round().astype(int)]

@@ -9,6 +9,7 @@ import torch
 
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.reference import subpixel_colours
 from lightfield_gs.scene.gaussians import Gaussians
 
 ORACLE_SAMPLES = 20_000
@@ -36,8 +37,6 @@ class OracleSamples:
 
 def oracle_samples(gaussians: Gaussians, panel: Panel, rig: Rig, count: int = ORACLE_SAMPLES) -> OracleSamples:
     """Random sub-pixels of a panel, before a white background, by lightfield_gs.reference."""
-    from lightfield_gs.reference import subpixel_colours
-
     random = np.random.default_rng(ORACLE_SEED)
     rows = random.integers(0, panel.height_px, count)
     columns = random.integers(0, panel.width_px, count)

@@ -27,6 +27,7 @@ from lightfield_gs.bench.pareto_plot import check_plot, plot
 from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, check_scene, load_scene
 from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line, table
 from lightfield_gs.bench.timing import machine
+from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.values import byte_size
 from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
@@ -196,11 +197,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_PANEL,
         help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of published figures",
     )
-    parser.add_argument(
-        "--device-serial",
-        metavar="SERIAL",
-        help="which display, where a Looking Glass .json has calibrations of several",
-    )
+    add_device_serial(parser.add_argument)
     parser.add_argument(
         "--cone",
         help="viewing cone in degrees, or narrow (40 px of disparity over all views) or wide "
@@ -356,7 +353,10 @@ def _check_scenes(scenes: Sequence[str], sh_degrees: Sequence[int | None] = (Non
 
 
 def _light_field(args: argparse.Namespace, threads: list[int | None], published: bool) -> tuple[dict[str, Any], str]:
-    """Rows of every case and method, and their text. paper: its scenes and methods, unless others are named."""
+    """Rows of every case and method, and their text.
+
+    published: those of the paper, unless others are named.
+    """
     usual_scenes, usual = (paper.SCENES, paper.METHODS) if published else (DEFAULT_SCENES, DEFAULT_METHODS)
     scenes = usual_scenes if args.scene is None else args.scene.split(",")
     methods = _methods(list(usual) if args.methods is None else args.methods.split(","), args.device)

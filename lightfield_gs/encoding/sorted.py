@@ -19,7 +19,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.scene import Scene, check
+from lightfield_gs.rasterizer.scene import Scene, check, floats_or_bytes
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace_cpu import CpuWorkspace
 from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
@@ -133,7 +133,7 @@ class _CpuStages:
                 cameras,
                 native,
                 background.data_ptr(),
-                *_floats_or_bytes(out),
+                *floats_or_bytes(out),
                 self.threads,
             )
         )
@@ -181,13 +181,9 @@ class _CudaStages:
             native,
             heaviest.data_ptr(),
             background.data_ptr(),
-            *_floats_or_bytes(out),
+            *floats_or_bytes(out),
             work.stream,
         )
-
-
-def _floats_or_bytes(out: Tensor) -> tuple[int, int]:
-    return (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
 
 
 @torch.no_grad()

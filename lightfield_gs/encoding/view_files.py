@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import torch
 
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.encoding.sorted_plan import checked_view_map
 from lightfield_gs.io.captures.camera_files import is_camera_file
 from lightfield_gs.io.json_file import read_json
 from lightfield_gs.io.npy import open_array
 from lightfield_gs.io.yaml_file import check_keys
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
-
-if TYPE_CHECKING:
-    from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.cameras import Cameras
 
 _LIMIT_BYTES = 64 << 20
 _FIELDS = {"world_to_camera": (4, 4), "focal_px": (2,), "principal_point_px": (2,)}
@@ -24,10 +24,6 @@ _FIELDS = {"world_to_camera": (4, 4), "focal_px": (2,), "principal_point_px": (2
 def read_cameras(path: str | Path, panel: Panel) -> Cameras:
     """One camera for each view, float64: world_to_camera [N,4,4] (OpenCV axes), focal_px [N,2] and principal_point_px
     [N,2] at the panel's resolution. Raises InputError that names the file and the field."""
-    import torch
-
-    from lightfield_gs.scene.cameras import Cameras
-
     data = read_json(path, _LIMIT_BYTES)
     if is_camera_file(data):
         raise InputError(
@@ -54,8 +50,6 @@ def read_view_map(path: str | Path, panel: Panel, views: int) -> np.ndarray:
     """Which of `views` views each sub-pixel shows, int32 [H,W,3] by image channel, -1 for none; a NumPy .npy file.
 
     Raises InputError that names the file."""
-    from lightfield_gs.encoding.sorted_plan import checked_view_map
-
     table = open_array(path)
     with named(path):
         return checked_view_map(table, panel, views)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
 
 PERIOD = 4  # every known pattern repeats after so many columns and rows
-_WORD = 1 << 64
+LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 _MOST_CELLS = PERIOD * PERIOD
 _FARTHEST_PX = 8.0
 Cell = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]  # (x, y) of red, green, blue
@@ -128,11 +128,11 @@ def subpixel_phases(panel: Panel) -> np.ndarray:
     """The same in 2^-64 lens widths, uint64, wrapping; stripes are whole multiples of phase_steps()'s sx."""
     if not panel.subpixel_cells:
         step = panel.phase_steps()[1]
-        return np.array([panel.place(channel) * step % _WORD for channel in range(3)], np.uint64) + np.zeros(
+        return np.array([panel.place(channel) * step % LENS_WIDTH for channel in range(3)], np.uint64) + np.zeros(
             (PERIOD, PERIOD, 1), np.uint64
         )
-    per_subpixel = _WORD / Fraction(panel.line_number)
-    exact = np.frompyfunc(lambda offset: -(-offset * per_subpixel // 1) % _WORD, 1, 1)  # up, as all phases are
+    per_subpixel = LENS_WIDTH / Fraction(panel.line_number)
+    exact = np.frompyfunc(lambda offset: -(-offset * per_subpixel // 1) % LENS_WIDTH, 1, 1)  # up, as all phases are
     return exact(subpixel_offsets(panel)).astype(np.uint64)
 
 
@@ -143,8 +143,8 @@ def cell_table(panel: Panel) -> CellTable:
     channels = np.argsort(offsets.astype(np.float64), axis=-1, kind="stable")
     beyond = np.take_along_axis(offsets, channels, -1) - np.arange(3)  # the stripe at the same place
     shift = (beyond.min() + beyond.max()) / 2
-    whole = round(shift * _WORD / Fraction(panel.line_number)) % _WORD
+    whole = round(shift * LENS_WIDTH / Fraction(panel.line_number)) % LENS_WIDTH
     step = panel.phase_steps()[1]
-    stripes = np.array([(k * step + whole) % _WORD for k in range(3)], np.uint64)
+    stripes = np.array([(k * step + whole) % LENS_WIDTH for k in range(3)], np.uint64)
     phases = np.take_along_axis(subpixel_phases(panel), channels, -1) - stripes
     return CellTable(phases, channels, whole, float(shift))

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightfield_gs.panels.cells import cell_table
+from lightfield_gs.panels.cells import LENS_WIDTH, cell_table
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.lens_view import Lens, LensView
-
-_WORD = 1 << 64
 
 
 def lens_of(panel: Panel, continuous: bool = False, offset_start: float = 0.0, offset_step: float = 0.0) -> Lens:
@@ -24,7 +22,7 @@ def lens_of(panel: Panel, continuous: bool = False, offset_start: float = 0.0, o
         panel.width_px,
         panel.height_px,
         panel.views,
-        (start % _WORD, across, down),
+        (start % LENS_WIDTH, across, down),
         float(panel.line_number),
         float(panel.slant_tan),
         float(phase),

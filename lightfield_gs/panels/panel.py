@@ -31,13 +31,14 @@ from lightfield_gs.panels.looking_glass import panel_fields
 MAX_SIZE_PX = 65536
 MAX_VIEWS = 65536
 DEFAULT_PANEL = "65in-8k-96v"
-_WORD = 1 << 64
 
 
 @lru_cache(maxsize=64)  # asked for in every frame
 def _phase_steps(line_number: float, slant_tan: float, phase: float) -> tuple[int, int, int]:
     lens, down, start = Fraction(line_number), 3 * Fraction(slant_tan), Fraction(phase)
-    first, across, below = (math.ceil(_WORD * step / lens) % _WORD for step in (start, Fraction(1), down))
+    first, across, below = (
+        math.ceil(cells.LENS_WIDTH * step / lens) % cells.LENS_WIDTH for step in (start, Fraction(1), down)
+    )
     return first, across, below
 
 

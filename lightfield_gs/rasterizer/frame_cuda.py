@@ -18,6 +18,7 @@ from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import EXACT, Quality
+from lightfield_gs.rasterizer.scene import floats_or_bytes
 from lightfield_gs.rasterizer.stats import Stats
 
 _SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share; of changing rigs
@@ -74,8 +75,7 @@ class Frame:
         _core.cuda.frame_order(self.native, self.stream)
 
     def composite(self, background: Tensor, out: Tensor) -> None:
-        floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
-        _core.cuda.frame_composite(self.native, background.data_ptr(), floats, bytes_, self.stream)
+        _core.cuda.frame_composite(self.native, background.data_ptr(), *floats_or_bytes(out), self.stream)
 
     def draw(self, background: Tensor, out: Tensor, stats: Stats | None = None, keep_lists: bool = False) -> None:
         """All stages, in order; keep_lists: see project, without bin and order."""

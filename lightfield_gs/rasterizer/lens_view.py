@@ -9,7 +9,7 @@ from typing import NamedTuple
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 
-_WORD = 1 << 64
+_LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 _LENS_SIZES = (8, 8 + 2 * _core.CELL_SUBPIXELS)  # of the operators' list `lens`: of stripes, of cells
 _RIG_SIZE, _SHAPE_SIZE = 26, 5
 
@@ -135,7 +135,7 @@ class LensView:
         width, height, views, *phases, bgr, continuous = lens[:8]
         cells, channels = lens[8 : 8 + _core.CELL_SUBPIXELS], lens[8 + _core.CELL_SUBPIXELS :]
         line_number, slant_tan, phase, offset_start, offset_step = lens_shape
-        phase0, phase_x, phase_y = (p % _WORD for p in phases)
+        phase0, phase_x, phase_y = (p % _LENS_WIDTH for p in phases)
         made = Lens(
             width,
             height,
@@ -148,7 +148,7 @@ class LensView:
             bool(continuous),
             offset_start,
             offset_step,
-            tuple(p % _WORD for p in cells),
+            tuple(p % _LENS_WIDTH for p in cells),
             tuple(channels),
         )
         return LensView(tuple(rig[:16]), tuple(rig[16:20]), tuple(rig[20:25]), rig[25], made)
@@ -156,4 +156,4 @@ class LensView:
 
 def _signed(phase: int) -> int:
     """A 64-bit pattern as the signed integer that operators carry."""
-    return phase - _WORD if phase >= _WORD // 2 else phase
+    return phase - _LENS_WIDTH if phase >= _LENS_WIDTH // 2 else phase

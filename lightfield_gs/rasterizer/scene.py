@@ -36,6 +36,11 @@ def check(name: str, tensor: Tensor, shape: tuple[int, ...], like: Tensor) -> Te
     return tensor.contiguous()
 
 
+def floats_or_bytes(out: Tensor) -> tuple[int, int]:
+    """Two addresses, of which one is `out` and the other 0: where a composite writes floats, and where bytes."""
+    return (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
+
+
 class Scene:
     """Checked, contiguous Gaussians [B, N, ...], and the core's view of them."""
 

@@ -11,7 +11,7 @@ from lightfield_gs import _core
 from lightfield_gs.rasterizer import skips
 from lightfield_gs.rasterizer.lens_view import NativeView
 from lightfield_gs.rasterizer.quality import Quality
-from lightfield_gs.rasterizer.scene import Scene, State
+from lightfield_gs.rasterizer.scene import Scene, State, floats_or_bytes
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import Splats
 
@@ -92,15 +92,13 @@ class CpuWorkspace:
 
     def composite_lens(self, view: NativeView, quality: Quality, background: Tensor, out: Tensor) -> None:
         """out: [H, W, 3], of the scene's dtype or uint8."""
-        floats, bytes_ = (0, out.data_ptr()) if out.dtype == torch.uint8 else (out.data_ptr(), 0)
         counters = self.scene.core.composite_lens(
             self.splats.native,
             self.bins,
             view.lens,
             quality.native,
             background.data_ptr(),
-            floats,
-            bytes_,
+            *floats_or_bytes(out),
             self.threads,
         )
         self.stats.count(counters)

@@ -54,12 +54,6 @@ def stated_up(comments: Iterable[str]) -> Up | None:
     return found
 
 
-def check_up(up: str) -> str:
-    """`up`, or InputError where it is no direction."""
-    _known_direction(up)
-    return up
-
-
 def _known_direction(up: str) -> np.ndarray:
     """The unit vector [3]. Raises InputError where the words say none."""
     direction = _direction(up) if isinstance(up, str) else None

@@ -14,6 +14,7 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.panels.simulate import simulate, unknown_of
+from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
 
 EYE_SEPARATION_MM = 63.0
@@ -77,8 +78,6 @@ def look_around(
     antialiased: bool = False,
 ) -> list[np.ndarray]:
     """Views spread over the fan, left-most camera first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
-    from lightfield_gs.rasterizer.images import render
-
     small_panel, small_rig = reduced(panel, rig, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
     is_slow = gaussians.count > _MANY_GAUSSIANS and gaussians.device.type == "cpu"
     positions = np.linspace(panel.views - 0.5, 0.5, _FRAMES // 2 if is_slow else _FRAMES)
