@@ -22,8 +22,8 @@ constexpr int kMostSections = (kMostOrdinals + kGroupOrdinals - 1) / kGroupOrdin
 constexpr int kBatch = 32, kShapes = 512;
 constexpr int kMostTableViews = 192;
 
-// a / b, rounded down, of whole numbers below 2^12. The division is approximate, but half of 1 / b away from the next
-// whole number.
+// a / b, rounded down, of whole numbers below 2^12. The division is approximate, but (a + 1/2) / b is at least 1 / (2
+// b) from any whole number, so that the result is exact.
 __device__ inline int quotient(int a, int b) { return int((float(a) + 0.5f) * fast_reciprocal(float(b))); }
 
 // A batch of splats, as all points of a lattice read them.
@@ -277,7 +277,7 @@ struct Nodes {
 };
 
 // Finds what sub-pixels of a section see, as Seen or RowSeen, by their phases. The last 32 bits of phases are left out:
-// now and then that gives a sub-pixel at the border of a view the next one.
+// now and then that gives a sub-pixel at the border of two views the other one.
 template <class S>
 struct Views {
   const Lattice& lattice;
