@@ -51,7 +51,7 @@ __device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
 }
 
 // Reads a splat with its centre counted from a point. In a frame, the place of the depth has what rounding took from u0
-// and v0, as halves (see place_mean()). Small splats need that for their colours, and the second function adds it;
+// and v0, as halves (see place_mean()). Small splats show the difference, so the second function adds it;
 // bounds do without.
 __device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
   const float4* source = reinterpret_cast<const float4*>(splats.splats + id);
