@@ -1,4 +1,5 @@
-// What the kernels that composite a light-field frame share: their lists, the hand-out of tiles, storing of pixels.
+// What the kernels that composite a light-field frame share: reading its lists and splats, handing out tiles, and
+// storing pixels.
 #pragma once
 
 #include "cuda/common/blend.cuh"
@@ -9,7 +10,8 @@
 
 namespace lfgs::cuda {
 
-// The lists of a frame: splats, nearest first. A frame with more pairs than places has none: then all that is drawn.
+// The lists of a frame: splats, nearest first. A frame with more pairs than its lists hold has one list for all tiles,
+// of all splats drawn; then `ranges` is null.
 struct Lists {
   const uint32_t* ids;
   const uint2* ranges;
@@ -19,11 +21,11 @@ struct Lists {
     ids = frame.ids, drawn = frame.state->drawn;
     ranges = frame.overfull() ? nullptr : reinterpret_cast<const uint2*>(frame.ranges);
   }
-  // First and end of a list.
+  // Where a list begins and ends in `ids`.
   __device__ uint2 range(int64_t number) const { return ranges ? ranges[number] : make_uint2(0, drawn); }
 };
 
-// Tiles that a lattice left to the kernel chosen, or all; the i-th of them.
+// How many tiles the kernel chosen has to draw, those that a lattice refused or all; and the number of the i-th.
 __device__ inline unsigned tiles_to_draw(const LensFrame& frame, const Tiling& tiling) {
   return frame.state->lattices ? frame.state->refused_tiles : unsigned(tiling.across * tiling.down);
 }
@@ -31,22 +33,26 @@ __device__ inline unsigned tile_to_draw(const LensFrame& frame, unsigned i) {
   return frame.state->lattices ? frame.refused[i] : i;
 }
 
-// Hands out the pieces of work of a kernel. The next is asked for early, so that nobody waits for it.
+// Hands out the pieces of work of a kernel. The next piece is asked for while one is drawn, so that nobody waits for
+// it.
 struct WorkQueue {
   unsigned* next;
   unsigned claimed = 0;
 
   __device__ WorkQueue(const LensFrame& frame, LensKernel kernel) : next(&frame.state->next_tile[int(kernel)]) {}
-  // By one thread of those that share a piece; `first` are handed out already.
+  // Asks for the next piece. Called by one of the threads that share it; the first `first` pieces are handed out
+  // without asking, one to each block or warp.
   __device__ void claim(unsigned first) { claimed = first + atomicAdd(next, 1u); }
 };
 
+// A splat out of the three vectors that it is in memory.
 __device__ inline Splat<float> assembled(float4 a, float4 b, float4 c) {
   return {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w};
 }
 
-// A splat, its centre about a point. In a frame, what rounding took from u0 and v0 stands where its depth was, as
-// halves: small splats need it, bounds do not.
+// Reads a splat with its centre counted from a point. In a frame, the place of the depth has what rounding took from u0
+// and v0, as halves (see place_mean()). Small splats show the difference, so the second function adds it;
+// bounds do without.
 __device__ inline Splat<float> splat_about(const Splats<float>& splats, uint32_t id, float2 centre) {
   const float4* source = reinterpret_cast<const float4*>(splats.splats + id);
   float4 a = source[0];
@@ -61,7 +67,8 @@ __device__ inline Splat<float> whole_splat_about(const Splats<float>& splats, ui
   return splat;
 }
 
-// Two neighbouring pixels, the first in an even column; values by place. Cells: see by_place().
+// Stores two neighbouring pixels, the first in an even column. values are by place, and are put into the order of the
+// channels. Cells: see by_place(). Bytes are stored two at a time where rows allow it.
 template <bool Cells, class Out>
 __device__ void store_pixels(const LensOptics& lens, int column, int row, const float (&values)[6], Out* out) {
   if (row >= lens.height_px || column >= lens.width_px) return;

@@ -1,6 +1,7 @@
-// Stage bin of a light-field frame: for every tile (and group of ordinals) the splats that may touch it, in no order
-// yet. Pairs (tile, splat) are counted by tile, every list gets its place, and the pairs are gone through once more to
-// fill it. Which tiles those are, of pixels or of lenses, the frame has decided on the device.
+// Stage bin of a light-field frame: lists, for every tile (and group of ordinals), the splats that may touch it, in no
+// order yet. It reads the projected splats and writes LensFrame::ranges and ids. There are three steps: count the pairs
+// (tile, splat) of every list, give every list its place, and go through the pairs once more to fill it. Whether the
+// tiles are of pixels or of lenses was decided on the device, by the kernel that the frame chose.
 #include <algorithm>
 
 #include "cuda/common/blend.cuh"
@@ -14,19 +15,22 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 256, kMostLanes = 8;
-constexpr int64_t kCrowd = 1 << 18;  // threads that fill the device
+constexpr int64_t kCrowd = 1 << 18;  // so many threads fill the device
 
 __device__ bool ordinal_chosen(const LensFrame& frame) { return frame.state->kernel == int(LensKernel::kOrdinal); }
 
-// Lanes that share a splat: groups of ordinals give it more runs of tiles, small splats have one or two.
+// How many lanes share a splat. With tiles of lenses there is more to share, since every group of ordinals has a run of
+// tiles of its own; a small splat in tiles of pixels has only one or two runs. Where splats are few, more lanes share
+// each, so that the device is busy.
 __device__ int lanes_of(const LensFrame& frame) {
   int lanes = ordinal_chosen(frame) ? 4 : 1;
   while (lanes < kMostLanes && frame.splats.count * lanes < kCrowd) lanes *= 2;
   return lanes;
 }
 
-// Calls visit(first, last) for the runs of tiles, tile row by tile row and group by group, that a splat may touch: for
-// every `lanes`-th of them from number `lane`. Tiles of a run are as far apart as there are groups.
+// Calls visit(first, last) for the runs of tiles that a splat may touch. In every row of tiles there is a run for each
+// group of ordinals; this lane takes every `lanes`-th run, from number `lane` on. What it passes are numbers of lists,
+// and lists of neighbouring tiles in the run are `groups` numbers apart.
 template <class Visit>
 __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int lane, int lanes, const Visit& visit) {
   const bool by_lens = ordinal_chosen(frame);
@@ -39,6 +43,8 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
     const int row = first + k / groups, group = k % groups;
     float centre = 0, half = 1;
     if (by_lens) group_offsets(frame.optics.ordinals, group, centre, half);
+
+    // What the splat sweeps out in these rows, seen from the group's offsets, and which tiles that is
     const float top = float(row) * height;
     const Strip strip(s, top + 0.5f, top + height - 0.5f, tiling.shear);
     if (strip.range < 0) continue;
@@ -51,10 +57,13 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
   }
 }
 
-// kCount counts pairs where the ends of lists will stand; kFill fills the lists, or where the frame has more pairs than
-// places, one list of all that is drawn. One kernel for both, so that they find the same tiles to the last bit.
+// The two times that the pairs are gone through. kCount counts them, in the place of the ends of the lists. kFill fills
+// the lists; if the frame has more pairs than places it fills one list of all splats drawn instead.
 enum class Pass { kCount, kFill };
 
+// Goes through the pairs. Some lanes of a warp share a splat, see lanes_of(); a block takes as many splats at a time as
+// it has threads for, until there are no more. One kernel does both passes, so that they find the same tiles to the
+// last bit.
 __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__ LensFrame frame, Pass pass) {
   uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
   const int lanes = lanes_of(frame), lane = int(threadIdx.x) % lanes, groups = frame.tiling().groups;
@@ -82,23 +91,28 @@ __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__
   if (threadIdx.x % 32 == 31 && of_warp) atomicAdd(&frame.state->drawn, of_warp);
 }
 
-// Gives every list a place, empty at first; a warp's lists lie side by side, warps come as they come.
+// Gives every list a place, as long as its count says but empty at first, and collects the numbers of the long lists. A
+// thread has a list. The lists of a warp lie side by side in memory, the warps in no particular order.
 __global__ void __launch_bounds__(kThreads) place_lists_kernel(const __grid_constant__ LensFrame frame) {
   const int64_t list = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   const int lane = threadIdx.x % 32;
   const bool inside = list < frame.tiling().tiles();
   uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
   const unsigned pairs = inside ? ranges[list].y : 0;
+
+  // Where this list begins among those of the warp, and which lists are long
   const unsigned long long to_here = sum_to_lane<unsigned long long>(pairs);
   const bool is_long = pairs > kShortList;
   const unsigned longs = __ballot_sync(~0u, is_long);
+
+  // The last lane asks for memory for all lists of the warp
   unsigned long long first = 0;
   unsigned first_long = 0;
   if (lane == 31 && to_here) first = atomicAdd(&frame.state->pairs, to_here);
   if (lane == 31 && longs) first_long = atomicAdd(&frame.state->long_lists, unsigned(__popc(longs)));
   first = __shfl_sync(~0u, first, 31), first_long = __shfl_sync(~0u, first_long, 31);
   if (is_long) frame.long_lists[first_long + __popc(longs & ((1u << lane) - 1))] = uint32_t(list);
-  const uint32_t begin = uint32_t(first + to_here - pairs);  // past 2^32 where nobody asks
+  const uint32_t begin = uint32_t(first + to_here - pairs);  // wraps beyond 2^32, when the frame is overfull anyway
   if (inside) ranges[list] = make_uint2(begin, begin);
 }
 

@@ -1,4 +1,5 @@
-// Sizes of a light-field frame and the layout of its work buffer.
+// Makes a LensFrame: rounds the lens for kernels, finds the sizes of tilings and of ordinals, and lays out the work
+// buffer. On the host only.
 #include "cuda/frame/lens_frame.h"
 
 #include <algorithm>
@@ -14,12 +15,15 @@ namespace {
 
 constexpr int64_t kMostTiles = int64_t(1) << 31;
 
-// By how many sub-pixels the lenses lean over the height; the smallest D - origin of the panel.
+// By how many sub-pixels the lenses lean over the height of the panel; and the smallest D - origin on the panel, which
+// is that of its first or of its last row.
 double tilt(const Lens& lens) { return 3 * lens.slant_tan * double(lens.height_px - 1); }
 double lowest_phase(const Lens& lens) { return std::min(0.0, tilt(lens)); }
 
+// How many ordinals lie before the first stripe of a lens.
 int lead_of(const Lens& lens) { return lens.has_cells ? 1 : 0; }
 
+// Which views each ordinal sees, as offsets and as camera coordinates.
 Ordinals ordinals_of(const Lens& lens) {
   Ordinals out{};
   const int lead = lead_of(lens);
@@ -27,9 +31,13 @@ Ordinals ordinals_of(const Lens& lens) {
   out.count = int(std::ceil(lens.line_number)) + 2 * lead, out.per_group = kGroupOrdinals;
   out.groups = (out.count + kGroupOrdinals - 1) / kGroupOrdinals;
   out.first_lens = int(std::floor((lowest_phase(lens) - beyond) / lens.line_number));
+
+  // How many views an ordinal sees, and the power of 2 that brings half of them to about 1
   const double views_each = double(lens.views) / lens.line_number, last = double(lens.views) - 1;
   const double seen = (1 + 2 * beyond) * views_each + (lens.continuous ? 0 : 1);
   out.view_unit = float(std::exp2(-std::ceil(std::log2(seen / 2))));
+
+  // The middle and half of the range of each; whole views have their cameras at n + 1/2
   for (int t = 0; t < std::min(out.count, kMostOrdinals); ++t) {
     double low = (t - lead - beyond) * views_each, high = (t - lead + 1 + beyond) * views_each;
     if (!lens.continuous) low = std::floor(low - 1e-6) + 0.5, high = std::floor(high + 1e-6) + 0.5;
@@ -41,13 +49,17 @@ Ordinals ordinals_of(const Lens& lens) {
     out.centre[t] = float(lens.s_start() + lens.s_step() * view);
     out.half[t] = float(std::fabs(lens.s_step()) * (high - low) / 2);
   }
+
+  // Constants of the fits in v. Where an ordinal sees one view only, nothing varies within it
   const float square = out.reach * out.reach;
   out.cubic = 0.6f * square;
-  out.most_bend = kLeastBend / std::max(square, 1e-6f);  // one view sees nothing vary
+  out.most_bend = kLeastBend / std::max(square, 1e-6f);
   return out;
 }
 
-// Which channel lies at which place, and where sub-pixels are that do not stand in stripes.
+// Sets which channel lies at which place, and by how much sub-pixels are off their stripes where they do not stand in
+// stripes. Where the pixels of a panel have their channels in different orders, "places" are channels: the phases of
+// the cells say where each channel really is.
 void set_places(const Lens& lens, LensOptics& out) {
   const bool by_place = !lens.has_cells || lens.has_one_order();
   for (int k = 0; k < 3; ++k) {
@@ -63,6 +75,7 @@ void set_places(const Lens& lens, LensOptics& out) {
     }
 }
 
+// The lens, rounded to float. Phases stay whole numbers: they decide which view a sub-pixel shows.
 LensOptics optics_of(const Lens& lens) {
   LensOptics out{};
   out.width_px = int(lens.width_px), out.height_px = int(lens.height_px), out.views = int(lens.views);
@@ -76,15 +89,15 @@ LensOptics optics_of(const Lens& lens) {
   return out;
 }
 
-// Pixel j, centre j + 1/2, lies in tile floor(j / width).
+// Tiles of pixels: pixel j, whose centre is at j + 1/2, lies in tile floor(j / width).
 Tiling pixel_tiling(const Lens& lens) {
   const int across = int((lens.width_px + kPixelTileWidth - 1) / kPixelTileWidth);
   const int down = int((lens.height_px + kPixelTileHeight - 1) / kPixelTileHeight);
   return {across, down, 1, kPixelTileHeight, float(kPixelTileWidth), 1, 0.5f, -0.5f, 0};
 }
 
-// Place k of the pixel at x in row i has D = 3 x - 3/2 + k + 3 i tan + origin and lies in lens floor(D / P_e).
-// Tiles count from the first lens of the panel; strips are sheared along y = i + 1/2.
+// Tiles of lenses. Place k of the pixel whose centre is at x in row i has D = 3 x - 3/2 + k + 3 i tan + origin, and
+// lies in lens floor(D / P_e). Tiles count from the first lens of the panel; strips are sheared along y = i + 1/2.
 Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
   const double first = optics.ordinals.first_lens * lens.line_number;
   const double most = 3.0 * double(lens.width_px) + std::fabs(tilt(lens)) + lowest_phase(lens) + lens.line_number;
@@ -102,7 +115,7 @@ Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
           float(lens.slant_tan)};
 }
 
-// Hands out aligned parts of one buffer; counts when the buffer is null.
+// Hands out aligned parts of one buffer. When the buffer is null it only counts how long it must be.
 struct Parts {
   char* base;
   size_t used = 0;
@@ -137,7 +150,7 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
               std::to_string(capacity));
   require(!rig.antialiased || !(lattice > 0 || in_half),
           "an anti-aliased frame is drawn neither from lattices nor in half precision");
-  // Colours at ordinals are numbered with 32 bits
+  // The ordinal kernel numbers colours, splats times ordinals, with 32 bits
   has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
   require(std::max(pixel.down, ordinal.down) <= kProbeRows * kMostProbeRows,
           "the panel has too many rows: " + std::to_string(lens.height_px));
@@ -148,8 +161,12 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
 size_t LensFrame::place(void* work) {
   Parts parts{static_cast<char*>(work)};
   const int64_t n = splats.count;
+
+  // What project clears comes first, side by side
   parts.take(state, 1), parts.take(ranges, 2 * most_lists());
   cleared_bytes = parts.used;
+
+  // Splats and their colours
   parts.take(splats.splats, n);
   parts.take(splats.colours, n * (splats.colour_order + 1) * kColourStride);
   splats.orders = nullptr;
@@ -162,6 +179,8 @@ size_t LensFrame::place(void* work) {
     parts.take(splats.compensations, n);
     parts.take(ordinal_shares, has_ordinal ? 2 * n * optics.ordinals.columns() : 0);
   }
+
+  // Lists, and lattices where the quality allows them
   parts.take(depths, n), parts.take(ids, std::max(capacity, n)), parts.take(long_lists, most_lists());
   if (lattice > 0) parts.take(lattices, most_lists()), parts.take(refused, most_lists());
   return parts.used;

@@ -1,6 +1,8 @@
-// A light-field frame on the device, forward only: project -> bin -> order -> composite without the host in between.
+// A light-field frame on the device, forward only: project -> bin -> order -> composite without the host in between. It
+// reads Gaussians and writes the image of a panel; everything else is in one work buffer that belongs to the caller.
+//
 // All sizes are fixed when the frame is made, nothing waits for the device, and every decision that depends on the
-// scene is taken there: so a frame can be captured in a CUDA graph and replayed.
+// scene is taken there. So a frame can be captured in a CUDA graph and replayed.
 #pragma once
 
 #include <algorithm>
@@ -11,69 +13,74 @@
 
 namespace lfgs::cuda {
 
-// How composite goes about it. kPixel...: patches of pixels, large or small, the inverse standard deviation linear or
-// quadratic in s (composite_pixel.cu). kOrdinal: tiles of lenses, tensor cores (composite_ordinal.cu).
+// The kernels that composite may use. kPixel... draw patches of pixels, large or small, with the inverse standard
+// deviation of a splat linear or quadratic in s (composite_pixel.cu). kOrdinal draws tiles of lenses with tensor cores
+// (composite_ordinal.cu).
 enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadraticSmall, kOrdinal, kCount };
 
-constexpr unsigned kShortList = 256;  // splats of a list that a warp sorts
-constexpr int kMostProbeRows = 256;   // see kProbeRows: of 65,536 rows of pixels
+constexpr unsigned kShortList = 256;  // the most splats of a list that a warp sorts
+constexpr int kMostProbeRows = 256;   // enough for 65,536 rows of pixels, see kProbeRows
 
-// What one frame found out: written on the device, read by the host when it likes. The first four come from bin,
-// the rest from project and composite.
+// What one frame found out: written on the device, read by the host when it likes. The first four numbers come from
+// bin, the rest from project and composite; project clears all, or all but the first four.
 struct FrameState {
   unsigned long long pairs;  // (tile, splat) pairs; when more than the capacity, composite walks all splats
-  unsigned drawn;            // splats
-  unsigned next_splat;       // of the list of all
-  unsigned long_lists;       // of more than kShortList splats
+  unsigned drawn;            // number of splats drawn
+  unsigned next_splat;       // next free place of the list of all splats
+  unsigned long_lists;       // number of lists of more than kShortList splats
   unsigned colour_error;     // bits of a float: largest estimated error of a colour polynomial
   int kernel;                // LensKernel chosen
   float straight, careful;   // limits of shape errors, see ShapeLimits; careful < 0: every splat is careful
-  float curved;              // share of the splats beyond the first
+  float curved;              // share of the splats whose error is beyond `straight`
   int lattices;              // whether any are laid
-  unsigned next_tile[5];     // of each composite kernel
-  unsigned lattice_tiles;    // drawn from a lattice
-  unsigned refused_tiles;    // by the lattice: left to the kernel chosen
-  unsigned tried_tiles;      // with splats, on which a lattice was laid
+  unsigned next_tile[5];     // next piece of work of each composite kernel, see WorkQueue
+  unsigned lattice_tiles;    // number of tiles drawn from a lattice
+  unsigned refused_tiles;    // number of tiles that the lattice left to the kernel chosen
+  unsigned tried_tiles;      // number of tiles with splats, on which a lattice was laid
   unsigned long long probed[kMostProbeRows];  // tiles of rows on which lattices are tried first, see ProbedRow
-  unsigned pruned;                            // splats, see Quality
-  unsigned sampled;                           // splats in the sums below (a part of them, for speed)
-  unsigned blocks_summed;                     // of project
-  unsigned long long sums[15];                // see FrameSum, fixed point
+  unsigned pruned;                            // number of splats left out, see Quality
+  unsigned sampled;                           // number of splats in the sums below (a part of all, for speed)
+  unsigned blocks_summed;                     // blocks of project that have added to the sums
+  unsigned long long sums[15];                // see FrameSum, in fixed point
 };
 
 constexpr int kMostOrdinals = 32;
 constexpr int kPixelTileWidth = 64, kPixelTileHeight = 32;
 
-// Sub-pixels t of all lenses, t = 0, 1, ...: the part of the rig that they see. With cells, t counts from one before
-// the first stripe of a lens to one behind the last: those are of this lens or of the next.
+// For every ordinal t = 0, 1, ...: the part of the rig that the t-th sub-pixels of all lenses see. With cells, t counts
+// from one sub-pixel before the first stripe of a lens to one behind its last, since those two may belong to this lens
+// or to the one beside it.
 struct Ordinals {
   int count, per_group, groups;
   int first_lens;                                    // left-most lens of the panel
-  float centre[kMostOrdinals], half[kMostOrdinals];  // of s
-  float view[kMostOrdinals];                         // of the camera coordinate, at the centre
-  float view_unit;                                   // a power of 2 that scales its distance from there to about 1
-  float cubic;                                       // `cubic` v is next to v^3, v that distance in an ordinal
-  float reach;                                       // of v
-  float most_bend;                                   // where s2 is no larger, none is careful; see kLeastBend
-  LFGS_HD int columns() const { return groups * per_group; }  // count, and what fills the last group
+  float centre[kMostOrdinals], half[kMostOrdinals];  // middle and half of the range of offsets s
+  float view[kMostOrdinals];                         // the camera coordinate in the middle
+  float view_unit;  // a power of 2. v = (camera coordinate - view) view_unit is at most about 1
+  float cubic;      // the line `cubic` v is the one nearest to v^3 within an ordinal
+  float reach;      // largest |v|
+  float most_bend;  // where no s2 is larger, no splat is careful for its shape; see kLeastBend
+  LFGS_HD int columns() const { return groups * per_group; }  // ordinals, and what fills the last group
 };
 
-// The lens for kernels, in float.
+// The lens as kernels use it, in float; scene/lens.h has it in double.
 struct LensOptics {
   int width_px, height_px, views;
   uint64_t phase0, phase_x, phase_y;
   float line_number, origin, slant_tan;  // origin: phase of the first sub-pixel in [0, line_number)
   float s_start, s_step;
   int permuted, continuous;
-  int channels[3], places[3];  // image channel at each place, place of each channel; permuted: not 0, 1, 2
-  // Sub-pixels that do not stand in stripes: by place where all pixels have one order, else by channel
+  int channels[3], places[3];  // image channel at each place, place of each channel; permuted: they are not 0, 1, 2
+  // For sub-pixels that do not stand in stripes. Cells are listed by place where all pixels have their channels in one
+  // order, otherwise by channel.
   int has_cells, lead;  // lead: ordinals before the first stripe of a lens
-  float beyond;         // how far aside, at most, in sub-pixels
+  float beyond;         // how far a sub-pixel stands aside of its stripe at most, in sub-pixels
   SubpixelCells cells;
   Ordinals ordinals;
 };
 
-// Tiles in rows of `height` pixels; across they are steps of `width` along scale * (x + shear y), moved by low or high.
+// How the panel is divided into tiles. Down, a tile has `height` rows of pixels. Across, tiles are steps of `width`
+// along scale * (x + shear y); `low` is added to that for the left end of what a splat touches, `high` for the right
+// end. Every tile has a list for each of `groups` groups of ordinals.
 struct Tiling {
   int across, down, groups, height;
   float width, scale, low, high, shear;
@@ -82,37 +89,38 @@ struct Tiling {
 
 struct Lattice;
 
+// Everything that the kernels of a frame are told: its sizes and limits, and where the parts of the work buffer are.
 struct LensFrame {
   View<double> rig;
   LensOptics optics;
   Tiling pixel, ordinal;
   bool has_ordinal = false;  // whether kOrdinal can draw this lens on this device
-  int forced = -1;           // a LensKernel, or -1: chosen by cost
+  int forced = -1;           // the LensKernel to use; -1: the frame chooses by cost
   int sh_degree = 0;
-  int64_t capacity = 0;     // pairs
-  float tolerance = 0;      // of colour polynomials
+  int64_t capacity = 0;     // the most pairs that the lists hold
+  float tolerance = 0;      // error allowed of colour polynomials
   float cut = 0, stop = 0;  // of Quality: log2 of the opacity cut, transmittance at which a sample may end
   float hit_cut = 0;        // log2 of the alpha from which a splat that reaches a patch counts at a sample
-  float least_light = 0;    // see light_of: what has less is pruned
-  float lattice = 0;        // of Quality: error allowed at the checks of a lattice; 0: none
+  float least_light = 0;    // splats of less light are pruned, see light_of()
+  float lattice = 0;        // of Quality: error allowed at the checks of a lattice; 0: no lattice
   bool in_half = false;     // of Quality: kPixel and kPixelSmall evaluate in half precision, and `cut` is for patches
 
-  // Parts of the work buffer. The state and the ranges project clears, with one launch
+  // Parts of the work buffer. The state and the ranges lie side by side, so that project clears both at once
   FrameState* state = nullptr;
   uint32_t* ranges = nullptr;  // [lists, 2]: first and end of every list
   size_t cleared_bytes = 0;
   Splats<float> splats;
   uint32_t* depths = nullptr;      // [N]: bits of the splats' depths
-  uint32_t* ids = nullptr;         // [capacity, or N if more]: the lists' splats, nearest first
+  uint32_t* ids = nullptr;         // [capacity, or N if more]: the splats of all lists, nearest first after order
   uint32_t* long_lists = nullptr;  // [lists]: which of them are long, in any order
-  // With harmonics, by place: colours at the middles of ordinals, and the first and second power of v as halves (of the
-  // first place in the fourth number of a colour)
+  // With harmonics, the colours of every splat at every ordinal, by place: the colour in the middle of the ordinal, and
+  // slope and bend in v as halves in one word (for the first place in the fourth number of the colour)
   float* ordinal_colours = nullptr;    // [N, columns, 4]
   uint32_t* ordinal_slopes = nullptr;  // [N, columns, 2]
-  // Of an anti-aliased scene: log2 of the share of opacity there, and its first and second power of v as halves
+  // In an anti-aliased scene: log2 of the share of opacity there, and its slope and bend in v as halves
   float* ordinal_shares = nullptr;  // [N, columns, 2]
   Lattice* lattices = nullptr;      // [tiles], where any are laid: see composite_lattice.cu
-  uint32_t* refused = nullptr;      // [tiles without groups]: those to draw, in any order, where lattices are laid
+  uint32_t* refused = nullptr;      // [tiles, without groups]: those that lattices left, in any order
 
   LensFrame() = default;
   // Throws Error when the sizes do not fit 32 bits.
@@ -120,22 +128,22 @@ struct LensFrame {
             int64_t capacity, const Quality& quality, double tolerance);
   // Lays the parts out in `work` (null: only counts); returns the bytes.
   size_t place(void* work);
-  // On the device: those of the kernel chosen; whether there are more pairs than places.
+  // On the device only: the tiles of the kernel chosen; whether there are more pairs than the lists hold.
   LFGS_HD const Tiling& tiling() const { return state->kernel == int(LensKernel::kOrdinal) ? ordinal : pixel; }
   LFGS_HD bool overfull() const { return state->pairs > static_cast<unsigned long long>(capacity); }
   int64_t most_lists() const { return std::max(pixel.tiles(), has_ordinal ? ordinal.tiles() : 0); }
 };
 
-// The stages, in this order. gaussians: the frame's count and degree. Colours at order > 0: sh_degree > 0.
-// keep_lists: bin and order will not follow, for only colours have changed since they last did.
-// Otherwise bin follows once: project has cleared what it counts with.
+// The stages, in this order. gaussians must have the count and degree that the frame was made for; colours have an
+// order above 0 where sh_degree is above 0. keep_lists says that bin and order will not follow, since only colours have
+// changed since they last did. Otherwise bin must follow once, since project has cleared what it counts with.
 void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussians, bool keep_lists, Stream stream);
-void frame_bin(const LensFrame& frame, Stream stream);  // after it state->pairs is known
+void frame_bin(const LensFrame& frame, Stream stream);  // then state->pairs is known
 void frame_order(const LensFrame& frame, Stream stream);
 void frame_composite(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 
-// Parts of frame_composite. The lattice first, if the frame has one; then each of the others draws what the lattice
-// refused, or all tiles, when the frame chose it.
+// Parts of frame_composite. The lattice goes first, if the quality allows one. Then both others are launched, and the
+// one that the frame chose draws what the lattice refused, or all tiles.
 void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_pixel(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_ordinal(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);

@@ -1,19 +1,21 @@
-// Which sub-pixel belongs to which lens and sees the rig from where: twin of scene/lens.h for kernels.
+// Which sub-pixel belongs to which lens, and from which offset of the rig it is seen: twin of scene/lens.h for kernels.
 #pragma once
 
 #include "cuda/frame/lens_frame.h"
 
 namespace lfgs::cuda {
 
-// Functions of the offset are fitted over -1..1 through the zeros of Chebyshev's polynomials of the second kind, for
-// the least mean error: a line through -+ the first of these, a parabola through 0 and -+ the second.
+// Functions of the offset are fitted over -1..1 through the zeros of Chebyshev's polynomials of the second kind, which
+// gives the least mean error: a line through -+ kLinePlace, a parabola through 0 and -+ kParabolaPlace.
 constexpr float kLinePlace = 0.5f, kParabolaPlace = 0.70710678f;
 
+// The phase of a stripe.
 __device__ inline uint64_t phase_at(const LensOptics& lens, int row, int subpixel) {
   return lens.phase0 + lens.phase_x * uint64_t(int64_t(subpixel)) + lens.phase_y * uint64_t(int64_t(row));
 }
 
-// The camera coordinate x of a phase: n + 1/2 with n the high part of phase * views, or x itself.
+// The camera coordinate x of a phase. It is n + 1/2, where n is the high part of phase * views; with a continuous lens
+// it is x itself.
 __device__ inline float camera_of(const LensOptics& lens, uint64_t phase) {
   const unsigned views = unsigned(lens.views), high = unsigned(phase >> 32);
   const uint64_t product = uint64_t(high) * views + __umulhi(unsigned(phase), views);
@@ -21,19 +23,20 @@ __device__ inline float camera_of(const LensOptics& lens, uint64_t phase) {
   return fmaf(float(part), 1.f / 4294967296.f, float(unsigned(product >> 32)));
 }
 
-// What a sub-pixel of a cell has beyond the phase of its stripe.
+// What the phase of a sub-pixel has beyond that of its stripe, on a panel with cells.
 __device__ inline uint64_t cell_phase(const LensOptics& lens, int row, int subpixel) {
   return lens.cells.phases[row % kCellPeriod][(subpixel % kRowPeriod + kRowPeriod) % kRowPeriod];
 }
 
-// First stripe of a lens in a row: an estimate in float, made exact with the phase. Lenses of 4 sub-pixels or more.
+// The first stripe of a lens in a row. It is estimated in float, to within one, and then made exact with the phase. For
+// lenses of 4 sub-pixels or more.
 __device__ inline int first_stripe(const LensOptics& lens, int row, int number) {
   const int m = int(ceilf(fmaf(float(number), lens.line_number, -lens.origin) - 3 * lens.slant_tan * float(row)));
   const uint64_t phase = phase_at(lens, row, m);
   return phase < lens.phase_x ? m : phase >> 63 ? m + 1 : m - 1;
 }
 
-// First sub-pixel of a lens in a row.
+// The first sub-pixel of a lens in a row: with cells it may stand before or behind the first stripe.
 __device__ inline int lens_start(const LensOptics& lens, int row, int number) {
   int m = first_stripe(lens, row, number);
   if (!lens.has_cells) return m;
@@ -43,7 +46,7 @@ __device__ inline int lens_start(const LensOptics& lens, int row, int number) {
   return m;
 }
 
-// Offsets that a group of ordinals sees.
+// The offsets that a group of ordinals sees: centre -+ half.
 __device__ inline void group_offsets(const Ordinals& ordinals, int group, float& centre, float& half) {
   const int first = group * ordinals.per_group, last = min(first + ordinals.per_group, ordinals.count) - 1;
   const float a = fminf(ordinals.centre[first] - ordinals.half[first], ordinals.centre[last] - ordinals.half[last]);
@@ -62,7 +65,7 @@ __device__ inline int in_image(const LensOptics& lens, int m) {
 // Bytes that the sub-pixels of a row of a tile of lenses take, at most.
 LFGS_HD int lens_row_bytes(float line_number) { return (int(kTileLenses * line_number) + 5) & ~3; }
 
-// Puts a row's sub-pixels from ends.x to before ends.y, those on the panel, into the image. By a warp.
+// Stores the sub-pixels of a row from ends.x to before ends.y in the image, as far as they are on the panel. By a warp.
 __device__ inline void store_row(const LensOptics& lens, int row, int2 ends, const uint8_t* bytes, uint8_t* out) {
   const int width = 3 * lens.width_px, end = min(ends.y, width);
   uint8_t* to = out + int64_t(row) * width;
@@ -70,8 +73,8 @@ __device__ inline void store_row(const LensOptics& lens, int row, int2 ends, con
     if (m >= 0) to[in_image(lens, m)] = bytes[m - ends.x];
 }
 
-// Colours in the order of the sub-pixels of a pixel, left to right. Cells: false where the panel has none, and another
-// order is the other way round.
+// A colour in the order of the sub-pixels of a pixel, from the left. Cells: false where the panel has no cells; then an
+// order that is not red, green, blue can only be the reverse.
 template <bool Cells = true>
 __device__ float4 by_place(const LensOptics& lens, float4 c) {
   if constexpr (!Cells) return lens.permuted ? make_float4(c.z, c.y, c.x, c.w) : c;
@@ -80,7 +83,7 @@ __device__ float4 by_place(const LensOptics& lens, float4 c) {
   return make_float4(at(0), at(1), at(2), c.w);
 }
 
-// Offset that v = 1 of an ordinal stands for.
+// The offset from the middle of an ordinal that v = 1 stands for.
 __device__ inline float offset_unit(const LensOptics& lens) { return lens.s_step / lens.ordinals.view_unit; }
 
 }  // namespace lfgs::cuda

@@ -1,9 +1,11 @@
-// Stage order of a light-field frame: every list by depth, nearest first, ties by number.
+// Stage order of a light-field frame: sorts every list that bin has filled by depth, nearest first, ties by number. It
+// reads the depths, and sorts LensFrame::ids in place.
 //
-// A list is spread over buckets of depth, mostly of a splat or two each, within which every splat counts those before
-// it. Where depths crowd, and beyond what fits shared memory, it is sorted by bitonic merging (Batcher 1968, "Sorting
-// networks and their applications"), in the form in which every comparison sorts upwards: what lies beyond the end then
-// counts as the largest, and needs no place. Short lists are sorted by a warp each, long ones by a block.
+// A list is spread over buckets of depth, mostly of a splat or two each; within a bucket every splat counts those
+// before it, which gives its place. Where depths crowd, or the list does not fit shared memory, it is sorted by bitonic
+// merging (Batcher 1968, "Sorting networks and their applications"), in the form in which every comparison sorts
+// upwards: items beyond the end then count as the largest, and need no memory. A team sorts a list: a warp for a short
+// one, a block for a long one.
 #include <algorithm>
 
 #include "cuda/common/blend.cuh"
@@ -14,17 +16,18 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 256, kWarps = kThreads / 32;
-constexpr unsigned kEach = kShortList / 32;   // keys, and buckets, of a thread
-constexpr unsigned kKept = kThreads * kEach;  // keys in shared memory: of a block, or of all its warps
-constexpr unsigned kCrowd = 16;               // keys of a bucket that count each other
+constexpr unsigned kEach = kShortList / 32;  // how many keys, and how many buckets, a thread has
+constexpr unsigned kKept =
+    kThreads * kEach;            // keys that shared memory holds, for a block or for all its warps together
+constexpr unsigned kCrowd = 16;  // the most keys of a bucket: each of them looks at all of them
 
-// Who sorts a list.
+// The teams. rank() is a thread's number in its team.
 struct Warp {
   static constexpr unsigned kSize = 32;
   __device__ static unsigned rank() { return threadIdx.x % 32; }
   __device__ static void wait() { __syncwarp(); }
   __device__ static bool any(bool value) {
-    wait();  // a vote orders nothing
+    wait();  // a vote does not order accesses to memory
     return __any_sync(~0u, value);
   }
 };
@@ -38,8 +41,8 @@ struct Block {
 // What a team has in shared memory.
 struct Memory {
   uint64_t* keys;     // [kEach * kSize]
-  unsigned* buckets;  // the same
-  unsigned* warps;    // [2 * kWarps], of a block
+  unsigned* buckets;  // [kEach * kSize]
+  unsigned* warps;    // [2 * kWarps], for a block only
 };
 
 // What lists are sorted by: depth, which is positive, then number.
@@ -47,11 +50,14 @@ struct Keys {
   const uint32_t* depths;
   __device__ uint64_t operator()(uint32_t id) const { return uint64_t(depths[id]) << 32 | id; }
 };
+// For items that are keys themselves.
 struct Same {
   __device__ uint64_t operator()(uint64_t key) const { return key; }
 };
 
-// Of every 2 * half items: compares those of the first half with those of the second; mirrored: as far from the end.
+// One step of bitonic merging: in every 2 * half items, compares each of the first half with one of the second and puts
+// the smaller first. Its partner is `half` items on, or when mirrored, the one that is as far from the end as it is
+// from the beginning. A thread of the team has every kSize-th comparison.
 template <class Team, class Item, class KeyOf = Same>
 __device__ void compare_halves(Item* items, unsigned count, unsigned half, bool mirrored, const KeyOf& key_of = {}) {
   const unsigned pairs = (count + 2 * half - 1) / (2 * half) * half, partner = mirrored ? 2 * half - 1 : half;
@@ -64,12 +70,13 @@ __device__ void compare_halves(Item* items, unsigned count, unsigned half, bool 
   Team::wait();
 }
 
-// Sorts runs of 2 * half keys that merging has sorted to within `half`.
+// Ends the merging of runs: does the steps of this and all smaller halves.
 template <class Team>
 __device__ void finish_runs(uint64_t* keys, unsigned count, unsigned half) {
   for (; half > 0; half /= 2) compare_halves<Team>(keys, count, half, false);
 }
 
+// Sorts keys by merging, from runs of one key up.
 template <class Team>
 __device__ void merge_all(uint64_t* keys, unsigned count) {
   for (unsigned run = 1; run < count; run *= 2) {
@@ -78,7 +85,7 @@ __device__ void merge_all(uint64_t* keys, unsigned count) {
   }
 }
 
-// Has a list sorted in shared memory.
+// Calls sort(kept, count) with the keys of a list in shared memory, and writes their order back.
 template <class Team, class Sort>
 __device__ void in_shared_memory(uint32_t* ids, unsigned count, const Keys& key_of, uint64_t* kept, const Sort& sort) {
   for (unsigned i = Team::rank(); i < count; i += Team::kSize) kept[i] = key_of(ids[i]);
@@ -88,7 +95,9 @@ __device__ void in_shared_memory(uint32_t* ids, unsigned count, const Keys& key_
   Team::wait();
 }
 
-// By a block. A list of n keys beyond those kept takes log2(n / kept)^2 / 2 rounds through memory.
+// Sorts a list that is too long for shared memory, by all threads of a block: pieces that fit are sorted there, and
+// steps that reach further are done in the list itself. A list of n keys takes log2(n / kKept)^2 / 2 rounds through
+// memory.
 __device__ void sort_in_pieces(uint32_t* ids, unsigned count, const Keys& key_of, uint64_t* kept) {
   auto in_pieces = [&](auto sort) {
     for (unsigned first = 0; first < count; first += kKept)
@@ -104,7 +113,7 @@ __device__ void sort_in_pieces(uint32_t* ids, unsigned count, const Keys& key_of
 
 __device__ float depth_of(uint64_t key) { return __uint_as_float(unsigned(key >> 32)); }
 
-// The least and the largest depth of a team.
+// Given the least and the largest depth of each thread, finds those of the team.
 template <class Team>
 __device__ void find_extent(float& nearest, float& farthest, const Memory& memory) {
   for (int step = 16; step > 0; step /= 2) {
@@ -121,7 +130,8 @@ __device__ void find_extent(float& nearest, float& farthest, const Memory& memor
   Team::wait();
 }
 
-// Counts in buckets -> where each begins.
+// Turns the number of keys in every bucket into the place where each bucket begins. A thread has kEach buckets in a
+// row.
 template <class Team>
 __device__ void sum_buckets(const Memory& memory) {
   unsigned* mine = memory.buckets + kEach * Team::rank();
@@ -140,12 +150,14 @@ __device__ void sum_buckets(const Memory& memory) {
   Team::wait();
 }
 
-// At most kEach * kSize keys. False: they crowd, and nothing is done.
+// Sorts a list of at most kEach * kSize splats. Returns false, and leaves the list as it is, where depths crowd.
 template <class Team>
 __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_of, const Memory& memory) {
   constexpr unsigned kBuckets = kEach * Team::kSize, kBucketBits = 16, kBucket = (1u << kBucketBits) - 1;
   uint64_t mine[kEach];
-  unsigned bucket[kEach];  // and above it the place there
+  unsigned bucket[kEach];  // of each key; in the upper bits, its place there
+
+  // Read the keys
   float nearest = INFINITY, farthest = 0;
 #pragma unroll
   for (unsigned k = 0; k < kEach; ++k) {
@@ -154,8 +166,10 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_o
     mine[k] = i < count ? key_of(ids[i]) : 0;
     if (i < count) nearest = fminf(nearest, depth_of(mine[k])), farthest = fmaxf(farthest, depth_of(mine[k]));
   }
+
+  // Choose their buckets, by equal parts of the depth from the nearest to the farthest
   find_extent<Team>(nearest, farthest, memory);
-  const float per_depth = fminf(float(kBuckets) / (farthest - nearest), 3e38f);  // of one depth: 0 times that is 0
+  const float per_depth = fminf(float(kBuckets) / (farthest - nearest), 3e38f);  // not infinite, if all are alike
   bool crowd = false;
 #pragma unroll
   for (unsigned k = 0; k < kEach; ++k) {
@@ -165,6 +179,8 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_o
     crowd |= place >= kCrowd, bucket[k] |= place << kBucketBits;
   }
   if (Team::any(crowd)) return false;
+
+  // Put them into their buckets
   sum_buckets<Team>(memory);
 #pragma unroll
   for (unsigned k = 0; k < kEach; ++k) {
@@ -172,6 +188,8 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_o
     memory.keys[memory.buckets[bucket[k] & kBucket] + (bucket[k] >> kBucketBits)] = mine[k];
   }
   Team::wait();
+
+  // In each bucket, count the keys before this one
 #pragma unroll
   for (unsigned k = 0; k < kEach; ++k) {
     if (k * Team::kSize + Team::rank() >= count) break;
@@ -185,13 +203,15 @@ __device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_o
   return true;
 }
 
+// Sorts a list that fits the team's shared memory.
 template <class Team>
 __device__ void sort_kept(uint32_t* ids, unsigned count, const Keys& key_of, const Memory& memory) {
   if (!sort_by_buckets<Team>(ids, count, key_of, memory))
     in_shared_memory<Team>(ids, count, key_of, memory.keys, merge_all<Team>);
 }
 
-// By whole blocks the long lists, by every warp then short ones.
+// Sorts all lists: first every block takes long ones, then every warp short ones. Where the frame has more pairs than
+// places there is but one list, of all splats drawn, and the first block sorts it.
 __global__ void __launch_bounds__(kThreads, 4) sort_lists_kernel(const __grid_constant__ LensFrame frame) {
   __shared__ uint64_t keys[kKept];
   __shared__ unsigned buckets[kKept], warps[2 * kWarps];
@@ -201,6 +221,8 @@ __global__ void __launch_bounds__(kThreads, 4) sort_lists_kernel(const __grid_co
     if (blockIdx.x == 0) sort_in_pieces(frame.ids, state.drawn, key_of, keys);
     return;
   }
+
+  // Long lists, a block each
   const uint2* ranges = reinterpret_cast<const uint2*>(frame.ranges);
   for (unsigned i = blockIdx.x; i < state.long_lists; i += gridDim.x) {
     const uint2 range = ranges[frame.long_lists[i]];
@@ -210,6 +232,8 @@ __global__ void __launch_bounds__(kThreads, 4) sort_lists_kernel(const __grid_co
     else
       sort_in_pieces(frame.ids + range.x, count, key_of, keys);
   }
+
+  // Short lists, a warp each
   const unsigned warp = threadIdx.x / 32, mine = warp * kShortList;
   const int64_t lists = frame.tiling().tiles(), step = int64_t(gridDim.x) * kWarps;
   for (int64_t list = int64_t(blockIdx.x) * kWarps + warp; list < lists; list += step) {

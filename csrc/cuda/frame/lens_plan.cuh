@@ -1,9 +1,10 @@
-// How composite goes about a frame: errors and costs of its kernels, averaged over splats.
+// How a frame chooses the kernel that composites it: what each would cost and err, averaged over the splats. project
+// adds up the sums in FrameState, and the last of its blocks reads them and writes the choice there.
 //
-// A kernel evaluates r = S^(-1/2) as a polynomial in s; with relative error e of r, alpha is wrong by less than 0.74 e.
-// With the p of RootSeries, interpolation leaves at most about 3/4 (p2 + p3) with a straight line through -+ 1/2,
-// 1/2 (p3 + p4) with a parabola through 0 and -+ sqrt(1/2); a third on average. One term alone says little: p2 is zero
-// where s2 = 3/4 s1^2, p3 where s1 = 0.
+// A kernel evaluates r = S^(-1/2) as a polynomial in s; where r has the relative error e, alpha is wrong by less than
+// 0.74 e. The error is estimated from the p of RootSeries: a straight line through -+ 1/2 leaves at most about
+// 3/4 (p2 + p3), a parabola through 0 and -+ sqrt(1/2) leaves 1/2 (p3 + p4); on average a third of that. Two terms are
+// taken since one alone says little: p2 is zero where s2 = 3/4 s1^2, and p3 where s1 = 0.
 #pragma once
 
 #include "cuda/common/blend.cuh"
@@ -16,9 +17,11 @@
 
 namespace lfgs::cuda {
 
-constexpr float kMeanShapeError = 6e-5f;  // of a frame, the mean over splats: keeps 80 dB at 8 bits
-// Of one splat: up to `straight` a quadratic kernel takes the linear fit, beyond `careful` none, which costs a division
-// a sample. A frame takes the first limits that keep its mean; 2e-3 is 0.4 of 1/255.
+// The largest mean error over the splats of a frame: it keeps 80 dB at 8 bits.
+constexpr float kMeanShapeError = 6e-5f;
+// Limits for the error of one splat. Up to `straight` a quadratic kernel takes the linear fit; beyond `careful` it
+// takes no fit, which costs a division a sample. A frame takes the first level of limits that keeps its mean error.
+// 2e-3 is 0.4 of 1/255.
 struct ShapeLimits {
   float straight, careful;
 };
@@ -26,17 +29,21 @@ constexpr int kLevels = 2;
 LFGS_HD ShapeLimits shape_limits(int level) {
   return level == 0 ? ShapeLimits{1.6e-4f, 2e-3f} : ShapeLimits{6e-5f, 5e-4f};
 }
-// The mean, and `careful`, where samples are halves.
+// The largest mean error, and the limit `careful`, where samples are evaluated in half precision.
 constexpr float kMeanHalfShapeError = 1e-3f, kMostHalfShapeError = 5e-3f;
-// `careful` of the linear fits. Colours with harmonics have errors of their own, that leave less of the 80 dB.
+// The limit `careful` of the linear kernels. Colours with harmonics have errors of their own, so that less of what 80
+// dB allow is left for shapes.
 __device__ inline float most_linear_error(const LensFrame& frame) {
   constexpr float kWithHarmonics = 2.4e-4f;
   if (frame.in_half) return kMostHalfShapeError;
   return frame.splats.orders ? kWithHarmonics : shape_limits(0).careful;
 }
-constexpr float kCarefulOpacity = -0.0291f;  // log2(0.98): what an opaque splat stops is less than 2/255
-constexpr int kSampledSplats = 1 << 14;      // about; enough for averages
+// log2(0.98): a splat of at least this opacity is careful. No other can end a sample that holds more than 2/255.
+constexpr float kCarefulOpacity = -0.0291f;
+constexpr int kSampledSplats = 1 << 14;  // about so many splats are summed, which is enough for averages
 
+// The sums over splats: first those of geometry (area of the footprint, half its width and height, disparity over the
+// rig, and that times the half height), then errors and numbers of splats.
 enum FrameSum {
   kArea,
   kHalfWidth,
@@ -44,17 +51,19 @@ enum FrameSum {
   kDisparity,
   kDisparityHeight,
   kLinearError,
-  kLinearCareful,  // of the linear fit, where it is good enough; splats that are evaluated carefully
+  kLinearCareful,  // the linear kernels: error of the splats that are fitted; number of those that are careful
   kMixedError,
   kMixedCareful = kMixedError + kLevels,
-  kCurved = kMixedCareful + kLevels,  // at every level's limits
+  kCurved = kMixedCareful + kLevels,  // the quadratic kernels, at the limits of each level; kCurved: beyond `straight`
   kOrdinalError = kCurved + kLevels,
   kOrdinalCareful,
   kSums
 };
 static_assert(kSums <= sizeof(FrameState::sums) / sizeof(unsigned long long));
-constexpr float kSumUnit = 1 << 4, kErrorUnit = 1 << 30;  // fixed point, so that sums have no order
+// Sums are in fixed point, so that their order does not matter: these are the units of geometry, and of all others.
+constexpr float kSumUnit = 1 << 4, kErrorUnit = 1 << 30;
 
+// The relative error of r, at most, when it is a straight line or a parabola over the rig.
 struct ShapeError {
   float linear, quadratic;
 
@@ -63,19 +72,20 @@ struct ShapeError {
     const RootSeries series{s.S1 * inverse, s.S2 * inverse};
     linear = 0.75f * (fabsf(series.p2()) + fabsf(series.p3()));
     quadratic = 0.5f * (fabsf(series.p3()) + fabsf(series.p4()));
-    // Series of what varies much say little
+    // The series says little of a splat that varies much, so that counts as a large error
     if (fabsf(series.s1) + fabsf(series.s2) > 0.5f) linear = quadratic = 1;
   }
 };
 
-// Of the ordinal kernel, the mean of the errors below. Captures of thin discs have up to 1.0e-4 in cones of 53 degrees,
-// 1.5e-4 in 90; cones of 150 degrees 2.1e-4 and more.
+// The largest mean error with which the ordinal kernel may be chosen. Captures of thin discs have up to 1.0e-4 in cones
+// of 53 degrees and 1.5e-4 in cones of 90; in cones of 150 degrees they have 2.1e-4 and more.
 __device__ inline float most_ordinal_error(const LensFrame& frame) {
   return frame.in_half ? kMeanHalfShapeError : 1.8e-4f;
 }
 
-// In the ordinal kernel, of the ends and the middle of the rig: the mean error of what is not careful there, 1 if the
-// sweep in standard deviations is no number in half precision; the share that is careful.
+// What a splat would be in the ordinal kernel, looked at in the middle and at both ends of the rig: adds the mean error
+// where it is not careful, and the share where it is. The error is 1 if half precision has no number for the sweep in
+// standard deviations.
 __device__ inline void ordinal_terms(const LensOptics& lens, const Splat<float>& s, float& error, float& careful) {
   constexpr float kMostHalf = 3e4f;
   const float unit = offset_unit(lens), sweep = fabsf(unit) * (fabsf(s.du) + fabsf(s.c1) * kTileRows);
@@ -92,9 +102,10 @@ __device__ inline void ordinal_terms(const LensOptics& lens, const Splat<float>&
   if (lost) error = 1;
 }
 
+// One in so many blocks of project adds its splats to the sums.
 __host__ __device__ inline unsigned sample_stride(int64_t count) { return unsigned(count / kSampledSplats + 1); }
 
-// Adds a splat's terms, all between 0 and 1 but for those of geometry.
+// Writes a splat's terms in the sums of errors and numbers; all are between 0 and 1.
 __device__ inline void shape_terms(const LensFrame& frame, const Splat<float>& s, float terms[kSums]) {
   const ShapeError error(s);
   const bool opaque = !frame.in_half && s.log2_opacity >= kCarefulOpacity;
@@ -112,14 +123,16 @@ __device__ inline void shape_terms(const LensFrame& frame, const Splat<float>& s
   if (frame.has_ordinal) ordinal_terms(frame.optics, s, terms[kOrdinalError], terms[kOrdinalCareful]);
 }
 
-// By all threads of a block; what is not drawn adds nothing.
+// Adds a splat a thread to the frame's sums; a splat that is not drawn adds nothing. By all threads of a block.
 __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s) {
-  // A block adds what it has as a whole: the sums of all lie side by side, and take one number at a time
+  // First the block adds up its own: the frame's sums lie side by side in memory, which takes one addition at a time
   __shared__ unsigned long long of_block[kSums];
   __shared__ unsigned drawn_of_block;
   if (threadIdx.x < kSums) of_block[threadIdx.x] = 0;
   if (threadIdx.x == 0) drawn_of_block = 0;
   __syncthreads();
+
+  // The terms of this thread's splat
   unsigned long long terms[kSums] = {};
   if (s.reach_y >= 0) {
     const float range = exponent_left(s, 0.f);
@@ -131,6 +144,8 @@ __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s
       terms[k] = static_cast<unsigned long long>(k < kLinearError ? fminf(values[k], 1e9f) * kSumUnit
                                                                   : values[k] * kErrorUnit);
   }
+
+  // Their sums over the warp, over the block, and into the frame's
   const unsigned drawn = __popc(__ballot_sync(~0u, s.reach_y >= 0));
   for (int k = 0; k < kSums; ++k)
     for (int step = 16; step > 0; step /= 2) terms[k] += __shfl_xor_sync(~0u, terms[k], step);
@@ -143,19 +158,20 @@ __device__ inline void add_to_sums(const LensFrame& frame, const Splat<float>& s
   if (threadIdx.x == 0) atomicAdd(&frame.state->sampled, drawn_of_block);
 }
 
-// How many points of a lattice cost as much as half of what they spare, where splats are so large. Every point meets
-// the whole list; of what draws the tile otherwise, a piece of a quarter of its width and height meets the splats that
-// reach it.
+// How many points a lattice may have in a tile whose splats are this large: drawing so many costs half of what the
+// lattice spares. Every point meets the whole list of the tile, whereas a warp that draws the tile otherwise has a
+// patch of about a quarter of its width and height, and meets only the splats that reach that.
 __device__ inline float points_worth(float width_px, float height_px) {
   const float w = float(kPixelTileWidth), h = float(kPixelTileHeight);
   return 1250 * (w / 4 + width_px) / (w + width_px) * (h / 4 + height_px) / (h + height_px);
 }
 
-// Whether a lattice of a usual number of planes would pay in a tile of the frame's usual splats, of these mean half
-// sizes: to find out in every tile takes a tenth of a frame of small ones.
+// Whether a lattice with a usual number of planes would pay in a tile of usual splats, which have these mean half sizes
+// in pixels. It is asked once for the frame, since to find out in every tile takes a tenth of the time of a frame of
+// small splats.
 __device__ inline bool lattices_may_pay(const LensFrame& frame, float half_width, float half_height) {
-  constexpr float kPlanes = 7, kReach = 2.65f;  // what a splat of usual opacity reaches, in a plan's units
-  constexpr float kCoarser = 7 / 6.f;           // than tried first: frames that just pay so were no slower
+  constexpr float kPlanes = 7, kReach = 2.65f;  // how many standard deviations a splat of usual opacity reaches
+  constexpr float kCoarser = 7 / 6.f;           // coarser than tried first: frames that only just pay so were no slower
   if (!(frame.lattice > 0)) return false;
   const float unit = fminf(kCoarser * first_fineness(frame.lattice), kMostFineness) / kReach;
   const float columns = float(kPixelTileWidth) / (unit * half_width);
@@ -164,15 +180,22 @@ __device__ inline bool lattices_may_pay(const LensFrame& frame, float half_width
   return points <= points_worth(1.74f * half_width, 1.74f * half_height);
 }
 
-// Times in ms on an H200, fitted to frames (within 12 %): tasks * (cost * hits + set-up) / rate, in warp instructions
-// of which it issues 132 x 4 x 1.98 GHz. Hits of a patch of w x h pixels that sees the fraction f of the rig: sum of
-// area + (w + f D) 2 b + h 2 a + (w + f D) h over the splats, by their density. By the thread that ends the sums.
-// An anti-aliased frame is drawn by ordinals, or by patches of pixels with parabolas: nothing else knows of shares of
-// opacity.
+// Chooses the kernel that draws the frame, and the limits of errors that it keeps. Called by the thread that ends the
+// sums, when all of them are there.
+//
+// Each kernel is given a time in ms on an H200: tasks * (cost of a hit * hits + set-up) / rate. The costs are in warp
+// instructions, of which an H200 issues 132 x 4 at 1.98 GHz; they were fitted to the times of frames, within 12 %. The
+// hits of a patch of w x h pixels that sees the fraction f of the rig are the sum, over the splats, of
+//   area + (w + f D) 2 b + h 2 a + (w + f D) h
+// divided by the pixels of the panel. a and b are the half width and half height of a splat, D its disparity.
+// An anti-aliased frame is drawn by ordinals, or by patches of pixels with parabolas, since only these kernels know of
+// shares of opacity.
 template <bool kAntialiased>
 __device__ inline void choose_kernel(const LensFrame& frame) {
   FrameState& state = *frame.state;
-  float sums[kSums];  // that other blocks have just added to
+
+  // Read the sums: volatile, since other blocks have just added to them
+  float sums[kSums];
   for (int k = 0; k < kSums; ++k) sums[k] = float(static_cast<volatile unsigned long long&>(state.sums[k]));
   const float sampled = float(static_cast<volatile unsigned&>(state.sampled));
   const LensOptics& lens = frame.optics;
@@ -184,6 +207,9 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
             f * h * sum(kDisparity) + w * h * share * sampled) /
            pixels;
   };
+
+  // Mean errors, and the first level of limits that keeps the mean of the quadratic kernels; if none does, they draw
+  // all splats carefully (`exact`)
   auto mean = [&](int k) { return sampled > 0 ? sums[k] / kErrorUnit / sampled : 0.f; };
   const bool linear = !kAntialiased && mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
   int level = 0;
@@ -191,6 +217,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const bool exact = level == kLevels;
   const float curved = exact ? 1 : mean(kCurved + level), careful = exact ? 1 : mean(kMixedCareful + level);
 
+  // Costs of the kernels by pixels
   const float large = hits(15, 7, 1), small = hits(15, 3, 1);
   float cost[int(LensKernel::kCount)];
   auto pixel_cost = [&](float each, float of_patch) { return pixels / 128 * (each + of_patch) / rate; };
@@ -204,16 +231,19 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const float quadratic = 187 + kShare + 30 * curved, quadratic_small = 236 + kShare + 26 * curved;
   cost[int(LensKernel::kPixelQuadratic)] = pixel_cost(with_careful(quadratic, careful) * large, 500);
   cost[int(LensKernel::kPixelQuadraticSmall)] = pixel_cost(with_careful(quadratic_small, careful) * small, 556);
+
+  // Cost of the ordinal kernel. One careful hit makes the other 7 of its batch as slow; two square roots a sample take
+  // their time
   const float narrowing = 1 / lens.line_number;
   const float across = (1.5f * lens.line_number + 0.5f) / 1.5f + 0.67f;
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
-  // A careful hit makes so of the 8 of its batch; two square roots a sample take their time
   const float careful_batches = 1 - powf(1 - fminf(mean(kOrdinalCareful), 1.f), 8);
   const float ordinal_each = 60 * (1 + 0.6f * careful_batches);
   cost[int(LensKernel::kOrdinal)] = frame.has_ordinal && mean(kOrdinalError) <= most_ordinal_error(frame)
                                         ? tasks * (ordinal_each * hits(across, 15, narrowing * 7 / 6) + 360) / rate
                                         : INFINITY;
 
+  // Write the choice
   int best = int(LensKernel::kPixelQuadratic);
   for (int k = 0; k < int(LensKernel::kCount); ++k)
     if (cost[k] < cost[best]) best = k;

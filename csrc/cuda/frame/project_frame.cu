@@ -1,5 +1,5 @@
-// Stage project of a light-field frame: a thread per Gaussian. The last block to end chooses how composite goes about
-// it.
+// Stage project of a light-field frame: reads the Gaussians, writes the splats with their colours and depths and the
+// frame's state. A thread has a Gaussian. The last block to end chooses the kernel that will composite the frame.
 #include <algorithm>
 #include <cstddef>
 
@@ -13,6 +13,8 @@ namespace {
 
 constexpr int kThreads = 128;
 
+// Projects a Gaussian a thread. Some blocks also add their splats to the frame's sums; the last of these to end reads
+// the sums and chooses.
 template <int Order, bool kAntialiased>
 __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __grid_constant__ LensFrame frame,
                                      const __grid_constant__ Rig rig, const __grid_constant__ BasisTable basis) {
@@ -43,12 +45,15 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
           "a frame for " + std::to_string(frame.splats.count) + " Gaussians of degree " +
               std::to_string(frame.sh_degree) + " got " + std::to_string(gaussians.count) + " of degree " +
               std::to_string(gaussians.sh_degree));
+
+  // Clear the state, and with it the ranges; if the lists are kept, only what project and composite count
   const size_t first = keep_lists ? offsetof(FrameState, colour_error) : 0;
   const size_t end = keep_lists ? sizeof(FrameState) : frame.cleared_bytes;
   check(cudaMemsetAsync(reinterpret_cast<char*>(frame.state) + first, 0, end - first, cudaStream_t(stream)),
         "project: clear the state");
+
   const BasisTable basis{ColourBasis(frame.splats.colour_order)};
-  const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // of none too, one chooses
+  const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // without Gaussians, one chooses
   with_order(frame.splats.colour_order, frame.rig.antialiased, [&](auto order, auto antialiased) {
     frame_project_kernel<order, antialiased>
         <<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(gaussians, frame, Rig(frame.rig), basis);

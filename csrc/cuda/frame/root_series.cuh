@@ -1,4 +1,4 @@
-// How r = S^(-1/2) of a splat varies along the rig, and what of it kernels may leave out.
+// How r = S^(-1/2) of a splat varies along the rig, as a series, and what of it kernels may leave out.
 #pragma once
 
 #include "cuda/common/blend.cuh"
@@ -6,11 +6,12 @@
 
 namespace lfgs::cuda {
 
-// Of a splat in the ordinal kernel, see parabola_error(): beyond, it is evaluated carefully; alpha is off by less than
-// 0.42/255. Nothing has as much where s2 reach^2 is up to kLeastBend, that of the worst S, the square of a line.
+// The ordinal kernel evaluates a splat carefully if its parabola_error() is above kMostParabolaError; otherwise alpha
+// is off by less than 0.42/255. No splat has so large an error where s2 reach^2 is up to kLeastBend: that is where the
+// worst S, which is the square of a line, has it.
 constexpr float kMostParabolaError = 0.002f, kLeastBend = 0.026f;
 
-// Of S = S0 (1 + s1 v + s2 v^2): r = S0^(-1/2) (1 + p1 v + p2 v^2 + p3 v^3 + p4 v^4 ...).
+// The series of r: where S = S0 (1 + s1 v + s2 v^2), r = S0^(-1/2) (1 + p1 v + p2 v^2 + p3 v^3 + p4 v^4 ...).
 struct RootSeries {
   float s1, s2;
 
@@ -23,7 +24,8 @@ struct RootSeries {
   }
 };
 
-// A splat's, about an offset of the rig in the middle of an ordinal; v = 1 stands for `unit`; r: S0^(-1/2).
+// The series of a splat about the offset `centre`, in the middle of an ordinal. v = 1 stands for the offset `unit` from
+// there, and r is the value in the middle, S0^(-1/2).
 struct OrdinalShape : RootSeries {
   float r;
 
@@ -32,10 +34,11 @@ struct OrdinalShape : RootSeries {
     s1 = fmaf(2 * centre, s.S2, s.S1) * unit * (r * r), s2 = s.S2 * unit * unit * (r * r);
   }
 
-  // The splat's opacity times what a parabola leaves of r over the ordinal: 0.4 (|p3| + s2^2) where v reaches 1. No
-  // other terms matter: S is nowhere below zero, so |s1| < 2 sqrt(s2), which bounds them all.
+  // The largest error of r, relative, over the ordinal when it is a parabola, times the opacity of the splat. Where v
+  // reaches 1, it is 0.4 (|p3| + s2^2). Other terms do not matter: S is nowhere below zero, so |s1| < 2 sqrt(s2), which
+  // bounds them all.
   __device__ float parabola_error(const Ordinals& ordinals, float log2_opacity) const {
-    constexpr float kLeastOpacity = 0.1f;  // of faint splats the edge shows
+    constexpr float kLeastOpacity = 0.1f;  // fainter splats count as if they had this: their edge shows
     const float reach = ordinals.reach, opacity = fmaxf(fast_exp2(log2_opacity), kLeastOpacity);
     return 0.4f * reach * reach * reach * opacity * fmaf(reach * s2, s2, fabsf(p3()));
   }

@@ -1,5 +1,9 @@
-// Stage composite for the panel on the device: pixel tiles swept over the whole rig. A block has a tile of 32 x 16
-// pixels, a warp 16 x 4 of them, a lane two pixels one below the other: six sub-pixels, each at its own offset.
+// Stage composite for the panel on the device, and its reverse, with gradients. Forward it reads the splats and the
+// sorted pairs and writes the image; the reverse reads the image and the gradient of it, and writes the sums of every
+// slot and of the background.
+//
+// The lists are of tiles of pixels, and of all that splats sweep over the whole rig. A block draws a tile of 32 x 16
+// pixels, a warp 16 x 4 of them, a lane two pixels two rows apart: six sub-pixels, each at its own offset.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/compensated.cuh"
@@ -11,21 +15,23 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 256, kBatch = 128;
-constexpr int kWarpWidth = 16, kWarpHeight = 4, kWarpsAcross = 2, kRows = 2;  // kRows: pixels of a lane
+constexpr int kWarpWidth = 16, kWarpHeight = 4, kWarpsAcross = 2, kRows = 2;  // kRows: pixels that a lane has
 static_assert(kLensTile.width_px == kWarpWidth * kWarpsAcross);
 static_assert(kLensTile.height_px == kWarpHeight * (kThreads / 32 / kWarpsAcross));
 
+// The reverse: splats staged at a time, and the most numbers that a slot has.
 constexpr int kBackwardBatch = 16;
 template <bool kAntialiased>
 constexpr int kMostSums = kLensSums + 3 * (kMaxColourOrder + 1) + (kAntialiased ? kCompensationFields : 0);
 
+// A sub-pixel while it is drawn; `rest` is the light left for the background once it has ended, see over().
 struct Sample {
   float s;  // normalized offset of its camera
   float colour = 0, transmittance = 0, rest = 0;
   int channel;
 };
 
-// The tile of this block, the pixels of this warp and of this lane (one below the other, 2 rows apart).
+// The tile of this block, the pixels of this warp, and those of this lane (one below the other, 2 rows apart).
 struct Place {
   int64_t x0, y0;
   int left, top, column, row;
@@ -60,6 +66,7 @@ struct Place {
     return columns_of(s, top + 0.5f, top + kWarpHeight - 0.5f, 0.f, low, high) && high >= left + 0.5f &&
            low <= left + kWarpWidth - 0.5f;
   }
+  // A splat with its centre counted from the corner of the tile.
   __device__ Splat<float> local(Splat<float> s) const {
     s.u0 -= float(x0), s.v0 -= float(y0);
     return s;
@@ -73,6 +80,8 @@ __device__ inline float colour_at(const float* colour, int order, const Sample& 
   return fmaxf(c, 0.f);
 }
 
+// Draws a tile, a block each. The block stages splats in batches; every warp goes through a batch on its own, and
+// passes over the splats that cannot touch its pixels.
 template <bool kAntialiased>
 __global__ void __launch_bounds__(kThreads)
     composite_lens_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
@@ -87,6 +96,7 @@ __global__ void __launch_bounds__(kThreads)
 
   for (int64_t begin = ranges[2 * int64_t(blockIdx.x)], end = ranges[2 * int64_t(blockIdx.x) + 1]; begin < end;
        begin += kBatch) {
+    // End the list where no sample takes light any more; else stage the next splats
     bool open = false;
     for (auto& pixel : samples)
       for (auto& sample : pixel) open |= sample.transmittance > 0;
@@ -99,7 +109,7 @@ __global__ void __launch_bounds__(kThreads)
     __syncthreads();
     if (!__any_sync(~0u, open)) continue;
 
-    // 32 candidates at a time: each lane holds one against the warp's pixels, then all evaluate those that may touch
+    // Take 32 at a time: each lane compares one with the warp's pixels, then all lanes blend those that may touch them
     for (int first = 0; first < count; first += 32) {
       const bool hit = first + lane < count && place.touches(staged[first + lane]);
       for (unsigned todo = __ballot_sync(~0u, hit); todo; todo &= todo - 1) {
@@ -131,6 +141,7 @@ __global__ void __launch_bounds__(kThreads)
     }
   }
 
+  // Add what is left for the background, and store
   for (int r = 0; r < kRows; ++r)
     for (int k = 0; k < 3 && place.inside(image, r); ++k) {
       const Sample& sample = samples[r][k];
@@ -139,8 +150,9 @@ __global__ void __launch_bounds__(kThreads)
     }
 }
 
-// The reverse; see over_adjoint() for the formula. A sample's `colour` holds the prefix. Sums over a tile: first within
-// each warp, then over the warps, always in the same order.
+// The reverse: writes the sums of every slot of a tile, a block each; see over_adjoint() for the formula. It goes over
+// the splats front to back, as forward; a sample's `colour` holds the prefix of the formula. The sums over a tile are
+// taken first within each warp, then over the warps, always in the same order, so that the bits are always the same.
 template <bool kAntialiased>
 __global__ void __launch_bounds__(kThreads)
     composite_lens_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
@@ -152,6 +164,8 @@ __global__ void __launch_bounds__(kThreads)
   constexpr int kSharp = kAntialiased ? kCompensationFields : 0;
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, sharp = kLensSums + 3 * (splats.colour_order + 1);
   const int all_sums = sharp + kSharp;
+
+  // The samples, the gradients of their colours, and the total of the formula, which follows from the image
   const Place place(image);
   Sample samples[kRows][3];
   float g[kRows][3], total[kRows][3];
@@ -165,6 +179,7 @@ __global__ void __launch_bounds__(kThreads)
 
   const int64_t end = ranges[2 * int64_t(blockIdx.x) + 1];
   for (int64_t begin = ranges[2 * int64_t(blockIdx.x)]; begin < end; begin += kBackwardBatch) {
+    // Stage splats, and where their sums will go
     __syncthreads();
     const int count = int(min(int64_t(kBackwardBatch), end - begin));
     if (threadIdx.x < count) {
@@ -173,6 +188,8 @@ __global__ void __launch_bounds__(kThreads)
       staged[threadIdx.x] = place.local(splats.splats[ids[threadIdx.x]]);
     }
     __syncthreads();
+
+    // Splat by splat: what each lane's samples say of it, then the sums over the warp
     for (int k = 0; k < count; ++k) {
       const Splat<float>& s = staged[k];
       float* out = partial[warp][k];
@@ -183,7 +200,7 @@ __global__ void __launch_bounds__(kThreads)
       const float* colour = splats.colours + int64_t(ids[k]) * (splats.colour_order + 1) * kColourStride;
       [[maybe_unused]] Compensation<float> compensation, of_D{};
       if constexpr (kAntialiased) compensation = splats.compensations[ids[k]];
-      float sums[kLensSums] = {}, term[kRows][3];  // term: gradient of the sample's colour, times a power of s
+      float sums[kLensSums] = {}, term[kRows][3];  // term: gradient of the splat's colour there, times a power of s
       bool lit = false;
       for (int r = 0; r < kRows; ++r) {
         const float dy = place.row + 2 * r + 0.5f - s.v0, A = s.log2_opacity - s.tau * dy * dy;
@@ -197,6 +214,8 @@ __global__ void __launch_bounds__(kThreads)
           if constexpr (kAntialiased) power += log2_share(compensation, sample.s, S);
           const float alpha = sample.transmittance > 0 ? alpha_of(power) : 0.f;
           if (alpha == 0) continue;
+
+          // Over, and its adjoint
           const float before = sample.transmittance;
           float weight;
           over(alpha, sample.transmittance, sample.rest, weight);
@@ -205,6 +224,8 @@ __global__ void __launch_bounds__(kThreads)
           const float value = colour_at(colour, order, sample), v = g[r][c] * value;
           sample.colour += weight * v;
           const float g_alpha = over_adjoint<false>(alpha, before, v, total[r][c] - sample.colour);
+
+          // From alpha to the exponent, and to what the exponent is made of
           const float gp = power < float(kLog2MaxAlpha) ? g_alpha * alpha * float(kLn2) : 0.f;
           const float e = dx * inverse_S, gx = -2 * gp * e, gS = gp * e * e;
           sums[kPowerSum] += gp, sums[kPowerDySum] += gp * dy, sums[kPowerDy2Sum] += gp * dy * dy;
@@ -212,16 +233,20 @@ __global__ void __launch_bounds__(kThreads)
           sums[kXDySum] += gx * dy, sums[kXsDySum] += gx * sample.s * dy;
           sums[kSSum] += gS, sums[kSsSum] += gS * sample.s, sums[kSs2Sum] += gS * sample.s * sample.s;
           if constexpr (kAntialiased) {
-            // log2 of the share is (log2 D - log2 S) / 2
+            // The exponent also has log2 of the share, which is (log2 D - log2 S) / 2
             const float half = gp * float(0.5 / kLn2), gD = half / sharpness(compensation, sample.s);
             const float of_S = -half * inverse_S;
             sums[kSSum] += of_S, sums[kSsSum] += of_S * sample.s, sums[kSs2Sum] += of_S * sample.s * sample.s;
             of_D.D0 += gD, of_D.D1 += gD * sample.s, of_D.D2 += gD * sample.s * sample.s;
           }
-          // Order 0 was clamped, and is masked, at projection
+
+          // The colour, where it was not clamped at zero. A polynomial of order 0 was clamped by the stage project,
+          // whose reverse takes care of that
           term[r][c] = order == 0 || value > 0 ? g[r][c] * weight : 0.f;
         }
       }
+
+      // Sums over the warp
       if (!__any_sync(~0u, lit)) continue;
 #pragma unroll
       for (int f = 0; f < kLensSums; ++f) {
@@ -240,6 +265,8 @@ __global__ void __launch_bounds__(kThreads)
         }
     }
     __syncthreads();
+
+    // Sums over the warps, a number a thread
     for (int i = threadIdx.x; i < count * all_sums; i += kThreads) {
       float sum = 0;
       for (int w = 0; w < kThreads / 32; ++w) sum += partial[w][i / all_sums][i % all_sums];
@@ -247,7 +274,7 @@ __global__ void __launch_bounds__(kThreads)
     }
   }
 
-  // Background: what every sample lets through
+  // The gradient of the background: what every sample lets through
   __syncthreads();
   for (int c = 0; c < 3; ++c) {
     float behind = 0;

@@ -1,4 +1,4 @@
-// What the kernels of the lens sensor take by value: the rig in float, and the colour basis.
+// What the kernels of the lens sensor take by value: the rig, exact and in float, and the colour basis.
 #pragma once
 
 #include "math/colour_polynomial.h"
@@ -6,7 +6,7 @@
 
 namespace lfgs::cuda {
 
-// ColourBasis for a kernel's arguments.
+// A ColourBasis in a form that fits the arguments of a kernel, in float.
 struct BasisTable {
   int order;
   float nodes[kMaxColourOrder + 1];
@@ -31,7 +31,7 @@ inline View<float> rounded(const View<double>& rig) {
   return view;
 }
 
-// A rig as it is, and rounded, for what does not need its last digits.
+// A rig as it is, and rounded to float for whatever does not need its last digits.
 struct Rig {
   View<double> exact;
   View<float> rounded;

@@ -1,4 +1,5 @@
-// Stage project for the lens sensor on the device: a thread per Gaussian.
+// Stage project for the lens sensor on the device: reads Gaussians, writes splats with their colour polynomials and the
+// keys by which they are sorted. A thread has a Gaussian.
 #include "cuda/common/check.h"
 #include "cuda/lens/project_lens.cuh"
 #include "cuda/stages/stages.h"

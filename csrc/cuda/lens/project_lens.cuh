@@ -1,5 +1,6 @@
-// Projection for the lens sensor on the device, a Gaussian at a time: what project_lens and frame_project do alike.
-// Arithmetic is float, but for where the mean is seen.
+// Projection for the lens sensor on the device, a Gaussian at a time: what project_lens and frame_project have in
+// common. It reads a Gaussian, and writes its splat, its colour polynomial and where asked its depth. Arithmetic is in
+// float, but for where the mean is seen, and for shapes in anti-aliased scenes.
 #pragma once
 
 #include <string>
@@ -16,10 +17,11 @@
 
 namespace lfgs::cuda {
 
-// What interpolation at the three nodes of order 2 leaves of a colour at most. Cameras on a line see a mean from
-// directions on a great circle, where the bands above 0 are a trigonometric polynomial of degree 3: it is at most
-// sqrt(15 / 4 pi) times their norm, by the addition theorem, its derivatives 3, 9, 27 times as much (Bernstein). The
-// angle's own, an arctangent of s, are at most slope, 0.65 slope^2, 2 slope^3; the error is f''' / 24.
+// A bound for the error of a colour that is interpolated at the three nodes of order 2, f''' / 24. Cameras on a line
+// see a mean from directions on a great circle. On it, the harmonics above band 0 are a trigonometric polynomial of
+// degree 3, which is at most sqrt(15 / 4 pi) times their norm by the addition theorem; its derivatives are at most 3, 9
+// and 27 times as much (Bernstein). The angle on the circle is an arctangent of s, whose derivatives are at most slope,
+// 0.65 slope^2 and 2 slope^3.
 __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const glm::vec3& mean,
                                        const View<float>& rig) {
   constexpr float kBound = 2.31f;
@@ -31,24 +33,29 @@ __device__ inline float parabola_error(const float (&sh)[3 * kMaxShCount], const
   return reach > 0 ? kBound * slope * slope * slope * sqrtf(square) : 0.f;
 }
 
-// The colour polynomial of one drawn splat: values at the nodes -> Chebyshev coefficients -> the powers it needs, at
-// least those up to the second. The first one's fourth number says the order again, for who would wait for it.
+// Stores the colour polynomial of one drawn splat: from its values at the nodes come Chebyshev coefficients, and from
+// these the powers of s that it needs; powers up to the second are always written, as zeros where it has none. The
+// fourth number of the first power repeats the order, so that a kernel that reads colours does not wait for it.
 template <int Order>
 __device__ inline void store_colours(const Gaussians<const float>& gaussians, const glm::vec3& mean,
                                      const View<float>& rig, const BasisTable& basis, float tolerance, int64_t i,
                                      const Splats<float>& out, unsigned* error) {
   constexpr int kNodes = Order + 1;
+
+  // Chebyshev coefficients
   float sh[3 * kMaxShCount];  // read once, in registers
   read_harmonics(gaussians, i, sh);
   glm::vec3 chebyshev[kNodes];
   auto value = [&](float s) { return sh_colour<float>(3, sh, mean, rig.eye_at(s)); };
   chebyshev_of_values(basis, kNodes, value, chebyshev);
   auto size = [&](int k) { return fmaxf(fabsf(chebyshev[k].x), fmaxf(fabsf(chebyshev[k].y), fabsf(chebyshev[k].z))); };
-  // Errors are positive, so their bits order like the numbers
+
+  // The estimated error, of which the frame keeps the largest. It is positive, so its bits order like the numbers
   const float left = Order == 2 ? parabola_error(sh, mean, rig) : size(Order) + size(Order - 1);
   const unsigned bits = __float_as_uint(left);
   if (bits > *static_cast<volatile unsigned*>(error)) atomicMax(error, bits);
 
+  // Drop as many of the last coefficients as the tolerance allows
   int kept = Order;
   float dropped = 0;
 #pragma unroll
@@ -56,6 +63,8 @@ __device__ inline void store_colours(const Gaussians<const float>& gaussians, co
     dropped += size(k);
     kept = dropped <= tolerance && kept == k ? k - 1 : kept;
   }
+
+  // Store the powers
   out.orders[i] = kept;
   float4* colours = reinterpret_cast<float4*>(out.colours) + i * kNodes;
 #pragma unroll 1
@@ -67,28 +76,29 @@ __device__ inline void store_colours(const Gaussians<const float>& gaussians, co
   for (int p = kept + 1; p <= 2; ++p) colours[p] = make_float4(0, 0, 0, 0);
 }
 
-// One colour for all cameras.
+// Stores the colour of a splat without harmonics: one for all cameras.
 __device__ inline void store_colour(const Gaussians<const float>& gaussians, int64_t i, const Splats<float>& out) {
   const float* sh = gaussians.sh + 3 * i;
   const glm::vec3 colour = glm::max(sh_colour<float>(0, sh, glm::vec3(0, 0, 1), glm::vec3(0)), glm::vec3(0));
   reinterpret_cast<float4*>(out.colours)[i] = make_float4(colour.x, colour.y, colour.z, 0);
 }
 
-// Where the mean is seen, in double: on a panel of thousands of pixels the last digits of a float show in small splats,
-// by a dB. Returns what rounding took from u0 and v0.
+// Sets where the mean is seen, from arithmetic in double: on a panel of thousands of pixels the last digits of a float
+// show in small splats, by a dB. Returns what rounding took from u0 and v0.
 __device__ inline float2 place_mean(const View<double>& rig, const glm::vec3& mean, Splat<float>& splat) {
   const glm::dvec3 t = rig.rotation * glm::dvec3(mean) + rig.translation;
   const double iz = 1 / t.z, u = rig.fx * t.x * iz + rig.cx, v = rig.fy * t.y * iz + rig.cy;
   splat.u0 = float(u), splat.v0 = float(v), splat.du = float(rig.sweep * rig.fx * (rig.inverse_zero_depth - iz));
   auto rest = [](double exact, float rounded) {
     const float r = float(exact - double(rounded));
-    return fabsf(r) < 1 ? r : 0.f;  // beyond, nothing of it is near the panel
+    return fabsf(r) < 1 ? r : 0.f;  // it is larger only far away from the panel
   };
   return make_float2(rest(u, splat.u0), rest(v, splat.v0));
 }
 
-// Projects, culls and stores splat i; returns it (reach_y < 0: not drawn). depths: where its depth goes instead, see
-// whole_splat_about(), or null.
+// Projects, culls and stores splat i, and returns it; reach_y < 0 says that it is not drawn. Where `depths` is not
+// null, the depth goes there, and its place in the splat receives what rounding took from u0 and v0, see
+// whole_splat_about().
 template <int Order, bool kAntialiased>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, float tolerance, float cut,
@@ -102,10 +112,14 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   else
     splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
   const float2 rest = splat.reach_y >= 0 ? place_mean(rigs.exact, shape.mean, splat) : make_float2(0, 0);
+
+  // Prune and cull
   const bool pruned = least_light > 0 && light_of(splat) < least_light;
   if (cut > float(kLog2MinAlpha)) raise_cut(splat, cut, by_patches);
   cull_outside(splat, width_px, height_px);
   if (pruned && splat.reach_y >= 0) splat.reach_y = kPruned;
+
+  // Store it, and if it is drawn its colours
   Splat<float> stored = splat;
   if (depths) depths[i] = __float_as_uint(splat.depth), stored.depth = packed(rest.x, rest.y);
   write_splat(stored, out.splats + i);
@@ -118,7 +132,8 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   return splat;
 }
 
-// Calls run with the order of the colours, and whether opacities are compensated, as compile-time constants.
+// Calls run(order, antialiased) with the order of the colours, and whether opacities are compensated, as compile-time
+// constants.
 template <class Run>
 void with_order(int order, bool antialiased, const Run& run) {
   auto with = [&](auto fixed) {

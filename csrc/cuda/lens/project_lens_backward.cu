@@ -1,4 +1,5 @@
-// Reverse of stage project for the lens sensor on the device: a thread per Gaussian.
+// Reverse of stage project for the lens sensor on the device: reads the sums of all slots, writes the gradients of the
+// Gaussians. A thread has a Gaussian, and adds up its slots in their order, so that the bits are always the same.
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/common/widened.cuh"
@@ -22,6 +23,8 @@ __global__ void __launch_bounds__(kThreads)
   if (i >= gaussians.count) return;
   const SlotRange slots = slot_ranges[i];
   if (slots.first == slots.last) return;
+
+  // The sums over the splat's slots: of its shape, its colours, and in an anti-aliased scene its compensation
   const Splat<float> s = splats.splats[i];
   const int order = basis.order, nodes = order + 1, sharp = kLensSums + 3 * nodes, kept = splats.orders[i];
   constexpr int kSharp = kAntialiased ? kCompensationFields : 0;
@@ -31,7 +34,8 @@ __global__ void __launch_bounds__(kThreads)
   for (int64_t slot = slots.first; slot < slots.last; ++slot)
     for (int f = 0; f < all_sums; ++f) sum[f] += slot_gradients[slot * all_sums + f];
 
-  // In double: the covariance of a long needle has no digits left in float, and there is but one projection a Gaussian
+  // The adjoint of the projection. It is in double, since the covariance of a long needle has no digits left in float;
+  // that costs little, for a Gaussian has but one projection
   const Splat<double> g_splat = lens_gradient_of(s, sum);
   const Shape<float> shape = shape_of(gaussians, i);
   const Shape<double> exact = widened(shape);
@@ -46,6 +50,7 @@ __global__ void __launch_bounds__(kThreads)
   }
   projection.adjoint<kAntialiased>(rig.exact, exact, g_splat, g, unused, g_sharp);
 
+  // The adjoint of the colours, which also depend on the mean
   const float* colours = splats.colours + i * nodes * kColourStride;
   const int64_t first = 3 * gaussians.sh_count() * i;
   vec3 g_chebyshev[kMaxColourOrder + 1];

@@ -1,10 +1,12 @@
 // Composite of a light-field frame where the light field is smooth: twin of cpu/lens/lens_lattice-inl.h on the device.
+// Reads the splats and the sorted lists of the frame; writes the image where a lattice is good enough, and the numbers
+// of all other tiles into LensFrame::refused.
 //
-// A tile is one of the kernel that the frame chose, with that kernel's lists. A warp lays a coarse lattice in
-// (x, y, view) through every section of it. Where that pays a block draws the nodes, all channels at once, and the
-// middles of cells; where these show that it is as good as asked for, it interpolates the tile's sub-pixels. Tiles that
-// are refused are left to the kernel chosen. Some rows of tiles go first: where few of theirs fit, the rows between do
-// without trying.
+// The tiles and lists are those of the kernel that the frame chose. First a warp lays a coarse lattice in (x, y, view)
+// through every section of a tile (see lattice_tile.cuh). Where that pays, a block draws the nodes, all channels at
+// once, and the middles of cells. Where the middles show that interpolation is as good as asked for, the block
+// interpolates the tile's sub-pixels. Tiles that are refused are left to the kernel chosen. Some rows of tiles go
+// first, as probes: where lattices fit in few of their tiles, the rows between do not try.
 #include "cuda/common/check.h"
 #include "cuda/frame/lattice/lattice_errors.cuh"
 #include "cuda/frame/lattice/lattice_interpolate.cuh"
@@ -13,24 +15,30 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kBlocks = 7;  // on a multiprocessor; loops that are short or rare are not unrolled for its registers
+// Blocks on a multiprocessor. They leave few registers, so loops that are short or rare are not unrolled.
+constexpr int kBlocks = 7;
 constexpr int kAttempts = 2;
 constexpr unsigned kLeastListed = 8;   // a tile of fewer splats is drawn before a lattice is laid
-constexpr unsigned kLeastFitting = 3;  // one in so many tiles with splats of a probed row
+constexpr unsigned kLeastFitting = 3;  // lattices must fit one in so many of the tiles that a probed row tried
 
+// Copies splats of a list into shared memory, with their colours and 1 / S on every plane of the lattice and half-way
+// between planes. By all threads of the block: a thread makes the shape of a splat at one of these offsets.
 __device__ void stage(const List& list, unsigned begin, int count, const Lattice& lattice, Staged& staged) {
   const int half_planes = 2 * lattice.planes - 1, shapes = count * half_planes;
   static_assert(kBatch <= kThreads);
   int n = threadIdx.x;
   int i = quotient(n, half_planes);
   uint32_t id = n < shapes ? list.ids[begin + i] : 0;  // asked for early
-  // By the last threads, which have the fewest shapes
+
+  // The geometry of the splats: by the last threads of the block, which have the fewest shapes
   const int mine = int(threadIdx.x) - (kThreads - kBatch);
   if (mine >= 0 && mine < count) {
     const Splat<float> s = list.splat(begin + mine);
     staged.place[mine] = make_float4(s.u0, s.du, s.v0, s.log2_opacity);
     staged.form[mine] = make_float4(s.tau, s.c0, s.c1, 0);
   }
+
+  // The shapes; the number of the next one's splat is read while this one is worked out
 #pragma unroll 1
   while (n < shapes) {
     const float s = fmaf(0.5f * float(n - i * half_planes), lattice.step_s, lattice.s0);
@@ -42,8 +50,8 @@ __device__ void stage(const List& list, unsigned begin, int count, const Lattice
   }
 }
 
-// Adds staged splats `first` to before `end` at a point, whose colour and transmittance so far `seen` is. A splat at
-// which a point ends takes what light is left.
+// Blends the staged splats from `first` to before `end` at a point. `seen` has the colour of the point so far, and in w
+// its transmittance. The splat at which a point ends takes what light is left.
 __device__ void add_staged(const Staged& staged, int first, int end, int half_planes, const Point& point, float stop,
                            float4& seen) {
   const float4* shape = staged.shapes + first * half_planes + point.half_plane;
@@ -59,12 +67,12 @@ __device__ void add_staged(const Staged& staged, int first, int end, int half_pl
   }
 }
 
-// Where threads have shares of their points: which share is this one's, and of which point.
+// Where several threads share a point, 1 << log2_shares of them: which share this thread has, and of which point.
 __device__ int own_share(int log2_shares) { return int(threadIdx.x) * (1 << log2_shares) / kThreads; }
 __device__ int number_abreast(int log2_shares) { return int(threadIdx.x) & ((kThreads >> log2_shares) - 1); }
 
-// The colour of every thread's point, 0..1. Of threads that have the same point, a power of two, each has a share of
-// the staged splats.
+// The colour, 0..1, of this thread's point. Where there are few points, several threads have the same point: each
+// blends a share of the staged splats, and all of them join the shares. By all threads of the block.
 __device__ float3 draw(const List& list, const Lattice& lattice, const Point& point, int log2_shares, float stop,
                        float4 background, Memory& memory) {
   const int half_planes = 2 * lattice.planes - 1, batch = min(kBatch, quotient(kShapes, half_planes));
@@ -78,6 +86,7 @@ __device__ float3 draw(const List& list, const Lattice& lattice, const Point& po
       if (!__all_sync(~0u, seen.w == 0)) add_staged(memory.staged, 0, count, half_planes, point, stop, seen);
       continue;
     }
+    // Blend this thread's share, then join the shares of the point from front to back
     float4 share = make_float4(0, 0, 0, 1);
     const int each = (count + (1 << log2_shares) - 1) >> log2_shares, from = own_share(log2_shares) * each;
     add_staged(memory.staged, from, min(from + each, count), half_planes, point, stop, share);
@@ -93,14 +102,16 @@ __device__ float3 draw(const List& list, const Lattice& lattice, const Point& po
                      __saturatef(fmaf(seen.w, background.z, seen.z)));
 }
 
-// Draws a section's nodes and the middles of its cells. The error there, as a share of what is allowed; if it is more
-// than that, nodes are moved, and it is what is left, or the largest move.
+// Draws a section's nodes and the middles of its cells, by all threads of the block. Returns the error at the middles,
+// as a share of what is allowed. If it is more than that, nodes are moved to lower it, and what counts is the error
+// that is left, or the largest move if that is more.
 __device__ float draw_lattice(const LensFrame& frame, const List& list, int section, float4 background,
                               Memory& memory) {
   const Lattice& lattice = memory.lattices[section];
   const float stop = fminf(frame.stop, fmaxf(0.1f * frame.lattice, float(kMinTransmittance)));
   const int nodes = lattice.nodes(), points = lattice.points(), numbers = 3 * (points - nodes);
   const int log2_shares = points <= kThreads / 4 ? 2 : points <= kThreads / 2 ? 1 : 0;
+  // A thread draws one point at a time; it stores a node, and compares a middle with its interpolation
   ErrorSums sums;
   for (int first = 0; first < points; first += kThreads) {
     const int number = first + number_abreast(log2_shares);
@@ -114,6 +125,8 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
       memory.middles[number - nodes] = Triple(colour);
     }
   }
+
+  // Good as it is, or good after nodes have moved
   const float error = sums.of_block(memory, numbers, kMeanShare) / frame.lattice;
   if (error <= 1) return error;
   sums = {share_errors(lattice, section, memory), 0};
@@ -122,7 +135,8 @@ __device__ float draw_lattice(const LensFrame& frame, const List& list, int sect
   return sums.of_block(memory, numbers, kMovedShare) / frame.lattice;
 }
 
-// Draws the lattice that was laid through a section, or if need be a finer one. By all threads of the block.
+// Draws the lattice that was laid through a section, or if need be a finer one; returns whether one of them is good
+// enough. By all threads of the block.
 __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart& part, int section, float4 background,
                      Memory& memory) {
   Lattice& lattice = memory.lattices[section];
@@ -132,6 +146,8 @@ __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart
     if (memory.first_node[section] + lattice.places() > kMostNodes) return false;
     const float error = draw_lattice(frame, list, section, background, memory);
     if (error <= 1 || attempt == kAttempts) return error <= 1;
+
+    // Lay a finer one, unless that takes too many nodes to pay
     fineness *= fmaxf(kBackOff * rsqrtf(error), 0.4f);
     __syncthreads();
     bool pays = true;
@@ -143,19 +159,19 @@ __device__ bool fits(const LensFrame& frame, const List& list, const LatticePart
   }
 }
 
-// Some rows of tiles go first, to learn where lattices are worth trying: the i-th row that is drawn.
+// The i-th row of tiles that is drawn. The probed rows go first, to learn where lattices are worth trying.
 __device__ int row_of(int i, int probes) {
   const int between = i - probes;
   return i < probes ? i * kProbeRows : between / (kProbeRows - 1) * kProbeRows + between % (kProbeRows - 1) + 1;
 }
 
-// Tiles of a probed row that are done, that have splats, and whose lattice fits: in one word, for so they are of one
-// moment.
+// What is known of a probed row: how many of its tiles are done, how many of them tried a lattice, and how many have
+// one that fits. The three counts are in one word, so that a reader gets all of them from the same moment.
 class ProbedRow {
  public:
   __device__ explicit ProbedRow(const unsigned long long& counts)
       : counts_(static_cast<const volatile unsigned long long&>(counts)) {}
-  // By one thread of every tile, at its end.
+  // Adds a tile that is done. Called by one thread of its block.
   static __device__ void report(unsigned long long& counts, bool tried, bool fits) {
     atomicAdd(&counts, 1ull | (unsigned long long)(tried) << kBits | (unsigned long long)(fits) << 2 * kBits);
   }
@@ -168,7 +184,8 @@ class ProbedRow {
   __device__ unsigned count(int which) const { return unsigned(counts_ >> which * kBits) & ((1u << kBits) - 1); }
 };
 
-// What the probed rows above and below a row say of it: whether in one of them enough tiles have a lattice that fits.
+// What the probed rows above and below say of a row between them: lattices are worth trying if enough tiles of one of
+// these have a lattice that fits, and not if both are done and neither has.
 enum Verdict : int { kUnknown, kWorth, kNotWorth };
 
 __device__ Verdict verdict_on(const FrameState& state, const Tiling& tiling, int row) {
@@ -179,7 +196,7 @@ __device__ Verdict verdict_on(const FrameState& state, const Tiling& tiling, int
   return above_done && below_done ? kNotWorth : kUnknown;
 }
 
-// By one thread: leaves a tile to the kernel chosen.
+// Leaves a tile to the kernel chosen. Called by one thread of the block.
 __device__ void refuse(const LensFrame& frame, int tile) {
   frame.refused[atomicAdd(&frame.state->refused_tiles, 1u)] = unsigned(tile);
 }
@@ -190,11 +207,12 @@ __device__ List list_of(const LensFrame& frame, const Lists& lists, const Tile& 
   return {frame.splats, lists.ids + range.x, range.y - range.x, tile.origin()};
 }
 
-// What becomes of a tile whose first section has no lattice, in the place of its planes: nothing of it is on the panel;
-// nothing is in it; it is left to the kernel chosen, untried; none pays there.
+// Why a tile has no lattices; stands in the place of the number of planes of its first lattice. Nothing of the tile is
+// on the panel; no splat is in it, so that it is filled with the background; no lattice was tried, for its splats are
+// few or not listed by tile; or a lattice would not pay there. The latter two are left to the kernel chosen.
 enum Unlaid : int { kUnseen = -3, kEmpty = -2, kUntried = -1, kPaysNot = 0 };
 
-// Lays lattices through the sections of tiles, of which a warp has one.
+// Lays lattices through the sections of all tiles, and writes them into LensFrame::lattices. A warp has one tile.
 __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_constant__ LensFrame frame) {
   __shared__ LatticePlanner planners[kWarps];
   __shared__ Lattice laid[kWarps];
@@ -204,12 +222,16 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   if (number >= tiling.across * tiling.down) return;
   Tile tile(frame, tiling, number / tiling.across, number % tiling.across);
   const bool seen = tile.find_columns(tile.row(lane));
+
+  // How many splats are in the tile; where one list has the splats of all tiles, no lattice is tried
   const Lists lists(frame);
-  const bool listed_apart = seen && lists.ranges != nullptr;  // a list of all splats is for nobody
+  const bool listed_apart = seen && lists.ranges != nullptr;
   unsigned listed = 0;
   for (int section = 0; listed_apart && section < tile.sections; ++section)
     listed += list_of(frame, lists, tile, range_of(lists, tile, section)).count;
   const bool empty = listed_apart && listed == 0, tried = listed_apart && listed >= kLeastListed;
+
+  // A lattice for every section, as long as all of them pay and fit the memory of a block
   Lattice* lattices = frame.lattices + int64_t(number) * tile.sections;
   bool pays = tried;
   for (int section = tile.sections - 1, places = 0; pays && section >= 0; --section) {
@@ -224,7 +246,8 @@ __global__ void __launch_bounds__(kThreads) plan_lattices_kernel(const __grid_co
   if (lane == 0 && !pays) lattices->planes = !seen ? kUnseen : empty ? kEmpty : !tried ? kUntried : kPaysNot;
 }
 
-// Draws the nodes of a tile's lattices; false where one does not fit. range: that of the first section's list.
+// Draws the nodes of a tile's lattices; false where one of them is not good enough. range is that of the first
+// section's list.
 __device__ bool draw_tile(const LensFrame& frame, const Lists& lists, const Tile& tile, uint2 range, float4 background,
                           Memory& memory) {
   for (int section = 0;; range = range_of(lists, tile, section)) {
@@ -237,8 +260,10 @@ __device__ bool draw_tile(const LensFrame& frame, const Lists& lists, const Tile
   }
 }
 
-// Blocks of probed rows are the first. Those between know by then whether lattices are worth it; who does not, tries,
-// and asks again. Nobody waits for a block of a higher number, and lower ones are running: blocks are started in turn.
+// Draws the tiles whose lattices fit. A block has a tile; its threads have points of the lattice, and then sub-pixels.
+// The first blocks have the probed rows. Most blocks of the rows between find out at their start whether lattices are
+// worth it; one that cannot know yet tries its own, and then waits until the probed rows are done. That ends: blocks
+// are started in turn, so all blocks of a lower number are running, and none waits for a block of a higher number.
 template <class Out>
 __global__ void __launch_bounds__(kThreads, kBlocks)
     composite_lattice_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
@@ -253,11 +278,14 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   Tile tile(frame, tiling, row, int(blockIdx.x) - i * tiling.across);
   const Lattice* laid = frame.lattices + int64_t(tile.number) * tile.sections;
   const Lists lists(frame);
-  // What is read from afar is asked for at once
+
+  // Read what is far away, all at once
   const int planes = laid->planes;
   const uint2 range = range_of(lists, tile, 0);
   const float4 behind = make_float4(background[0], background[1], background[2], 0);
   if (first && !probe) memory.verdict = verdict_on(state, tiling, row);
+
+  // Try the lattices, if there are any and the probed rows do not speak against it
   bool tried = planes >= kPaysNot;
   if (tried || planes == kEmpty) {
     if (planes > 0) memory.take(laid, tile.sections);
@@ -265,8 +293,10 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   }
   if (tried && !probe) tried = memory.verdict != kNotWorth;
   bool good = tried && planes != kPaysNot && draw_tile(frame, lists, tile, range, behind, memory);
+
+  // Wait for the probed rows where they were not done: whether a tile is drawn so must not depend on what came first
   if (tried && !probe && memory.verdict == kUnknown) {
-    __syncthreads();  // all have read it
+    __syncthreads();  // all have read the verdict
     if (first) {
       Verdict verdict;
       do verdict = verdict_on(state, tiling, row);
@@ -276,6 +306,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     __syncthreads();
     tried = memory.verdict == kWorth, good &= tried;
   }
+
+  // Say what became of the tile, then draw it
   if (first) {
     if (!good && planes >= kUntried) refuse(frame, tile.number);
     if (good) atomicAdd(&state.lattice_tiles, 1u);
@@ -291,7 +323,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   }
 }
 
-// Of the tiling that has more of them.
+// The number of tiles of the tiling that has more of them: which one the frame uses is decided on the device.
 unsigned most_tiles(const LensFrame& frame) {
   auto tiles = [](const Tiling& tiling) { return tiling.across * tiling.down; };
   return unsigned(std::max(tiles(frame.pixel), frame.has_ordinal ? tiles(frame.ordinal) : 0));

@@ -1,4 +1,5 @@
-// Errors of a lattice at the middles of its cells, and nodes moved for them; twin of LatticeErrors on the CPU.
+// How a block of composite_lattice.cu checks a lattice: the errors of interpolation at the middles of its cells, and
+// nodes moved to lower them. Twin of LatticeErrors on the CPU. It reads and changes the nodes in shared memory.
 #pragma once
 
 #include "cuda/frame/lattice/lattice_tile.cuh"
@@ -6,7 +7,8 @@
 namespace lfgs::cuda {
 namespace {
 
-// A node of a section's lattice, or the middle of a cell.
+// A point at which a section's lattice is drawn: a node, the middle of a cell, or nothing when the number is beyond
+// both. half_plane counts the planes and the offsets half-way between them.
 struct Point {
   bool node, middle;
   int i, j, k, half_plane;
@@ -26,11 +28,12 @@ struct Point {
   }
 };
 
-// Where a node's corners are.
+// Where in Memory::corners the cell that begins at a node has its place.
 __device__ inline int place_of(const Memory& memory, const Lattice& lattice, int section, const Point& node) {
   return memory.first_node[section] + lattice.plane[node.k].first + node.j * lattice.across + node.i;
 }
 
+// Stores the colour of a node, which is a corner of up to four cells.
 __device__ inline void store_node(const Lattice& lattice, const Point& node, float3 colour, int place, Memory& memory) {
   const float values[3] = {colour.x, colour.y, colour.z};
 #pragma unroll
@@ -46,7 +49,7 @@ __device__ inline void store_node(const Lattice& lattice, const Point& node, flo
 
 __device__ inline float3 difference(float3 a, float3 b) { return make_float3(a.x - b.x, a.y - b.y, a.z - b.z); }
 
-// What the corners of its cell make of a middle.
+// The colour that interpolation gives for the middle of a cell.
 __device__ inline float3 interpolated(const Lattice& lattice, const Nodes& nodes, const Point& middle) {
   auto channel = [&](int c) {
     return nodes.at(nodes.row_of(c, middle.j), __float2half2_rn(0.5f), float(middle.i) + 0.5f,
@@ -63,7 +66,8 @@ struct ErrorSums {
     largest = fmaxf(largest, fmaxf(fabsf(e.x), fmaxf(fabsf(e.y), fabsf(e.z))));
     squares += e.x * e.x + e.y * e.y + e.z * e.z;
   }
-  // Of all `count` errors of a block: the largest, or `share` root mean squares if they are more.
+  // Puts together the `count` errors of all threads of the block, which call this together: returns the largest, or
+  // `share` times the root mean square if that is more.
   __device__ float of_block(Memory& memory, int count, float share) const {
     const float most = warp_max(largest), sum = warp_sum(squares);
     if (threadIdx.x % 32 == 0) memory.largest[threadIdx.x / 32] = most, memory.squares[threadIdx.x / 32] = sum;
@@ -74,15 +78,17 @@ struct ErrorSums {
   }
 };
 
-// The mean of the errors at the middles round a node; 0 where they have both signs.
+// The mean, for each channel, of the errors at the middles round a node; 0 where they have both signs.
 __device__ inline float3 errors_round(const Lattice& lattice, const Point& node, const Triple* errors) {
   const int cells = lattice.cells(), rows = lattice.down - 1;
   const __half2 most = __float2half2_rn(60000.f), none = __float2half2_rn(0.f);
   __half2 low[2] = {most, most}, high[2] = {__hneg2(most), __hneg2(most)}, sum[2] = {none, none};
   int count = 0;
+
+  // The least, the largest and the sum, over the cells before and behind the node in the view, in y and in x
 #pragma unroll 1
   for (int k = max(node.k - 1, 0); k <= min(node.k, lattice.planes - 2); ++k) {
-    // Of the cells between planes, how far is the first on this one from those that lean nowhere
+    // The middles lie half the lean aside of the nodes on either plane: find the ones left and right of the node
     const int lean = int(lattice.plane[k].aside) * (k == node.k ? 1 : -1);
     const int right = node.i - lattice.margin + (lean >> 1), left = right - !(lean & 1);
 #pragma unroll 1
@@ -99,6 +105,8 @@ __device__ inline float3 errors_round(const Lattice& lattice, const Point& node,
         }
       }
   }
+
+  // Where least and largest have one sign, the mean
   const float each = 1 / float(count);
   auto mean = [&](float low, float high, float sum) { return low > 0 || high < 0 ? sum * each : 0.f; };
   return make_float3(mean(__low2float(low[0]), __low2float(high[0]), __low2float(sum[0])),
@@ -106,7 +114,7 @@ __device__ inline float3 errors_round(const Lattice& lattice, const Point& node,
                      mean(__low2float(low[1]), __low2float(high[1]), __low2float(sum[1])));
 }
 
-// Calls visit(number, error) for a thread's middles.
+// Calls visit(number, error) for those middles that this thread has.
 template <class Visit>
 __device__ void for_each_error(const Lattice& lattice, int section, const Memory& memory, const Visit& visit) {
   const Nodes nodes(memory, section);
@@ -116,8 +124,9 @@ __device__ void for_each_error(const Lattice& lattice, int section, const Memory
     visit(n - first, difference(interpolated(lattice, nodes, Point(lattice, n)), memory.middles[n - first].floats()));
 }
 
-// Moves every node by its share of the errors at the middles round it, see kNodeShare; a thread's largest move. Nodes
-// round which the field errs both ways, as it does at an edge, stay.
+// Moves every node by a share of the errors at the middles round it, see kNodeShare, and returns the largest move of
+// this thread's nodes. Nodes round which there are errors of both signs, as at an edge, stay where they are. By all
+// threads of the block.
 __device__ float share_errors(const Lattice& lattice, int section, Memory& memory) {
   for_each_error(lattice, section, memory, [&](int number, float3 e) { memory.errors[number] = Triple(e); });
   __syncthreads();

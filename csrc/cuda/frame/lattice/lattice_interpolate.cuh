@@ -1,5 +1,6 @@
-// How a block of composite_lattice interpolates a tile of lenses, runs of sub-pixels side by side and then rows at
-// once, or fills a tile with the background.
+// How a block of composite_lattice.cu interpolates a tile of lenses, or fills a tile with the background. It reads the
+// nodes in shared memory and writes the image: a thread interpolates the run of sub-pixels that one lens has in a row,
+// bytes are collected in shared memory, and then whole rows are stored at once.
 #pragma once
 
 #include "cuda/frame/lattice/lattice_tile.cuh"
@@ -7,29 +8,34 @@
 namespace lfgs::cuda {
 namespace {
 
-// A colour in 0..1 -> stored(), without a conversion.
+// A colour in 0..1 as stored() makes it. Instead of a conversion a number is added that leaves the byte in the bits.
 __device__ inline uint8_t byte_of(float c) { return uint8_t(__float_as_uint(fmaf(c, 255.f, Place::kMagic))); }
 
-// Interpolates a run of sub-pixels of row r of a tile of lenses, the first with this phase: put(m, colour).
+// Interpolates a run of sub-pixels, ends.x to before ends.y, in row r of a tile of lenses, and calls put(m, colour) for
+// each. `phase` is that of the first.
 template <bool Table, class Put>
 __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const Views<Seen>& views, unsigned phase, int r,
                                 int2 ends, const Put& put) {
   __half2 part;
   const int row = nodes.row(float(r) + 0.5f, part), pixel = ends.x / 3, place = ends.x - 3 * pixel;
   const float x_first = (float(pixel) + 0.5f - tile.origin().x - nodes.x0) * nodes.per_x;
+
+  // The nodes' row and the place along x of three sub-pixels, in the order in which they follow in the run
   unsigned channels[3];
   float x[3];
 #pragma unroll
-  for (int i = 0; i < 3; ++i) {  // in the order in which the sub-pixels follow
+  for (int i = 0; i < 3; ++i) {
     const bool next = place + i >= 3;
     const int at = place + i - 3 * next;
     channels[i] = nodes.row_of(tile.lens.channels[at], row), x[i] = next ? x_first + nodes.per_x : x_first;
   }
+
+  // Three at a time
 #pragma unroll 1
   for (int m = ends.x; m < ends.y; m += 3) {
     float colours[3];
 #pragma unroll
-    for (int i = 0; i < 3; ++i) {  // all of them, to have several reads under way
+    for (int i = 0; i < 3; ++i) {  // also those behind the end, so that several reads are under way
       colours[i] = nodes.at(channels[i], part, nodes.within(x[i]), views.at<Table>(phase));
       phase += views.step;
     }
@@ -41,8 +47,8 @@ __device__ void interpolate_run(const Tile& tile, const Nodes& nodes, const View
   }
 }
 
-// The same for all of the rows from `top` to before `end` that a section has: put(r, at, colour), with the place in the
-// row.
+// Interpolates what a section has in the rows from `top` to before `end`, and calls put(r, at, colour) with the place
+// of each sub-pixel in its row. By all threads of the block: a thread has the runs of one lens, in some of the rows.
 template <bool Table, class Put>
 __device__ void interpolate_section(const Tile& tile, const Memory& memory, const Views<Seen>& views, int section,
                                     int top, int end, const Put& put) {
@@ -56,7 +62,8 @@ __device__ void interpolate_section(const Tile& tile, const Memory& memory, cons
   }
 }
 
-// Stores the bytes of rows of a tile: [rows, row_bytes], from the first sub-pixel of each on.
+// Stores the collected bytes of the rows from `top` to before `end`: [rows, row_bytes], each from its first sub-pixel
+// on. 16 bytes at a time where the image allows it.
 __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int end, int row_bytes, uint8_t* out) {
   const int width = 3 * tile.lens.width_px;
   constexpr int kWord = sizeof(uint4), kWords = 3 * kPixelTileWidth / kWord;
@@ -75,8 +82,9 @@ __device__ void store_rows(const Tile& tile, const Memory& memory, int top, int 
     store_row(tile.lens, tile.top + r, memory.rows[r], memory.interpolated.bytes + (r - top) * row_bytes, out);
 }
 
-// Draws a tile some rows at a time: draw(top, end, put) for the rows from `top` to before `end`, with put(row, place in
-// it, colour). By all threads of the block, which wait for each other before and after.
+// Draws a tile, as many rows at a time as fit the memory: calls draw(top, end, put) for the rows from `top` to before
+// `end`, which in turn calls put(row, place in it, colour) for every sub-pixel. By all threads of the block, which wait
+// for each other before and after `draw`.
 template <class Out, class Draw>
 __device__ void draw_rows(const Tile& tile, Memory& memory, Out* out, const Draw& draw) {
   const int row_bytes = tile.row_bytes();
@@ -96,7 +104,7 @@ __device__ void draw_rows(const Tile& tile, Memory& memory, Out* out, const Draw
   }
 }
 
-// Interpolates the sub-pixels of a tile of lenses.
+// Interpolates the sub-pixels of a tile of lenses, section after section. By all threads of the block.
 template <class Out>
 __device__ void interpolate_lenses(const Tile& tile, Memory& memory, Out* out) {
   draw_rows(tile, memory, out, [&](int top, int end, const auto& put) {
@@ -113,7 +121,7 @@ __device__ void interpolate_lenses(const Tile& tile, Memory& memory, Out* out) {
   });
 }
 
-// Fills a tile with the background.
+// Fills a tile with the background. By all threads of the block: a warp has a row at a time.
 template <class Out>
 __device__ void fill(const Tile& tile, Memory& memory, float4 background, Out* out) {
   const float4 shown = by_place(tile.lens, background);

@@ -1,5 +1,5 @@
-// Where a lattice is laid through a section of a tile, by a warp: math/lattice_plan.h with a splat, a bin or a plane a
-// lane.
+// How a warp lays a lattice through a section of a tile. The arithmetic is that of math/lattice_plan.h, with the
+// splats, then the bins, then the planes shared out among the lanes.
 #pragma once
 
 #include <new>
@@ -10,7 +10,7 @@
 
 namespace lfgs::cuda {
 
-// The list of a section.
+// The list of splats of a section, and the point from which x and y are counted.
 struct List {
   const Splats<float>& splats;
   const uint32_t* ids;
@@ -18,7 +18,7 @@ struct List {
   float2 origin;
 
   __device__ Splat<float> splat(unsigned i) const { return splat_about(splats, ids[i], origin); }
-  // Of a splat at the offset s, no channel below zero; w: 1 / S.
+  // The colour of a splat seen from the offset s, no channel below zero, and in w its 1 / S there.
   __device__ float4 shape(uint32_t id, float s) const {
     const float4 S = reinterpret_cast<const float4*>(splats.splats + id)[1];
     const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
@@ -33,10 +33,12 @@ struct List {
   }
 };
 
-// How fast the light field of a section varies, and a lattice for it. In shared memory, by all lanes of a warp.
+// Measures how fast the light field of a section varies, and lays a lattice for it. It lives in shared memory; all
+// lanes of a warp call its functions together.
 class LatticePlanner {
  public:
-  // Measures a part, by some splats of its list.
+  // Measures a part of the panel by some splats of its list. A lane works out the terms of one splat; then two lanes
+  // add up what belongs to one bin, each the terms of every other splat.
   __device__ void measure(const List& list, const LatticePart& part) {
     constexpr int kMeasured = 256;  // about; enough for averages
     constexpr int kShare = 32 / LatticeCurvature::kBins;
@@ -60,6 +62,8 @@ class LatticePlanner {
       }
       __syncwarp();
     }
+
+    // Join the sums of the lanes that have the same bin
     for (int step = kShare / 2; step > 0; step /= 2)
       for (float* sum : {&sums.weight, &sums.x, &sums.y, &sums.x_du, &sums.x_du2})
         *sum += __shfl_xor_sync(~0u, *sum, step);
@@ -67,20 +71,26 @@ class LatticePlanner {
     __syncwarp();
   }
 
-  // Lays a lattice of such a fineness. False where it would take too many nodes to pay.
+  // Lays a lattice of the given fineness. False where it would take too many nodes to pay.
   __device__ bool lay(float fineness, Lattice& lattice) const {
-    constexpr float kReach = 2.3f;  // of splats, in units of a plan's
+    constexpr float kReach = 2.3f;  // how far splats reach, in the standard deviations in which a plan counts
     const LatticeCurvature& curvature = *reinterpret_cast<const LatticeCurvature*>(curvature_);
     const int lane = threadIdx.x % 32;
+
+    // Steps, rows and planes, from the sum over all bins
     LatticeCurvature::Totals totals;
     if (lane < LatticeCurvature::kBins) totals.add(curvature.bin(lane));
     for (float* total : {&totals.weight, &totals.x, &totals.y, &totals.spread}) *total = warp_sum(*total);
     if (lane == 0) curvature.lay(totals, fineness, kMostLatticePlanes + 1, lattice);
     __syncwarp();
+
+    // How far each plane leans, a plane a lane, and the columns that this takes
     const float lean = curvature.lean_of(lane, lattice), margin = warp_max(fabsf(lean));
     if (lane == 0) curvature.widen(margin, lattice);
     __syncwarp();
     if (lattice.planes > kMostLatticePlanes || lattice.across > kMostNodes || lattice.down > kMostNodes) return false;
+
+    // Where each plane's nodes are stored, see LatticePlane
     int first = 0;
     for (int k = 0; k < lattice.planes - 1; ++k) {
       const int on = lattice.stride() - int(__shfl_sync(~0u, lean, k));
@@ -88,6 +98,8 @@ class LatticePlanner {
     }
     if (lane < lattice.planes) lattice.plane[lane] = {lean, first};
     __syncwarp();
+
+    // Whether it pays with splats of the size that the steps tell
     const float reach = 2 * kReach / fineness;
     return float(lattice.points()) <= points_worth(reach * lattice.step_x, reach * lattice.step_y);
   }

@@ -1,6 +1,10 @@
-// How a block of composite_lattice interpolates a tile of pixels: it brings the nodes to the rows of pixels first, of
-// which a row of nodes has many. That leaves x and the view to each sub-pixel, and of these a thread has four side by
-// side, in halves. (A row of a tile of lenses has more nodes for fewer sub-pixels: see lattice_interpolate.cuh.)
+// How a block of composite_lattice.cu interpolates a tile of pixels. It reads the nodes in shared memory and writes the
+// image.
+//
+// Many rows of pixels lie between two rows of nodes, so the block interpolates the nodes along y first, to every row of
+// pixels. For each sub-pixel there is left to interpolate along x and the view, in halves; a thread does so for four
+// sub-pixels side by side. (A row of a tile of lenses has more nodes and fewer sub-pixels: see
+// lattice_interpolate.cuh.)
 #pragma once
 
 #include "cuda/frame/lattice/lattice_tile.cuh"
@@ -8,12 +12,13 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kWords = 3 * kPixelTileWidth / 4;  // of four sub-pixels, in a row
-// Threads have the same places in every so many rows; kColumns of them.
+constexpr int kWords = 3 * kPixelTileWidth / 4;  // words of four sub-pixels in a row
+// A thread works on kColumns words, and on the same words in every kRowsOn-th row.
 constexpr int kColumns = 3, kRowsOn = kColumns * kThreads / kWords;
 static_assert(kRowsOn * kWords == kColumns * kThreads);
 
-// Rows of pixels of a tile, from `top` on: what is between nodes of each channel, and each plane but the last.
+// The nodes brought to the rows of pixels of a tile, from `top` on: for each channel and each plane but the last, what
+// is between one node and the next.
 struct NodeRows {
   const Nodes& nodes;
   const Lattice& lattice;
@@ -27,14 +32,15 @@ struct NodeRows {
         of_channel((lattice.planes - 1) * lattice.across),
         of_row(3 * of_channel) {}
 
-  // How many are laid at a time.
+  // How many rows are laid at a time: what fits, and in whole turns of the threads if there are several.
   __device__ int fitting(int rows) const {
     const int fit = min(quotient(kMostBetween, of_row), rows);
     return fit < rows && fit > kRowsOn ? fit / kRowsOn * kRowsOn : fit;
   }
   __device__ int first_of(int row) const { return (row - top) * of_row; }
 
-  // Lays rows from top_ to before `end`. By all threads of the block.
+  // Lays rows from top_ to before `end`. By all threads of the block: a thread has one node of one channel and plane,
+  // in all rows or in some of them.
   __device__ void lay(int top_, int end) {
     top = top_;
     const int rows_on = max(quotient(kThreads, of_row), 1), first = rows_on > 1 ? quotient(threadIdx.x, of_row) : 0;
@@ -45,7 +51,7 @@ struct NodeRows {
       const int k = quotient(in_channel, lattice.across), i = in_channel - k * lattice.across;
       const Corners* planes = nodes.corners + channel * kChannelNodes;
       const Corners* near = planes + lattice.plane[k].first + i;
-      // Nodes beyond the next plane's are beside what is seen of this one's
+      // Where the next plane has no such node, no sample sees this one, and any will do
       const int on = min(max(i + int(lattice.plane[k].aside), 0), lattice.across - 1);
       const Corners* far = planes + lattice.plane[k + 1].first + on;
 #pragma unroll 1
@@ -59,14 +65,14 @@ struct NodeRows {
   }
 };
 
-// Four colours, 0..1, as bytes, without a conversion: beside 1024 a half has steps of one.
+// Four colours, 0..1, as bytes. Instead of a conversion 1024 is added: a half of that size has steps of one.
 __device__ inline unsigned bytes_of(__half2 first, __half2 second) {
   const __half2 scale = __float2half2_rn(255.f), magic = __float2half2_rn(1024.f);
   return __byte_perm(bits(__hfma2(first, scale, magic)), bits(__hfma2(second, scale, magic)), 0x6420);
 }
 
-// Puts four colours of a row of the image where they belong, from number `first` of the row on. Words: bytes that may
-// be stored four at a time.
+// Puts four colours into a row of the image, from number `first` of the row on. Words: the image is of bytes, and they
+// may be stored four at a time.
 template <bool Words, class Out>
 __device__ void put_four(int width, int first, __half2 low, __half2 high, Out* row) {
   if constexpr (Words) {
@@ -78,7 +84,8 @@ __device__ void put_four(int width, int first, __half2 low, __half2 high, Out* r
     if (first + i < width) row[first + i] = stored(colours[i], row);
 }
 
-// The tile's sub-pixels in rows that were laid, to before `end`, in the order of the image.
+// Interpolates the tile's sub-pixels in the rows that were laid, to before `end`, in the order of the image. Table:
+// whether `views` has one.
 template <bool Table, bool Words, class Out>
 __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const Views<RowSeen>& views,
                                  const NodeRows& rows, int end, Out* out) {
@@ -89,10 +96,11 @@ __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const V
   for (int n = threadIdx.x; n < kColumns * kThreads; n += kThreads) {
     const int word = n % kWords, channel = word % 3, pixel = word + word / 3, first = tile_first + 4 * word;
     if (first >= width) continue;
-    // Of the first one's pixel and of the next, in nodes
+
+    // What the four have in every row: the place along x, and the phase from the first sub-pixel of the row on
     const float x = float(tile_first / 3 + pixel) + 0.5f - tile.origin().x - nodes.x0;
     const unsigned here = fixed(nodes.within(x * nodes.per_x)), next = fixed(nodes.within((x + 1) * nodes.per_x));
-    unsigned along[4], phase_on[4];  // from channel to channel; from the row's first
+    unsigned along[4], phase_on[4];
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
       const bool inside = channel + i < 3;
@@ -100,6 +108,8 @@ __device__ void interpolate_rows(const Tile& tile, const Memory& memory, const V
       along[i] = (inside ? here : next) + (unsigned(c * rows.of_channel) << 16);
       phase_on[i] = views.step * unsigned(3 * (inside ? pixel : pixel + 1) + lens.places[c]);
     }
+
+    // Row after row
     int r = rows.top + n / kWords;
     unsigned base = rows.first_of(r);
     Out* row = out + int64_t(tile.top + r) * width;
@@ -135,6 +145,8 @@ __device__ void interpolate_pixels(const Tile& tile, Memory& memory, Out* out) {
   Views<RowSeen> views(tile.lens, lattice);
   views.tabulate(memory.interpolated.row_seen);
   const int fitting = rows.fitting(tile.rows);
+
+  // As many rows at a time as fit the memory
   const bool words = sizeof(Out) == 1 && tile.lens.width_px % 4 == 0 && reinterpret_cast<uintptr_t>(out) % 4 == 0;
   for (int top = 0; top < tile.rows; top += fitting) {
     const int end = min(top + fitting, tile.rows);

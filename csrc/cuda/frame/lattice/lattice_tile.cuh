@@ -1,7 +1,8 @@
-// A tile of composite_lattice: which sub-pixels are its own, and the nodes from which they are interpolated.
+// A tile of composite_lattice.cu: which sub-pixels are its own, the nodes from which they are interpolated, and what a
+// block has of both in shared memory.
 //
-// A tile of pixels is one section, the whole rig; one of lenses has a section for each group of ordinals, since every
-// group has a list of its own. A section has a lattice of its own.
+// A tile is made of sections, and each section has a list of splats and a lattice of its own. A tile of pixels is one
+// section, which sees the whole rig; a tile of lenses has a section for each group of ordinals.
 #pragma once
 
 #include <cuda_fp16.h>
@@ -21,18 +22,20 @@ constexpr int kMostSections = (kMostOrdinals + kGroupOrdinals - 1) / kGroupOrdin
 constexpr int kBatch = 32, kShapes = 512;
 constexpr int kMostTableViews = 192;
 
-// a / b of whole numbers below 2^12: what is approximate is far from the next.
+// a / b, rounded down, of whole numbers below 2^12. The division is approximate, but (a + 1/2) / b is at least 1 / (2
+// b) from any whole number, so that the result is exact.
 __device__ inline int quotient(int a, int b) { return int((float(a) + 0.5f) * fast_reciprocal(float(b))); }
 
-// Splats for all points of a lattice.
+// A batch of splats, as all points of a lattice read them.
 struct Staged {
   float4 place[kBatch];    // u0, du, v0, log2 of the opacity
   float4 form[kBatch];     // tau, c0, c1
-  float4 shapes[kShapes];  // a splat's colour and 1 / S on planes and half-way between: [splats, 2 planes - 1]
+  float4 shapes[kShapes];  // a splat's colour and 1 / S on the planes and half-way between: [splats, 2 planes - 1]
 };
 
-// An offset between two planes: the nodes that a sample lies aside on the nearer of them, and where that is stored
-// (16 bits) under the part of the way to the next (a half).
+// What a sub-pixel sees: an offset between two planes of a lattice. `aside` says how many nodes aside it lies on the
+// first of the two; the word below has where that plane is stored (16 bits) and the part of the way to the next plane
+// (a half, above).
 struct alignas(8) Seen {
   float aside;
   unsigned first_and_part;
@@ -45,10 +48,11 @@ struct alignas(8) Seen {
   __device__ __half2 part() const { return __high2half2(as_half2(first_and_part)); }
 };
 
-// A number of nodes in 65536ths; half a 1024th more, of which numbers are made later.
+// A number of nodes in 65536ths. Half a 1024th is added, since only 1024ths are used later: so they are rounded.
 __device__ inline unsigned fixed(float nodes) { return unsigned(int(fmaf(nodes, 65536.f, 32.f))); }
 
-// The same in rows of pixels, see lattice_rows.cuh: how far on what is seen is stored, and the part.
+// The same for rows of pixels, see lattice_rows.cuh: how far on in a row that is stored which is seen, in 65536ths of a
+// node, and the part of the way to the next plane.
 struct alignas(8) RowSeen {
   unsigned on;
   __half2 part;
@@ -59,8 +63,8 @@ struct alignas(8) RowSeen {
         part(__float2half2_rn(part_)) {}
 };
 
-// Colours between a node and the next along x, in a row of pixels: at t = 1 .. 2, from the one to the other, first + t
-// step. How both change to the next plane.
+// Colours from a node to the next along x, in a row of pixels: first + t step, where t goes from 1 at the one node to 2
+// at the other; and how `first` and `step` change to the next plane.
 struct alignas(8) Between {
   __half2 first_and_step, change;
 
@@ -75,7 +79,8 @@ struct alignas(8) Between {
   }
 };
 
-// Colours, 0..1, of a node and of the next along x, in a row and in the next: what a place between needs, read at once.
+// Colours, 0..1, at the corners of a cell: of a node and the next along x, in its row (low) and in the next (high). A
+// place in the cell needs all four, and reads them at once; so every colour is stored up to four times.
 struct alignas(8) Corners {
   __half2 low, high;
 };
@@ -93,7 +98,8 @@ struct alignas(8) Triple {
 
 constexpr int kChannelNodes = kMostNodes + 5;  // so that the same node of another channel is in another bank
 
-// What is being interpolated: what is seen of the section at hand from every view, then as many rows as fit.
+// Memory for interpolation: what every view sees of the section at hand, then either the colours of as many rows as
+// fit (bytes), or the nodes of as many rows of pixels as fit (between).
 struct Interpolated {
   static constexpr int kRowBytes = sizeof(Staged) - kMostTableViews * sizeof(Seen);
   union {
@@ -105,21 +111,23 @@ struct Interpolated {
     Between between[kRowBytes / sizeof(Between)];
   };
 };
-// Of a row of pixels; a lattice of two rows of nodes has as many, all nodes but those of the last plane.
+// One row of pixels must fit: of each channel it has a row of nodes on every plane but the last. With two rows of nodes
+// or more that is half of all nodes at most.
 constexpr int kMostBetween = Interpolated::kRowBytes / sizeof(Between);
 static_assert(kMostBetween >= 3 * kMostNodes / 2);
 
+// What a block keeps in shared memory.
 struct Memory {
-  Corners corners[3][kChannelNodes];  // from each node on: sections, planes, rows, nodes
+  Corners corners[3][kChannelNodes];  // of the cell that begins at each node: by section, plane, row and node
   union {
     Triple middles[kMostNodes];  // of the section at hand, see lattice_errors.cuh
-    float4 shares[kThreads];     // before: of points, colour and transmittance
+    float4 shares[kThreads];     // while points are drawn in shares: colour and transmittance of each
   };
   Lattice lattices[kMostSections];
   int first_node[kMostSections];
-  int2 rows[kTileRows];        // sub-pixels, from x to before y; beyond the panel too
-  unsigned phases[kTileRows];  // of the first of these, without the last 32 bits
-  int low, high;               // columns of pixels
+  int2 rows[kTileRows];        // the tile's sub-pixels in each row, from x to before y; also those beyond the panel
+  unsigned phases[kTileRows];  // phase of the first of these, without the last 32 bits
+  int low, high;               // first and last column of pixels
   int verdict;                 // see verdict_on
   float largest[kWarps], squares[kWarps];
   union {
@@ -129,7 +137,8 @@ struct Memory {
     Interpolated interpolated;
   };
 
-  // Takes the lattices that were laid through sections. By all threads of the block, which wait for each other after.
+  // Takes the lattices that were laid through sections. By all threads of the block; the caller has them wait for each
+  // other afterwards.
   __device__ void take(const Lattice* laid, int sections) {
     const int *from = reinterpret_cast<const int*>(laid), words = sections * int(sizeof(Lattice) / sizeof(int));
     for (int k = threadIdx.x; k < words; k += kThreads) reinterpret_cast<int*>(lattices)[k] = from[k];
@@ -137,6 +146,7 @@ struct Memory {
   }
 };
 
+// Which part of the panel a tile is.
 struct Tile {
   const LensOptics& lens;
   const Tiling& tiling;
@@ -162,7 +172,7 @@ struct Tile {
     const int first = column * 3 * int(tiling.width);
     return make_int2(first, first + 3 * int(tiling.width));
   }
-  // Finds the columns; by a warp that has a row each in its lanes. False where none is on the panel.
+  // Finds the columns of pixels, by a warp of which each lane has a row. False where nothing is on the panel.
   __device__ bool find_columns(int2 row) {
     const int width = 3 * lens.width_px;
     const bool shown = int(threadIdx.x % 32) < rows && row.y > 0 && row.x < width;
@@ -171,7 +181,7 @@ struct Tile {
       low = min(low, __shfl_xor_sync(~0u, low, step)), high = max(high, __shfl_xor_sync(~0u, high, step));
     return high >= low;
   }
-  // The same by a block, which keeps the rows.
+  // Finds the columns, and writes rows, their phases and the columns into the block's memory. By all its threads.
   __device__ void lay_rows(Memory& memory) {
     if (threadIdx.x < 32) {
       const int2 ends = row(threadIdx.x);
@@ -183,9 +193,10 @@ struct Tile {
     __syncthreads();
     low = memory.low, high = memory.high;
   }
-  // Of the lattice's x and y, in pixels.
+  // Where the lattice's x and y are zero, in pixels.
   __device__ float2 origin() const { return make_float2(float(low), float(top)); }
 
+  // The box that a section's lattice must fill: columns, rows and offsets.
   __device__ LatticePart part(int section) const {
     float centre, half;
     if (by_lens)
@@ -195,10 +206,10 @@ struct Tile {
     return {0.5f, float(high - low) + 0.5f, 0.5f, float(rows) - 0.5f, centre - half, centre + half};
   }
 
-  // More than any of its rows has.
+  // Bytes of a row, at most.
   __device__ int row_bytes() const { return by_lens ? lens_row_bytes(lens.line_number) : 3 * kPixelTileWidth; }
 
-  // First and end on the panel of what the n-th lens of row r has of a section.
+  // The sub-pixels on the panel that the n-th lens of row r has of a section, from x to before y.
   __device__ int2 run(int r, int section, int n) const {
     const int begin = lens_start(lens, top + r, first_lens + n) + kGroupOrdinals * section;
     const int end = section == sections - 1 ? lens_start(lens, top + r, first_lens + n + 1) : begin + kGroupOrdinals;
@@ -206,12 +217,12 @@ struct Tile {
   }
 };
 
-// x >= 0 as n + part, n whole and part in 0..1, or -1e-4, so that an x that should be whole counts as such; without a
-// conversion, which are slow: 2^23 + 2^22 leaves n in the bits.
+// x >= 0 as n + part, with n whole and part between -1e-4 and 1: an x that is a little less than whole counts as whole.
+// Conversions to integers are slow, so there is none: after 2^23 + 2^22 is added, the last bits of the float are n.
 struct Place {
   static constexpr float kMagic = 12582912.f;
   static constexpr unsigned kMagicBits = 0x4b400000u;
-  unsigned bits;  // n + kMagicBits: sums of many leave that out once
+  unsigned bits;  // n + kMagicBits, which whoever needs n subtracts
   float part;
 
   __device__ explicit Place(float x) {
@@ -220,7 +231,7 @@ struct Place {
   }
 };
 
-// The nodes of a section: colours between them. What is read again and again is in registers.
+// Interpolates colours between the nodes of a section. What is read again and again is copied here, to be in registers.
 struct Nodes {
   const Corners* corners;
   int across, down, plane_stride;
@@ -239,12 +250,12 @@ struct Nodes {
         per_y(fast_reciprocal(lattice.step_y)),
         last_along(float(lattice.across - 1 - lattice.margin) - 0.02f) {}
 
-  // Where a row of nodes of a channel begins, less what the bits of a place are too large by (modulo 2^32).
+  // Where a row of nodes of a channel begins, less what the bits of a Place are too large by (modulo 2^32).
   __device__ unsigned row_of(int channel, int row) const {
     return unsigned(channel * kChannelNodes + row * across) - Place::kMagicBits;
   }
-  // At x0 + along step_x, as seen, `part` (twice) of the way from the row of nodes to the next: straight along x and y
-  // on the planes on both sides, and between them.
+  // The colour at x0 + along step_x, as seen, `part` (twice in a word) of the way from the row of nodes to the next. It
+  // is interpolated straight along y, between the two planes, and along x.
   __device__ float at(unsigned row, __half2 part, float along, const Seen& seen) const {
     const Place node(along - seen.aside);
     const Corners* first = corners + (node.bits + seen.first() + row);
@@ -253,8 +264,9 @@ struct Nodes {
     const __half2 pair = mixed(near, far, seen.part());
     return fmaf(node.part, __high2float(pair) - __low2float(pair), __low2float(pair));
   }
-  // As `along`: within the lattice.
+  // Keeps `along` within the lattice.
   __device__ float within(float along) const { return fminf(along, last_along); }
+  // The row of nodes before y, and as `part` the way from there to the next.
   __device__ int row(float y, __half2& part) const {
     const float place = (y - y0) * per_y;
     const int row = min(int(place), down - 2);
@@ -264,13 +276,13 @@ struct Nodes {
   static __device__ __half2 mixed(__half2 a, __half2 b, __half2 part) { return __hfma2(part, __hsub2(b, a), a); }
 };
 
-// What sub-pixels of a section see, as Seen or RowSeen, by their phases. The last 32 bits of these are left out: that
-// matters to a view now and then at its border.
+// Finds what sub-pixels of a section see, as Seen or RowSeen, by their phases. The last 32 bits of phases are left out:
+// now and then that gives a sub-pixel at the border of two views the other one.
 template <class S>
 struct Views {
   const Lattice& lattice;
   const S* table = nullptr;
-  unsigned step, whole;  // so many offsets in a lens: views, or enough to be continuous
+  unsigned step, whole;  // phase from a sub-pixel to the next; offsets told apart: views, or enough to be continuous
   float slope, base, last_up;
 
   __device__ Views(const LensOptics& lens, const Lattice& lattice_)
@@ -286,7 +298,8 @@ struct Views {
     const Place plane(fminf(fmaxf(fmaf(float(number), slope, base), 0.f), last_up));
     return {lattice, int(plane.bits - Place::kMagicBits), plane.part};
   }
-  // Makes a table, if they are few. By all threads of the block, which wait for each other before it is read.
+  // Makes a table if the offsets are few. By all threads of the block; the caller has them wait for each other before
+  // the table is read.
   __device__ void tabulate(S (&seen)[kMostTableViews]) {
     if (whole > kMostTableViews) return;
     for (unsigned number = threadIdx.x; number < whole; number += kThreads) seen[number] = from(number);

@@ -1,15 +1,20 @@
-// Composite of a light-field frame by tiles of lenses, for rigs of large disparity. Needs tensor cores (sm_80).
+// Composite of a light-field frame by tiles of lenses, for rigs of large disparity. Needs tensor cores (sm_80). Reads
+// the frame's splats and sorted lists, writes the image.
 //
 // The t-th sub-pixels of neighbouring lenses see nearly the same part of the rig: an *ordinal* t covers 1 / P_e of it.
-// A warp task is 4 lenses x 16 rows at one ordinal, 64 samples. With x, y, v (the view, scaled) about its centre,
-//   exponent = A(y) - d(x, y, v)^2,   A = log2 o - tau (y - v0)^2,   d = S^(-1/2) (x - m(y, s)) to second order in v,
-// are inner products of features of the sample with coefficients of the splat: d has 16 of them, A has 8, in half
-// precision, large coefficients as the sum of two halves; the tensor cores multiply, in float. So do the colours: of
-// each sample's features only those of its own channel are not zero. Colours enter as differences to the splat before.
-// Where S varies too much within the ordinal, d gets its S^(-1/2) sample by sample: such hits are *careful*.
+// A warp task is 4 lenses x 16 rows at one ordinal, 64 samples. x, y and v (the view, scaled) count from the centre of
+// the task. The exponent of a splat at a sample is
+//   A(y) - d(x, y, v)^2,   A = log2 o - tau (y - v0)^2,   d = S^(-1/2) (x - m(y, s)) to second order in v.
+// Both A and d are inner products of *features* of the sample (1, x, y, v, x v ...) with *coefficients* of the splat:
+// d has 16 of them and A has 8. They are in half precision, large coefficients as the sum of two halves; the tensor
+// cores multiply them and add in float. Colours are inner products, too: each sample has features that are not zero
+// only for its own channel. A splat's colour enters as the difference to that of the splat before.
+// Where S varies too much within the ordinal for the polynomial, S^(-1/2) is evaluated sample by sample: such hits (a
+// hit is a splat that may touch the task's samples) are *careful*.
 //
-// A tile has 16 lenses x 32 rows, 8 warps; its ordinals come in groups, each with a list of splats. Lane t of each quad
-// takes one contiguous quarter of a task's hits; over is associative, the quarters are joined once.
+// A block draws a tile of 16 lenses x 32 rows with 8 warps. The ordinals of a tile come in groups, each with a list of
+// splats. Of each quad of lanes every lane takes one contiguous quarter of a task's hits; since over is associative,
+// the quarters are joined once at the end.
 #include <cuda_fp16.h>
 
 #include "cuda/frame/ordinal/ordinal_task.cuh"
@@ -17,8 +22,9 @@
 namespace lfgs::cuda {
 namespace {
 
-// The colours of every splat at every ordinal: parabolas through three places of what the ordinal sees, none below zero
-// there. A list of a group would read them several times; a thread has kShare ordinals of a splat.
+// Writes the colours of every splat at every ordinal into LensFrame::ordinal_colours and ordinal_slopes: parabolas
+// through three places of what the ordinal sees, with nothing below zero there. They are made once for the whole frame,
+// since several lists have the same splat. A thread makes kShare ordinals of one splat.
 constexpr int kShare = 3, kColourThreads = 128;
 __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const __grid_constant__ LensFrame frame) {
 #if __CUDA_ARCH__ >= 800
@@ -30,8 +36,10 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
   if (id >= splats.count || splats.splats[id].reach_y < 0) return;
   const int first = int(thread % items) * kShare, order = splats.orders[id];
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + id * (splats.colour_order + 1);
+
+  // The offsets at which the colour polynomial is evaluated
   constexpr int kAhead = 4;                       // loads under way at a time
-  float s[kShare][3], values[kShare][3][3] = {};  // ordinals; low, middle, high; places
+  float s[kShare][3], values[kShare][3][3] = {};  // by ordinal; low, middle, high; values also by place
 #pragma unroll
   for (int o = 0; o < kShare; ++o)
 #pragma unroll
@@ -39,6 +47,8 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
       const int ordinal = min(first + o, ordinals.count - 1);
       s[o][n] = fmaf(float(n - 1) * kParabolaPlace, ordinals.half[ordinal], ordinals.centre[ordinal]);
     }
+
+  // Horner's rule, from the highest power of s down
   for (int high = order; high >= 0; high -= kAhead) {
     float4 c[kAhead];
 #pragma unroll
@@ -56,10 +66,12 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
         }
     }
   }
+
+  // The parabolas, in v
 #pragma unroll
   for (int o = 0; o < kShare; ++o) {
     const float half = ordinals.half[min(first + o, ordinals.count - 1)];
-    // Half of 1 / v at the last place, with its sign
+    // 1 / (2 v), where v is that of the last of the three offsets, with its sign
     const float inverse = half > 0 ? 0.5f * offset_unit(frame.optics) / (kParabolaPlace * half) : 0.5f;
     float middle[3];
     unsigned slope[3];
@@ -78,7 +90,8 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
 #endif
 }
 
-// The shares of opacity of every splat at every ordinal.
+// For an anti-aliased scene: writes the share of opacity of every splat at every ordinal into
+// LensFrame::ordinal_shares, as ShareFit has it. A thread makes one.
 __global__ void __launch_bounds__(kColourThreads) ordinal_shares_kernel(const __grid_constant__ LensFrame frame) {
 #if __CUDA_ARCH__ >= 800
   if (frame.state->kernel != int(LensKernel::kOrdinal)) return;
@@ -95,7 +108,9 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_shares_kernel(const __
 }
 
 #if __CUDA_ARCH__ >= 800
-// No branch: several reads are under way at a time.
+// Copies splats of a list, and without harmonics their colours, into the block's shared memory. With harmonics or
+// shares of opacity, the place of a splat's depth receives the index, in the arrays by ordinal, of its entry at ordinal
+// `first`. There are no branches, so that several reads are under way at a time.
 template <bool Harmonics, bool Antialiased>
 __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, Memory<Harmonics>& memory) {
   constexpr int kParts = Harmonics ? 3 : 4;
@@ -112,6 +127,8 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, in
   }
 }
 
+// Draws one tile, by all threads of the block. Bytes are collected in shared memory and then stored row by row; floats
+// go straight to the image.
 template <bool Harmonics, bool Antialiased, class Out>
 __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned tile, int row_bytes,
                           const float4& background, Out* out, Memory<Harmonics>& memory) {
@@ -119,6 +136,8 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
   const Ordinals& ordinals = lens.ordinals;
   const int tile_x = tile % frame.ordinal.across, tile_y = tile / frame.ordinal.across, width = 3 * lens.width_px;
   const int first_lens = ordinals.first_lens + tile_x * kTileLenses;
+
+  // Where the tile's rows begin and end; where none is on the panel there is nothing to draw
   bool shown = false;
   for (int r = threadIdx.x; r < kTileRows; r += kThreads) {
     const int row = tile_y * kTileRows + r;
@@ -128,6 +147,8 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
   }
   if (!__syncthreads_or(shown)) return;
   Task<Harmonics, Antialiased> task(frame, memory, tile_x, tile_y);
+
+  // `put` takes the colour of a finished sample: sub-pixel `at` of row r of the tile
   uint8_t* bytes = reinterpret_cast<uint8_t*>(&memory + 1);
   auto put = [&](int r, int at, float value) {
     if constexpr (sizeof(Out) == 1) {
@@ -139,6 +160,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
     }
   };
 
+  // Group by group: walk the list in batches that fit shared memory, until all samples are opaque
   for (int group = 0; group < ordinals.groups; ++group) {
     const int first = group * ordinals.per_group, last = min(first + ordinals.per_group, ordinals.count) - 1;
     task.clear(first);
@@ -162,6 +184,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
     task.finish(first, last, background, put);
   }
 
+  // Store the bytes, a row a warp
   if constexpr (sizeof(Out) == 1) {
     __syncthreads();
     for (int r = threadIdx.x / 32; r < kTileRows; r += kWarps) {
@@ -172,6 +195,8 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
 }
 #endif
 
+// Draws the frame, if it has chosen this kernel. There are as many blocks as the device holds at a time; each draws one
+// tile after another until none is left, and a thread has the parts described at Task.
 template <bool Harmonics, bool Antialiased, class Out>
 __global__ void __launch_bounds__(kThreads, 2)
     composite_ordinal_kernel(const __grid_constant__ LensFrame frame, int row_bytes, const float* background,
@@ -195,6 +220,7 @@ __global__ void __launch_bounds__(kThreads, 2)
 #endif
 }
 
+// Launches the kernels that make colours and shares by ordinal, where the scene needs them, and the one that draws.
 template <bool Harmonics, bool Antialiased, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   if (Harmonics && frame.splats.count) {
@@ -218,8 +244,9 @@ void launch(const LensFrame& frame, const float* background, Out* out, cudaStrea
 
 }  // namespace
 
-// Asks what the kernels were compiled for: a device may run the PTX of an older one, without tensor cores. A tile takes
-// 107 to 121 KB of shared memory with harmonics, and devices of 99 KB (sm_86, sm_89, sm_120) draw all frames by pixels.
+// Asks what the kernels were compiled for, since a device may run PTX made for an older one without tensor cores. A
+// tile takes 107 to 121 KB of shared memory with harmonics, so devices of 99 KB (sm_86, sm_89, sm_120) draw all frames
+// by pixels.
 bool can_composite_ordinal(const Lens& lens) {
   int device = 0, shared = 0;
   cudaFuncAttributes built{};
@@ -232,7 +259,7 @@ bool can_composite_ordinal(const Lens& lens) {
   const bool fits = built.ptxVersion >= 80 && bytes <= size_t(shared);
   if (!lens.has_cells)
     return fits && number >= kMinLineNumber && number <= kMaxLineNumber && views_each <= kMostViewsEach;
-  // Two more ordinals, which see more views; and what lies at a place must be of one channel
+  // With cells there are two more ordinals, and each sees more views; and what lies at a place must be of one channel
   return fits && number >= kMinCellLineNumber && number <= kMaxLineNumber - 2 && lens.stands_in_order() &&
          lens.has_one_order() && (1 + 2 * lens.most_beyond()) * views_each <= kMostViewsEach;
 }

@@ -1,5 +1,8 @@
 // A warp's patch in composite_ordinal.cu, 4 lenses x 16 rows: where its samples are, which splats touch it, and what
-// its samples hold.
+// its samples hold. It reads the frame and the staged splats, and writes the warp's part of shared memory: cull() the
+// queues of hits, clear() the state of the samples, which finish() hands out as colours.
+//
+// All 32 lanes of a warp call these functions together.
 #pragma once
 
 #include "cuda/frame/ordinal/ordinal_operands.cuh"
@@ -15,13 +18,15 @@ struct Patch {
   WarpMemory<Harmonics>& own;
   int lane, row0, lens0;  // of the patch
   float middle_y;
-  float x_sheared, half_x;  // of ordinal -1/2, x + tan y; half width to the outermost pixel centres
-  unsigned places;          // bit 8 p + s: the lens of sample s that this lane accumulates starts at place p
+  float x_sheared, half_x;  // x + tan(slant) y of ordinal -1/2; half the width between the outermost pixel centres
+  unsigned places;          // bit 8 p + s: this lane's sample s is of a lens that starts at place p
 
   __device__ Patch(const LensFrame& frame_, Memory<Harmonics>& memory_, int tile_x, int tile_y)
       : frame(frame_), memory(memory_), own(memory_.warps[threadIdx.x / 32]), lane(threadIdx.x % 32) {
     const int warp = threadIdx.x / 32, across = warp % kWarpsAcross, down = warp / kWarpsAcross;
     const LensOptics& lens = frame.optics;
+
+    // The patch, and how far its samples reach along x at an ordinal
     row0 = tile_y * kTileRows + down * kWarpRows;
     lens0 = lens.ordinals.first_lens + (tile_x * kWarpsAcross + across) * kWarpLenses;
     middle_y = row0 + 0.5f * kWarpRows;
@@ -29,6 +34,8 @@ struct Patch {
     x_sheared = (phase0 - float(lens.lead)) / 3 + 0.5f * lens.slant_tan + 1.f / 6;
     if (lane == 0) own.x_first = x_sheared - lens.slant_tan * middle_y;
     half_x = (0.5f * (kWarpLenses - 1) * lens.line_number + 0.5f) / 3 + 1.f / 3 + 0.01f;
+
+    // Where the lens of each sample begins, a sample of each half of the patch to a lane
     for (int h = 0; h < kHalves; ++h) {
       const int row = row0 + lane / kWarpLenses + 8 * h, number = lens0 + lane % kWarpLenses;
       const int begin = lens_start(lens, row, number);
@@ -38,12 +45,14 @@ struct Patch {
       own.phase[h][lane] = phase_at(lens, row, start);
     }
     __syncwarp();
+
+    // At which place of a pixel the lenses of this lane's samples begin
     places = 0;
-    for (int s = 0; s < 2 * kFragments; ++s)  // fragment s / 2, its row lane / 4 or 8 more
+    for (int s = 0; s < 2 * kFragments; ++s)  // sample s is in fragment s / 2, in row lane / 4 of it or 8 more
       places |= 1u << 8 * place_of(own.start[s / 4][s / 2 % 2 * 16 + s % 2 * 8 + lane / 4]) + s;
   }
 
-  // x + tan y of an ordinal's samples, and of those of a group
+  // x + tan(slant) y in the middle of an ordinal's samples; halves count, for the middle of several ordinals.
   __device__ float sheared(float ordinal) const { return x_sheared + (ordinal + 0.5f) / 3; }
 
   __device__ Splat<float> staged(int i) const {
@@ -53,14 +62,17 @@ struct Patch {
     return Strip(s, row0 + 0.5f, row0 + kWarpRows - 0.5f, frame.optics.slant_tan);
   }
 
-  // Which staged splats may touch the patch at which ordinal of the group; returns, in lane t, how many at ordinal t.
+  // Which staged splats may touch the patch at which ordinal of the group: fills the queues, which keep the splats in
+  // their order, and returns in lane t how many there are at ordinal t.
   __device__ int cull(int count, int first, int last) {
-    lane = forgotten(lane);  // draw, between culls, has no registers for what these need of it
+    lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows from it here
     const Ordinals& ordinals = frame.optics.ordinals;
     const float a = ordinals.centre[first], b = ordinals.centre[last];
     const float reach = fmaxf(fabsf(b - a) * 0.5f + ordinals.half[first], fabsf(b - a) * 0.5f + ordinals.half[last]);
     const unsigned before = (1u << lane) - 1;
     const float x = sheared(0.5f * (first + last)), half = half_x + (last - first) * (1.f / 6);
+
+    // First all ordinals of the group as one, a splat a lane: most splats end here
     uint16_t* queue = reinterpret_cast<uint16_t*>(own.operands);
     int survivors = 0, first_page = 0;
     for (int begin = 0; begin < count; begin += 32) {
@@ -74,6 +86,8 @@ struct Patch {
       if (begin < kPage) first_page = survivors;
     }
     __syncwarp();
+
+    // Then the survivors at every ordinal, a page of staged splats after the other
     const float x_first_ordinal = sheared(first);
     int counts[kGroupOrdinals] = {}, mine = 0;
 #pragma unroll 1
@@ -110,13 +124,14 @@ struct Patch {
     return k >= own.first_page[t] ? i + kPage : i;
   }
 
-  // Where sample i of the two that this lane keeps stands: its half, its slot there.
+  // Where sample i of the two that this lane keeps (see Task::join) stands: its half of the patch, its number there.
   __device__ int2 place_of_kept(int i) const {
     const int quad = lane % 4, sample = quad % 2 * kFragments + quad / 2 * kHalves + i, fragment = sample / 2;
     return make_int2(fragment / 2, fragment % 2 * 16 + sample % 2 * 8 + lane / 4);
   }
 
-  // Nothing drawn yet. Samples that the panel does not have are opaque: nobody works on them.
+  // Begins a group: nothing is drawn yet. Samples that are not on the panel, or not of the lens, count as opaque, so
+  // that nobody works on them.
   __device__ void clear(int first) {
     const LensOptics& lens = frame.optics;
 #pragma unroll
@@ -135,6 +150,7 @@ struct Patch {
     __syncwarp();
   }
 
+  // Whether all samples of the patch are done: at ordinal t of the group; at all of the first ordinals.
   __device__ bool opaque(int t) const {
     bool all = true;
 #pragma unroll

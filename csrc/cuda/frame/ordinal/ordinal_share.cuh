@@ -1,4 +1,5 @@
-// The share of its opacity that an anti-aliased splat has within an ordinal, see math/compensation.h.
+// The share of its opacity that an anti-aliased splat keeps within an ordinal, sqrt(D(s) / S(s)) in
+// math/compensation.h: as it is for careful hits, and as a parabola for all others.
 #pragma once
 
 #include "cuda/common/halves.cuh"
@@ -6,32 +7,36 @@
 
 namespace lfgs::cuda {
 
-// Of log2 of the share: beyond, a parabola is too rough for it. Alpha is off by less than 0.1/255.
+// The largest error of log2 of the share for which a parabola is good enough: alpha is off by less than 0.1/255.
 constexpr float kMostShareError = 5e-4f;
 
-// share^2 = (e0 + e1 v + e2 v^2) / (1 + s1 v + s2 v^2), s1 and s2 those of an OrdinalShape.
+// The share as a function of v: share^2 = (e0 + e1 v + e2 v^2) / (1 + s1 v + s2 v^2), where s1 and s2 are those of an
+// OrdinalShape.
 struct OrdinalShare {
   float e0 = 1, e1 = 0, e2 = 0;
 
   OrdinalShare() = default;
-  // About the same offset as the shape, in the same unit.
+  // centre and unit must be those that the shape was made with.
   __device__ OrdinalShare(const Compensation<float>& c, const OrdinalShape& shape, float centre, float unit) {
     const float inverse = shape.r * shape.r;
     e0 = fmaxf(fmaf(centre, fmaf(centre, c.D2, c.D1), c.D0), 0.f) * inverse;
     e1 = fmaf(2 * centre, c.D2, c.D1) * unit * inverse, e2 = c.D2 * unit * unit * inverse;
   }
+  // The share that another lane of the warp has. All lanes call this.
   __device__ OrdinalShare of_lane(int lane) const {
     OrdinalShare out;
     out.e0 = __shfl_sync(~0u, e0, lane), out.e1 = __shfl_sync(~0u, e1, lane), out.e2 = __shfl_sync(~0u, e2, lane);
     return out;
   }
+  // Log2 of the share at v, where inverse_square is 1 / (1 + s1 v + s2 v^2).
   __device__ float log2_at(float v, float inverse_square) const {
     return 0.5f * log2f(fmaxf(fmaf(v, fmaf(v, e2, e1), e0), 0.f) * inverse_square);
   }
 };
 
-// Log2 of the share as level + slope v + bend v^2; level is no number where that is too rough. From the series of
-// log(1 + a v + b v^2) = a v + (b - a^2 / 2) v^2 + (a^3 / 3 - a b) v^3 - (a^4 / 4 - a^2 b + b^2 / 2) v^4 ...
+// Log2 of the share as level + slope v + bend v^2; level is NaN where that is too rough. The coefficients come from
+//   log(1 + a v + b v^2) = a v + (b - a^2 / 2) v^2 + (a^3 / 3 - a b) v^3 - (a^4 / 4 - a^2 b + b^2 / 2) v^4 ...
+// for the numerator less the same for the denominator. The next two terms tell the error.
 struct ShareFit {
   float level, slope, bend;
 
@@ -43,7 +48,7 @@ struct ShareFit {
     auto fourth = [](float p, float q) { return p * p * (q - 0.25f * p * p) - 0.5f * q * q; };
     const float third = kUnit * (cube(a, b) - cube(s, t)), last = kUnit * (fourth(a, b) - fourth(s, t));
     const float error = reach * reach * reach * (0.4f * fabsf(third) + 0.5f * reach * fabsf(last));
-    // Series of what varies much say little
+    // The series says little of what varies much, so such splats are too rough whatever the error
     const float most = reach * fmaxf(fabsf(a) + reach * fabsf(b), fabsf(s) + reach * fabsf(t));
     level = error <= kMostShareError && most <= 0.5f ? 0.5f * log2f(share.e0) : NAN;
     slope = fmaf(ordinals.cubic, third, kUnit * (a - s)), bend = kUnit * (square(a, b) - square(s, t));

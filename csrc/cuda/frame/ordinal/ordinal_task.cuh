@@ -1,4 +1,8 @@
-// A warp's task in composite_ordinal.cu: its patch at one ordinal after another, from the hits to the samples.
+// A warp's task in composite_ordinal.cu: its patch at one ordinal, from the hits to the samples.
+//
+// It reads the staged splats and the queue of hits that Patch::cull() wrote, has the tensor cores multiply the features
+// of the samples with the coefficients of the hits, and adds what comes out to the colours and transmittances in
+// WarpMemory::state. composite_ordinal.cu has the formulas.
 #pragma once
 
 #include "cuda/frame/ordinal/ordinal_patch.cuh"
@@ -8,23 +12,32 @@
 namespace lfgs::cuda {
 
 #if __CUDA_ARCH__ >= 800
+
+// All 32 lanes of a warp call the functions below together. Before the products a lane stands for one hit (its
+// coefficients) or for two samples, one of each half of the patch (their features); after them it has, as the tensor
+// cores lay out a product, eight samples at two hits.
 template <bool Harmonics, bool Antialiased>
 struct Task : Patch<Harmonics> {
   using Base = Patch<Harmonics>;
   using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::middle_y, Base::places;
   using Base::row0, Base::staged, Base::queued;
 
-  // Features of the samples at an ordinal as operands of the tensor cores.
+  // The features of all samples at an ordinal, as operands of the tensor cores: those that d is made of, and those of
+  // the exponent's part A. A lane computes the features of two samples, one in each half of the patch; then the warp
+  // exchanges them through its memory.
   __device__ void features(int ordinal, float x_centre, unsigned (&d)[kFragments][4], unsigned (&A)[kFragments][2]) {
     const LensOptics& lens = frame.optics;
     const unsigned base = unsigned(__cvta_generic_to_shared(own.operands));
-    uint4 low[kHalves], high[kHalves], rows[kHalves];  // all before the first is stored: their latencies overlap
+
+    // Compute the features: both halves before the first is stored, so that their latencies overlap
+    uint4 low[kHalves], high[kHalves], rows[kHalves];
 #pragma unroll
     for (int h = 0; h < kHalves; ++h) {
       const int pixel = int(floorf((own.start[h][lane] + ordinal + 0.5f) * (1.f / 3)));
       const float x = pixel + 0.5f - x_centre, y = lane / kWarpLenses + 8 * h + 0.5f - 0.5f * kWarpRows;
-      // From its start no sub-pixel of a lens wraps. Before it and behind its end, where cells may have one, v could be
-      // too large for a half
+      // The phase is added up from the start of the lens, so that it does not wrap within the lens. With cells an
+      // ordinal may also lie before that start or behind the lens's end; there v could be too large for a half, which
+      // the clamp below prevents
       uint64_t phase = own.phase[h][lane] + lens.phase_x * uint64_t(ordinal);
       if (lens.has_cells) phase += cell_phase(lens, row0 + lane / kWarpLenses, own.start[h][lane] + ordinal);
       float v = (camera_of(lens, phase) - lens.ordinals.view[ordinal]) * lens.ordinals.view_unit;
@@ -32,9 +45,12 @@ struct Task : Patch<Harmonics> {
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
       low[h] = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
       high[h] = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
-      // The last two have coefficients of zero, but for shares of opacity: they are for the colours
+      // A has coefficients for v and v^2 only in an anti-aliased scene, where they make the share of opacity; otherwise
+      // these two stand here for the colours, see view_of()
       rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), Harmonics || Antialiased ? halves(v, vv) : 0);
     }
+
+    // Exchange them: a half at a time is stored, and loaded in the layout that the tensor cores want
 #pragma unroll
     for (int h = 0; h < kHalves; ++h) {
       __syncwarp();
@@ -50,47 +66,52 @@ struct Task : Patch<Harmonics> {
     }
   }
 
-  // The coefficients of d and of the exponent for one hit, about (x_centre, middle_y) and the offset centre; unit is
-  // the offset that v = 1 stands for. The d of a careful hit lacks a factor, see complete().
+  // The coefficients of d and of A for one hit. They belong to x and y from (x_centre, middle_y) and to the offset
+  // centre + unit v. The d of a careful hit lacks the factor that depends on v, which complete() multiplies in.
   template <bool Careful>
   __device__ Operands coefficients(const Splat<float>& s, const OrdinalShape& shape, float centre, float unit,
                                    float x_centre) const {
     const float r = shape.r, p2 = Careful ? 0.f : shape.p2();
-    // What of the third order is next to the first
+    // The cubic term is not left out: the line that is nearest to it over the ordinal joins the linear one
     const float p1 = Careful ? 0.f : fmaf(frame.optics.ordinals.cubic, shape.p3(), shape.p1());
+    // With x - m = E + x - tilt y - v (sweep + turn y), each of these is the coefficient of the power in its name
     const float Y = middle_y - s.v0, tilt = fmaf(centre, s.c1, s.c0);
     const float E = fmaf(-tilt, Y, fmaf(-centre, s.du, x_centre - s.u0)), sweep = unit * fmaf(s.c1, Y, s.du);
     const float turn = unit * s.c1;
     const float v = fmaf(p1, E, -sweep) * r, yv = fmaf(-p1, tilt, -turn) * r, vv = fmaf(p2, E, -p1 * sweep) * r;
     const float yvv = fmaf(-p2, tilt, -p1 * turn) * r, vvv = -p2 * sweep * r;
-    // The second half of vv, or where v itself is not exact in half the coefficient of what is left of it
+
+    // Large coefficients are the sum of two halves. One place is used in two ways: where every v is exact as a half, it
+    // has the second half of the coefficient vv; for continuous views, what rounding left of v has its coefficient here
     const unsigned v_ = split(v), vv_ = split(vv), yv_ = split(yv);
     const unsigned rest = frame.optics.continuous ? v_ << 16 : vv_;
     return {make_uint4(split(E * r), halves(p1 * r, yv), split(r), halves(vv, yvv)),
             make_uint4(split(-tilt * r), halves(p2 * r, vvv), v_, __byte_perm(rest, yv_, 0x7632)),
             make_uint4(split(fmaf(-s.tau * Y, Y, s.log2_opacity)), split(-2 * s.tau * Y), split(-s.tau), 0)};
   }
-  // Puts a hit's share of opacity into its exponent; share: see ShareFit.
+  // Puts a hit's share of opacity, as ordinal_shares_kernel stored it, into the coefficients of A.
   __device__ void take_share(Operands& operands, const Splat<float>& s, float2 share) const {
     const float Y = middle_y - s.v0;
     operands.exponent.x = split(fmaf(-s.tau * Y, Y, s.log2_opacity) + share.x);
     operands.exponent.w = __float_as_uint(share.y);
   }
 
-  // The colour of a staged splat, for all cameras; number kBatch is black.
+  // Without harmonics: the colour of staged splat i, the same for all cameras. Number kBatch is black.
   __device__ Colour colour(int i) const {
     Colour out;
     const float4 c = memory.colour[Harmonics ? 0 : i];
     out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
     return out;
   }
+  // With harmonics: a colour out of the two pieces in which LensFrame stores it.
   static __device__ Colour whole(const float4& c, const uint2& slopes) {
     Colour out;
     out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
     out.slope[0] = __float_as_uint(c.w), out.slope[1] = slopes.x, out.slope[2] = slopes.y;
     return out;
   }
-  // With harmonics: stores one in the warp's memory; reads it.
+  // With harmonics: keeps such a colour in the warp's memory, and reads it again, for the hits that follow take the
+  // difference to it.
   __device__ void keep(int place, const float4& c, const uint2& slopes) {
     own.whole_colour[Harmonics ? place : 0] = c, own.whole_slope[Harmonics ? place : 0] = slopes;
   }
@@ -98,22 +119,23 @@ struct Task : Patch<Harmonics> {
     return whole(own.whole_colour[Harmonics ? place : 0], own.whole_slope[Harmonics ? place : 0]);
   }
 
-  // The samples, a bit each, of a place at an ordinal; of no place 3.
+  // The samples of this lane, a bit each, that stand at a place of their pixel at an ordinal; none for place 3.
   __device__ unsigned of_place(int place, int ordinal) const {
     return places >> 8 * (place == 3 ? 3 : (place + 3 - ordinal % 3) % 3);
   }
-  // What belongs to the place of an accumulated sample; parts by the place that its lens starts at.
+  // Chooses for a sample that this lane accumulates: parts[p] is for samples whose lens starts at place p.
   template <class T>
   __device__ T pick(const T (&parts)[3], int sample) const {
     return places >> sample & 1 ? parts[0] : places >> (8 + sample) & 1 ? parts[1] : parts[2];
   }
 
-  // v and v^2 of an accumulated sample, as halves; they stand in the last columns of its features.
+  // v and v^2, as halves, of a sample that this lane accumulates. They are the last two features of A, and those are
+  // with the last lane of the quad.
   __device__ unsigned view_of(const unsigned (&features)[kFragments][2], int sample) const {
     return __shfl_sync(~0u, features[sample / 2][sample % 2], lane | 3);
   }
 
-  // The whole v of an accumulated sample, out of its features of d.
+  // v of a sample that this lane accumulates in full: with continuous views it is the sum of two features of d.
   __device__ float exact_view_of(const unsigned (&features)[kFragments][4], int sample) const {
     const unsigned (&of_fragment)[4] = features[sample / 2];
     const float v = __low2float(as_half2(__shfl_sync(~0u, of_fragment[sample % 2], lane | 3)));
@@ -121,8 +143,9 @@ struct Task : Patch<Harmonics> {
     return v + __low2float(as_half2(__shfl_sync(~0u, of_fragment[2 + sample % 2], lane | 3)));
   }
 
-  // Gives d, of two hits at two samples of a fragment, its factor (1 + s1 v + s2 v^2)^(-1/2) where it lacks it, and A
-  // its share of opacity; s: s1 and s2 of the hits, zero where d has it; shares: 1 where A has it.
+  // Completes careful hits, sample by sample: d, of two hits at two samples of a fragment, is multiplied by
+  // (1 + s1 v + s2 v^2)^(-1/2), and A receives the share of opacity. s has s1 and s2 of the hits; for a hit whose d is
+  // complete they are zero, and its share is 1, so that nothing changes.
   __device__ void complete(float (&d)[4], [[maybe_unused]] float (&A)[4], const unsigned (&features)[kFragments][4],
                            int fragment, const float2 (&s)[2], [[maybe_unused]] const OrdinalShare (&shares)[2]) const {
 #pragma unroll
@@ -137,8 +160,9 @@ struct Task : Patch<Harmonics> {
     }
   }
 
-  // What the colours of hits are multiplied by: lane `quad` of each quad has values, slopes and bends of that place,
-  // the last the fine steps of all slopes, see slope_and_bend.
+  // What the colours of hits are multiplied by. Each sample takes the colour of one place of its pixel, so all other
+  // features are zero. Of each quad, lane 0, 1 or 2 has the features for value, slope and bend at that place, lane 3
+  // those for the fine steps of all three slopes, see slope_and_bend().
   __device__ void colour_features_at(int ordinal, const unsigned (&A)[kFragments][2],
                                      unsigned (&out)[kFragments][4]) const {
     const int quad = lane % 4;
@@ -160,9 +184,14 @@ struct Task : Patch<Harmonics> {
     }
   }
 
-  // Adds the n hits at ordinal t of the group to the samples' state.
+  // Adds the n hits of the queue of ordinal t of the group to the state of the samples. The hits are taken in four
+  // quarters at once, and of each quad a lane blends one quarter: over is associative, and join() puts the quarters
+  // together. In each round 8 hits of every quarter become operands, one a lane; then come up to four batches of
+  // products, each of 8 hits (two of every quarter) and all 64 samples.
   __device__ void draw(int t, int n, int ordinal) {
     const int quad = lane % 4, row = lane / 4;
+
+    // Features of the samples
     const float x_centre = floorf(own.x_first + (ordinal + 0.5f) * (1.f / 3));
     unsigned d_features[kFragments][4], A_features[kFragments][2], colour_features[kFragments][4];
     features(ordinal, x_centre, d_features, A_features);
@@ -170,21 +199,22 @@ struct Task : Patch<Harmonics> {
     const float centre = ordinals.centre[ordinal], unit = offset_unit(frame.optics);
     colour_features_at(ordinal, A_features, colour_features);
 
+    // Nothing drawn in any quarter yet, and black before the first hit
     float colours[2 * kFragments] = {}, transmittances[2 * kFragments];
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) transmittances[s] = 1;
     const int quarter = (n + 3) / 4;
-    int begin = 0, hit = kBatch<Harmonics>, kept = hit;  // this lane's hit of 32; and of the 32 before. kBatch: none
+    int begin = 0, hit = kBatch<Harmonics>, kept = hit;  // this lane's hit of this round, of the last; kBatch: none
     if (Harmonics) keep(32 + lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
     for (; begin < quarter; begin += 8) {
-      // 32 hits, one a lane: 8 of each quarter, columns 2 q and 2 q + 1 of four batches
+      // Read this lane's hit: those of quarter q are in the columns 2 q and 2 q + 1 of the four batches
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
       const bool valid = j < min(quarter, n - q * quarter);
       const int i = queued(t, valid ? q * quarter + j : 0);
       const Splat<float> splat = staged(i);
       float4 c = make_float4(0, 0, 0, 0);
       uint2 slopes = make_uint2(0, 0);
-      if (Harmonics && valid) {  // before anything else, and kept there by __syncwarp: they take a while
+      if (Harmonics && valid) {  // asked for first, since they take a while; __syncwarp keeps them before the rest
         const unsigned at = __float_as_uint(splat.depth) + t;
         c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
         slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
@@ -193,6 +223,8 @@ struct Task : Patch<Harmonics> {
       if constexpr (Antialiased)
         share = reinterpret_cast<const float2*>(frame.ordinal_shares)[__float_as_uint(splat.depth) + t];
       __syncwarp();
+
+      // Make its operands, and see whether any of the 32 is opaque or may be careful
       const OrdinalShape shape(splat, centre, unit);
       Operands operands = coefficients<false>(splat, shape, centre, unit, x_centre);
       if constexpr (Antialiased) take_share(operands, splat, share);
@@ -200,6 +232,8 @@ struct Task : Patch<Harmonics> {
       bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
       if constexpr (Antialiased) special = special || __any_sync(~0u, valid && lacks(share));
       if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
+
+      // Store them, the colour as the difference to that of the hit before
       if constexpr (Harmonics) {
         const int turn = begin / 8 % 2 * 32;
         keep(turn + lane, c, slopes);
@@ -210,8 +244,11 @@ struct Task : Patch<Harmonics> {
         kept = hit, hit = valid ? i : kBatch<Harmonics>;
         store_operands(operands, colour(hit), colour(before(hit, kept)));
       }
+
+      // Replace the operands of careful hits. This is rare: it starts from the splat once more, so that common rounds
+      // keep no registers for it
       unsigned careful = 0;  // a bit for each lane
-      if (special) {         // rarely: once more from the splat on, so that nothing of it takes registers before
+      if (special) {
         const Splat<float> again = staged(i);
         const OrdinalShape varying(again, centre, unit);
         bool mine = valid && varying.parabola_error(ordinals, again.log2_opacity) > kMostParabolaError;
@@ -221,6 +258,9 @@ struct Task : Patch<Harmonics> {
         if (mine) store_carefully(coefficients<true>(again, varying, centre, unit, x_centre));
       }
       __syncwarp();
+
+      // One batch: multiply, complete what is careful, and blend two hits at two samples of each fragment, the nearer
+      // hit first
       const int batches = min(4, (quarter - begin + 1) / 2);
       auto batch = [&](int b, auto limited, const auto&... completed) {
         const char* at = own.operands + quad / 2 * kHighOffset + (8 * b + row) * 16 + quad % 2 * 8;
@@ -248,6 +288,8 @@ struct Task : Patch<Harmonics> {
           blend<Limit>(d[3], A[3], c[3], frame.hit_cut, colours[2 * f + 1], transmittances[2 * f + 1]);
         }
       };
+
+      // The batches of this round. Usually alpha needs no limit and nothing is careful, and the loop is unrolled
       if (!special) {
         batch(0, std::false_type{});
         if (batches > 1) {
@@ -278,6 +320,9 @@ struct Task : Patch<Harmonics> {
         }
       }
     }
+
+    // Colours were added as differences, so the last of each quarter has to be taken off again. Where the number of
+    // columns is odd the spare one, which is black, has done so
     if (quarter % 2 == 0) {
       const int j = quarter - 1 - (begin - 8), last = j / 2 * 8 + quad * 2 + j % 2;
       const Colour end = Harmonics ? kept_colour((begin / 8 - 1) % 2 * 32 + last) : colour(__shfl_sync(~0u, hit, last));
@@ -286,8 +331,8 @@ struct Task : Patch<Harmonics> {
     join(t, colours, transmittances);
   }
 
-  // Which lane has the hit before this one's in its quarter: that of the column before, the first of the 32 the last of
-  // the 32 before.
+  // Which lane has the hit before this lane's in the same quarter: the one a column before. Before the first column of
+  // a round comes the last one of the round before, which before() and draw() look up in what was kept.
   __device__ bool first_of_quarter() const { return lane / 8 == 0 && lane % 2 == 0; }
   __device__ int lane_before() const { return lane % 2 ? lane - 1 : first_of_quarter() ? lane + 25 : lane - 7; }
   __device__ int before(int hit, int kept) const {
@@ -295,26 +340,26 @@ struct Task : Patch<Harmonics> {
     return __shfl_sync(~0u, last ? kept : hit, lane_before());
   }
 
-  // Whether a hit has no parabola for its share of opacity.
+  // Whether a parabola is too rough for a hit's share of opacity, which ShareFit says with a NaN.
   __device__ static bool lacks(float2 share) { return !(share.x == share.x); }
-  // The share of staged splat i, as it is.
+  // The share of staged splat i as a function of v, without that approximation.
   __device__ OrdinalShare share_of(int i, const OrdinalShape& shape, float centre, float unit) const {
     if constexpr (!Antialiased) return {};
     const unsigned id = __float_as_uint(staged(i).depth) / unsigned(frame.optics.ordinals.columns());
     return OrdinalShare(frame.splats.compensations[id], shape, centre, unit);
   }
 
-  // One hit's coefficients of d.
+  // Stores this lane's coefficients of d.
   __device__ void store_shape(const Operands& operands) {
     reinterpret_cast<uint4*>(own.operands)[lane] = operands.low;
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = operands.high;
   }
-  // Those of a careful hit, and without a share.
+  // Overwrites the coefficients of a careful hit; in an anti-aliased scene also those of A, which then lack the share.
   __device__ void store_carefully(const Operands& operands) {
     store_shape(operands);
     if constexpr (Antialiased) reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
   }
-  // All of one hit's operands; its colour as the difference to the hit before it in its quarter.
+  // Stores all operands of this lane's hit; the colour as the difference to the hit before it in its quarter.
   __device__ void store_operands(const Operands& operands, const Colour& now, const Colour& before) {
     store_shape(operands);
     reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
@@ -327,10 +372,11 @@ struct Task : Patch<Harmonics> {
     if (Harmonics) own.slope[Harmonics ? lane : 0] = make_uint4(slope(0), slope(1), slope(2), fine(2, 2));
   }
 
-  // Takes the last colour of each quarter off again where no spare column did; last: of the quarter of this lane.
+  // Takes the last colour of this lane's quarter, `last`, off again, weighted by the light that the quarter lets
+  // through.
   __device__ void close(const Colour& last, int shift, const unsigned (&features)[kFragments][2],
                         float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
-    Colour end;  // by the place that a lens starts at
+    Colour end;  // of a sample whose lens starts at place c
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
       const int place = c + shift >= 3 ? c + shift - 3 : c + shift;
@@ -350,13 +396,16 @@ struct Task : Patch<Harmonics> {
     }
   }
 
-  // Joins the four quarters, nearest first, behind what the samples hold; each lane keeps two samples.
+  // Joins the four quarters, nearest first, and puts them behind what the samples hold. The lanes of a quad exchange
+  // what they have in two steps, pairs of quarters and then the two halves, and each ends with two of the 8 samples.
   __device__ void join(int t, const float (&colours)[2 * kFragments], const float (&transmittances)[2 * kFragments]) {
     const bool odd = lane & 1, upper = lane & 2;
     float colour[kFragments], transmittance[kFragments];
     auto over = [](bool mine_behind, float c, float other_c, float T, float other_T) {
       return mine_behind ? fmaf(other_T, c, other_c) : fmaf(T, other_c, c);
     };
+
+    // Quarters 0 and 1, and 2 and 3: each lane gives away four samples and takes four
 #pragma unroll
     for (int i = 0; i < kFragments; ++i) {
       const int away = kFragments + i;
@@ -365,6 +414,8 @@ struct Task : Patch<Harmonics> {
       const float own_c = odd ? colours[away] : colours[i], own_T = odd ? transmittances[away] : transmittances[i];
       colour[i] = over(odd, own_c, c, own_T, T), transmittance[i] = own_T * T;
     }
+
+    // The front half of the hits and the back one, and both behind what was drawn before
 #pragma unroll
     for (int i = 0; i < kHalves; ++i) {
       const int away = kHalves + i;

@@ -1,14 +1,17 @@
-// Composite of a light-field frame by tiles of pixels, for rigs of small disparity.
+// Composite of a light-field frame by tiles of pixels, for rigs of small disparity. Reads the frame's splats and sorted
+// lists, writes the image.
 //
-// A warp has 16 x 8 pixels, a lane two neighbours in each of two rows: 12 sub-pixels; 16 x 4 and one row for small
-// Gaussians, of which a larger patch has many that touch only a part of it. Warps do not wait for each other.
-// A warp culls its tile's list 32 splats at a time against its own pixels; of every 32 that stay each lane turns one
-// into a polynomial about the patch's centre,
+// A warp draws a patch of 16 x 8 pixels, in which a lane has two neighbours in each of two rows: 12 sub-pixels. For
+// small Gaussians a patch has 16 x 4 pixels and a lane one row, since many of them would touch only a part of a larger
+// patch. Warps do not wait for each other.
+// A warp culls the list of its tile, 32 splats at a time, against its own pixels. Of every 32 hits (splats that may
+// touch the patch) each lane turns one into a polynomial about the patch's centre,
 //   exponent = log2 o - (t (y - v0))^2 - d^2,   d = r(s) (x - m(y, s)),   r = S^(-1/2) about linear or quadratic in s,
-// which all lanes then evaluate: no division, one exp2 a sample. In a frame that needs the quadratic r, splats for
-// which the linear one will do still have that. Colours enter as differences, C += T (c_i - c_(i-1)), which saves an
-// instruction. Splats for which that is too rough (nearly opaque, of a shape or colour that varies much over the rig)
-// are evaluated as they are written, *carefully*. Where half precision will do, samples are pairs of halves.
+// which all lanes then evaluate, with no division and one exp2 a sample. In a frame that needs the quadratic r, splats
+// for which the linear one will do still have that. Colours enter as differences, C += T (c_i - c_(i-1)), which saves
+// an instruction. Splats for which all this is too rough (nearly opaque, or of a shape or colour that varies much over
+// the rig) are *careful*: they are evaluated as the formulas are written. Where half precision will do, samples are
+// pairs of halves.
 #include <type_traits>
 
 #include "cuda/common/check.h"
@@ -23,13 +26,14 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kWarps = 4, kThreads = 32 * kWarps;
-constexpr int kUnitHeight = 8;  // rows that a warp takes at a time: one patch or two
+constexpr int kUnitHeight = 8;  // rows that are handed out to a warp at a time: one patch or two
 template <class C>
 using Samples = std::conditional_t<C::Half, HalfSamples<C>, FloatSamples<C>>;
-// On a multiprocessor; more would spill.
+// Blocks on a multiprocessor: with more, registers would spill.
 constexpr int blocks_of(int lane_rows, bool harmonics) { return lane_rows == 1 ? 7 : harmonics ? 4 : 5; }
 
-// Adds the hits [h, end), of which none is careful. Runs of one kind: to choose at every hit would move registers.
+// Adds the hits [h, end), of which none is careful, run by run of hits that are all special or all not: to choose at
+// every hit would move registers.
 template <class C>
 __device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned special, float cut, Samples<C>& samples) {
   constexpr bool kSpecial = C::Quadratic || C::Half;
@@ -40,12 +44,13 @@ __device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned spec
     if constexpr (kSpecial) {
 #pragma unroll 1
       do samples.template add<true>(staged, h, cut);
-      while (special >> h++ & 2);  // bit h + 1, and h + 1
+      while (special >> h++ & 2);  // looks at bit h + 1, then moves on to it
     }
   }
 }
 
-// Adds the first `count` <= 32 waiting hits.
+// Adds the first `count` <= 32 waiting hits to the samples of the patch: runs of polynomials, and between them the
+// careful hits one by one.
 template <class C>
 __device__ void add_hits(const LensFrame& frame, int count, float2 centre, float4 background, Samples<C>& samples,
                          StagedOf<C>& staged) {
@@ -63,6 +68,7 @@ __device__ void add_hits(const LensFrame& frame, int count, float2 centre, float
   samples.flush();
 }
 
+// Draws one patch, by all lanes of a warp: culls the list `range`, adds the hits 32 at a time, and stores the pixels.
 template <class C, class Out>
 __device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 range, int left, int top,
                            float4 background, Out* out, StagedOf<C>& staged) {
@@ -76,7 +82,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 ran
 
   int waiting = 0;
   for (unsigned begin = range.x; begin < range.y; begin += 32) {
-    // Those of the next 32 that may touch the patch wait
+    // Of the next 32 splats, those that may touch the patch join the hits that wait
     const bool inside = begin + lane < range.y;
     const uint32_t id = lists.ids[inside ? begin + lane : begin];
     const Splat<float> splat = splat_about(frame.splats, id, centre);
@@ -89,7 +95,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 ran
     const bool end = begin + 32 >= range.y;
     if (waiting < 32 && !(end && waiting > 0)) continue;
 
-    // 32 of them, or at the end what there is; a second round when both the end and more than 32 have come
+    // Add 32 of them, or at the end of the list what there is; there it takes two rounds if more than 32 wait
     do {
       const int count = min(waiting, 32);
       add_hits<C>(frame, count, centre, background, samples, staged);
@@ -104,6 +110,7 @@ __device__ void draw_patch(const LensFrame& frame, const Lists& lists, uint2 ran
   samples.store(frame.optics, staged, background, out);
 }
 
+// Draws patches until none is left. Each warp takes a piece of a tile at a time, of kUnitHeight rows.
 template <class C, class Out>
 __device__ void draw_patches(const LensFrame& frame, const float* background, Out* out, StagedOf<C> (&staged)[kWarps]) {
   constexpr unsigned kAcross = kPixelTileWidth / kPatchWidth, kDown = kPixelTileHeight / kUnitHeight;
@@ -126,7 +133,9 @@ __device__ void draw_patches(const LensFrame& frame, const float* background, Ou
   }
 }
 
-// One kernel for straight lines and parabolas: a launch that finds nothing to do takes its time, too.
+// Draws the frame if it has chosen straight lines or parabolas at this size of patches; otherwise does nothing. It is
+// one kernel for both, since a launch that finds nothing to do takes time, too. There are as many blocks as the device
+// holds at a time, and their warps work independently.
 template <Evaluation straight, int lane_rows, bool Harmonics, bool Cells, class Out>
 __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     composite_pixel_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
@@ -139,6 +148,7 @@ __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     draw_patches<Quadratic>(frame, background, out, staged);
 }
 
+// The same for anti-aliased scenes, which are always drawn with parabolas.
 template <int lane_rows, bool Harmonics, class Out>
 __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     composite_antialiased_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
@@ -156,6 +166,7 @@ void launch(const LensFrame& frame, const float* background, Out* out, cudaStrea
   check_launch("composite_pixel");
 }
 
+// Launches the kernels for both sizes of patches: which of them draws is decided on the device.
 template <Evaluation straight, class Out>
 void launch_all(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   if (frame.splats.orders) {

@@ -1,4 +1,6 @@
-// Gaussians as composite_pixel.cu evaluates them: polynomials about the centre of a warp's patch, made 32 at a time.
+// How composite_pixel.cu turns splats into polynomials about the centre of a warp's patch, 32 at a time. specialise()
+// is what the kernel calls: it reads the splats of the waiting hits, and writes the polynomials into the warp's part of
+// shared memory.
 #pragma once
 
 #include <type_traits>
@@ -12,32 +14,33 @@
 namespace lfgs::cuda {
 
 constexpr int kPatchWidth = 16;
-constexpr float kFaint = -3;                // log2 of an opacity that is little more than what cuts leave out
-constexpr float kMostHalfSweep = 24;        // change of d over half the rig: halves below have steps of 2^-6
-constexpr float kMostHalfColour = 2;        // sums of brighter ones have too few digits
-constexpr float kStraightColour = 2.5e-4f;  // s^2 of a colour that is left out: on average a quarter is the error
-constexpr float kSmallEdge = 3e-3f;         // slope of a colour at zero: at most a quarter is the error
+constexpr float kFaint = -3;          // log2 of an opacity that is little more than what cuts leave out
+constexpr float kMostHalfSweep = 24;  // the most that d may change over half the rig: such halves have steps of 2^-6
+constexpr float kMostHalfColour = 2;  // sums of brighter colours have too few digits in half precision
+constexpr float kStraightColour = 2.5e-4f;  // coefficient of s^2 that is left out: colours err by a quarter of it
+constexpr float kSmallEdge = 3e-3f;         // slope with which a colour may reach zero: it errs by at most a quarter
 
-// How samples are evaluated: with a straight line for r = S^(-1/2); with a parabola for splats of which that is too
-// rough; with a straight line in half precision.
+// How samples are evaluated: with a straight line for r = S^(-1/2); with a parabola for those splats for which a line
+// is too rough; with a straight line and in half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
 
-// Antialiased: with shares of opacity. Cells: of panels that may have cells; what these take
-// would cost the registers of others.
+// What a kernel is compiled for. Antialiased: splats have shares of opacity. Cells: the panel may have cells, which
+// take registers that other panels do not have to spare.
 template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Cells_, bool Antialiased_ = false>
 struct Config {
   static constexpr bool Quadratic = evaluation == Evaluation::kQuadratic, Half = evaluation == Evaluation::kHalf;
   static constexpr bool Antialiased = Antialiased_, Cells = Cells_;
   static constexpr bool Harmonics = Harmonics_, Bends = Harmonics && Quadratic;  // colours may be parabolas
   static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
-  // Slopes of colours with the rest of a hit's fit, read at once: quicker in small patches, slower in large ones.
+  // Whether slopes of colours are kept with the rest of a hit's fit and read together with it: that is quicker in small
+  // patches and slower in large ones.
   static constexpr bool SlopesInFit = Harmonics && !Quadratic && lane_rows == 1;
   static constexpr LensKernel kernel = lane_rows == 1
                                            ? (Quadratic ? LensKernel::kPixelQuadraticSmall : LensKernel::kPixelSmall)
                                            : (Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel);
 };
 
-// A colour as value + slope s + bend s^2; without harmonics the value.
+// A colour as value + slope s + bend s^2; without harmonics there is only the value.
 struct ColourFit {
   float4 value, slope, bend;
 };
@@ -46,12 +49,12 @@ struct ColourFit {
 template <bool Harmonics>
 struct Staged {
   float4 fit[4][32];                                           // of 32 hits, see shape_polynomial() and put_halves()
-  float4 slope[Harmonics ? 32 : 1], bend[Harmonics ? 32 : 1];  // of colours in s and s^2, as steps; see SlopesInFit
-  ColourFit colour;                                            // of the last hit so far; of a careful one nothing
-  uint32_t ids[64];                                            // hits that wait: fewer than 32, and those of one cull
+  float4 slope[Harmonics ? 32 : 1], bend[Harmonics ? 32 : 1];  // steps of the colours in s and s^2; see SlopesInFit
+  ColourFit colour;                                            // of the last hit so far; zero if that was careful
+  uint32_t ids[64];  // the hits that wait: fewer than 32, plus those of one cull
 };
 
-// Of anti-aliased hits also the share of opacity that they have, see share_fit().
+// In an anti-aliased scene also the slope and bend of the share of opacity, see share_fit(); its value is in the fit.
 template <bool Harmonics>
 struct AntialiasedStaged : Staged<Harmonics> {
   float2 share[32];
@@ -59,22 +62,22 @@ struct AntialiasedStaged : Staged<Harmonics> {
 template <class C>
 using StagedOf = std::conditional_t<C::Antialiased, AntialiasedStaged<C::Harmonics>, Staged<C::Harmonics>>;
 
-// Of up to 32 hits those that are evaluated as they are written, and those with a parabola for r or the colour's step,
-// or in halves those that are cut.
+// Which of up to 32 hits, a bit each, are careful; and which of the others are special, for they have a parabola for r
+// or for the step of the colour, or in half precision since they are cut.
 struct Marks {
   unsigned careful, special;
 };
 
-// r = S^(-1/2) as r0 + r1 s + r2 s^2, see kLinePlace.
+// r = S^(-1/2) as x + y s + z s^2, by interpolation: see kLinePlace.
 __device__ inline float3 root_fit(const Splat<float>& s, bool curved) {
   auto root = [&](float v) { return fast_rsqrt(fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
-  const float node = curved ? kParabolaPlace : kLinePlace, right = root(node), left = root(-node);  // and 0, if curved
+  const float node = curved ? kParabolaPlace : kLinePlace, right = root(node), left = root(-node);
   const float middle = curved ? root(0.f) : 0.5f * (right + left);
   return make_float3(middle, (right - left) * (curved ? kParabolaPlace : 1.f), right + left - 2 * middle);
 }
 
-// Log2 of the share of its opacity that an anti-aliased splat has, as x + y s + z s^2, see kLinePlace; x is no number
-// where that is too rough at the ends of the rig, where it errs most.
+// Log2 of the share of its opacity that an anti-aliased splat keeps, as x + y s + z s^2, by interpolation: see
+// kLinePlace. x is NaN where that is too rough at the ends of the rig, where it errs most.
 __device__ inline float3 share_fit(const Compensation<float>& c, const Splat<float>& s) {
   constexpr float kMostError = 2e-4f;  // alpha is off by less than 0.04/255, on average by a tenth of that
   auto share = [&](float v) { return log2_share(c, v, fmaf(v, fmaf(v, s.S2, s.S1), s.S0)); };
@@ -84,10 +87,11 @@ __device__ inline float3 share_fit(const Compensation<float>& c, const Splat<flo
   return make_float3(error(-1.f) <= kMostError && error(1.f) <= kMostError ? middle : NAN, slope, bend);
 }
 
-// The polynomial of d and the rest of what a sample needs:
+// Writes the polynomial of d and the rest of what a sample needs into the vectors f0 to f3 of a fit:
 //   d = (f0.x + f1.y x + f0.y y) + s (f0.z + f1.z x + f0.w y) + s^2 (f1.x + [f3.y x + f3.z y]) + [s^3 f3.w],
-//   exponent = f1.w - (f2.x + f2.y y)^2 - d^2;   step of the colour (f2.z, f2.w, f3.x). [] only when curved; straight
-// kernels may have the step of the colour's slope in (f3.y, f3.z, f3.w).
+//   exponent = f1.w - (f2.x + f2.y y)^2 - d^2.
+// The terms in [] are there only when r is curved. The step of the colour will be in (f2.z, f2.w, f3.x); kernels
+// without curved r may have the step of the colour's slope in (f3.y, f3.z, f3.w).
 __device__ inline void shape_polynomial(const Splat<float>& s, float3 r, float4 fit[4]) {
   const float E = fmaf(s.c0, s.v0, -s.u0), sweep = fmaf(-s.c1, s.v0, s.du);
   const float t = s.tau * fast_rsqrt(fmaxf(s.tau, 1e-37f));
@@ -97,14 +101,16 @@ __device__ inline void shape_polynomial(const Splat<float>& s, float3 r, float4 
   fit[3] = make_float4(0, r.z, -fmaf(r.z, s.c0, r.y * s.c1), -r.z * sweep);
 }
 
-// Power of 2 times the step of s from view to view: middles of views are whole numbers of halves of it.
+// The unit of s in half precision: the step from view to view times a power of 2. The middles of views are whole
+// numbers of half steps, so they are exact in this unit.
 __device__ inline float half_unit(const LensOptics& lens) {
   return lens.s_step != 0 ? lens.s_step * exp2f(ceilf(log2f(0.5f * float(lens.views)))) : 1.f;
 }
 
-// Puts a fit as shape_polynomial() makes it, with its step, into halves: with v = s / unit,
-//   d = (f0.x + f0.y x + f0.z y) + v (h0 + h1 x + h2 y) + v^2 h3,   exponent = f0.w - (f1.x + f1.y y)^2 - d^2;
-// f1.z holds h0 and h1, f1.w h2 and h3, f2 the three steps of the colour and of its slope.
+// Turns a fit as shape_polynomial() makes it, with the steps of its colour, into the form for half precision. With
+// v = s / unit,
+//   d = (f0.x + f0.y x + f0.z y) + v (h0 + h1 x + h2 y) + v^2 h3,   exponent = f0.w - (f1.x + f1.y y)^2 - d^2.
+// f1.z holds h0 and h1, f1.w holds h2 and h3, and f2 the three steps of the colour and of its slope, as halves.
 __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
   const float4 f0 = fit[0], f1 = fit[1];
   fit[0] = make_float4(f0.x, f1.y, f0.y, fminf(f1.w, float(kLog2MaxAlpha)));
@@ -115,26 +121,33 @@ __device__ inline void put_halves(float4 fit[4], float4 slope, float unit) {
 
 __device__ inline float largest(float4 c) { return fmaxf(fabsf(c.x), fmaxf(fabsf(c.y), fabsf(c.z))); }
 
-// The colour polynomial of a splat as a line, or a parabola where it may have a bend, see kLinePlace. False where that
-// is too rough.
+// Fits the colour polynomial of a splat by a line over s, or by a parabola where the kernel can and must; see
+// kLinePlace. Returns false where that is too rough.
 template <bool Bends>
 __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) {
   constexpr float kMostOrder = 4;
   const Splats<float>& splats = frame.splats;
   const float4* powers = reinterpret_cast<const float4*>(splats.colours) + int64_t(id) * (splats.colour_order + 1);
   const float4 none = make_float4(0, 0, 0, 0), c0 = powers[0], c1 = powers[1], c2 = powers[2];
-  const float order = c0.w;  // those beyond it are zero up to the second, and not there from the third on
+
+  // Powers beyond the order are stored as zero up to the second, and are not there from the third on
+  const float order = c0.w;
   const float4 c3 = order >= 3 ? powers[3] : none, c4 = order >= 4 ? powers[4] : none;
+
+  // Whether it needs a bend, and whether what is left out after that is small enough
   const float most = fmaxf(kStraightColour, frame.tolerance), beyond = largest(c3) + largest(c4);
   const bool bent = largest(c2) + beyond > most;
   bool good = (!bent || (Bends && beyond <= most)) && order <= kMostOrder;
-  const float square = bent ? 0.5f : kLinePlace * kLinePlace;  // of the places but 0
+
+  // The fit of each channel: what interpolation through -+ sqrt(square), and 0 if bent, makes of the powers
+  const float square = bent ? 0.5f : kLinePlace * kLinePlace;
   auto channel = [&](float p0, float p1, float p2, float p3, float p4, float& value, float& slope, float& bend) {
     const float even = fmaf(square, p4, p2);
     value = bent ? p0 : fmaf(square, even, p0), slope = fmaf(square, p3, p1), bend = bent ? even : 0.f;
     if (value + fabsf(slope) + fmaxf(bend, 0.f) <= 0) value = slope = bend = 0;
     if (value + fminf(bend, 0.f) >= fabsf(slope)) return;
-    // A colour that ends within the rig has an edge. Where that is small, the line goes through what shows at places
+    // The colour reaches zero within the rig, where it has an edge. If that is small, the line goes through what shows
+    // at -+ kLinePlace, where nothing is below zero
     good = good && !bent && fabsf(slope) <= kSmallEdge;
     const float high = fmaxf(fmaf(kLinePlace, slope, value), 0.f), low = fmaxf(fmaf(-kLinePlace, slope, value), 0.f);
     value = 0.5f * (high + low), slope = (0.5f / kLinePlace) * (high - low);
@@ -145,8 +158,8 @@ __device__ bool fit_colour(const LensFrame& frame, uint32_t id, ColourFit& fit) 
   return good;
 }
 
-// Every lane's colour as a step from that of the lane before, the first one's from `last`, which becomes that of lane
-// count - 1. By all lanes of a warp.
+// Turns every lane's colour into the step from the colour of the lane before. The first lane's step is from `last`,
+// which then becomes the colour of lane count - 1. By all lanes of a warp.
 __device__ inline float4 steps(float4 colour, int count, float4& last) {
   const int lane = threadIdx.x % 32;
   const float4 first = last;
@@ -161,19 +174,22 @@ __device__ inline float4 steps(float4 colour, int count, float4& last) {
   return step;
 }
 
-// Whether half precision is too rough for a splat: d changes by more over the rig than it has digits, somewhere in the
-// patch; or its colour is too bright, or no number.
+// Whether half precision is too rough for a splat: somewhere in the patch d changes more over the rig than its digits
+// allow, or its colour is too bright or not a number.
 template <class C>
 __device__ bool too_rough_in_half(const float4 fit[2], const ColourFit& colour) {
   const float sweep = fabsf(fit[0].z) + 0.5f * kPatchWidth * fabsf(fit[1].z) + 0.5f * C::patch_height * fabsf(fit[0].w);
   return !(sweep <= kMostHalfSweep) || !(largest(colour.value) + largest(colour.slope) <= kMostHalfColour);
 }
 
-// Makes the polynomials of the first `count` <= 32 waiting hits. A careful hit's step closes the colour before it.
+// Makes the polynomials of the first `count` <= 32 waiting hits, one a lane. Careful hits have the colour zero, so that
+// their step takes the colour of the hit before off again.
 template <class C>
 __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, StagedOf<C>& staged) {
   const int lane = threadIdx.x % 32;
   const bool inside = lane < count;
+
+  // Whether the line, or the parabola if the kernel has it, is good enough for the shape
   const uint32_t id = staged.ids[inside ? lane : 0];
   Splat<float> splat = whole_splat_about(frame.splats, id, centre);
   const ShapeError error(splat);
@@ -185,6 +201,8 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
     careful = careful || !(share.x <= 0.5f);
     splat.log2_opacity += share.x, staged.share[lane] = make_float2(share.y, share.z);
   }
+
+  // The fits of colour and shape
   ColourFit colour = {};
   float4 fit[4];
   if (C::Harmonics)
@@ -193,6 +211,8 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
     colour.value = reinterpret_cast<const float4*>(frame.splats.colours)[id];
   shape_polynomial(splat, root_fit(splat, curved), fit);
   if (C::Half) careful = careful || too_rough_in_half<C>(fit, colour);
+
+  // Colours become steps, and find their places in the fit
   if (careful) colour = {};
   auto step_of = [&](float4 part, float4& last) { return steps(by_place<C::Cells>(frame.optics, part), count, last); };
   const float4 step = step_of(colour.value, staged.colour.value);
@@ -203,6 +223,8 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   if constexpr (C::Bends) staged.bend[lane] = bend = step_of(bend, staged.colour.bend);
   if constexpr (C::SlopesInFit) fit[3] = make_float4(step.z, slope.x, slope.y, slope.z);
   if (C::Half) put_halves(fit, slope, half_unit(frame.optics));
+
+  // Store it, and mark the hits that need more than the usual
 #pragma unroll
   for (int k = 0; k < (C::Half ? 3 : 4); ++k) staged.fit[k][lane] = fit[k];
   const bool parabola = curved || (C::Bends && largest(bend) > 0);

@@ -1,12 +1,15 @@
-// Samples of composite_pixel.cu in half precision, two at a time: the same sub-pixel of two neighbouring pixels.
+// The samples of a lane in composite_pixel.cu in half precision, two in a word: the same sub-pixel of two neighbouring
+// pixels. Where each number is rounded was chosen by what it does to the image:
 //
-// What does not depend on s is summed in float, then rounded. The terms of d cancel, so it is as coarse as the largest
-// of them: Gaussians that sweep far are evaluated carefully. Colours are summed in half over up to 32 Gaussians only,
-// transmittances all the way: rounding to nearest leaves them unbiased. With a raised cut alphas below 1/255 count,
-// too, in the patches that a Gaussian reaches, unless it is faint. Nor does an opaque one end a sample: what shows
-// through 0.99 of it is less than 0.01.
-// A GPU finds 2^x of halves one by one, at an eighth of the rate of other instructions; of three sub-pixels one has a
-// polynomial in its place.
+// - What does not depend on s is summed in float, then rounded.
+// - The terms of d cancel, so d is as coarse as the largest of them: Gaussians that sweep far are evaluated carefully.
+// - Colours are summed in halves over up to 32 Gaussians only, then in float. Transmittances stay halves all the way:
+//   rounding to nearest leaves them unbiased.
+// - With a raised cut, alphas below 1/255 count, too, in the patches that a Gaussian reaches, unless it is faint.
+// - An opaque Gaussian does not end a sample: what shows through 0.99 of it is less than 0.01.
+//
+// A GPU finds 2^x of halves one by one, at an eighth of the rate of other instructions; so of three sub-pixels one uses
+// a polynomial instead.
 #pragma once
 
 #include "cuda/common/halves.cuh"
@@ -14,13 +17,14 @@
 
 namespace lfgs::cuda {
 
-// 2^x; by the special function unit.
+// 2^x of both halves, by the special function unit.
 __device__ inline __half2 fast_exp2(__half2 x) {
   unsigned y;
   asm("ex2.approx.f16x2 %0, %1;" : "=r"(y) : "r"(bits(x)));
   return as_half2(y);
 }
-// 2^x, x <= 0, as the fourth power of a cubic; within 0.0007, and 2^-10 of it by rounding.
+// 2^x of both halves, x <= 0, as the fourth power of a cubic. It errs by up to 0.0007, and by 2^-10 of itself through
+// rounding.
 __device__ inline __half2 polynomial_exp2(__half2 x) {
   auto constant = [](float c) { return __float2half2_rn(c); };
   __half2 root = __hfma2(x, constant(5.4741e-4f), constant(1.41449e-2f));
@@ -29,6 +33,8 @@ __device__ inline __half2 polynomial_exp2(__half2 x) {
   return __hmul2(square, square);
 }
 
+// A lane's samples; every word has those of two neighbouring pixels. v is the offset in units of half_unit(), `sum` the
+// colour of the hits since the last flush().
 template <class C>
 struct HalfSamples {
   LanePixels<C::lane_rows> pixels;
@@ -47,6 +53,7 @@ struct HalfSamples {
     });
   }
 
+  // Calls visit(r, k) for the pairs of samples.
   template <class Visit>
   __device__ static void for_each(const Visit& visit) {
 #pragma unroll
@@ -55,6 +62,7 @@ struct HalfSamples {
       for (int k = 0; k < 3; ++k) visit(r, k);
   }
 
+  // Whether all samples are done.
   __device__ bool opaque(float stop) const {
     bool all = true;
     for_each([&](int r, int k) {
@@ -64,7 +72,7 @@ struct HalfSamples {
     return all;
   }
 
-  // Steps of colour and slope at place k, each for both samples.
+  // The step of a hit's colour at place k, seen from v, for both samples.
   struct Steps {
     __half2 red_green, blue_slope, slopes;
 
@@ -76,11 +84,14 @@ struct HalfSamples {
     }
   };
 
+  // Adds hit i, see put_halves() for the polynomial. Cut: whether exponents below `cut` draw nothing.
   template <bool Cut>
   __device__ void add(const Staged<C::Harmonics>& staged, int i, float cut) {
     const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i];
     const Steps steps(staged.fit[2][i]);
     const __half2 line = unpacked(f1.z), bend = unpacked(f1.w), c2 = __high2half2(bend);
+
+    // The polynomials in s at the lane's first two pixels; from row to row they change by steps
     const __half2 x = __floats2half2_rn(pixels.x, pixels.x + 1);
     float t = fmaf(f1.y, pixels.y, f1.x), c0 = fmaf(f0.y, pixels.x, fmaf(f0.z, pixels.y, f0.x));
     __half2 c1 = __hfma2(__high2half2(line), x, __low2half2(line));
@@ -102,7 +113,7 @@ struct HalfSamples {
     }
   }
 
-  // Takes the sums of colours over into float.
+  // Adds the sums of colours to those in float. Called after every 32 hits.
   __device__ void flush() {
     for_each([&](int r, int k) {
       colour[r][0][k] += __low2float(sum[r][k]), colour[r][1][k] += __high2float(sum[r][k]);
@@ -110,12 +121,13 @@ struct HalfSamples {
     });
   }
 
-  // The step alone: closes the colour before a careful hit.
+  // Adds only the step of careful hit i, which takes the colour of the hit before off again.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
     const Steps steps(staged.fit[2][i]);
     for_each([&](int r, int k) { sum[r][k] = __hfma2(transmittance[r][k], steps.at(k, v[r][k]), sum[r][k]); });
   }
 
+  // Adds a careful hit, in float.
   __device__ void add_carefully(const CarefulHit<C>& hit) {
     float after[C::lane_rows][2][3];
     pixels.template for_each_offset<C::Cells>(hit.frame.optics, [&](int r, int p, int k, float s) {
@@ -126,7 +138,7 @@ struct HalfSamples {
     for_each([&](int r, int k) { transmittance[r][k] = __floats2half2_rn(after[r][0][k], after[r][1][k]); });
   }
 
-  // Over the background.
+  // Puts the samples over the background and into the image.
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) {
     const float unit = half_unit(lens);

@@ -1,4 +1,6 @@
-// Samples of a warp's patch in composite_pixel.cu: where a lane's stand, what they hold, and how a Gaussian is added.
+// The samples of a lane in composite_pixel.cu: where they stand, what they hold, and how a hit is added to them. They
+// read the polynomials that specialise() made, and at the end write the pixels of the image. In the functions below, r
+// is a row of the lane, p one of its two pixels there, and k a place in the pixel.
 #pragma once
 
 #include "cuda/common/compensated.cuh"
@@ -8,19 +10,21 @@
 
 namespace lfgs::cuda {
 
+// The part of a colour at place k.
 __device__ inline float part(float4 c, int k) { return k == 0 ? c.x : k == 1 ? c.y : c.z; }
 
-// A lane's pixels: two neighbours in every fourth row of the patch from lane / 8 on.
+// A lane's pixels: two neighbours in every fourth row of the patch, from row lane / 8 on.
 template <int lane_rows>
 struct LanePixels {
-  int column, row;  // of the first
-  float x, y;       // its centre, about the patch's centre
+  int column, row;  // of the lane's first pixel
+  float x, y;       // centre of that pixel, from the centre of the patch
 
   __device__ LanePixels(int left, int top) {
     const int lane = threadIdx.x % 32, lane_x = 2 * (lane % 8), lane_y = lane / 8;
     column = left + lane_x, row = top + lane_y;
     x = lane_x + 0.5f - 0.5f * kPatchWidth, y = lane_y + 0.5f - 0.5f * 4 * lane_rows;
   }
+  // Whether a pixel is on the panel.
   __device__ bool seen(const LensOptics& lens, int r, int p) const {
     return row + 4 * r < lens.height_px && column + p < lens.width_px;
   }
@@ -34,7 +38,7 @@ struct LanePixels {
 #pragma unroll
         for (int k = 0; k < 3; ++k) visit(r, p, k);
   }
-  // Calls visit(r, p, k, s) for them with the offset from which each is seen.
+  // Calls visit(r, p, k, s) for the sub-pixels, with the offset from which each is seen.
   template <bool Cells, class Visit>
   __device__ void for_each_offset(const LensOptics& lens, const Visit& visit) const {
 #pragma unroll
@@ -65,7 +69,7 @@ struct LanePixels {
   }
 };
 
-// From the colour of the last hit, seen from s, to the background's.
+// The step from the colour of the last hit, seen from s, to that of the background.
 template <class C>
 __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background, float s, int k) {
   const ColourFit& last = staged.colour;
@@ -74,8 +78,8 @@ __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background
   return C::Harmonics ? fmaf(-s, slope, step) : step;
 }
 
-// Adds a Gaussian to one sample as it is written: a division, the limit of alpha, the whole colour polynomial, the stop
-// of what is opaque; of anti-aliased ones the share of opacity.
+// Adds a careful hit to one sample, by the formulas as they are written: with a division, the limit of alpha, the whole
+// colour polynomial and the end of samples that become opaque; in an anti-aliased scene with the share of opacity.
 template <class C>
 struct CarefulHit {
   const LensFrame& frame;
@@ -102,15 +106,15 @@ struct CarefulHit {
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
     for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place<C::Cells>(frame.optics, powers[q]), k));
-    // Of a sample that should have ended before, see ended(), no more is drawn
+    // A sample that should have ended before takes no more, see ended()
     const bool hit = power >= frame.hit_cut && T >= float(kMinTransmittance), stop = after < float(kMinTransmittance);
-    // One that stops keeps its light for the background; an alpha of nothing leaves it as it is
+    // A sample that ends here keeps its light for the background. Where this splat draws nothing, nothing changes
     const float light = stop ? part(background, k) * T : fmaxf(c, 0.f) * (alpha * T);
     if (hit) colour += light, T = stop ? 0 : after;
   }
 };
 
-// Samples in float.
+// A lane's samples in float.
 template <class C>
 struct FloatSamples {
   LanePixels<C::lane_rows> pixels;
@@ -122,13 +126,14 @@ struct FloatSamples {
     });
   }
 
+  // Whether all samples are done.
   __device__ bool opaque(float stop) const {
     bool all = true;
     pixels.for_each([&](int r, int p, int k) { all = all && transmittance[r][p][k] < stop; });
     return all;
   }
 
-  // The step of the colour at place k of hit i, seen from s.
+  // The step of the colour of hit i at place k, seen from s.
   struct Step {
     float4 value, slope, bend;
 
@@ -146,6 +151,8 @@ struct FloatSamples {
     }
   };
 
+  // Adds hit i, see shape_polynomial() for the polynomial. Parabola: whether it is special, that is, has a parabola for
+  // r or for the step of its colour.
   template <bool Parabola>
   __device__ void add(const StagedOf<C>& staged, int i, float cut) {
     constexpr bool Curved = C::Quadratic && Parabola;
@@ -153,7 +160,8 @@ struct FloatSamples {
     const Step step(staged, i);
     float2 share;
     if constexpr (C::Antialiased) share = staged.share[i];
-    // At the lane's first pixel; the others are a step away in x, four in y
+
+    // The polynomials in s at the lane's first pixel; the other pixels are a step away in x, and four steps in y
     float t = fmaf(f2.y, pixels.y, f2.x);
     float c0 = fmaf(f1.y, pixels.x, fmaf(f0.y, pixels.y, f0.x));
     float c1 = fmaf(f1.z, pixels.x, fmaf(f0.w, pixels.y, f0.z));
@@ -180,9 +188,10 @@ struct FloatSamples {
     }
   }
 
+  // Colours are summed in float all the way, see HalfSamples.
   __device__ void flush() {}
 
-  // The step alone: closes the colour before a careful hit.
+  // Adds only the step of careful hit i, which takes the colour of the hit before off again.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
     const Step step(staged, i);
     pixels.for_each([&](int r, int p, int k) {
@@ -196,7 +205,7 @@ struct FloatSamples {
     });
   }
 
-  // Over the background.
+  // Puts the samples over the background and into the image.
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) const {
     pixels.template store<C::Cells>(lens, out, [&](int r, int p, int k) {
