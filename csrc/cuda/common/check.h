@@ -18,7 +18,7 @@ inline void check(cudaError_t status, const char* what) {
 // After a launch: reports a configuration that the device refused.
 inline void check_launch(const char* kernel) { check(cudaGetLastError(), kernel); }
 
-// How many blocks have one thread, or one of `per_block` places, for each item.
+// How many blocks it takes for all items, `per_block` each.
 LFGS_HD int64_t blocks_for(int64_t items, int64_t per_block) { return (items + per_block - 1) / per_block; }
 
 // How many blocks of a kernel the device holds at a time: at least one on each multiprocessor.
