@@ -70,8 +70,9 @@ __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Sh
   }
 }
 
-// Writes all gradients. Three blocks on a multiprocessor leave the registers that it takes without the function above,
-// which needles need; splats of an anti-aliased scene all do, see compensated_splat().
+// Writes all gradients. The adjoint of an ordinary splat fits the registers that three blocks on a multiprocessor
+// leave. Needles, and all splats of an anti-aliased scene (see compensated_splat()), go through add_exact_adjoint()
+// instead.
 template <bool kAntialiased>
 __global__ void __launch_bounds__(kThreads, 3)
     project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
