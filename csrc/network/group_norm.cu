@@ -1,4 +1,6 @@
-// A block normalises a group of an image: it reads it twice, the second time from the cache.
+// Group normalisation of feature maps, followed by SiLU. A block has one group of channels of one image: it reads the
+// group twice, the first time for mean and variance, the second time (then from the cache) to write the result. A
+// thread has two channels in some of the pixels.
 #include "network/group_norm.h"
 
 #include "cuda/common/blend.cuh"
@@ -9,18 +11,20 @@ namespace {
 
 constexpr int kThreads = 512, kWarps = kThreads / 32;
 
-// Two bfloat16 in a word.
+// The two bfloat16 of a word.
 __device__ inline float2 floats(uint32_t pair) {
   return make_float2(__uint_as_float(pair << 16), __uint_as_float(pair & 0xffff0000u));
 }
-__device__ inline uint32_t rounded_bits(float a) {  // to nearest, ties to even; in the upper half
+// Rounds to bfloat16, to nearest with ties to even; the result is in the upper half.
+__device__ inline uint32_t rounded_bits(float a) {
   const uint32_t bits = __float_as_uint(a);
-  return a == a ? bits + 0x7fffu + (bits >> 16 & 1) : 0x7fff0000u;  // a NaN would be carried over into zero
+  return a == a ? bits + 0x7fffu + (bits >> 16 & 1) : 0x7fff0000u;  // rounding could turn the bits of a NaN into zero
 }
 __device__ inline uint32_t pair_of(float low, float high) {
   return rounded_bits(low) >> 16 | (rounded_bits(high) & 0xffff0000u);
 }
 
+// The sum over all threads of the block, in a fixed order; every thread receives it.
 __device__ float block_sum(float a, float (&parts)[kWarps]) {
   a = warp_sum(a);
   __syncthreads();
@@ -39,13 +43,15 @@ __global__ void __launch_bounds__(kThreads)
   __shared__ float parts[kWarps];
   const int image = blockIdx.x / maps.groups, group = blockIdx.x % maps.groups;
   const int row = maps.channels / 2, pairs = row / maps.groups, first_pair = group * pairs;
-  // Every thread stays with two channels; the last few of a block have none
+
+  // Every thread stays with two channels; the last few threads of a block may have none
   const int together = kThreads / pairs, pair = first_pair + threadIdx.x % pairs;
   const int64_t start = threadIdx.x / pairs < together ? threadIdx.x / pairs : maps.pixels;
   const int64_t origin = int64_t(image) * maps.pixels * row;
   in += origin, out += origin;
 
-  const float about = floats(in[first_pair]).x;  // sums of differences to it do not cancel
+  // Mean and variance. They are summed as differences to one of the numbers, so that large means do not take the digits
+  const float about = floats(in[first_pair]).x;
   float sum = 0, squares = 0;
 #pragma unroll 4
   for (int64_t p = start; p < maps.pixels; p += together) {
@@ -58,6 +64,7 @@ __global__ void __launch_bounds__(kThreads)
   const float variance = fmaxf(block_sum(squares, parts) * inverse - mean * mean, 0.f);
   const float scale = 1 / sqrtf(variance + eps);
 
+  // Normalise: weight and bias of the two channels become one multiplication and one addition
   const float2 w = floats(weight[pair]), b = floats(bias[pair]);
   const float2 by = make_float2(w.x * scale, w.y * scale);
   const float2 plus = make_float2(fmaf(-(about + mean), by.x, b.x), fmaf(-(about + mean), by.y, b.y));

@@ -1,4 +1,4 @@
-// Group normalisation of the network's feature maps, for inference.
+// Group normalisation of the network's feature maps on a CUDA device, for inference.
 #pragma once
 
 #include <cstdint>
@@ -7,14 +7,15 @@
 
 namespace lfgs::cuda {
 
-// Maps with their channels side by side ("channels last"); an even number of channels in each group.
+// The sizes of maps whose channels lie side by side ("channels last"). Each group has an even number of channels.
 struct FeatureMaps {
   int64_t images, pixels;
   int channels, groups;
 };
 
-// out = silu(weight (in - mean) / sqrt(variance + eps) + bias), the mean and variance those of each image's group of
-// channels (Wu & He, ECCV 2018, eq. 1 to 3). All in bfloat16, two in a word, and float between. out may be in.
+// out = silu(weight (in - mean) / sqrt(variance + eps) + bias), where mean and variance are those of a group of
+// channels of one image (Wu & He, ECCV 2018, eq. 1 to 3). All arrays are bfloat16, two in a word; arithmetic is in
+// float. out may be the same array as in.
 void group_norm_silu(const FeatureMaps& maps, const uint32_t* in, const uint32_t* weight, const uint32_t* bias,
                      float eps, uint32_t* out, Stream stream);
 

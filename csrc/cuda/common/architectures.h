@@ -5,7 +5,8 @@
 
 namespace lfgs::cuda {
 
-// Architectures as CMake counts them (75, 90, 120), ascending: those that the compiler was told, "native" resolved.
+// The architectures that the compiler was told, ascending, as CMake numbers them (75, 90, 120); where that was
+// "native", the one it stood for.
 std::vector<int> architectures();
 
 }  // namespace lfgs::cuda

@@ -1,5 +1,5 @@
-// What happens at one sample on the device: alpha, over, the early stop, storing; and the reverse. Twin of
-// math/blend-inl.h and math/over-inl.h.
+// What happens at one sample on the device: alpha, blending, the early end, storing, and the reverse of blending; and
+// sums over the lanes of a warp. Twin of math/blend-inl.h and math/over-inl.h.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace lfgs::cuda {
 
-// 2^x, 1 / x and x^(-1/2) to two units in the last place, without care for numbers too small to be normal.
+// 2^x, 1 / x and x^(-1/2) to two units in the last place. Numbers too small to be normal count as zero.
 __device__ inline float fast_exp2(float x) {
   float y;
   asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
@@ -26,14 +26,15 @@ __device__ inline float fast_rsqrt(float x) {
   return y;
 }
 
-// alpha = min(0.99, 2^power), zero where it is below 1/255 (or power is not a number).
+// alpha = min(0.99, 2^power), or zero where that is below 1/255 (or power is not a number).
 __device__ inline float alpha_of(float power) {
   const float alpha = fast_exp2(power);
   return power >= float(kLog2MinAlpha) ? fminf(alpha, float(kMaxAlpha)) : 0.f;
 }
 
-// Light that a sample still takes; `weight` receives the share of this splat. A sample whose transmittance would fall
-// below the limit keeps what is left for the background (`rest`) and takes no more: its transmittance becomes zero.
+// Blends a splat of this alpha into a sample: updates its transmittance, and `weight` receives the splat's share of the
+// light. A sample whose transmittance would fall below the limit ends: it keeps what is left for the background
+// (`rest`) and takes no more, so its transmittance becomes zero.
 __device__ inline void over(float alpha, float& transmittance, float& rest, float& weight) {
   weight = alpha * transmittance;
   const float after = transmittance - weight;
@@ -45,8 +46,8 @@ __device__ inline void over(float alpha, float& transmittance, float& rest, floa
   }
 }
 
-// The same splat on the way back: the sample's transmittance loses what it lost to over(), and where the sample ended
-// before the splat, alpha becomes zero. Returns the weight.
+// The same in the reverse, which walks front to back as well: the sample's transmittance loses again what it lost to
+// over(). Where the sample ended before this splat, alpha becomes zero. Returns the weight.
 __device__ inline float over_again(float& alpha, float& transmittance) {
   const float before = transmittance, after = before - alpha * before;
   const bool open = after >= float(kMinTransmittance);
@@ -54,18 +55,21 @@ __device__ inline float over_again(float& alpha, float& transmittance) {
   return alpha * before;
 }
 
-// dL/dalpha of a splat, see math/over-inl.h: v is what a unit of its weight adds to the loss, `later` the sum of all
-// that is behind it. kEstimate: divides by an estimate; the lens sensor divides, as on the CPU.
+// dL/dalpha of a splat, see math/over-inl.h: `before` is the transmittance before it, v what a unit of its weight adds
+// to the loss, and `later` what all that is behind it adds. kEstimate: whether an approximate division will do; the
+// lens sensor divides exactly, as on the CPU.
 template <bool kEstimate>
 __device__ inline float over_adjoint(float alpha, float before, float v, float later) {
   return before * v - (kEstimate ? later * fast_reciprocal(1 - alpha) : later / (1 - alpha));
 }
 
+// The light of a sample that is left for the background.
 __device__ inline float remaining(float transmittance, float rest) { return transmittance > 0 ? transmittance : rest; }
 
-// What a sample shows, given what it would show if splats went on for ever, and the transmittance then. It ends before
-// the splat that would leave less than 1e-4 (Kerbl et al.), and its background has what is left before: usually little
-// more than that. Fast kernels do not ask at every splat; this puts right what they draw too much, but for a tenth.
+// The colour of a sample that ends in time, given the colour and the transmittance it has when it does not. A sample
+// ends before the splat that would leave less than 1e-4 of its light (Kerbl et al.), and the background gets what is
+// left before that splat, usually little more than 1e-4. Fast kernels do not ask at every splat whether the sample
+// ends; this corrects what they draw too much, but for about a tenth of it.
 __device__ inline float ended(float colour, float transmittance, float background) {
   constexpr float kUsualRest = 1.15f * float(kMinTransmittance);
   const bool full = transmittance > 0 && transmittance < float(kMinTransmittance);
@@ -78,18 +82,18 @@ __device__ inline uint8_t stored(float c, uint8_t*) {
   return uint8_t(__float2uint_rn(fminf(fmaxf(c, 0.f), 1.f) * 255.f));
 }
 
-// Sum over the lanes of a warp, in a fixed order; every lane receives it.
+// The sum over the lanes of a warp, in a fixed order; every lane receives it.
 __device__ inline float warp_sum(float v) {
   for (int step = 16; step > 0; step /= 2) v += __shfl_xor_sync(~0u, v, step);
   return v;
 }
-// The largest.
+// The largest of the lanes' numbers; every lane receives it.
 __device__ inline float warp_max(float v) {
   for (int step = 16; step > 0; step /= 2) v = fmaxf(v, __shfl_xor_sync(~0u, v, step));
   return v;
 }
 
-// The sum of the numbers of a warp's lanes, up to one's own.
+// The sum of the numbers of a warp's lanes, up to and with this lane's.
 template <class T>
 __device__ T sum_to_lane(T number) {
   for (int step = 1; step < 32; step *= 2) {

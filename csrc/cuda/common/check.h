@@ -1,4 +1,4 @@
-// Every status of CUDA and CUB is looked at; sizes of launches.
+// For the host code around kernels: every status of CUDA and CUB becomes an Error, and the sizes of launches.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -10,6 +10,7 @@
 
 namespace lfgs::cuda {
 
+// Throws when a call of CUDA or CUB failed.
 inline void check(cudaError_t status, const char* what) {
   if (status != cudaSuccess) throw Error(std::string(what) + ": CUDA says " + cudaGetErrorString(status));
 }
@@ -17,9 +18,10 @@ inline void check(cudaError_t status, const char* what) {
 // After a launch: reports a configuration that the device refused.
 inline void check_launch(const char* kernel) { check(cudaGetLastError(), kernel); }
 
+// How many blocks it takes for all items, `per_block` each.
 LFGS_HD int64_t blocks_for(int64_t items, int64_t per_block) { return (items + per_block - 1) / per_block; }
 
-// Blocks that the device holds at a time.
+// How many blocks of a kernel the device holds at a time: at least one on each multiprocessor.
 template <class Kernel>
 unsigned resident_blocks(Kernel kernel, int threads, size_t shared_bytes) {
   int device = 0, processors = 0, blocks = 0;

@@ -1,4 +1,5 @@
-// Splats of anti-aliased scenes on the device, see math/compensation.h.
+// Splats of anti-aliased scenes on the device: their projection, and the share of opacity that they keep; see
+// math/compensation.h.
 #pragma once
 
 #include "cuda/common/widened.cuh"
@@ -6,8 +7,8 @@
 
 namespace lfgs::cuda {
 
-// A projected splat and its compensation. In double: of what is thinner than a pixel and long, the area has few digits
-// left in float, where without compensation only the blur is seen of it.
+// Projects a splat and finds its compensation. It is in double, since the area of a splat that is long and thinner than
+// a pixel has few digits left in float. (Without compensation that does not matter: only the blur is seen of it.)
 __device__ inline Splat<float> compensated_splat(const View<double>& view, const Shape<float>& shape,
                                                  Compensation<float>& out) {
   const Shape<double> wide = widened(shape);
@@ -24,7 +25,7 @@ __device__ inline float sharpness(const Compensation<float>& c, float s) {
   return fmaxf(fmaf(fmaf(s, c.D2, c.D1), s, c.D0), 0.f);
 }
 
-// Log2 of the share that is left of a splat's opacity at s; minus infinity of an edge.
+// Log2 of the share that is left of a splat's opacity seen from s; minus infinity for a disc that is seen edge-on.
 __device__ inline float log2_share(const Compensation<float>& c, float s, float S) {
   return 0.5f * log2f(sharpness(c, s) / S);
 }

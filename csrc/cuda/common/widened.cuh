@@ -1,4 +1,4 @@
-// Cameras and Gaussians in double, for what has too few digits in float.
+// Cameras and Gaussians turned into double, for results that have too few digits in float.
 #pragma once
 
 #include "math/projection.h"

@@ -1,6 +1,9 @@
-// Stage composite for ordinary images on the device, and its reverse: a block per tile of 16 x 16 pixels, a warp per
-// patch of 8 x 4 of them, a thread per pixel, splats nearest first in both directions. A warp passes over the splats
-// that cannot touch its patch.
+// Stage composite for ordinary images on the device, and its reverse. Forward it reads the splats and the sorted pairs
+// and writes colour, alpha and depth; the reverse reads these images and their gradients, and writes the sums of every
+// slot and of the background.
+//
+// A block has a tile of 16 x 16 pixels, a warp a patch of 8 x 4 of them, a thread a pixel. Both directions go over the
+// splats nearest first. A warp passes over the splats that cannot touch its patch.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
@@ -17,10 +20,10 @@ static_assert(kDenseTile.width_px == kSide && kDenseTile.height_px == kSide && k
 
 // A splat as the pixels of a tile read it.
 struct Staged {
-  float4 place;      // u0, v0 from the tile's corner, c0, tau
+  float4 place;      // u0 and v0, from the tile's corner; c0, tau
   float4 colour;     // r, g, b, depth
   float2 size;       // log2 opacity, 1 / S
-  uint32_t patches;  // bit w: may touch the patch of warp w
+  uint32_t patches;  // bit w: it may touch the patch of warp w
 
   // log2 of opacity * weight at a pixel.
   __device__ float power(float x, float y) const {
@@ -48,7 +51,7 @@ struct Pixel {
   }
 };
 
-// The patches of a tile that a splat may touch, its centre from the tile's corner; bits in the order of the warps.
+// The patches of a tile that a splat may touch, a bit for each warp. The splat's centre counts from the tile's corner.
 __device__ uint32_t patches_of(const Splat<float>& s) {
   uint32_t patches = 0;
 #pragma unroll
@@ -65,6 +68,7 @@ __device__ uint32_t patches_of(const Splat<float>& s) {
   return patches;
 }
 
+// Reads a splat for the tile of this block.
 __device__ Staged stage(const Splats<float>& splats, uint32_t id, const Pixel& pixel) {
   Splat<float> s = read_splat(splats.splats + id);
   const float4 c = __ldg(reinterpret_cast<const float4*>(splats.colours) + id);
@@ -73,20 +77,21 @@ __device__ Staged stage(const Splats<float>& splats, uint32_t id, const Pixel& p
           make_float2(s.log2_opacity, 1 / s.S0), patches_of(s)};
 }
 
-// Which of 32 candidates, from `first` on, may touch the patch of this warp. The first is the highest bit: it is found
-// in one step.
+// Which of 32 staged splats, from `first` on, may touch the patch of this warp. The first of them is the highest bit,
+// so that it is found in one step.
 __device__ unsigned candidates(const Staged* staged, int first, int count, const Pixel& pixel) {
   const int own = first + 31 - pixel.lane;
   return __ballot_sync(kAll, own < count && staged[own].patches >> pixel.warp & 1);
 }
 
-// Takes the first one out of such a set; returns its number.
+// Takes the first splat out of such a set, and returns its number there.
 __device__ int take_first(unsigned& set) {
   const int first = __clz(int(set));
   set ^= 0x80000000u >> first;
   return first;
 }
 
+// Draws a tile: the block stages its splats in batches, and each thread blends them into its pixel.
 __global__ void __launch_bounds__(kThreads)
     composite_dense_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs,
                            const float* background, DenseImages<float> out) {
@@ -96,12 +101,13 @@ __global__ void __launch_bounds__(kThreads)
 
   const int64_t end = ranges[2 * int64_t(blockIdx.x) + 1];
   for (int64_t begin = ranges[2 * int64_t(blockIdx.x)]; begin < end; begin += kThreads) {
+    // End the list where no pixel takes light any more; else stage a splat a thread
     if (__syncthreads_and(transmittance == 0)) break;
     const int count = int(min(int64_t(kThreads), end - begin));
     if (int(threadIdx.x) < count) staged[threadIdx.x] = stage(splats, splat_of(pairs, begin + threadIdx.x), pixel);
     __syncthreads();
 
-    // 32 candidates at a time: each lane looks at one, then all evaluate those that may touch the patch
+    // Take 32 at a time: each lane looks at one, then all lanes blend those that may touch the patch
     for (int first = 0; first < count && __any_sync(kAll, transmittance > 0); first += 32) {
       for (unsigned todo = candidates(staged, first, count, pixel); todo;) {
         const Staged& s = staged[first + take_first(todo)];
@@ -111,6 +117,8 @@ __global__ void __launch_bounds__(kThreads)
       }
     }
   }
+
+  // Add what is left for the background, and store
   if (!pixel.inside) return;
   const float left = remaining(transmittance, rest);
   const float* behind = background + 3 * pixel.image;
@@ -121,20 +129,22 @@ __global__ void __launch_bounds__(kThreads)
   out.depth[pixel.index] = depth;
 }
 
-// --- The reverse. Each warp has its pixels find what they do to kHits splats (a hit: a splat that may touch the
-// patch), and then its lanes sum that over the pixels: no lane waits for another within either half.
+// --- The reverse. A warp goes back and forth between two steps: first every lane finds what its pixel says of kHits
+// splats that may touch the patch (hits), then the lanes share the sums of that over the pixels. Within either step no
+// lane waits for another.
 
 constexpr int kBatch = 64;  // splats staged at a time
-constexpr int kHits = 8;
+constexpr int kHits = 8;    // with the four rows of a patch, a sum for every lane
 static_assert(kHits * kPatchHeight == 32);
 
-// A sample on its way back; behind: what its own gradients and its image say of all that is behind the splat at hand.
+// A sample in the reverse. `behind` is what all that is behind the splat at hand adds to the loss; at the start, which
+// is before the first splat, it follows from the sample's gradients and its image.
 struct Sample {
   float4 gradient;  // of r, g, b, depth
   float transmittance, behind;
 
-  // The gradient of the exponent at this sample, over ln 2 (x), and the weight of the splat there (y); see
-  // over_adjoint() for the formula. Moves the sample behind the splat.
+  // Takes the sample from before a splat to behind it. Returns the gradient of the exponent at this sample, divided by
+  // ln 2 (x), and the weight of the splat there (y); see over_adjoint() for the formula.
   __device__ float2 pass(const Staged& s, float x, float y) {
     const float power = s.power(x, y), before = transmittance;
     float alpha = alpha_of(power);
@@ -147,6 +157,7 @@ struct Sample {
   }
 };
 
+// The sample of this thread before the first splat; `rest` receives the light that it left for the background.
 __device__ Sample sample_at(const Pixel& pixel, DenseImages<const float> images, DenseImages<const float> gradients,
                             float& rest) {
   rest = 0;
@@ -159,11 +170,12 @@ __device__ Sample sample_at(const Pixel& pixel, DenseImages<const float> images,
   return {g, 1, all};
 }
 
-// Sums over a patch for one splat, a lane for each row of it: effects and gradients are those of the row's pixels, its
-// middle at (x, y). Rows are joined over the lanes kHits apart.
+// The sums over a patch for one splat. A lane has one row of the patch: effects and gradients are those of the row's
+// pixels, and (x, y) is its middle. The rows of one splat are with lanes kHits apart, which then join their sums.
 __device__ void sum_over_patch(const Staged& s, const float2* effects, const float4* gradients, float x, float y,
                                float (&sums)[kDenseSums]) {
-  float moments[3] = {}, depth = 0, colour[3] = {};  // moments: of the distance from the middle
+  // Over the pixels of the row; moments are of the distance from its middle
+  float moments[3] = {}, depth = 0, colour[3] = {};
 #pragma unroll
   for (int i = 0; i < kPatchWidth; ++i) {
     const float2 effect = effects[i];
@@ -173,6 +185,8 @@ __device__ void sum_over_patch(const Staged& s, const float2* effects, const flo
     depth += effect.y * gradient.w, colour[0] += effect.y * gradient.x;
     colour[1] += effect.y * gradient.y, colour[2] += effect.y * gradient.z;
   }
+
+  // The numbers of a slot follow from these
   for (float& moment : moments) moment *= float(kLn2);
   const float dy = y - s.place.y, dx = x - s.place.x - s.place.z * dy, g = moments[0];
   const float gx = -2 * s.size.y * (moments[1] + dx * g);
@@ -181,12 +195,14 @@ __device__ void sum_over_patch(const Staged& s, const float2* effects, const flo
   sums[kSSum] = s.size.y * s.size.y * (moments[2] + dx * (2 * moments[1] + dx * g));
   sums[kDepthSum] = depth;
   for (int c = 0; c < 3; ++c) sums[kColourSum + c] = colour[c];
+
+  // Join the rows
 #pragma unroll
   for (int f = 0; f < kDenseSums; ++f)
     for (int step = kHits; step < 32; step *= 2) sums[f] += __shfl_xor_sync(kAll, sums[f], step);
 }
 
-// Sums of the background's gradient over the tile.
+// Writes the gradient of the background, summed over the tile: over each warp, then over the warps.
 __device__ void background_backward(const Pixel& pixel, const Sample& sample, float rest, float (&partial)[kWarps][3],
                                     float* tile_background) {
   const float behind[3] = {warp_sum(sample.gradient.x * rest), warp_sum(sample.gradient.y * rest),
@@ -200,14 +216,15 @@ __device__ void background_backward(const Pixel& pixel, const Sample& sample, fl
   tile_background[3 * int64_t(blockIdx.x) + threadIdx.x] = sum;
 }
 
-// Sums over a tile: within each warp, then over the warps that were hit, always in the same order.
+// Writes the sums of every slot of a tile, a block each. They are taken within each warp, then over the warps that the
+// splat hits, always in the same order, so that the bits are always the same.
 __global__ void __launch_bounds__(kThreads, 4)
     composite_dense_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs,
                                     DenseImages<const float> images, DenseImages<const float> gradients,
                                     float* slot_gradients, float* tile_background) {
   __shared__ Staged staged[kBatch];
-  __shared__ uint32_t slots[kBatch], summed[kBatch];  // summed: bit w: warp w has sums of this splat
-  __shared__ float2 effects[kWarps][kHits][32 + 1];   // odd rows: no two lanes of a half meet in a bank
+  __shared__ uint32_t slots[kBatch], summed[kBatch];  // summed, bit w: warp w has sums of this splat
+  __shared__ float2 effects[kWarps][kHits][32 + 1];   // odd rows, so that no two lanes of a half warp meet in a bank
   __shared__ float4 pixel_gradients[kWarps][32];
   __shared__ float partial[kWarps][kBatch][kDenseSums], partial_background[kWarps][3];
   const Pixel pixel(image);
@@ -216,13 +233,14 @@ __global__ void __launch_bounds__(kThreads, 4)
   pixel_gradients[pixel.warp][pixel.lane] = sample.gradient;
   background_backward(pixel, sample, rest, partial_background, tile_background);
 
-  // Of the sums: hit and row of this lane, and the middle of the row
+  // What this lane sums up: which hit and which row of the patch; and the middle of the row
   const int hit = pixel.lane % kHits, row = pixel.lane / kHits;
   const float row_x = (pixel.warp % kPatchesAcross + 0.5f) * kPatchWidth;
   const float row_y = pixel.warp / kPatchesAcross * kPatchHeight + row + 0.5f;
 
   const int64_t end = ranges[2 * int64_t(blockIdx.x) + 1];
   for (int64_t begin = ranges[2 * int64_t(blockIdx.x)]; begin < end; begin += kBatch) {
+    // Stage splats, and where their sums will go
     __syncthreads();
     const int count = int(min(int64_t(kBatch), end - begin));
     if (int(threadIdx.x) < count) {
@@ -230,11 +248,13 @@ __global__ void __launch_bounds__(kThreads, 4)
       staged[threadIdx.x] = stage(splats, splat_of(pairs, begin + threadIdx.x), pixel);
     }
     __syncthreads();
+
+    // Take up to kHits of those that may touch the patch, then sum over it
     for (int first = 0; first < count && __any_sync(kAll, sample.transmittance > 0); first += 32) {
       unsigned todo = candidates(staged, first, count, pixel);
       if (todo << pixel.lane >> 31) atomicOr(&summed[first + pixel.lane], 1u << pixel.warp);
       while (todo) {
-        int filled = 0, splat = first;  // splat: of the hit that this lane sums
+        int filled = 0, splat = first;  // splat: the one that this lane sums up
         do {
           const int k = first + take_first(todo);
           effects[pixel.warp][filled][pixel.lane] = sample.pass(staged[k], pixel.x, pixel.y);
@@ -250,6 +270,8 @@ __global__ void __launch_bounds__(kThreads, 4)
       }
     }
     __syncthreads();
+
+    // Sum over the warps, a number a thread
     for (int i = threadIdx.x; i < count * kDenseSums; i += kThreads) {
       const int k = i / kDenseSums, f = i % kDenseSums;
       float sum = 0;

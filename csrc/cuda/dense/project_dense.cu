@@ -1,5 +1,6 @@
-// Stage project for ordinary images on the device: a thread per (image, Gaussian). Arithmetic is float; double, of
-// anti-aliased scenes.
+// Stage project for ordinary images on the device: reads Gaussians and cameras, writes splats with their colours and
+// the keys by which they are sorted. A thread has a Gaussian in one image. Arithmetic is in float, but in double for
+// the splats of anti-aliased scenes.
 #include "cuda/common/check.h"
 #include "cuda/common/compensated.cuh"
 #include "cuda/common/gaussian_io.cuh"
@@ -13,11 +14,12 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128;
 
+// Projects one Gaussian.
 template <bool kAntialiased>
 __device__ Splat<float> splat_of(const Cameras<float>& cameras, int64_t image, const View<float>& view,
                                  const Shape<float>& shape) {
   if constexpr (kAntialiased) {
-    Compensation<float> of_one_camera;  // is in the opacity
+    Compensation<float> of_one_camera;  // not needed: with one camera it is in the opacity
     return compensated_splat(cameras.view<double>(image), shape, of_one_camera);
   } else {
     return Projection<float>(view, shape).splat(view, shape.opacity);
@@ -34,6 +36,7 @@ __device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, i
   return drawn;
 }
 
+// Projects all Gaussians into all images: blocks along x have the Gaussians of a scene, along y the images.
 template <bool kAntialiased>
 __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> out,
                                      uint64_t* keys) {

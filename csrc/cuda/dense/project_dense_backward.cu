@@ -1,5 +1,6 @@
-// Reverse of stage project for ordinary images on the device: a thread per (scene, Gaussian) goes through the cameras
-// of its scene in order.
+// Reverse of stage project for ordinary images on the device: reads the sums of all slots, writes the gradients of the
+// Gaussians and of the cameras. A thread has a Gaussian of a scene, and goes through the cameras of the scene in order;
+// a block adds up what its Gaussians say of each camera.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
@@ -15,7 +16,7 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128, kWarps = kThreads / 32, kViewNumbers = 12;
 
-// Sum over a splat's slots, turned into the gradient of the splat and of its colour.
+// Adds up the slots of a splat, and turns the sums into the gradients of the splat and of its colour.
 template <class R>
 __device__ Splat<R> splat_gradient(const Splat<float>& s, const float* slot_gradients, SlotRange slots, vec3& colour) {
   static_assert(kDenseSums % 2 == 0);
@@ -33,15 +34,15 @@ __device__ Splat<R> splat_gradient(const Splat<float>& s, const float* slot_grad
   return g;
 }
 
-// Whether a splat is so long that its covariance has few digits left in float: rho^2 / (1 - rho^2), rho the correlation
-// of x and y.
+// Whether a splat is so long and thin that its covariance has few digits left in float. The measure is
+// rho^2 / (1 - rho^2), where rho is the correlation of x and y.
 __device__ bool is_needle(const Splat<float>& s) {
   constexpr float kLong = 300;
   return !(s.c0 * s.c0 <= kLong * s.tau * s.S0);
 }
 
-// The adjoint of projection from sums over slots on, in double and rounded; not inlined, for it is rarely called and
-// takes many registers.
+// Adds the adjoint of the projection, from the sums over slots on, computed in double and then rounded. It is not
+// inlined, since it is rarely called and takes many registers.
 template <bool kAntialiased>
 __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Shape<float>& shape,
                                                const Splat<float>& splat, const float* slot_gradients, SlotRange slots,
@@ -51,10 +52,14 @@ __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Sh
   Splat<double> gradient = splat_gradient<double>(splat, slot_gradients, slots, g_colour);
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> of_view;
+
+  // The adjoint, in double
   const Projection<double> projection(exact, wide);
   Compensation<double> sharp{};
   if (kAntialiased) sharp = projection.compensate_adjoint(gradient);
   projection.adjoint<kAntialiased>(exact, wide, gradient, sum, of_view, sharp);
+
+  // Add it to what other cameras have said
   auto add = [](float& to, double what) { to = saturated<float>(to + what); };
   for (int c = 0; c < 3; ++c) add(g.mean[c], sum.mean[c]), add(g.scale[c], sum.scale[c]);
   for (int c = 0; c < 4; ++c) add(g.quaternion[c], sum.quaternion[c]);
@@ -65,8 +70,9 @@ __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Sh
   }
 }
 
-// Three blocks on a multiprocessor: the registers that it takes without needles. All of an anti-aliased scene is as
-// hard as they are: see compensated_splat().
+// Writes all gradients. The adjoint of an ordinary splat fits the registers that three blocks on a multiprocessor
+// leave. Needles, and all splats of an anti-aliased scene (see compensated_splat()), go through add_exact_adjoint()
+// instead.
 template <bool kAntialiased>
 __global__ void __launch_bounds__(kThreads, 3)
     project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
@@ -97,7 +103,7 @@ __global__ void __launch_bounds__(kThreads, 3)
         Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
       }
 
-      // Colours, through their clamp at zero; eye = -R^T t
+      // The colours, through their clamp at zero; they also depend on the eye, which is -R^T t
       const float* colour = splats.colours + index * kColourStride;
       for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_colour[c] : 0.f;
       const vec3 g_mean = sh_colour_adjoint(own.sh_degree, own.sh + numbers * i, shape.mean, view.centre(), g_colour,
@@ -107,7 +113,7 @@ __global__ void __launch_bounds__(kThreads, 3)
       g_view.translation += view.rotation * g_mean;
     }
 
-    // The camera's gradient: over the warp, then over the warps
+    // The camera's gradient, summed over each warp, then over the warps
     for (int f = 0; f < kViewNumbers; ++f) {
       const float sum = warp_sum(f % 4 == 3 ? g_view.translation[f / 4] : g_view.rotation[f % 4][f / 4]);
       if (threadIdx.x % 32 == 0) partial[threadIdx.x / 32][f] = sum;

@@ -147,7 +147,8 @@ void frame_composite(const LensFrame& frame, const float* background, float* out
 void composite_lattice(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_pixel(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_ordinal(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
-// Lenses across and rows down of a tile of composite_ordinal; whether it can draw a lens on the current device.
+// A tile of composite_ordinal has so many lenses across and rows down, and so many ordinals are in a group of a list.
+// The function says whether it can draw a lens on the current device.
 constexpr int kTileLenses = 16, kTileRows = 32, kGroupOrdinals = 6;
 bool can_composite_ordinal(const Lens& lens);
 

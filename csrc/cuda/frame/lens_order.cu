@@ -16,10 +16,9 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 256, kWarps = kThreads / 32;
-constexpr unsigned kEach = kShortList / 32;  // how many keys, and how many buckets, a thread has
-constexpr unsigned kKept =
-    kThreads * kEach;            // keys that shared memory holds, for a block or for all its warps together
-constexpr unsigned kCrowd = 16;  // the most keys of a bucket: each of them looks at all of them
+constexpr unsigned kEach = kShortList / 32;   // how many keys, and how many buckets, a thread has
+constexpr unsigned kKept = kThreads * kEach;  // keys that shared memory holds: those of a block, or of all its warps
+constexpr unsigned kCrowd = 16;               // the most keys of a bucket: each of them looks at all of them
 
 // The teams. rank() is a thread's number in its team.
 struct Warp {

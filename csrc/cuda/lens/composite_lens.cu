@@ -2,8 +2,8 @@
 // sorted pairs and writes the image; the reverse reads the image and the gradient of it, and writes the sums of every
 // slot and of the background.
 //
-// The lists are of tiles of pixels, and of all that splats sweep over the whole rig. A block draws a tile of 32 x 16
-// pixels, a warp 16 x 4 of them, a lane two pixels two rows apart: six sub-pixels, each at its own offset.
+// The list of a tile of pixels has all splats that may touch it, seen from anywhere on the rig. A block draws a tile of
+// 32 x 16 pixels, a warp 16 x 4 of them, a lane two pixels two rows apart: six sub-pixels, each at its own offset.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/compensated.cuh"

@@ -1,6 +1,9 @@
-// Stage composite on the device for sub-pixels sorted by view, each view an ordinary camera: a block per (view, tile),
-// a thread per sub-pixel. A warp's sub-pixels lie close together, for the lists run along the columns: it looks only at
-// the splats that may touch the box around them.
+// Stage composite on the device for sub-pixels sorted by view, where each view is an ordinary camera. It reads the
+// splats, the sorted pairs of every (view, tile) and the lists of sub-pixels, and writes those sub-pixels of the image.
+//
+// A block has the sub-pixels of one view in one tile, a thread a sub-pixel at a time. The sub-pixels of a warp lie
+// close together, since the lists run along the columns; so a warp looks only at the splats that may touch the box
+// around them.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/stages/stages.h"
@@ -13,7 +16,7 @@ static_assert(kThreads % kSubpixelBlock == 0 && kSubpixelBlock == 32);
 
 // A splat as the sub-pixels of a tile read it.
 struct Staged {
-  float4 place;  // u0, v0 from the tile's corner, c0, tau
+  float4 place;  // u0 and v0, from the tile's corner; c0, tau
   float2 size;   // log2 opacity, 1 / S
 
   // log2 of opacity * weight at a sub-pixel.
@@ -27,7 +30,7 @@ struct Staged {
 struct Box {
   float x, y, half_x, half_y;
 
-  // Whether a splat may bring a sample in the box above the opacity cut; errs on the wide side.
+  // Whether the alpha of a splat may be above the opacity cut somewhere in the box; it errs on the wide side.
   __device__ bool meets(const Staged& s) const {
     const float middle = y - s.place.y, nearest = fmaxf(fabsf(middle) - half_y, 0.f);
     const float exponent = s.size.x - s.place.w * nearest * nearest + float(1e-3 - kLog2MinAlpha);
@@ -51,7 +54,7 @@ struct Sample {
     place = ((y0 + s.row) * width_px + x0 + s.column) * 3 + s.channel;
   }
 
-  // Around the samples of the warp; meets nothing when there are none.
+  // The box around the samples of the warp; where there are none, it meets no splat.
   __device__ Box box() const {
     const float far = 1e9f;
     float left = some ? x : far, right = some ? x : -far, top = some ? y : far, bottom = some ? y : -far;
@@ -63,10 +66,13 @@ struct Sample {
   }
 };
 
+// A splat for the tile whose corner is at (x0, y0).
 __device__ Staged stage(const Splat<float>& s, float x0, float y0) {
   return {make_float4(s.u0 - x0, s.v0 - y0, s.c0, s.tau), make_float2(s.log2_opacity, 1 / s.S0)};
 }
 
+// Draws the sub-pixels of one (view, tile), a block each; blocks start in the order that the caller gives. For every
+// kThreads sub-pixels the block stages the tile's splats in batches, and each thread blends them into its own.
 __global__ void __launch_bounds__(kThreads)
     composite_sorted_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, SubpixelLists lists,
                             const int64_t* order, const float* background, float* out, uint8_t* out8) {
@@ -79,11 +85,14 @@ __global__ void __launch_bounds__(kThreads)
   const int64_t begin = ranges[2 * list], end = ranges[2 * list + 1], last = lists.starts[list + 1];
   const int lane = threadIdx.x % 32;
 
-  // A block's worth of sub-pixels at a time: as many as the tile has of the view, one time on the average
+  // As many sub-pixels at a time as the block has threads. A tile has about so many of a view, so it takes one round on
+  // average
   for (int64_t first = lists.starts[list]; first < last; first += kThreads) {
     const int64_t at = first + threadIdx.x;
     const Sample sample(lists.tile, at < last ? lists.codes[at] : kNoSubpixel, x0, y0, image.width_px);
     const Box box = sample.box();
+
+    // Go over the list in batches, until no sample takes light any more
     float transmittance = sample.some ? 1.f : 0.f, rest = 0, value = 0;
     for (int64_t batch = begin; batch < end; batch += kThreads) {
       if (__syncthreads_and(transmittance == 0)) break;
@@ -94,6 +103,8 @@ __global__ void __launch_bounds__(kThreads)
         *reinterpret_cast<float4*>(colours[threadIdx.x]) = reinterpret_cast<const float4*>(splats.colours)[id];
       }
       __syncthreads();
+
+      // Take 32 at a time: each lane looks at one, then all lanes blend those that may touch the box
       for (int group = 0; group < count && __any_sync(~0u, transmittance > 0); group += 32) {
         unsigned hits = __ballot_sync(~0u, group + lane < count && box.meets(staged[group + lane]));
         for (; hits; hits &= hits - 1) {
@@ -105,7 +116,9 @@ __global__ void __launch_bounds__(kThreads)
         }
       }
     }
-    __syncthreads();  // the next sub-pixels stage anew
+    __syncthreads();  // before the splats are staged again for the next sub-pixels
+
+    // Add what is left for the background, and store
     if (!sample.some) continue;
     const float colour = value + remaining(transmittance, rest) * background[sample.channel];
     if (out8)

@@ -1,5 +1,6 @@
-// Stage bin on the device: which splats touch which tile. Splats write their tiles in depth order; a stable sort by
-// tile keeps it.
+// Stage bin on the device: finds which splats touch which tile. It reads the splats and their order by depth; it writes
+// the pairs (tile, splat) and where each tile's pairs begin and end. Splats write their tiles in depth order, and a
+// stable sort by tile keeps that order.
 #include <cub/device/device_radix_sort.cuh>
 #include <cub/device/device_reduce.cuh>
 #include <cub/device/device_scan.cuh>
@@ -36,6 +37,7 @@ __device__ void for_each_tile_row(const Splat<float>& splat, const Image& image,
   }
 }
 
+// Counts the tiles that each splat touches. A thread has a splat.
 __global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= splats.images * splats.count) return;
@@ -44,16 +46,18 @@ __global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts
   counts[i] = count;
 }
 
-// The count of the i-th splat, or of the i-th sorted one where there are indices.
+// The count of the i-th splat; where there are indices, that of the i-th splat in their order.
 struct Count {
   const uint32_t *counts, *indices;
   __device__ int64_t operator()(int64_t i) const { return counts[indices ? indices[i] : i]; }
 };
 
+// The counts of all splats, for CUB to read.
 auto each_count(const uint32_t* counts, const uint32_t* indices = nullptr) {
   return thrust::make_transform_iterator(thrust::counting_iterator<int64_t>(0), Count{counts, indices});
 }
 
+// Writes the pairs in splat-major order, and where the slots of each splat are. A thread has a splat, by depth.
 __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* indices, const int64_t* ends,
                             Pairs pairs, SlotRange* slot_ranges) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
@@ -73,7 +77,7 @@ __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* i
   });
 }
 
-// Where each tile's pairs stand among the sorted ones, and their splats.
+// Writes where each tile's pairs begin and end among the sorted ones, and the splat of each pair. A thread has a pair.
 __global__ void ranges_kernel(Pairs pairs, int64_t* ranges) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= pairs.count) return;
@@ -121,12 +125,16 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
   const int64_t all_tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
   require(all_tiles < int64_t(1) << 32, "more than 2^32 tiles: render fewer or smaller images at a time");
   if (items == 0) return;
+
+  // Where the slots of each splat end, then the pairs
   check(cub::DeviceScan::InclusiveSum(temporary, temporary_bytes, each_count(counts, indices), ends, items,
                                       cudaStream_t(stream)),
         "bin: scan");
   fill_kernel<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(splats, image, indices,
                                                                                             ends, pairs, slot_ranges);
   check_launch("bin_fill");
+
+  // Sort them by tile, and find the tiles' ranges
   if (pairs.count == 0) return;
   check(cub::DeviceRadixSort::SortPairs(
             temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots, pairs.sorted_slots, pairs.count,

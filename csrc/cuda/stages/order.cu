@@ -1,4 +1,5 @@
-// Stage order on the device: one stable radix sort of (image, depth) keys for all images.
+// Stage order on the device: reads the keys (image, depth) that project wrote, and writes the splats' indices in their
+// order. It is one stable radix sort for all images.
 #include <cub/device/device_radix_sort.cuh>
 
 #include <bit>
@@ -11,6 +12,7 @@ namespace {
 
 constexpr int kThreads = 256;
 
+// Writes 0, 1, 2, ...: a thread has a number.
 __global__ void count_up(int64_t items, uint32_t* indices) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i < items) indices[i] = uint32_t(i);
@@ -35,7 +37,8 @@ void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted
   uint32_t* unsorted = reinterpret_cast<uint32_t*>(static_cast<char*>(temporary) + bytes);
   count_up<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(items, unsorted);
   check_launch("order");
-  // Keys of what is not drawn have all bits set: one bit more than the image numbers keeps them last
+  // Splats that are not drawn have all bits of their keys set. Sorting by one bit more than image numbers need puts
+  // them last
   const int end_bit = kDepthBits + int(std::bit_width(uint64_t(images)));
   check(cub::DeviceRadixSort::SortPairs(temporary, bytes, keys, sorted_keys, unsorted, indices, items, 0, end_bit,
                                         cudaStream_t(stream)),

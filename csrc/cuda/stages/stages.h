@@ -1,5 +1,6 @@
-// The stages and their reverses on a CUDA device: the CPU's stages (stages/stages.h) with device pointers and a
-// stream. Nothing here allocates or waits; the caller asks for the sizes of temporary storage first.
+// The stages and their reverses on a CUDA device: the same as the CPU's stages (stages/stages.h), with device pointers
+// and a stream. They run in the order in which they stand here. Nothing allocates or waits; the caller asks for the
+// sizes of temporary storage first.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +13,7 @@ namespace lfgs::cuda {
 
 using Stream = void*;  // cudaStream_t
 
-// Tiles of the device's lists: pixels across and down.
+// The size of the tiles that have lists on the device: pixels across and down.
 struct TileSize {
   int width_px, height_px;
 };
@@ -22,33 +23,34 @@ LFGS_HD int64_t tile_count(TileSize tile, int64_t width_px, int64_t height_px) {
   return ((width_px + tile.width_px - 1) / tile.width_px) * ((height_px + tile.height_px - 1) / tile.height_px);
 }
 
+// The images that are drawn together, and their tiles.
 struct Image {
   int64_t count, width_px, height_px;  // of images, all of one size
   TileSize tile;
 };
 
-// --- project: also writes the sort keys [I * N]: the image above kDepthBits bits of depth, which is positive; ~0 where
-// nothing is drawn.
+// --- project. It also writes the keys for sorting, [I * N]: the number of the image above kDepthBits bits of the
+// depth, which is positive; ~0 where nothing is drawn. (Here and below I images have N Gaussians each.)
 constexpr int kDepthBits = 31;
-constexpr int64_t kMostImages = 65535;  // blocks of a launch, down
+constexpr int64_t kMostImages = 65535;  // CUDA's limit for blocks of a launch along y
 void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const Splats<float>& out,
                    uint64_t* keys, Stream stream);
 // error receives the largest estimated error of a colour polynomial (one float, zeroed by the caller).
 void project_lens(const Gaussians<const float>& gaussians, const View<double>& rig, const Lens& lens, double tolerance,
                   const Splats<float>& out, uint64_t* keys, float* error, Stream stream);
 
-// --- order: indices [I * N] sorted by key. Raises when 32 bits do not hold an index.
+// --- order. Writes the indices [I * N] sorted by key. Raises when 32 bits do not hold an index.
 size_t order_bytes(int64_t items);
 void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted_keys, uint32_t* indices,
            void* temporary, size_t temporary_bytes, Stream stream);
 
-// --- bin: count writes, per splat, how many (tile, splat) pairs it has: counts [I * N]; and how many there are of all:
-// pairs (one number). It needs no order, so that the host may learn the latter while the device sorts.
+// --- bin. bin_count writes how many (tile, splat) pairs each splat has, counts [I * N], and how many there are of all,
+// `pairs` (one number). It does not need the order, so that the host may learn the latter while the device sorts.
 size_t count_bytes(int64_t items);
 void bin_count(const Splats<float>& splats, const Image& image, uint32_t* counts, int64_t* pairs, void* temporary,
                size_t temporary_bytes, Stream stream);
-// Buffers of fill, a number per pair. A *slot* is the place of a pair in splat-major order: those of the i-th sorted
-// splat are [ends[i - 1], ends[i]). Only what is sorted is of use after fill.
+// Buffers of bin_fill, a number per pair. A *slot* is the place of a pair in splat-major order: those of the i-th
+// sorted splat are [ends[i - 1], ends[i]). After bin_fill only the sorted ones are of use.
 struct Pairs {
   int64_t count;
   uint32_t *tiles, *sorted_tiles;         // tile of each slot; of each sorted pair
@@ -61,37 +63,38 @@ LFGS_HD uint32_t splat_of(const Pairs& pairs, int64_t k) { return pairs.sorted_s
 struct SlotRange {
   uint32_t first, last;
 };
-// fill writes the pairs, nearest first within a tile, their running number per sorted splat: ends [I * N], ranges
-// [I * tiles, 2] into them (zeroed by the caller: empty tiles are left alone) and slot_ranges [I * N]. fill_bytes
-// raises when 32 bits do not hold a slot.
+// bin_fill writes the pairs, nearest first within a tile; ends [I * N], the running sum of the counts of the sorted
+// splats; ranges [I * tiles, 2], where each tile's pairs begin and end (zeroed by the caller, for empty tiles are left
+// alone); and slot_ranges [I * N]. fill_bytes raises when 32 bits do not hold a slot.
 size_t fill_bytes(int64_t items, int64_t pairs);
 void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* indices, const uint32_t* counts,
               int64_t* ends, const Pairs& pairs, int64_t* ranges, SlotRange* slot_ranges, void* temporary,
               size_t temporary_bytes, Stream stream);
 
-// --- composite
+// --- composite. Reads the pairs of every tile, `ranges`, and writes the images.
 void composite_dense(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                      const float* background, DenseImages<float> out, Stream stream);
 void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                     const Lens& lens, const float* background, float* out, Stream stream);
-// order [image.count * tiles]: the (view, tile) lists by falling work. Writes to out, or where that is null to out8.
+// order [image.count * tiles] has the numbers of the (view, tile) lists, those with the most work first. Writes to
+// out8, or where that is null to out.
 void composite_sorted(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                       const SubpixelLists& lists, const int64_t* order, const float* background, float* out,
                       uint8_t* out8, Stream stream);
 
-// --- the reverses. Every slot is written by one block in a fixed order, and sums run in slot order: the same
-// bits in every run. slot_gradients [pairs, numbers of a slot]; tile_background [I * tiles, 3].
+// --- the reverses. Every slot is written by one block in a fixed order, and sums run in the order of slots, so that
+// every run gives the same bits. slot_gradients is [pairs, numbers of a slot]; tile_background is [I * tiles, 3].
 //
-// Numbers of a slot: of ordinary images, the first kDenseFootprintSums of FootprintSum, then the gradients of depth, r,
-// g and b. Of the lens all of FootprintSum, those of r, g, b for each power of s, and of an anti-aliased scene those of
-// D.
+// The numbers of a slot are, for ordinary images, the first kDenseFootprintSums of FootprintSum, then the gradients of
+// depth, r, g and b. For the lens they are all of FootprintSum, the gradients of r, g, b for each power of s, and in an
+// anti-aliased scene those of D.
 constexpr int kDepthSum = kDenseFootprintSums, kColourSum = kDepthSum + 1, kDenseSums = kColourSum + 3;
 constexpr int kLensSums = kLensFootprintSums;
 void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                               const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
                               float* slot_gradients, float* tile_background, Stream stream);
-// out is written whole, but added to in its harmonics; view_partials [I, view_blocks(N), 12]: rows of [R|t], to be
-// summed over the blocks.
+// All of out is overwritten, except its harmonics, which are added to. view_partials [I, view_blocks(N), 12] receives
+// the gradients of the rows of [R|t], which the caller sums over the blocks.
 int64_t view_blocks(int64_t gaussians);
 void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
                             const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,

@@ -46,6 +46,8 @@ class LatticePlanner {
     LatticeCurvature& curvature = *reinterpret_cast<LatticeCurvature*>(curvature_);
     if (lane == 0) new (&curvature) LatticeCurvature(part);
     __syncwarp();
+
+    // Every `stride`-th splat, 32 at a time
     const unsigned stride = list.count / kMeasured + 1, measured = list.count / stride;
     LatticeCurvature::Sums sums;
 #pragma unroll 1

@@ -69,10 +69,10 @@ struct Patch {
     const Ordinals& ordinals = frame.optics.ordinals;
     const float a = ordinals.centre[first], b = ordinals.centre[last];
     const float reach = fmaxf(fabsf(b - a) * 0.5f + ordinals.half[first], fabsf(b - a) * 0.5f + ordinals.half[last]);
-    const unsigned before = (1u << lane) - 1;
+    const unsigned before = (1u << lane) - 1;  // the lanes before this one
     const float x = sheared(0.5f * (first + last)), half = half_x + (last - first) * (1.f / 6);
 
-    // First all ordinals of the group as one, a splat a lane: most splats end here
+    // First all ordinals of the group as one, a splat a lane: a splat that touches none of them is out
     uint16_t* queue = reinterpret_cast<uint16_t*>(own.operands);
     int survivors = 0, first_page = 0;
     for (int begin = 0; begin < count; begin += 32) {

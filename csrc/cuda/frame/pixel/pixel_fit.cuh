@@ -17,7 +17,7 @@ constexpr int kPatchWidth = 16;
 constexpr float kFaint = -3;          // log2 of an opacity that is little more than what cuts leave out
 constexpr float kMostHalfSweep = 24;  // the most that d may change over half the rig: such halves have steps of 2^-6
 constexpr float kMostHalfColour = 2;  // sums of brighter colours have too few digits in half precision
-constexpr float kStraightColour = 2.5e-4f;  // coefficient of s^2 that is left out: colours err by a quarter of it
+constexpr float kStraightColour = 2.5e-4f;  // coefficient of s^2 that is left out; on average a quarter is the error
 constexpr float kSmallEdge = 3e-3f;         // slope with which a colour may reach zero: it errs by at most a quarter
 
 // How samples are evaluated: with a straight line for r = S^(-1/2); with a parabola for those splats for which a line

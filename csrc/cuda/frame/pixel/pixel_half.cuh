@@ -1,5 +1,5 @@
 // The samples of a lane in composite_pixel.cu in half precision, two in a word: the same sub-pixel of two neighbouring
-// pixels. Where each number is rounded was chosen by what it does to the image:
+// pixels. What is rounded, and why that is good enough:
 //
 // - What does not depend on s is summed in float, then rounded.
 // - The terms of d cancel, so d is as coarse as the largest of them: Gaussians that sweep far are evaluated carefully.

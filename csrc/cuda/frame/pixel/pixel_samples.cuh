@@ -166,6 +166,8 @@ struct FloatSamples {
     float c0 = fmaf(f1.y, pixels.x, fmaf(f0.y, pixels.y, f0.x));
     float c1 = fmaf(f1.z, pixels.x, fmaf(f0.w, pixels.y, f0.z));
     float c2 = Curved ? fmaf(f3.y, pixels.x, fmaf(f3.z, pixels.y, f1.x)) : f1.x;
+
+    // Row by row: exponent, alpha, and the step of the colour in every sub-pixel
 #pragma unroll
     for (int r = 0; r < C::lane_rows; ++r) {
       const float A = fmaf(-t, t, f1.w);
