@@ -156,7 +156,7 @@ def run(args: argparse.Namespace) -> None:
     watch.lap("start")
     with torch.inference_mode():
         gaussians, file = load_scene(args, device, watch)
-        # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
+        # Cameras that are read or written are in the coordinates of the scene's file
         if "cameras" in views:
             views["cameras"] = views["cameras"].relative_to(gaussians.origin)
         else:
@@ -178,7 +178,7 @@ def run(args: argparse.Namespace) -> None:
             **views,
         )
         image = drawn.cpu().numpy()
-        del drawn  # a device has other use for its memory
+        del drawn  # its memory on the device is needed for the rest
         watch.lap("image", stats["stages_ms"])
         write_image(args.output, _stored(image, bits), _metadata(args, gaussians, panel, rig_of_file), args.compression)
         if args.save_rig is not None:
