@@ -41,7 +41,7 @@ _HOMES = {
     "prune": "encoding.pruning",
     "render": "rasterizer.images",
 }
-# Spelled out for type checkers, which take no other name as public, and do not run what would make this list of that
+# Spelled out for type checkers: they take no other name as public, and would not run a line that makes it from _HOMES
 __all__ = [
     "Cameras",
     "Encoder",

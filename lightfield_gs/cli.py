@@ -18,7 +18,7 @@ from typing import NoReturn, cast
 from lightfield_gs.base.complaint import assumptions_said, complain
 from lightfield_gs.base.errors import InputError
 
-# Each a file of lightfield_gs/commands, which has its arguments and runs it
+# Each command is a file of lightfield_gs/commands, which has its arguments and runs it
 COMMANDS = {
     "encode": "a photo or a .ply to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     began = time.perf_counter() - (time.process_time() if argv is None else 0)
     arguments = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
-        # What files are called, or hold, may be no text
+        # Names of files, and what they hold, may have bytes that are no text
         cast(io.TextIOWrapper, sys.stdout).reconfigure(errors="backslashreplace")
     try:
         args = build_parser(*arguments[:1]).parse_args(_joined(arguments), argparse.Namespace(began=began))

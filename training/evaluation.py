@@ -28,8 +28,8 @@ from tqdm import tqdm
 from lightfield_gs.base.checks import whole_number
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import make_folder
-from lightfield_gs.io.images import write_image
 from lightfield_gs.io.captures.views import ObjectViews
+from lightfield_gs.io.images import write_image
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
 from lightfield_gs.reference.metrics import psnr_db, ssim

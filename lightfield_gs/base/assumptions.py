@@ -6,7 +6,7 @@ import warnings
 
 
 class Assumption(UserWarning):
-    """Something that decides what comes out, and that was assumed since what was given does not say it."""
+    """Something that decides what comes out and that had to be assumed, since nothing that was given says it."""
 
 
 def assume(words: str) -> None:

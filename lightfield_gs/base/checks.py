@@ -13,7 +13,7 @@ _KIND_NAMES = {"NoneType": "none", "Tensor": "torch.Tensor"}
 
 
 def shown(value: object) -> str:
-    """A value of any kind in a message: on one line, cut."""
+    """A value of any kind as a message shows it: on one line, 80 characters at most."""
     return "none" if value is None else " ".join(repr(value).split())[:80]
 
 

@@ -1,5 +1,5 @@
-"""What a command says on stderr: how it ends that could not do its work, and notes on work that may disappoint; and on
-stdout what it assumed."""
+"""What a command says beside its results: on stderr why it could not do its work, and notes on work that may
+disappoint; on stdout what it assumed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 def complain(program: str, error: BaseException, remedy: str) -> int:
-    """Says in one line on stderr why a program ends, and returns its exit code; raises what is a fault of its own.
+    """Says in one line on stderr why a program ends, and returns its exit code. Errors that are a fault of the program
+    itself are raised again.
 
     remedy: what to do where memory does not suffice.
     """

@@ -1,4 +1,4 @@
-"""The one exception for everything a user can get wrong, and who puts the name of a file into it."""
+"""The one exception for everything a user can get wrong, and what puts the name of a file into it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def named(where: object) -> Iterator[None]:
 
 @contextmanager
 def reading(path: object) -> Iterator[None]:
-    """Says of a file that the system does not let be read, why, as an InputError."""
+    """Turns the error of a file that the system does not let be read into an InputError that says why."""
     try:
         yield
     except OSError as error:

@@ -17,7 +17,7 @@ SH_CONSTANT = 0.28209479177387814  # the harmonic of degree 0, 1 / (2 sqrt(pi)):
 
 
 def harmonics(directions: Tensor, count: int) -> Tensor:
-    """The first `count` (1, 4, 9, 16) real spherical harmonics [P,K] of unit directions [P,3], signs as in 3DGS."""
+    """The first `count` = K (1, 4, 9 or 16) real spherical harmonics, [P,K], in unit directions [P,3]."""
     x, y, z = directions.unbind(-1)
     k0, k1, k20, k21, k22, k30, k31, k32, k33 = (
         float(np.sqrt(value / np.pi)) / 4 for value in (4, 12, 5, 60, 15, 7, 21 / 2, 105, 35 / 2)

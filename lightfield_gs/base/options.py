@@ -1,4 +1,4 @@
-"""The words that options may be, each set once: types for checkers, and the same words for checks at run time."""
+"""The words that options may have, each set written once: as types for checkers, and for checks at run time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MAP_ORIENTATIONS: tuple[MapOrientation, ...] = get_args(MapOrientation)
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 DEVICES: tuple[Device, ...] = get_args(Device)
 
-# What only one method of `encode` takes, for the function and for the command, whose options have the same names
+# Arguments that only one method of `encode` takes; the options of the command have the same names
 ONLY_FOR: dict[str, Method] = {
     "cameras": "sorted",
     "view_map": "sorted",

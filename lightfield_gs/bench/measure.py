@@ -65,7 +65,7 @@ def measure(
     if not gaussians.means.is_cuda:
         return _measure_on_cpu(draw, repeats)
 
-    def counted() -> dict[str, Any]:  # counters make the stages wait for each other: never while timing
+    def counted() -> dict[str, Any]:  # apart from timing, for it makes the stages wait for each other
         stats: dict[str, Any] = {}
         draw(stats=stats)
         return stats

@@ -32,7 +32,7 @@ from lightfield_gs.scene.gaussians import Gaussians
 
 SCENES, CONES = ("sheet:128", "sheet:512", "cloud:262144"), (5.0, 40.0)
 KNOBS = ("opacity_cut", "transmittance_stop", "colour_error", "lattice_error", "contribution_cut", "evaluation_error")
-# Of no name: they pay in few scenes
+# Settings without a name, for they pay in few scenes
 STOPS, CONTRIBUTIONS, CUTS = (1e-2, 5e-2), (1e-2, 5e-2), (1 / 40, 1 / 32, 1 / 24, 1 / 16, 1 / 12)
 LATTICE, PRUNED = 0.1, (3e-4, 1e-3, 3e-3)
 

@@ -22,8 +22,8 @@ from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
 GSPLAT_OPTIONS = {"packed": False, "rasterize_mode": "classic", "eps2d": 0.3, "near_plane": 0.01, "radius_clip": 0.0}
-BYTES_PER_PIXEL = 20  # of gsplat's image, its coverage and its last index
-BYTES_AT_A_TIME = 4 << 30  # of the dense views that are held together
+BYTES_PER_PIXEL = 20  # what gsplat takes for its image, its coverage and its last index
+BYTES_AT_A_TIME = 4 << 30  # the most that dense views take which are held together
 
 
 @lru_cache(maxsize=1)

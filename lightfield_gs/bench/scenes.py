@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+import torch
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -74,8 +75,6 @@ _MAKERS = {"sheet": sheet, "cloud": cloud}
 
 def with_harmonics(gaussians: Gaussians, degree: int) -> Gaussians:
     """A scene of SH degree 0 with random coefficients up to `degree` (1..3) added; those of a lower one begin alike."""
-    import torch
-
     random = np.random.default_rng(_HARMONIC_SEED)
     bands = [
         random.normal(0, _HARMONIC_DEVIATIONS[band - 1], (gaussians.count, 2 * band + 1, 3))
@@ -139,8 +138,6 @@ def _gaussians(
     means: np.ndarray, quaternions: np.ndarray, scales: np.ndarray, opacities: np.ndarray, colours: np.ndarray
 ) -> Gaussians:
     """Rounded to float32; colours [N,3] in 0..1 become the harmonics of degree 0 that give them back."""
-    import torch
-
     unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
     stored = colours.astype(np.float32)
     harmonics = (stored.astype(np.float64)[:, None, :] - 0.5) / SH_CONSTANT

@@ -33,8 +33,8 @@ from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 SCENES = ("cloud:65536",)
 OPACITY_CUT, LATTICE_ERROR = QUALITIES["fast"].opacity_cut, QUALITIES["high"].lattice_error
 TRANSMITTANCE_STOP, CONTRIBUTION_CUT = 5e-2, 2e-2
-PRUNED = 3e-4  # by `prune`
-_HARMONICS = 3  # degree of those that a scene without any is given
+PRUNED = 3e-4  # the contribution_cut of `prune`
+_HARMONICS = 3  # degree of the harmonics that a scene without any is given
 Draw = Callable[[], Tensor]
 
 
@@ -79,9 +79,9 @@ def _rows(subject: Subject, repeats: int | None) -> list[dict[str, Any]]:
             "ms_without": None,
         }
         if skip.with_it is not None and skip.without is not None:
-            calls = [skip.with_it, skip.without, skip.without, skip.with_it]  # who comes first has no advantage
+            calls = [skip.with_it, skip.without, skip.without, skip.with_it]  # each comes first once
             for call in calls:
-                call()  # buffers, captures, and what is kept from frame to frame
+                call()  # makes buffers, captures, and what is kept from frame to frame
             first, second, third, fourth = zip(*timed_in_turn(calls, subject.gaussians.means.is_cuda, repeats)[1])
             row |= {"ms_with": min(*first, *fourth), "ms_without": min(*second, *third)}
         found.append(row)

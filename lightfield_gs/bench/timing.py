@@ -14,10 +14,10 @@ import torch
 
 from lightfield_gs import build_info
 
-SECONDS_PER_CALL = 60.0  # no further run once all of them have taken so long
-SHORT_MS = 50.0  # on CUDA what takes less is repeated more often: one hiccup moves its median further
+SECONDS_PER_CALL = 60.0  # a call whose runs have taken so long together is not run again
+SHORT_MS = 50.0  # on CUDA calls that take less are repeated more often, for one hiccup moves their median further
 REPEATS, SHORT_REPEATS = 5, 20
-# What does not count on CUDA, whichever lasts longer: kernels load, the allocator fills, clocks rise
+# The beginning that does not count on CUDA, whichever lasts longer: kernels load, the allocator fills, clocks rise
 WARM_UP, WARM_UP_MS = 2, 100.0
 AHEAD_CYCLES = 2_000_000  # a millisecond, in which the host gets ahead of the device: a render's forward takes it 1 ms
 

@@ -43,9 +43,10 @@ COUNTERS = (
     "work_bytes",
     "memory_bytes",
     "memory_bytes_unchunked",
-)  # of encode's stats; None where a method does not tell
+)  # keys of encode's stats; None where a method does not tell
 DEFAULT_SCENES, DEFAULT_METHODS = ("sheet:128",), ("direct",)
 _DRAWN = ("light-field", "paper")
+# Which benchmarks take each option that not all of them take
 OPTIONS_OF = {
     "scene": (*_DRAWN, "pareto", "skips"),
     "cone": (*_DRAWN, "pareto", "skips"),
@@ -56,7 +57,7 @@ OPTIONS_OF = {
     "photo": ("photo", "pareto"),
     "model": ("photo",),
     "plot": ("pareto",),
-}  # that not every benchmark takes
+}
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ _WHY_NOT = {"cameras": _BY_A_RIG, "view_map": _BY_A_RIG, "memory_budget": _BY_A_
 
 
 def check_options(method: str, views: str, output: str) -> None:
-    """Raises InputError for what `encode` does not know."""
+    """Raises InputError for a method, views or output that `encode` does not know."""
     for name, value in (("method", method), ("views", views), ("output", output)):
         expect(name, value, str)
     if method not in METHODS or views not in VIEWS or output not in OUTPUTS:
@@ -37,7 +37,7 @@ def check_options(method: str, views: str, output: str) -> None:
 def check_types(
     gaussians: Gaussians, panel: Panel, rig: Rig | None, cameras: Cameras | None, stats: Any, antialiased: bool
 ) -> None:
-    """Raises InputError for what is of no type that `encode` takes, and for Gaussians that cannot be drawn."""
+    """Raises InputError for arguments of types that `encode` does not take, and for Gaussians that cannot be drawn."""
     for name, value, kinds in (
         ("gaussians", gaussians, (Gaussians,)),
         ("panel", panel, (Panel,)),
@@ -51,7 +51,7 @@ def check_types(
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
     if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
-        gaussians.validate()  # looking at values waits for the device
+        gaussians.validate()  # looks at values, which waits for the device: a stream that captures must not
 
 
 def check_together(
@@ -91,7 +91,7 @@ def check_together(
 
 
 def check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -> None:
-    """Raises InputError for what an image cannot be drawn over."""
+    """Raises InputError where `out` is no tensor that an image of the panel can be drawn into."""
     expect("out", out, Tensor)
     expected = (panel.height_px, panel.width_px, 3), DTYPES[output], device
     if (tuple(out.shape), out.dtype, out.device) != expected or not out.is_contiguous() or out.requires_grad:

@@ -16,7 +16,7 @@ from lightfield_gs.rasterizer.dense import dense_forward
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
 
-_PIXELS = 4_000_000  # rendered at a time: small images go in batches
+_PIXELS = 4_000_000  # that are rendered at a time, so that small images go in batches
 
 
 @torch.no_grad()
@@ -63,8 +63,8 @@ def encode_classic(
 
 
 def _take_over(out: Tensor, images: Tensor, places: Tensor, first: int) -> None:
-    """Into out [M]: the sub-pixels whose place is that of an image [C, M], first .. first + C - 1."""
-    if len(images) == 1 and not out.is_cuda:  # half the time of what follows
+    """Copies into out [M] the sub-pixels that the images [C, M] show, those at places first .. first + C - 1."""
+    if len(images) == 1 and not out.is_cuda:  # takes half the time of what follows
         np.copyto(out.numpy(), images[0].numpy(), where=places.numpy() == first)
         return
     mine = ((places >= first) & (places < first + len(images))).nonzero().squeeze(1)
@@ -73,6 +73,6 @@ def _take_over(out: Tensor, images: Tensor, places: Tensor, first: int) -> None:
 
 @lru_cache(maxsize=1)  # of a panel at 8K this takes a second
 def _classic_plan(panel: Panel, continuous: bool, device: torch.device) -> tuple[Tensor, np.ndarray]:
-    """views_shown, the places on the device."""
+    """What views_shown returns, with the places on the device."""
     places, x = views_shown(panel, continuous)
     return torch.from_numpy(places).to(device), x

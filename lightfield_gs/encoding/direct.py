@@ -26,9 +26,9 @@ def encode_direct(
     out: Tensor | None,
     antialiased: bool,
 ) -> Tensor:
-    """The image [H, W, 3], by the operator with a reverse where torch is to follow how it came about. See encode.
+    """The image [H, W, 3], by the operator that has a reverse where gradients are wanted. See encode.
 
-    Raises InputError for what that operator has not.
+    Raises InputError for arguments that this operator does not have.
     """
     fields = list(gaussians.fields().values())
     follows = torch.is_grad_enabled() and any(t.requires_grad for t in (*fields, background))
@@ -43,6 +43,6 @@ def encode_direct(
 
 
 def _refuse(**given: bool) -> None:
-    """Raises InputError for the first that was given."""
+    """Raises InputError for the first of these arguments that was given although gradients are wanted."""
     for name in (name for name, is_given in given.items() if is_given):
         raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")

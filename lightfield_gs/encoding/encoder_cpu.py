@@ -57,7 +57,7 @@ class CpuFrames:
         if same is not None and not changed and same.image is not None:
             return same.image.clone(), set(STAGES)
 
-        self.last = None  # what fails below leaves nothing half done
+        self.last = None  # so that an error below leaves nothing half done behind
         job = LensJob(gaussians.to(dtype=self.precision).fields().values(), background, view, self.antialiased)
         kept = same.work if same is not None and changed <= {"background"} else None
         work = job.workspace(Stats(), torch.get_num_threads(), self.quality) if kept is None else kept
@@ -69,7 +69,7 @@ class CpuFrames:
 
 
 def _same(a: Tensor, b: Tensor) -> bool:
-    """Bit by bit."""
+    """Whether two tensors are equal bit by bit, NaN included."""
     return (
         a.shape == b.shape
         and a.dtype == b.dtype

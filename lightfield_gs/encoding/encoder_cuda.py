@@ -1,8 +1,8 @@
 """Light-field images on CUDA, frame after frame: CUDA graphs, and stages that are not repeated where torch can tell
 that their input is what it was.
 
-Of a scene of a million Gaussians order and bin take half the time of a frame (H100, 8K: 6 of 11 ms; of 65,536 0.3 of
-2.4 ms): what changes colours alone does without.
+Order and bin take half the time of a frame of a million Gaussians (6 of 11 ms on an H100 at 8K; 0.3 of 2.4 ms for
+65,536 Gaussians). A change of colours alone does without them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lightfield_gs.rasterizer.lens_view import LensView
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.gaussians import Gaussians
 
-_SH, _BACKGROUND = 4, 5  # among the tensors of a frame
+_SH, _BACKGROUND = 4, 5  # where they are among the tensors of an _Input
 
 
 class _Input:
@@ -27,7 +27,7 @@ class _Input:
 
     def __init__(self, tensors: list[Tensor], view: LensView):
         self.tensors, self.view = tensors, view
-        self.places = [(t.data_ptr(), t.shape) for t in tensors]  # now: a tensor's .data may be put elsewhere later
+        self.places = [(t.data_ptr(), t.shape) for t in tensors]  # a tensor's .data may be set later
         self.versions = [_version(t) for t in tensors]
         self.stream = torch.cuda.current_stream(tensors[0].device).cuda_stream
 
@@ -36,7 +36,8 @@ class _Input:
         return self.places == other.places
 
     def changed_since(self, before: _Input | None) -> set[int]:
-        """Which tensors may be others than before; all of them on another stream, where work is not in order."""
+        """The numbers of the tensors whose values may have changed; all of them on another stream, where this frame's
+        work does not follow that of the last."""
         if before is None or before.stream != self.stream:
             return set(range(len(self.tensors)))
         pairs = zip(self.tensors, before.tensors, self.versions, before.versions)
@@ -55,8 +56,8 @@ class CudaFrames:
         self.as_bytes, self.quality, self.versioned, self.antialiased = as_bytes, quality, versioned, antialiased
         self.background: tuple[Tensor, Tensor] | None = None  # on the host, a copy, and on the device
         self.captured: _Capture | None = None
-        self.moving: Frames | None = None  # those whose view is new
-        self.frames: Frames | None = None  # those that the last one was of
+        self.moving: Frames | None = None  # draw what is seen by a view for the first time
+        self.frames: Frames | None = None  # drew the last image
         self.image: Tensor | None = None
         self.shown: tuple[_Input, int | None] | None = None  # what the image was drawn from, and its own version
         self.last_view: LensView | None = None
@@ -69,7 +70,7 @@ class CudaFrames:
         given = _Input([*gaussians.fields().values(), self._on_device(background, gaussians.means)], view)
         shown, self.shown, image = self.shown, None, self.image
         moved, self.last_view = self.last_view not in (None, view), view
-        outgrown = self.frames is not None and self.frames.adapt()  # the last frame had not enough of something
+        outgrown = self.frames is not None and self.frames.adapt()  # the last frame lacked room or order
         if outgrown or self.captured is not None and self.captured.is_outgrown():
             self.captured = None
         elif shown and image is not None and self._still_shows(given, *shown, _version(image)):
@@ -95,17 +96,21 @@ class CudaFrames:
         return self.background[1]
 
     def _still_shows(self, given: _Input, before: _Input, image_version: int | None, now: int | None) -> bool:
+        """Whether the image shows what is given: nothing has changed since, and nobody has written into the image."""
         untouched = image_version is not None and image_version == now
         return self.versioned and untouched and given.view == before.view and not given.changed_since(before)
 
     def _draw(self, given: _Input, moved: bool) -> tuple[Tensor, set[str]]:
+        """The image and the stages that were not repeated; moved: whether the view is another than the last one."""
         if self.captured is None or not self.captured.draws(given):
             *fields, background = given.tensors
             job = LensJob(fields, background, given.view, self.antialiased)
             with job.scene.guard:
                 if self.image is None or self.image.device != background.device:
                     self.image = job.image(self.as_bytes)
-                if moved:  # as launches one by one: a view, which is part of their arguments, may not come again
+                if moved:
+                    # The view is among the arguments of the kernels, and a graph of this one might be of no more use:
+                    # they are launched one by one.
                     if self.moving is None or not self.moving.takes(job):
                         self.moving = Frames(job, self.quality)
                     self.frames = self.moving
@@ -120,13 +125,14 @@ class _Capture:
 
     def __init__(self, given: _Input, job: LensJob, image: Tensor, quality: Quality):
         self.given, self.job, self.image = given, job, image
-        self.drawn: _Input | None = None  # last time, whose lists the frame still has
+        self.drawn: _Input | None = None  # what was drawn last, whose lists the frame still has
         self.frames: Frames = frames_of(job, quality)
         self.frame: Frame = self.frames.frame(job)
         self.graph = self._graph(False)
         self.recolour: torch.cuda.CUDAGraph | None = None
 
     def draws(self, given: _Input) -> bool:
+        """Whether a replay draws what is given: the same tensors, of whatever values, by the same view."""
         return self.given.reads(given) and self.given.view == given.view
 
     def is_outgrown(self) -> bool:
@@ -146,8 +152,10 @@ class _Capture:
         return {"order", "bin"} if kept else set()
 
     def _graph(self, keep_lists: bool) -> torch.cuda.CUDAGraph:
+        """Captures a frame, and the copy of its state to the host; keep_lists: without order and bin."""
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph, stream=torch.cuda.Stream()):  # torch's own is of the device that captured first
+        # A stream of its own, for torch's belongs to the device that captured first
+        with torch.cuda.graph(graph, stream=torch.cuda.Stream()):
             self.frame.draw(self.job.background, self.image, keep_lists=keep_lists)
             self.frames.note(self.frame)
         return graph

@@ -28,8 +28,8 @@ from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_VIEWS = 4096  # in a chunk
 _MOST_PAIRS = (1 << 31) - 1
-_PROBE = 65536  # Gaussians
-_KEY_BYTES, _PAIR_BYTES = 40, 24  # at most, of CudaWorkspace.order_and_bin for a splat and for a pair
+_PROBE = 65536  # Gaussians whose pairs are counted at a time, where even one view does not fit the budget
+_KEY_BYTES, _PAIR_BYTES = 40, 24  # what CudaWorkspace.order_and_bin takes at most for a splat and for a pair
 
 Counts = tuple[int, int]  # pairs of a chunk, most of them in one band of one view
 
@@ -88,7 +88,7 @@ class _CpuStages:
     """What the stages of a chunk take on the CPU, in bytes, and the stages themselves."""
 
     default_work = 1 << 28  # bytes beside the plan where no budget is given; with more, views take no less time
-    reserve = 16  # one part in so many of the budget: pages used in part, and what the C library needs for itself
+    reserve = 16  # 1 / reserve of the budget is left for pages used in part and for what the C library needs itself
 
     def __init__(self, scene: Scene, plan: SortedPlan, threads: int):
         self.scene, self.plan, self.threads = scene, plan, threads
@@ -101,7 +101,7 @@ class _CpuStages:
         return views * (self.scene.count * per_splat + 25 * self.number)
 
     def binning_bytes(self, views: int, counts: Counts) -> int:
-        """Order and bands, and the largest of what the stages take for themselves while they run."""
+        """Order and lists of bands, and the largest of what each stage takes for itself while it runs."""
         (pairs, most), n, tiles = counts, self.scene.count, -(-self.plan.width_px // self.plan.tile.width_px)
         lists = views * (4 * n + 8 + 8 * self.bands) + 8 + 4 * pairs
         order = min(self.threads, views) * n * 4 * self.number
@@ -140,10 +140,10 @@ class _CpuStages:
 
 
 class _CudaStages:
-    """The same on a CUDA device, where scratch memory is torch's too."""
+    """The same on a CUDA device, where the stages take their scratch memory from torch too."""
 
     default_work = 1 << 30
-    reserve = 256  # torch rounds every buffer up
+    reserve = 256  # 1 / reserve of the budget is left, for torch rounds every buffer up
 
     def __init__(self, scene: Scene, plan: SortedPlan):
         self.scene, self.plan = scene, plan
@@ -152,10 +152,10 @@ class _CudaStages:
         return views * (self.scene.count * (4 * (_core.SPLAT_FIELDS + _core.COLOUR_STRIDE) + 4) + 100)
 
     def binning_bytes(self, views: int, counts: Counts) -> int:
-        """Keys and order, pairs and ranges, and the lists by falling work (64: two numbers and the sort's own)."""
+        """Keys and order, pairs and ranges, and the tiles by falling work (64 bytes each: two numbers, the sort)."""
         items, pairs = views * self.scene.count, counts[0]
         keys = _KEY_BYTES * items + _core.cuda.order_bytes(items) + _core.cuda.count_bytes(items)
-        parts = pairs // _MOST_PAIRS + 1  # more than a chunk may have are only ever an estimate
+        parts = pairs // _MOST_PAIRS + 1  # fill_bytes takes no more than a chunk may have; only an estimate has more
         fill = parts * _core.cuda.fill_bytes(items, -(-pairs // parts))
         return keys + _PAIR_BYTES * pairs + fill + (16 + 64) * views * self.plan.tiles
 
@@ -171,6 +171,7 @@ class _CudaStages:
         self, work: Any, cameras: _core._Stages.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
     ) -> None:
         pairs = work.tile_ranges().diff().squeeze(1)
+        # The tiles with the most work come first, or one of them might begin when all others are done
         heaviest = torch.argsort((pairs + 1) * lists[0].diff(), descending=True)
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
         _core.cuda.composite_sorted(
@@ -244,11 +245,13 @@ class _Encoding:
         self.stages = _CudaStages(scene, plan) if self.device.type == "cuda" else _CpuStages(scene, plan, threads)
         total = budget or self.stages.default_work + plan.table_bytes() + plan.bytes()
         self.usable = total - total // self.stages.reserve
-        self.resident = True  # the whole plan, not only that of the chunk
+        self.resident = True  # whether the whole plan is kept, and not only the lists of the chunk at hand
         self.expected: Counts = (2 * scene.count, scene.count // 8)  # of one view: a guess until the first is counted
         self.total: Counts = (0, 0)
 
     def run(self, out: Tensor) -> None:
+        """Draws all views into `out`. A chunk that does not fit is made smaller, down to one view; if that does not fit
+        either, the plan is no longer kept as a whole, and at last the budget is refused."""
         first, plan = 0, self.plan
         while first < plan.count:
             views = self._most_views(first)
@@ -290,7 +293,7 @@ class _Encoding:
     def _draw(self, first: int, views: int, out: Tensor) -> bool:
         """Draws shown views first .. first + views - 1 if they fit, and notes what they took."""
         plan, stats = self.plan, Stats(device=self.stats.device)
-        fits = self.budget is None and views == 1
+        fits = self.budget is None and views == 1  # without a budget one view may take what it takes
         if not fits and self._exceeds(self._memory(first, views, (0, 0))):
             return False
         with stats.stage("plan"):
@@ -317,7 +320,7 @@ class _Encoding:
         """Whether the pairs of a chunk fit, now that they are counted."""
         counts = self.stages.counts(work)
         per_view = -(-counts[0] // views)
-        # Later views differ a little: a sixteenth in reserve
+        # Later views may have a few more pairs: a sixteenth is added for them
         self.expected = (per_view + per_view // 16, counts[1] + counts[1] // 16)
         return counts[0] <= _MOST_PAIRS and not self._exceeds(self._memory(first, views, counts))
 
@@ -342,6 +345,7 @@ class _Encoding:
     # The least budget
 
     def _refuse(self) -> None:
+        """Raises InputError that names the least budget that would do."""
         least = max(sum(self._memory(place, 1, self._counts_of(place)).values()) for place in range(self.plan.count))
         least += least // (self.stages.reserve - 1) + 1
         raise InputError(

@@ -16,7 +16,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.lens import lens_of
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
-BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels; every list is filled up to whole blocks
+BLOCK = _core.SUBPIXEL_BLOCK  # sub-pixels that are drawn together; every list is filled up to whole blocks
 _SUBPIXELS_PER_TILE = 224  # of one view, on the average
 _MOST_TILE_PIXELS = 1 << 14  # what 16 bits can address
 _MOST_DISTINCT_VIEWS = 65536
@@ -61,6 +61,7 @@ class SortedPlan:
         self._count()
 
     def _count(self) -> None:
+        """Counts the sub-pixels of every view and tile, which decides where each list starts among the codes."""
         every = torch.arange(self.views, dtype=torch.int32)
         counts = torch.empty(self.views, self.tiles, dtype=torch.int32)
         _core.plan_sorted_count(
@@ -81,13 +82,13 @@ class SortedPlan:
         return len(self.shown)
 
     def bytes(self, first: int = 0, last: int | None = None) -> int:
-        """Of starts and codes of the lists of shown views first .. last - 1."""
+        """Size of the starts and codes of the lists of shown views first .. last - 1."""
         last = self.count if last is None else last
         codes = int(self.starts[last * self.tiles] - self.starts[first * self.tiles])
         return 8 * ((last - first) * self.tiles + 1) + 2 * codes
 
     def table_bytes(self) -> int:
-        """What the plan takes without any codes."""
+        """Size of the plan without any codes."""
         return 8 * self.starts.numel() + 4 * self.views
 
     def lists(self, first: int, last: int, device: torch.device, keep: bool, threads: int) -> tuple[Tensor, Tensor]:
@@ -114,6 +115,7 @@ class SortedPlan:
             self._codes = None
 
     def _fill(self, first: int, last: int, starts: Tensor, threads: int) -> Tensor:
+        """The codes of the lists of shown views first .. last - 1, int16, on the host."""
         places = torch.full((self.views,), -1, dtype=torch.int32)
         places[self.shown[first:last]] = torch.arange(last - first, dtype=torch.int32)
         codes = torch.empty(int(starts[-1]), dtype=torch.int16)
@@ -156,7 +158,8 @@ def views_shown(panel: Panel, continuous: bool) -> tuple[np.ndarray, np.ndarray]
         used = np.bincount(view_map, minlength=panel.views) > 0
         places = view_map if used.all() else (np.cumsum(used) - 1).astype(np.int32)[view_map]
         return places, np.flatnonzero(used) + 0.5
-    # Equal up to the rounding of the fixed-point phase; a few rows tell a panel with too many
+    # Places that differ only by the rounding of the fixed-point phase are one; a few rows already tell a panel that
+    # has too many
     view_map = np.round(view_map, 9)
     if len(np.unique(view_map[: 2**21])) <= _MOST_DISTINCT_VIEWS:
         x, places = np.unique(view_map, return_inverse=True)
@@ -173,7 +176,7 @@ def _core_map(panel: Panel) -> _core.ViewMap:
 
 
 def _tile(views: int, width_px: int, device_type: str) -> _core.SubpixelTile:
-    """The rule that SortedPlan states."""
+    """The size of a plan's tiles, by the rule in the docstring of SortedPlan."""
     rows = math.sqrt(BLOCK * views / 3)
     bits = int(math.log2(_core.BAND_ROWS)) if device_type == "cpu" else min(max(round(math.log2(rows)), 2), 7)
     width = round(_SUBPIXELS_PER_TILE * views / 3 / (1 << bits))

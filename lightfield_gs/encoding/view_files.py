@@ -49,7 +49,8 @@ def read_cameras(path: str | Path, panel: Panel) -> Cameras:
 def read_view_map(path: str | Path, panel: Panel, views: int) -> np.ndarray:
     """Which of `views` views each sub-pixel shows, int32 [H,W,3] by image channel, -1 for none; a NumPy .npy file.
 
-    Raises InputError that names the file."""
+    Raises InputError that names the file.
+    """
     table = open_array(path)
     with named(path):
         return checked_view_map(table, panel, views)

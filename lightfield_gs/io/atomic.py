@@ -49,7 +49,7 @@ def check_outputs(outputs: Iterable[str | Path | None], inputs: Iterable[str | P
 
 
 def _is_same_file(one: Path, other: Path) -> bool:
-    """By whatever names, links among them; of files that are not there, whether they would be the same."""
+    """Whether two paths name one file, perhaps through links; of absent files, whether they would be one."""
     try:
         return os.path.samefile(one, other)
     except OSError:

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 _AVIF_BRANDS = (b"avif", b"avis")
 # ISO/IEC 23008-12, annex B, and MIAF; whatever begins with another brand is a film, or something else
 _BRANDS = (*_AVIF_BRANDS, b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2")
-_BRAND_BYTES = 128  # of a file: a dozen of brands and more
-_PACKAGES = ("pi_heif", "pillow_heif")  # the same reader; the former without the encoder, which is under the GPL
+_BRAND_BYTES = 128  # of a file that are looked at: they hold a dozen brands and more
+_PACKAGES = ("pi_heif", "pillow_heif")  # one reader; the former lacks the encoder, which is under the GPL
 _ORIENTATION_TAG = 0x0112
 
 
@@ -30,7 +30,7 @@ def is_heif(path: Path) -> bool:
 
 
 def _brands(path: Path) -> list[bytes]:
-    """What the file says that it is, and then what it is compatible with; nothing where it is no such file."""
+    """The brand that the file says it has, and then those it is compatible with; empty where it is no such file."""
     with path.open("rb") as file:
         start = file.read(_BRAND_BYTES)
     if start[4:8] != b"ftyp" or len(start) < 12:

@@ -24,7 +24,7 @@ from lightfield_gs.io.png_colour import png_colour
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
-# A file may become so many times as long in memory, or this many bytes: deflate, of a plain picture, reaches 1030.
+# A file may become so many times as long in memory, or this many bytes: deflate reaches 1030 on a plain picture.
 _MOST_EXPANSION, _SMALL_BYTES = 2000, 64 << 20
 _COLOUR_ATTRIBUTES = (
     "ICCProfile",
@@ -36,7 +36,7 @@ _COLOUR_ATTRIBUTES = (
     "jpeg:ColorSpace",
     "oiio:UnassociatedAlpha",
 )
-_MAYBE_ASSOCIATED = ("tiff", "openexr")  # of all others alpha is straight
+_MAYBE_ASSOCIATED = ("tiff", "openexr")  # alpha may be premultiplied in these; in all other formats it is straight
 _METADATA_KEY = "ImageDescription"  # the one text field that PNG, EXR and TIFF all keep
 _DTYPES = {
     ".png": ("uint8", "uint16"),
@@ -44,12 +44,13 @@ _DTYPES = {
     ".tif": ("uint8", "uint16", "float32"),
     ".tiff": ("uint8", "uint16", "float32"),
 }
-# Measured on 8K frames of a photo's object and of a whole photo. PNG, seconds of one core and bytes: not compressed
-# 0.2 s, 89 MB; "fast" 0.6 and 1.0 s, 12 and 31 MB; without a filter, searching for repetitions as is usual, 0.6 and
-# 1.4 s, 16 and 38 MB at level 1, 1.2 and 2.2 s, 15 and 37 MB at level 6. Neighbours in a row belong to different views,
-# so that nothing repeats but plain areas, which are runs; the pixel above is often of the same view. Ordinary pictures
-# become smaller where every row has the filter that suits it ("small"). EXR without compression 0.5 s, zip 1.7 s. TIFF
-# without 0.1 s, zip 7 s.
+# Why PNG is written so: neighbours in a row belong to different views, so that nothing repeats but plain areas, which
+# are runs, while the pixel above is often of the same view. Ordinary pictures become smaller where every row has the
+# filter that suits it ("small").
+# Measured on 8K frames of a photo's object and of a whole photo, on one core. PNG not compressed: 0.2 s, 89 MB; "fast":
+# 0.6 and 1.0 s, 12 and 31 MB; without a filter and with the usual search for repetitions: 0.6 and 1.4 s, 16 and 38 MB
+# at level 1, 1.2 and 2.2 s, 15 and 37 MB at level 6. EXR not compressed: 0.5 s, zip 1.7 s. TIFF not compressed: 0.1 s,
+# zip 7 s.
 _PNG_FILTER_UP, _PNG_FILTER_ANY = 0x20, 0xF8
 _SETTINGS: dict[Compression, dict[str, dict[str, int | str]]] = {
     "fast": {
@@ -126,7 +127,7 @@ def write_image(
         raise InputError(f"compression must be fast or small, got {compression!r}")
     height, width, channels = array.shape
     if suffix == ".exr" and channels == 4:
-        array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], 2)  # the format knows no other
+        array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], 2)  # its alpha is premultiplied
     spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_oiio_type(array.dtype)))
     for key, value in {**_SETTINGS[compression][suffix], "oiio:UnassociatedAlpha": 1}.items():
         spec[key] = value
@@ -209,7 +210,7 @@ def _picture(pixels: np.ndarray, orientation: int, colour: dict[str, Any], turn:
 
 
 def _straight(pixels: np.ndarray, channel: int) -> np.ndarray:
-    """Pixels [H, W, C] whose colours, the channels before that of alpha, are multiplied by it, without that."""
+    """Pixels [H, W, C] with straight alpha, from premultiplied ones; channel: of alpha, after those of colours."""
     most = np.float32(1 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max)
     share = pixels[..., channel : channel + 1] / most
     with np.errstate(over="ignore"):
@@ -241,7 +242,7 @@ def _opened(path: Path, pixels: bool = False) -> Iterator:
     config["oiio:UnassociatedAlpha"] = 1
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        reason = _first_line(oiio.geterror)  # if it stays there, it is printed when the program ends
+        reason = _first_line(oiio.geterror)  # taken away, for OpenImageIO prints what is left of these at the end
         refuse_stand_in(path)
         raise InputError(f"{path} is not an image that can be read: {reason}")
     try:
@@ -308,7 +309,7 @@ def _oiio_type(dtype: np.dtype) -> str:
 
 
 def _first_line(complaint: Callable[[], str]) -> str:
-    """Of OpenImageIO, which may quote bytes of a file that are no UTF-8."""
+    """The first line of what OpenImageIO complains of, which may quote bytes of a file that are no UTF-8."""
     try:
         text = complaint()
     except UnicodeDecodeError as error:

@@ -21,7 +21,7 @@ from lightfield_gs.io.not_what_it_says import refuse_stand_in
 
 _PARSE_ERRORS = (ValueError, TypeError, EOFError, OverflowError, SyntaxError, tokenize.TokenError)
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, struct.error, KeyError)
-_HEADER_BYTES = 1 << 14  # of an array in an archive: shape and type take a hundred
+_HEADER_BYTES = 1 << 14  # the most of an array's header in an archive; its shape and type take a hundred
 # An array may become so many times as long in memory, or this many bytes: deflate reaches 1030
 _MOST_EXPANSION, _SMALL_BYTES, _MOST_BYTES = 2000, 64 << 20, 1 << 31
 
@@ -35,7 +35,7 @@ def open_array(path: str | Path) -> np.ndarray:
         # From version 2 on the header's length has four bytes, and as many bytes would be asked for at once
         if start[6:7] >= b"\2" and int.from_bytes(start[8:12], "little") > path.stat().st_size:
             raise ValueError("its header is longer than the file")
-        # Never unpickles, and never allocates what a header claims
+        # open_memmap never unpickles, and never allocates what a header claims
         array = np.lib.format.open_memmap(path, mode="r")
         if array.dtype.kind not in "biuf":
             raise ValueError(f"it holds {array.dtype}")

@@ -15,7 +15,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.text_file import read_text
 
-MOST_BYTES = 1 << 16  # a second's work at most
+MOST_BYTES = 1 << 16  # as many take a second at most
 
 
 def read_mapping(path: str | Path, required: Collection[str], optional: Collection[str]) -> dict[str, Any]:
@@ -28,7 +28,7 @@ def read_mapping(path: str | Path, required: Collection[str], optional: Collecti
     text = read_text(path, MOST_BYTES, "YAML")
     try:
         data = yaml.load(text, _loader())
-    except (ValueError, IndexError, yaml.YAMLError, RecursionError) as error:  # ValueError: of dates
+    except (ValueError, IndexError, yaml.YAMLError, RecursionError) as error:  # dates raise ValueError
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path} is not YAML: {reason}") from error
     if not isinstance(data, dict):

@@ -35,7 +35,7 @@ def read_weights(path: Path) -> tuple[ModelConfig, dict[str, Tensor]]:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-        # Not one by one from the open file, which keeps 64 bytes for each (safetensors 0.8)
+        # Read at once: one by one the open file would never free 64 bytes for each (safetensors 0.8)
         weights = {name: tensor.float() for name, tensor in load(path.read_bytes()).items()}
         config = parse_json(metadata[_CONFIG_KEY])
     except FileNotFoundError:

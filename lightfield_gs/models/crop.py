@@ -68,7 +68,7 @@ def _opaque(alpha: Tensor) -> Tensor:
 
 
 def check_object(there_is_one: bool | Tensor) -> None:
-    """Raises InputError unless there is."""
+    """Raises InputError unless there is an object."""
     if not there_is_one:
         raise InputError("empty mask: expected an object with opaque pixels, every pixel is transparent")
 
@@ -95,8 +95,8 @@ def crop_resize(image: Tensor, square: Square[int], size_px: int) -> Tensor:
 def crop_resize_premultiplied(image: Tensor, square: Square[int], size_px: int) -> Tensor:
     """crop_resize of image [H,W,4], uint8 or float32 in 0..1, whose alpha is straight: [4,size_px,size_px], multiplied.
 
-    A strip of rows at a time, across and then down, as the filter goes anyway: a photo of 50 megapixels in floating
-    point, and again multiplied, would take 1.6 GB.
+    It is done for a strip of rows at a time, across and then down, which is how the filter goes anyway: a whole photo
+    of 50 megapixels in floating point, once as it is and once multiplied, would take 1.6 GB.
     """
     rows = range(max(0, square.top), min(image.shape[0], square.top + square.side))
     each = max(1, _STRIP_PIXELS // square.side)
@@ -128,10 +128,11 @@ def _resized(image: Tensor, size: tuple[int, int]) -> Tensor:
 def crop_resize_on_device(image: Tensor, square: Square[Tensor], size_px: int, margin: float = MARGIN) -> Tensor:
     """crop_resize for a square in tensors, of object_square_on_device with this margin, without waiting for a device.
 
-    Two products with matrices of the image's size: more arithmetic than crop_resize, so for GPUs only.
+    It multiplies by two matrices of the image's size, which is more arithmetic than crop_resize: only good on GPUs.
     """
     longest = round(max(image.shape[1:]) * (1 + 2 * margin)) + 2
-    # In one go, for its launches take longer than its numbers: rows, columns, and the square from its own edge on
+    # Weights of rows, of columns, and of the square from its own edge on are made at once: launches take longer than
+    # the numbers do
     starts = torch.stack([square.top, square.left, torch.zeros_like(square.top)])[:, None, None]
     down, across, inside = _triangles(longest, starts, square.side, size_px)
     sums = inside.sum(1, keepdim=True)

@@ -12,8 +12,8 @@ from lightfield_gs import _core
 def group_norm_silu(norm: nn.GroupNorm, features: Tensor) -> Tensor:
     """silu(norm(features)), features [B,C,H,W].
 
-    For inference in bfloat16 on CUDA with channels last: there PyTorch's takes six kernels, of which two are copies to
-    channels first and back. Rounds once, where PyTorch rounds twice.
+    Our kernel is for inference in bfloat16 on CUDA with channels last, for which PyTorch takes six kernels, two of them
+    copies to channels first and back. It rounds once, where PyTorch rounds twice.
     """
     if not _is_ours(norm, features):
         return F.silu(norm(features))

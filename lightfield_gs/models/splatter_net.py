@@ -137,7 +137,7 @@ class SplatterNet(nn.Module):
     def from_pretrained(cls, path: str | Path | None = None) -> SplatterNet:
         """Load a checkpoint written by save() (None: the one that comes with the package), in eval mode, float32."""
         config, weights = read_weights(checked_path(path) if path is not None else PRETRAINED)
-        with torch.device("meta"):  # no initial values for nothing, no memory for a damaged configuration
+        with torch.device("meta"):  # takes no time for initial values, and no memory if the configuration is damaged
             net = cls(config)
         wanted = net.state_dict()
         if {name: tensor.shape for name, tensor in weights.items()} != {name: t.shape for name, t in wanted.items()}:
@@ -147,7 +147,7 @@ class SplatterNet(nn.Module):
 
 
 def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:
-    """The photo as a tensor [H,W,4], uint8 or float32, where it is; raises InputError for what is no photo by shape."""
+    """The photo as a tensor [H,W,4], uint8 or float32, on its device. Raises InputError for other shapes and types."""
     photo = dense_tensor("photo", rgba)
     if photo.ndim != 3 or photo.shape[2] != 4 or 0 in photo.shape:
         raise InputError(f"photo: expected an array [H,W,4] (RGB and alpha), got {list(photo.shape)}")
@@ -169,6 +169,6 @@ def in_range(photo: Tensor) -> Tensor:
 
 
 def check_values(values_in_range: bool | Tensor) -> None:
-    """Raises InputError unless they are."""
+    """Raises InputError unless the values of a photo are in range; see in_range."""
     if not values_in_range:
         raise InputError("photo: expected values in 0..1, got values outside or not finite")

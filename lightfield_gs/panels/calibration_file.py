@@ -18,7 +18,7 @@ from lightfield_gs.base.options import DEFAULT_CONE_DEG
 from lightfield_gs.io.json_file import parse_json
 
 _MARKS = frozenset(("pitch", "slope", "center"))  # a mapping with two of them is a calibration
-_SERIALS = ("serial", "hwid")  # of a calibration, and of the display that it is in
+_SERIALS = ("serial", "hwid")  # the key of a calibration, and that of the display that it belongs to
 _NUMBERS = (
     "pitch",
     "slope",
@@ -120,7 +120,7 @@ def _distinct(found: Iterator[_Found]) -> list[_Found]:
 def _calibrations(data: Any) -> Iterator[_Found]:
     """All calibrations, in the order of the file."""
     pending: list[tuple[Any, tuple[Any, ...], tuple[str, ...]]] = [(data, (), ())]
-    seen: dict[int, Any] = {}  # by identity, for what holds itself; kept alive, so that no identity comes twice
+    seen: dict[int, Any] = {}  # by identity, in case one holds itself; kept alive, so that no identity comes twice
     while pending:
         value, place, serials = pending.pop()
         if isinstance(value, str):
@@ -173,7 +173,7 @@ def _plain(value: Any) -> Any:
 
 
 def _named(data: dict[Any, Any], where: str) -> dict[Any, Any]:
-    """With the keys that are known as they are usually written: a cellPatternMode would else be overlooked."""
+    """The mapping with known keys as they are usually written, or a cellPatternMode would be overlooked."""
     named = {_usual_name(key): value for key, value in data.items()}
     if len(named) < len(data):
         raise InputError(f"{where}: expected each key once, got some that differ in capitals only")

@@ -105,7 +105,7 @@ def check_pattern(panel: Panel) -> None:
 
 
 def cell_numbers(panel: Panel) -> np.ndarray:
-    """Which cell a pixel is, int [PERIOD, PERIOD] by row i mod PERIOD and column j mod PERIOD."""
+    """The number of a pixel's cell, int [PERIOD, PERIOD] by row i mod PERIOD and column j mod PERIOD."""
     rows, columns = np.indices((PERIOD, PERIOD))
     y = rows if panel.cell_rows == "top" else (panel.height_px - 1 - rows) % PERIOD
     return _RULES[panel.cell_rule][panel.cell_pattern](columns, y)
@@ -125,20 +125,22 @@ def subpixel_offsets(panel: Panel) -> np.ndarray:
 
 @lru_cache(maxsize=64)  # asked for in every frame
 def subpixel_phases(panel: Panel) -> np.ndarray:
-    """The same in 2^-64 lens widths, uint64, wrapping; stripes are whole multiples of phase_steps()'s sx."""
+    """What subpixel_offsets has, in 2^-64 lens widths, uint64, wrapping. Stripes are whole multiples of the sx that
+    Panel.phase_steps returns."""
     if not panel.subpixel_cells:
         step = panel.phase_steps()[1]
         return np.array([panel.place(channel) * step % LENS_WIDTH for channel in range(3)], np.uint64) + np.zeros(
             (PERIOD, PERIOD, 1), np.uint64
         )
     per_subpixel = LENS_WIDTH / Fraction(panel.line_number)
-    exact = np.frompyfunc(lambda offset: -(-offset * per_subpixel // 1) % LENS_WIDTH, 1, 1)  # up, as all phases are
+    # Rounded up, as all phases are
+    exact = np.frompyfunc(lambda offset: -(-offset * per_subpixel // 1) % LENS_WIDTH, 1, 1)
     return exact(subpixel_offsets(panel)).astype(np.uint64)
 
 
 @lru_cache(maxsize=64)
 def cell_table(panel: Panel) -> CellTable:
-    """The table of a panel with cells."""
+    """What the native lens takes of a panel with cells."""
     offsets = subpixel_offsets(panel)
     channels = np.argsort(offsets.astype(np.float64), axis=-1, kind="stable")
     beyond = np.take_along_axis(offsets, channels, -1) - np.arange(3)  # the stripe at the same place

@@ -20,16 +20,19 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import DEFAULT_UP, upright
 from lightfield_gs.scene.gaussians import Gaussians
 
-_FILL = 0.92  # share of the panel that the content fills
+_FILL = 0.92  # share of the panel's height or width that the content fills
 _NEAR = _core.NEAR_DEPTH
-_FIELD_OF_VIEW_DEG = (20.0, 50.0)  # what the panel subtends at its viewing distance, kept within these
-_UNKNOWN_FIELD_OF_VIEW_DEG = 30.0
-_WIDEST_RAD = math.radians(90)  # what the panel takes at most where a camera was not given with its focal length
+_FIELD_OF_VIEW_DEG = (20.0, 50.0)  # the angle that the panel subtends for its viewer is kept within these
+_UNKNOWN_FIELD_OF_VIEW_DEG = 30.0  # of a panel whose size or viewing distance is not known
+_WIDEST_RAD = math.radians(90)  # the widest angle of the panel where no focal length was given
 _WIDEST_TAN = math.tan(_WIDEST_RAD / 2)
-_SEEN = 0.7  # share of the content that is enough to be seen past the rest of the scene; else the camera goes nearer,
-_NEARER = (0.85, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12, 0.06)  # to these shares of its usual distance,
-_WORTH = 0.1  # where that much more is seen
-_FEW = 0.1  # of the scene: floaters, which are left out also where a given camera could show them
+# If the camera sees less than _SEEN of the content past the rest of the scene, it goes nearer, to these shares of its
+# usual distance, as long as that shows _WORTH more of the content.
+_SEEN, _WORTH = 0.7, 0.1
+_NEARER = (0.85, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12, 0.06)
+# Up to this share of the scene what lies outside its subject is floaters, which are left out even if a given camera
+# could show them.
+_FEW = 0.1
 _NOTHING_IN_FRONT = "no Gaussian lies in front of the camera; give another rig"
 
 
@@ -115,6 +118,7 @@ def _checked(gaussians: Gaussians, panel: Panel) -> Gaussians:
 
 
 def _subject(gaussians: Gaussians) -> subject.Subject:
+    """What the scene is about, by panels/subject.py."""
     low, high = reach.bounds_of(reach.some(gaussians)).unbind(1)
     return subject.find(
         gaussians.means, reach.sizes_of(gaussians), reach.weights_of(gaussians), float((high - low).max())
@@ -134,7 +138,7 @@ def _is_seen(gaussians: Gaussians, pose: np.ndarray) -> bool:
 
 
 def _within(gaussians: Gaussians, pose: np.ndarray, tan_x: float, tan_y: float) -> Tensor:
-    """[N], which lie in front of a camera and within these slopes."""
+    """Which Gaussians lie in front of a camera and within these slopes x/z and y/z to either side, bool [N]."""
     matrix = _tensor(pose, gaussians)
     x, y, z = (gaussians.means @ matrix[:3, :3].T + matrix[:3, 3]).unbind(1)
     return (z > _NEAR) & (x.abs() <= tan_x * z) & (y.abs() <= tan_y * z)
@@ -227,12 +231,13 @@ def _camera_in_front(gaussians: Gaussians, panel: Panel, turn: np.ndarray, share
     distance = share * height / _FILL / 2 / math.tan(_field_of_view_rad(panel) / 2)
     matrix = np.eye(4)
     matrix[:3, :3] = turn
-    # The front of the content, not its middle, must fit; and stay clear of the near plane.
+    # The front of the content, not its middle, must fit, and it must stay clear of the near plane.
     matrix[:3, 3] = -bounds.mean(1) + [0, 0, depth / 2 + max(distance, 2 * _NEAR)]
     return matrix
 
 
 def _field_of_view_rad(panel: Panel) -> float:
+    """The angle that the panel's height takes for its viewer, kept within what makes a good picture."""
     if panel.pixel_pitch_mm is None or panel.viewing_distance_mm is None:
         return math.radians(_UNKNOWN_FIELD_OF_VIEW_DEG)
     angle = 2 * math.atan(panel.height_px * panel.pixel_pitch_mm / 2 / panel.viewing_distance_mm)

@@ -46,7 +46,7 @@ def lens_view(panel: Panel, rig: Rig, continuous: bool = False) -> LensView:
 
 
 def slow_way(panel: Panel, lattices_on_cuda: bool) -> str | None:
-    """What `direct` cannot do for a panel because of its sub-pixel cells, and hence takes longer; None: nothing.
+    """Why `direct` takes longer for a panel with sub-pixel cells; None where it does not.
 
     lattices_on_cuda: whether a frame with lattices is to be drawn on CUDA.
     """

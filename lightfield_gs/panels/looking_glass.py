@@ -80,7 +80,7 @@ def panel_fields(
 
 
 def _cells(data: dict[str, Any], where: str) -> dict[str, Any]:
-    """subpixel_cells and cell_pattern of Panel; nothing of a panel of stripes."""
+    """The fields subpixel_cells and cell_pattern of Panel; none for a panel of stripes."""
     cells = data.get("subpixelCells")
     if cells is not None and not is_row(cells):
         raise InputError(f"{where}: subpixelCells must be a list, got {shown(cells)}")
@@ -117,6 +117,6 @@ def _number(data: dict[str, Any], key: str, where: str) -> float:
             "six offsets for each of its subpixelCells"
         )
     value = data[key]
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:  # not for NaN
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:  # false for NaN
         raise InputError(f"{where}: {key} must be a number, got {shown(value)}")
     return value

@@ -36,15 +36,14 @@ DEFAULT_PANEL = "65in-8k-96v"
 @lru_cache(maxsize=64)  # asked for in every frame
 def _phase_steps(line_number: float, slant_tan: float, phase: float) -> tuple[int, int, int]:
     lens, down, start = Fraction(line_number), 3 * Fraction(slant_tan), Fraction(phase)
-    first, across, below = (
-        math.ceil(cells.LENS_WIDTH * step / lens) % cells.LENS_WIDTH for step in (start, Fraction(1), down)
-    )
+    steps = (start, Fraction(1), down)
+    first, across, below = (math.ceil(cells.LENS_WIDTH * step / lens) % cells.LENS_WIDTH for step in steps)
     return first, across, below
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Geometry of a panel and its lens. Raises InputError when made with values that make no sense.
+    """Geometry of a panel and its lens. Raises InputError for values out of their ranges.
 
     width_px, height_px: size in whole pixels, 1..65536.
     views: number N of views behind a lens, 1..65536.
@@ -61,7 +60,8 @@ class Panel:
         in pixels from the point that `phase` is measured at (Looking Glass: the pixel's centre).
     cell_pattern: which pixel is of which kind, CellPatternMode of Looking Glass, x the column and y the row: 0 all of
         kind 0; 1 (x + y) mod 2; 2 x mod 2; 3 (y + 2 (x mod 2)) mod 4; 4 y mod 2.
-    cell_rule: "unity", those; or "webxr", where 2 is y mod 4 and 4 is x mod 2: published programs disagree.
+    cell_rule: "unity", the patterns above; or "webxr", where 2 is y mod 4 and 4 is x mod 2: published programs
+        disagree.
     cell_rows: "bottom" or "top", where y counts from.
     """
 
@@ -229,11 +229,12 @@ class Panel:
     def phase_steps(self) -> tuple[int, int, int]:
         """(s0, sx, sy), integers mod 2^64: the phase of sub-pixel (i, j, k) is s0 + sx (3 j + k) + sy i mod 2^64.
 
-        Of a panel with cells that of its pixels is s0 + 3 sx j + sy i, and cells.subpixel_phases says what is beyond.
+        On a panel with cells s0 + 3 sx j + sy i is the phase of a pixel, and cells.subpixel_phases says what each of
+        its sub-pixels adds.
 
-        In units of 2^-64 lens widths, exact and rounded up: so a sub-pixel that lies exactly on the border of two
-        views (line_number a whole number, say) falls on the upper one, as floor() demands; the sum is less than
-        2^-45 too large.
+        The unit is 2^-64 lens widths; steps are computed exactly and rounded up. So a sub-pixel that lies exactly on
+        the border of two views (line_number a whole number, say) falls on the upper one, as floor() demands; the sum is
+        less than 2^-45 lens widths too large.
         """
         return _phase_steps(self.line_number, self.slant_tan, self.phase)
 

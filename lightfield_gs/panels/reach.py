@@ -12,12 +12,15 @@ from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 _HAZE = 0.1  # Gaussians fainter than this share of the usual opacity do not count as content
-_LEAST_WEIGHT = 1e-6  # of a Gaussian where all have opacity 0
-# Share of the opacity that may lie outside on each side: the last, for thin ends of objects are a thousandth and less;
-# one before it where what lies beyond is far out, as the stray Gaussians of captures are.
+_LEAST_WEIGHT = 1e-6  # that a Gaussian has, so that bounds exist even where all opacities are 0
+# Shares of the opacity that may lie outside the bounds on each side. Usually it is the last one, for thin ends of
+# objects have a thousandth of the opacity and less. It is an earlier one where what lies beyond is far out, as the
+# stray Gaussians of captures are.
 _TAILS = (0.01, 0.001, 0.0001)
-_FAR, _ROOM = 0.4, 0.15  # in units of the extent of the rest: far out; and what is left for it then
-_DEPTH_TAIL = 0.05
+# In extents of what is left without the first tail: what is farther off than _FAR is far out, and the bounds then leave
+# it _ROOM.
+_FAR, _ROOM = 0.4, 0.15
+_DEPTH_TAIL = 0.05  # share of the opacity that lies before the near depth, and behind the far one
 _NEAR = _core.NEAR_DEPTH
 _ENOUGH = 20_000  # Gaussians that show well enough how far all of them reach
 
@@ -34,7 +37,7 @@ def extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tenso
     depths = points[:, 2]
     weights = weights * (depths > _NEAR)
     depths = depths.clamp_min(_NEAR)
-    # One sort for all: on a GPU each takes longer for its launches than for its numbers
+    # All rows are sorted at once: on a GPU the launches of a sort take longer than its numbers
     sides = _sides((points[:, :2] / depths[:, None]).T, sizes / depths)
     ordered, cumulative = _ordered(torch.cat([sides, depths[None]]), weights)
     edges = _bounds(ordered[:-1], cumulative[:-1])
@@ -54,6 +57,7 @@ def some(gaussians: Gaussians) -> Gaussians:
 
 
 def part(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:
+    """The Gaussians that `which` selects, a slice or bool [N]."""
     return of_tensors(field[which] for field in gaussians.fields().values())
 
 
@@ -96,7 +100,7 @@ def _bounds(ordered: Tensor, cumulative: Tensor) -> Tensor:
 def _ordered(values: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     """Every row of values [D, N] in ascending order, and the sums of the weights [N] up to each."""
     ordered, order = values.sort(1)
-    # A GPU sums one long row faster than a few; what is before each row goes out again
+    # A GPU sums one long row faster than a few short ones; the sum of the rows before is then subtracted from each
     sums = weights.double()[order].flatten().cumsum(0).view(order.shape)
     before = torch.cat([sums.new_zeros(1), sums[:-1, -1]])
     return ordered, sums - before[:, None]

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
 
-_MARGIN = 0.15  # of the image beyond each edge: the "frustum + 30 %" of 3D Gaussian splatting
+_MARGIN = 0.15  # share of the image beyond each edge that the limits allow: the "frustum + 30 %" of Gaussian splatting
 
 
 @dataclass
 class Rig:
-    """Centre camera of the fan; the cameras of the views are beside it on its x-axis, without rotation.
+    """The centre camera of the fan; the cameras of the views stand beside it on its x-axis, with its rotation.
 
     world_to_camera: [4, 4] float64, [R|t] over 0 0 0 1, OpenCV axes (x right, y down, z forward), column vectors.
     focal_px: (fx, fy), > 0, at the panel's resolution.

@@ -17,7 +17,7 @@ from lightfield_gs.panels.panel import Panel
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
 _ROWS_PER_CHUNK_PX = 8  # small temporaries stay in the cache
-_CELL_ROWS_PER_CHUNK = 32  # the same of cells
+_CELL_ROWS_PER_CHUNK = 32  # rows of cells, for the same reason
 
 
 def simulate(
@@ -41,7 +41,7 @@ def simulate(
     x, y, z = _eye(eye_mm)
     spread = real_number("spread_subpixels", spread_subpixels, 1e-2, 1e3)
     threads = os.cpu_count() if threads is None else whole_number("threads", threads, 1, 4096)
-    # Of a panel that _check let through both are known
+    # _check lets no panel through that lacks either
     distance, pitch_mm = cast(float, panel.viewing_distance_mm), cast(float, panel.pixel_pitch_mm)
     sub_mm, lens = pitch_mm / 3, panel.line_number
     gap = lens * sub_mm / (2 * math.tan(math.radians(panel.cone_deg) / 2)) * (-1 if panel.invert_views else 1)
@@ -92,19 +92,19 @@ def _turns_along(panel: Panel, channel: int, shift: float, slope: float, middle:
 
 
 def _fractions(numbers: np.ndarray) -> np.ndarray:
-    """What is behind the point, as float32, for which these numbers are small enough."""
+    """The fractional parts, as float32: small numbers, for which that is precise enough."""
     return (numbers - np.floor(numbers)).astype(np.float32)
 
 
 def _light(turns: np.ndarray, sigma: float) -> np.ndarray:
-    """How much sub-pixels are lit that are seen at these places, in lens widths; in the place of `turns`."""
+    """How brightly the eye sees sub-pixels at these places on their lenses, in lens widths. Overwrites `turns`."""
     turns -= np.floor(turns)
     turns -= np.float32(0.5)
     turns *= np.float32(1 / (sigma * math.sqrt(2)))
     np.square(turns, out=turns)
     np.negative(turns, out=turns)
     np.exp(turns, out=turns)
-    turns += np.float32(1e-20)  # a cell stays defined whose every sub-pixel is dark
+    turns += np.float32(1e-20)  # a cell keeps a colour even if all its sub-pixels are dark
     return turns
 
 
@@ -122,7 +122,10 @@ def _sums(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarr
 
 
 def _blurred(cells: np.ndarray, rows: slice) -> np.ndarray:
-    """These rows of cells joined with their neighbours, 1 2 1 both ways: the brightest sub-pixels around decide."""
+    """These rows of cells, each cell joined with its neighbours by the weights 1 2 1 both ways.
+
+    Light and its weight are joined alike, so the sub-pixels around that the eye sees best decide.
+    """
     first, last = max(0, rows.start - 1), rows.stop + 1
     around = cells[first:last]
     missing = (first - (rows.start - 1), max(0, last - len(cells)))  # rows beyond the edges are dark
@@ -141,7 +144,7 @@ def _eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
 
 
 def unknown_of(panel: Panel) -> list[str]:
-    """The fields of a panel that an eye cannot be placed without, those that it lacks."""
+    """The fields that a panel lacks and without which no eye can be placed before it."""
     return [key for key in ("viewing_distance_mm", "pixel_pitch_mm") if getattr(panel, key) is None]
 
 

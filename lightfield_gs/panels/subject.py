@@ -1,7 +1,7 @@
 """What a scene is about, where that is not all of it: far floaters, a sky, a room around an object, a capture that
 reaches far beyond what it was made of.
 
-Everything here is decided by Gaussians that count (see framing.py), on a sample of a few thousand of them.
+Everything here is decided by the Gaussians that count as content (see reach.py), on a sample of a few thousand of them.
 """
 
 from __future__ import annotations
@@ -14,30 +14,40 @@ from torch import Tensor
 
 from lightfield_gs.base.harmonics import spiral
 
+# The densest place of the scene
 _SAMPLE = 4096  # Gaussians that are looked at
-_PLACES = 128  # of them, where the densest place may be
-_DENSE_SHARE = 0.1  # of all: the ball that holds it and is smallest is the densest place
-_GAP = 2.5  # radii about the densest place, outer to inner, between which there is next to nothing: a subject ends
-_IN_GAP = 0.02  # of what is inside: next to nothing
-_CUT = math.sqrt(_GAP)  # in inner radii of the gap: where it is divided
-_SMALLER = 4.0  # extent of everything in inner radii, from which on the subject would be shown too small
-_TOWARDS_ONE_SIDE = 0.85  # share of the second moment of directions along one axis: a pole, part of its subject
-_SMALL_BALL = 0.05  # radius of the densest place, in extents: so dense that it is what was captured
-_NEIGHBOURHOOD = 3.0  # in radii of the densest place: what belongs to it then
-_AROUND = 0.4  # share of all directions in which there must be more, for a place to be surrounded
-_BINS = 192  # directions
-_HULL_DIRECTIONS = 1024  # in which the convex hull is measured
-_SHELL, _INSIDE = 0.9, 0.7  # gauge of the convex hull: 1 is on it, 0 its middle
-_SHELL_SHARE, _CLOSED, _INSIDE_SHARE = 0.8, 0.8, 0.01  # of the surface, of the directions, of the Gaussians
-_SUPPORT, _STRAY = 0.995, 1.2  # share of the surface, and how many times as far out as it the hull may reach
+_PLACES = 128  # of these, where the densest place may be
+_DENSE_SHARE = 0.1  # the densest place is the smallest ball that holds this share of the opacity
+
+# A gap around the densest place, where a subject ends
+_GAP = 2.5  # outer radius of a gap in inner ones
+_IN_GAP = 0.02  # what may lie in a gap, as a share of what lies inside it
+_CUT = math.sqrt(_GAP)  # where a gap is divided, in inner radii
+_SMALLER = 4.0  # extent of the whole scene in inner radii, from which on the subject would be shown too small
+# What lies beyond a gap is part of the subject, such as the end of a pole, if this share of the second moment of its
+# directions is along one axis.
+_TOWARDS_ONE_SIDE = 0.85
+
+# A dense place that the scene surrounds
+_SMALL_BALL = 0.05  # its radius in extents of the scene, up to which it is so dense that it is what was captured
+_NEIGHBOURHOOD = 3.0  # how far what belongs to it reaches, in its radii
+_AROUND = 0.4  # share of all directions in which there must be more of the scene for it to be surrounded
+_BINS = 192  # directions that are told apart
+
+# A shell that is closed on most sides, such as a room
+_HULL_DIRECTIONS = 1024  # in which its convex hull is measured
+_SHELL, _INSIDE = 0.9, 0.7  # gauges of what is the shell, from here on, and what is inside, up to here; see _Hull.gauge
+# The least shares for a shell: of the surface in it, of the directions that it closes, of what counts inside it
+_SHELL_SHARE, _CLOSED, _INSIDE_SHARE = 0.8, 0.8, 0.01
+_SUPPORT, _STRAY = 0.995, 1.2  # the hull reaches at most _STRAY times as far out as _SUPPORT of the surface does
 
 
 @dataclass(frozen=True)
 class Subject:
     """The Gaussians that a scene is about, and why not all.
 
-    inside: [N], which; None: all. why: what was found, in one line; empty: nothing that matters. left_out: share of
-    what counts.
+    inside: bool [N], which these are; None: all. why: what was found, in one line; empty: nothing that matters.
+    left_out: share 0..1 of the opacity of the content that is not among them.
     """
 
     inside: Tensor | None = None
@@ -85,7 +95,8 @@ def _sample(weights: Tensor) -> Tensor:
 
 
 def _densest(points: Tensor, weights: Tensor) -> tuple[Tensor, float]:
-    """Middle [3] and radius of the smallest ball about any of a few of the points that holds _DENSE_SHARE of all."""
+    """Middle [3] and radius of the smallest ball that is centred on one of _PLACES of the points [M, 3] and holds
+    _DENSE_SHARE of the weights [M]."""
     places = points[
         torch.arange(min(_PLACES, len(points)), device=points.device) * len(points) // min(_PLACES, len(points))
     ]
@@ -105,7 +116,7 @@ def _cut(offsets: Tensor, distances: Tensor, weights: Tensor, least: float) -> f
     empty = (sums[beyond] - sums <= _IN_GAP * sums) & (ordered >= least) & (ordered > 0)
     radius = 0.0
     for index in empty.nonzero()[:, 0].tolist():
-        if ordered[index] <= _GAP * radius:  # the same gap
+        if ordered[index] <= _GAP * radius:  # this is still the last gap
             continue
         radius = float(ordered[index])
         directions = torch.nn.functional.normalize(offsets[distances > radius], dim=1)
@@ -117,11 +128,12 @@ def _cut(offsets: Tensor, distances: Tensor, weights: Tensor, least: float) -> f
 
 
 def _surrounds(offsets: Tensor, far: Tensor) -> bool:
-    """Whether there is more in most directions."""
+    """Whether those that are far, bool [M], lie in many directions."""
     return _share_of_directions(offsets[far]) >= _AROUND
 
 
 def _share_of_directions(offsets: Tensor) -> float:
+    """Share 0..1 of all directions in which there is one of the offsets [M, 3]."""
     if len(offsets) == 0:
         return 0.0
     bins = _directions(_BINS).to(offsets)

@@ -14,17 +14,17 @@ from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
-_SIZE_PX = 256  # longer side of the picture that is looked at: thin things must not blend with what is behind them
-_SHARE_SIZE_PX = 128  # and where only how much of it shows matters
-_OPAQUE = 0.5  # what covers less is not seen as a surface
+_SIZE_PX = 256  # width of the picture that is looked at, so large that thin things do not blend with what is behind
+_SHARE_SIZE_PX = 128  # width of the picture where it only matters how much of the content shows
+_OPAQUE = 0.5  # alpha from which on a pixel shows a surface
 _LEAST_SEEN = 0.01  # share of the picture that must show surfaces
-_MIDDLE = 0.2  # standard deviation of what counts as the middle, in units of the picture's shorter side
-_NEAREST_SHARE = 0.1  # of what is seen in the middle: the front of the subject is nearer
-_SUBJECT = 1.5  # depths of a subject, in units of that of its front
-_DEPTH_TAIL = 0.01  # of what is seen, left out at either end
-_DEEP = 2.5  # far to near: an object and no more is less deep
-_NEAR_ZERO = 1.3  # what is as many times as far as the zero plane, or as near, is near it
-_IN_GAP = 0.06  # share of what is seen that is next to nothing: edges, where near and far blend
+_MIDDLE = 0.2  # standard deviation of the weight of the middle, in shorter sides of the picture
+_NEAREST_SHARE = 0.1  # share of what is seen in the middle that is nearer than the front of the subject
+_SUBJECT = 1.5  # how far a subject reaches, in depths of its front
+_DEPTH_TAIL = 0.01  # share of what is seen that is left out at either end of the depths
+_DEEP = 2.5  # far depth in near ones, up to which the picture shows one object and no more
+_NEAR_ZERO = 1.3  # a depth is near the zero plane if their ratio is at most this, either way
+_IN_GAP = 0.06  # share of what is seen that may lie in a gap: at edges near and far blend
 
 
 def subject_depth(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
@@ -90,5 +90,5 @@ def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, 
 
 
 def _plain(gaussians: Gaussians) -> Gaussians:
-    """Without what depends on the direction: only the shape matters here."""
+    """The Gaussians without what depends on the direction: only the shape matters here."""
     return replace(gaussians, sh=gaussians.sh[..., :1, :])

@@ -7,7 +7,8 @@ import numpy as np
 from lightfield_gs.base.errors import InputError
 
 _INSTALL = "pip install 'lightfield-gs[rembg]'"
-# Named, for rembg's own choice has changed between versions, once to weights that may not be used commercially.
+# The model is named here, for rembg's own choice has changed between versions, once to weights that may not be used
+# commercially.
 # U^2-Net: Qin et al., "U^2-Net: Going deeper with nested U-structure for salient object detection", 2020; Apache-2.0.
 _MODEL = "u2net"
 

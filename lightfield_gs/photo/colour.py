@@ -13,21 +13,26 @@ from lightfield_gs.io.images import Picture, as_floats
 from lightfield_gs.photo.strips import strips
 
 _LINEAR_FORMATS = ("openexr", "hdr")
-_SRGB_GAMMA, _SAME_GAMMA = 2.2, 0.1
-_SAME_LEVELS = 2  # of 255: profiles that differ less from sRGB, over all colours, are sRGB
-_SRGB_CICP = (1, 2), (1, 2, 6, 13)  # ITU-T H.273: primaries of BT.709; transfer functions of it and sRGB; 2: unsaid
+_SRGB_GAMMA, _SAME_GAMMA = 2.2, 0.1  # a gamma that differs by less from that of sRGB is taken for it
+_SAME_LEVELS = 2  # of 255: a profile that differs no more from sRGB, over all colours, is sRGB
+# Codes of ITU-T H.273 that count as sRGB: the primaries of BT.709, and the transfer functions of BT.709 and of sRGB; 2
+# stands for "not said".
+_SRGB_CICP = (1, 2), (1, 2, 6, 13)
 _SRGB_PRIMARIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06)  # x and y of red, green and blue
-_UNCALIBRATED = 65535  # Exif's ColorSpace of what is not sRGB, in cameras' files Adobe RGB
-_STRIP_PIXELS = 1 << 20  # at a time: Pillow keeps four bytes a pixel, beside what comes in and goes out
-_MOST_PIXELS = 1 << 24  # in floating point
+_UNCALIBRATED = 65535  # Exif's ColorSpace of what is not sRGB; in files of cameras that is Adobe RGB
+_STRIP_PIXELS = 1 << 20  # converted at a time: Pillow keeps four bytes a pixel, beside what comes in and goes out
+_MOST_PIXELS = 1 << 24  # of a picture that stays in floating point; larger ones are taken in 8 bits
 _MOST_THREADS = 4
-_CLIPPED_SHARE = 0.001  # of the pixels, above 1: from here on it is said
+_CLIPPED_SHARE = 0.001  # of the pixels: if more are brighter than 1, it is said
 
 
 @dataclass
 class Colours:
-    """pixels: [H, W, 3] in sRGB, uint8 or float32 in 0..1. said: what was done to them, none where nothing was. notes:
-    what may be wrong with them."""
+    """Colours in sRGB, and how they came to be.
+
+    pixels: [H, W, 3], uint8 or float32 in 0..1. said: what was done to them; empty where nothing was. notes: what may
+    be wrong with them.
+    """
 
     pixels: np.ndarray
     said: str = ""
@@ -35,10 +40,10 @@ class Colours:
 
 
 def in_srgb(rgb: np.ndarray, picture: Picture) -> Colours:
-    """The colours [H, W, 3] or, of a grey picture, [H, W, 1] of `picture`, as it says what they are, in sRGB.
+    """The colours rgb [H, W, 3] of `picture`, or [H, W, 1] where it is grey, converted to sRGB.
 
-    By its ICC profile, through lcms in 8 bits; without one by its gamma (PNG), and EXR and Radiance files are linear.
-    What cannot be honoured is taken as sRGB, with a note.
+    The picture itself says what they are: by its ICC profile, which lcms applies in 8 bits, or else by its gamma (PNG);
+    EXR and Radiance files are linear. What cannot be honoured is taken as sRGB, with a note.
     """
     space, gamma = str(picture.colour.get("oiio:ColorSpace", "")), picture.colour.get("oiio:Gamma", _SRGB_GAMMA)
     linear = picture.colour.get("format") in _LINEAR_FORMATS or space.startswith("lin_")
@@ -108,7 +113,7 @@ def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
                     "colours are only about right; export it as RGB"
                 ],
             )
-        # One for each thread: a transform remembers the last colour that it met
+        # Each thread has a transform of its own, for a transform remembers the last colour that it met
         transforms = [
             ImageCms.buildTransform(
                 source,
@@ -149,7 +154,7 @@ def _by_profile(rgb: np.ndarray, profile: bytes, was_cmyk: bool) -> Colours:
 
 
 def _probe(mode: str) -> np.ndarray:
-    """Colours all over the cube, or all greys, [1, N, 3 or 1] uint8."""
+    """Colours from all over the cube, or all greys (mode "L"), [1, N, 3 or 1] uint8."""
     if mode == "L":
         return np.arange(256, dtype=np.uint8)[None, :, None]
     levels = np.linspace(0, 255, 9).round().astype(np.uint8)

@@ -16,8 +16,10 @@ from lightfield_gs.io.npy import open_array, stored_arrays
 
 _IMAGE_TYPES = ("uint8", "uint16", "half", "float")  # others would be read as shares of their largest number
 FARTHEST = 1e12  # scene units: what is farther counts as not measured
-_FAR_BEYOND = 2  # times the farthest distance that was measured: where a camera beside sees next to no parallax
-_ALMOST_GREY = 0.04  # of a grey map's range: how far its channels come apart when it is saved as JPEG
+# Where infinitely far things are put, in distances of the farthest that was measured: there the cameras beside see next
+# to no parallax
+_FAR_BEYOND = 2
+_ALMOST_GREY = 0.04  # how far the channels of a grey map come apart when it is saved as JPEG, as a share of its range
 # Names in .npz files; the first of each is Depth Pro's
 _DEPTH_KEYS, _DISPARITY_KEYS = ("depth", "depth_map", "z"), ("disparity", "disp", "inverse_depth")
 _FOCAL_KEYS = ("focallength_px", "focal_length_px", "focal_px")
@@ -25,8 +27,12 @@ _FOCAL_KEYS = ("focallength_px", "focal_length_px", "focal_px")
 
 @dataclass
 class DepthNumbers:
-    """The numbers [H, W] of a depth map as its file holds them, integers or floats; the Exif orientation that was
-    undone; what they are and the focal length in pixels, where the file says so; what is to be noted."""
+    """The numbers of a depth map as its file holds them.
+
+    values: [H, W], integers or floats. orientation: the Exif orientation that was undone. kind: "distance" or
+    "disparity", and focal_px: the focal length in pixels; None where the file does not say it. notes: what may not be
+    as it was meant.
+    """
 
     values: np.ndarray
     orientation: int = 1
@@ -37,7 +43,8 @@ class DepthNumbers:
 
 @dataclass
 class DepthMap:
-    """z: float32 [H, W], NaN where nothing was measured. focal_px: of its file, None: unknown. said, notes: words."""
+    """z: view-space z, float32 [H, W], NaN where nothing was measured. focal_px: the focal length in pixels that its
+    file says, or None. said: what was decided, in words; notes: what may not be as it was meant."""
 
     z: np.ndarray
     focal_px: float | None
@@ -78,8 +85,11 @@ def depth_map(
     invalid: str = "far",
     turn: Callable[[DepthNumbers], tuple[np.ndarray, bool]] | None = None,
 ) -> DepthMap:
-    """read_depth, of what read_numbers found at `path`; kind None: what the file says, else distance. turn: gives
-    the numbers as upright as the photo is, and whether it turned them."""
+    """What read_depth does, of the numbers that were read from `path`.
+
+    kind: None: what the file says, else "distance". turn: a function that returns the numbers as upright as the photo
+    is, and whether it turned them.
+    """
     kind = kind or numbers.kind or "distance"
     for name, given, choices in (("depth kind", kind, DEPTH_KINDS), ("invalid depths", invalid, DEPTH_INVALID)):
         if given not in choices:
@@ -209,6 +219,7 @@ def _checked(path: str | Path, values: np.ndarray) -> np.ndarray:
 
 
 def _between(path: str | Path, values: np.ndarray, kind: str, near: float, far: float) -> np.ndarray:
+    """z [H, W] of numbers whose full scale runs from near to far; see read_depth. Raises InputError."""
     near, far = _positive("depth range: near", near), _positive("depth range: far", far)
     if near >= far:
         raise InputError(f"depth range: expected near < far, got {near:g},{far:g}")

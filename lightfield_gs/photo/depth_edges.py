@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-# Neighbours belong to one surface up to this slope (depth per sideways length, tan 85 degrees); a steeper step is an
-# edge between two surfaces. At 40 degrees of cone it opens by some 4 pixels.
+# Neighbours belong to one surface up to this slope, depth per sideways length: tan 85 degrees. A steeper step is an
+# edge between two surfaces, which opens by some 4 pixels over a cone of 40 degrees.
 _STEEPEST = 11.4
 _SNAP_PASSES = 3  # each takes one pixel off both ends of a smoothed edge
 _FRINGE = 4  # pixels next to an edge that may have colours of its other side
-_REACH = 0.25  # of the width: how far a surface goes on behind what stands before it
+_REACH = 0.25  # how far a surface goes on behind what stands before it, as a share of the image's width
 
 
 def joined(depth: Tensor, focal_px: float) -> Tensor:
@@ -91,14 +91,15 @@ def continue_behind(depth: Tensor, focal_px: float) -> Continuation:
 
 
 def _continue_rightwards(depth: Tensor, whole: Tensor) -> tuple[Tensor, ...]:
-    """The fields of Continuation, of far surfaces to the left of their edges."""
+    """The fields of Continuation for the far surfaces that lie to the left of an edge, and go on to its right."""
     width = depth.shape[1]
     rows, columns = (~whole & (depth[:, :-1] > depth[:, 1:])).nonzero().unbind(1)
     colour_columns = columns
     for _ in range(_FRINGE):
         inwards = (colour_columns - 1).clamp_min(0)
         colour_columns = torch.where(whole[rows, inwards], inwards, colour_columns)
-    farthest = depth.nan_to_num(nan=torch.inf)  # over as many columns to the right as the stripe is wide
+    # The farthest depth over as many columns, from each one to the right, as the stripe is wide
+    farthest = depth.nan_to_num(nan=torch.inf)
     stripes, size = [], 1
     while 2 * size - 1 <= _REACH * width:
         first = columns + size

@@ -29,7 +29,7 @@ from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
 
-_WARM_UP = 2  # calls before a capture: libraries load and choose their algorithms
+_WARM_UP = 2  # calls before a capture, in which libraries load and choose their algorithms
 
 
 class PhotoEncoder:
@@ -72,9 +72,9 @@ class PhotoEncoder:
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
         """The image [H, W, 3] of a photo as SplatterNet.predict takes it, on the network's device.
 
-        Afterwards `gaussians` and `rig` are what was drawn; on CUDA the next call writes over the former, and those
-        that are not seen are among them. stats: a dict to fill with stages_ms, of crop, network, framing and encode (on
-        CUDA they wait for each other then). Raises InputError.
+        Afterwards `gaussians` and `rig` are what was drawn; on CUDA the next call writes over the Gaussians, and those
+        that are too faint to be seen are among them. stats: a dict to fill with stages_ms, of crop, network, framing
+        and encode (on CUDA they wait for each other then). Raises InputError.
         """
         expect("stats", stats, dict, type(None))
         photo = checked_photo(rgba)
@@ -143,17 +143,20 @@ class _Capture:
         return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype
 
     def crop(self, photo: Tensor) -> None:
-        """From the host through pinned memory, which the last photo has left by now: its rig was waited for."""
+        """Cuts the object out of a photo. One on the host goes through pinned memory, which the last photo has left by
+        now: its rig was waited for."""
         if not photo.is_cuda:
             photo = self.host.copy_(photo)
         self.photo.copy_(photo, non_blocking=True)
         self._crop.replay()
 
     def network(self) -> None:
+        """Makes the Gaussians of the cropped photo."""
         self._network.replay()
 
     def rig(self, panel: Panel) -> Rig:
-        """Waits for the device. Raises InputError where the photo is none or shows no object."""
+        """The rig of these Gaussians; waits for the device. Raises InputError for a photo with values outside 0..1 or
+        without an object."""
         self._framing.replay()
         values_in_range, has_object, *extent = self.numbers.tolist()
         check_values(values_in_range)
@@ -170,7 +173,8 @@ class _Capture:
 def _captured(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:
     """The launches of a call as a graph, and what the call returned, which every replay writes over.
 
-    Replayed once: a capture computes nothing, and the calls captured next read the result as they warm up.
+    The graph is replayed once here: a capture computes nothing, and the calls that are captured next read the result
+    when they warm up.
     """
     beside = torch.cuda.Stream()
     beside.wait_stream(torch.cuda.current_stream())
@@ -179,7 +183,7 @@ def _captured(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:
             call()
     torch.cuda.current_stream().wait_stream(beside)
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph, stream=beside):  # torch's own is of the device that captured first
+    with torch.cuda.graph(graph, stream=beside):  # torch's own stream belongs to the device that captured first
         result = call()
     graph.replay()
     return graph, result

@@ -20,18 +20,22 @@ from lightfield_gs.photo.strips import strips
 __all__ = ["Photo", "load_photo", "photo_of", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
 _OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
-_COVERS_ALL = 0.93  # share of the pixels: alpha that leaves less out has rounded corners or a frame, and no object
-# Shares of what an object encloses: what is more is likely to be the object itself, or may be
+_COVERS_ALL = 0.93  # alpha that covers this share of the pixels and more has rounded corners or a frame, and no object
+# Shares of what an object encloses. If more than the first two is lost, as faded or as holes, it is likely to be the
+# object itself, which is refused; from the third on it may be, which is said.
 _MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.12, 0.6, 0.3
-_FEW_LEVELS = 16  # of 255: a mask that is never brighter numbers things
-_STRIP_PIXELS = 1 << 19
+_FEW_LEVELS = 16  # of 255: a mask that is never as bright does not cut out, but numbers things
+_STRIP_PIXELS = 1 << 19  # that are joined at a time
 _OTHER_CUT_OUTS = "give RGBA, a cut-out with --mask FILE, or --remove-background (pip install 'lightfield-gs[rembg]')"
 
 
 @dataclass
 class Photo:
-    """pixels: RGBA [H, W, 4] in sRGB, upright, uint8 or float32 in 0..1, alpha straight. orientation: the Exif
-    orientation that was undone. said: what was decided, in words; notes: what may not be as it was meant."""
+    """A photo that was read and cut out.
+
+    pixels: RGBA [H, W, 4] in sRGB, upright, uint8 or float32 in 0..1, alpha straight. orientation: the Exif orientation
+    that was undone. said: what was decided, in words; notes: what may not be as it was meant.
+    """
 
     pixels: np.ndarray
     orientation: int = 1
@@ -80,7 +84,7 @@ def photo_of(
     whole: bool = False,
     map_orientation: str | None = None,
 ) -> Photo:
-    """load_photo, of the image that read_picture found at `path`, with what was decided."""
+    """The photo as load_photo has it, of the image that read_picture found at `path`, and what was decided."""
     expect("remove_background", remove_background, bool)
     expect("whole", whole, bool)
     if mask is not None and remove_background:
@@ -118,11 +122,12 @@ def photo_of(
 
 
 def _most(values: np.ndarray) -> float:
-    """What stands for 1 in an array of this type."""
+    """The value that stands for 1 in an array of this type."""
     return 1.0 if values.dtype == np.float32 else float(np.iinfo(values.dtype).max)
 
 
 def _shares(alpha: np.ndarray) -> np.ndarray:
+    """Alpha of any type as float32 in 0..1."""
     return np.clip(as_floats(alpha), 0, 1)
 
 
@@ -166,7 +171,7 @@ def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -
 
 
 def _cut_within(rgb: np.ndarray, alpha: np.ndarray) -> PlainCut | None:
-    """What stands out from the plain background of the pixels that alpha [H, W] leaves; of all its pixels."""
+    """What stands out from the plain background of the pixels that alpha [H, W] covers, as a cut of the whole photo."""
     opaque = alpha > 0.5
     rows, columns = np.flatnonzero(opaque.any(1)), np.flatnonzero(opaque.any(0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_DUST_SHARE = 1e-4  # of the largest piece's mass: what is smaller never belongs to the object
-_BEAD_SHARE, _NEAR_SIZES = 0.001, 2  # from this mass on it does, no farther off than twice its size, the mass's root,
-_MOST_BEADS = 64  # unless there are so many: that is noise
-_PIECE_SHARE = 0.03  # and from this one on wherever it is
+# Which pieces belong to the object, by their mass as a share of the largest piece's
+_DUST_SHARE = 1e-4  # a smaller piece never does
+_BEAD_SHARE, _NEAR_SIZES = 0.001, 2  # from here on one does that is near: within twice its size, the root of its mass
+_MOST_BEADS = 64  # if there are more of these, they are noise
+_PIECE_SHARE = 0.03  # from here on a piece does wherever it is
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Pieces:
 
     @classmethod
     def of(cls, flags: np.ndarray, diagonal: bool) -> Pieces:
-        """The pieces of flags [H, W]; diagonal: whether pixels that share but a corner are neighbours."""
+        """The pieces of flags [H, W]; diagonal: whether pixels that share only a corner are neighbours."""
         rows, starts, ends = _runs(flags)
         one, other = _touching(rows, starts, ends, int(diagonal))
         labels = _joined(len(rows), one, other)
@@ -68,7 +69,7 @@ class Pieces:
         if not len(self.rows):
             return np.zeros(0, values.dtype)
         edges = np.stack([self.rows * self.shape[1] + self.starts, self.rows * self.shape[1] + self.ends], 1).ravel()
-        if edges[-1] == values.size:  # of the last run, where reduceat goes on to the end by itself
+        if edges[-1] == values.size:  # the last run ends with the image, to whose end reduceat goes on by itself
             edges = edges[:-1]
         return operation.reduceat(values.ravel(), edges)[::2]
 
@@ -77,9 +78,9 @@ def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, in
     """The mask [H, W] of what belongs to the object of alpha [H, W], bool, and not to specks beside it; how many pieces
     it has, and how many specks there are.
 
-    Pieces are of pixels of at least `opaque`; the mass of one is the sum of its alpha. Those of 3 % of the largest stay
-    wherever they are, those of 0.1 % where they lie near to another for their size, as beads do and dust does not,
-    smaller ones within the box of all these. Those below 0.01 % go in any case.
+    Pieces consist of pixels of at least `opaque`; the mass of one is the sum of its alpha. Those of 3 % of the largest
+    mass stay wherever they are; those of 0.1 % where they lie near to another for their size, as beads do and dust does
+    not; smaller ones within the box of all these. Those below 0.01 % go in any case.
     """
     pieces = Pieces.of(alpha >= opaque, diagonal=True)
     masses = pieces.masses(alpha)
@@ -96,8 +97,8 @@ def object_pieces(alpha: np.ndarray, opaque: float) -> tuple[np.ndarray, int, in
 
 
 def _near(candidates: np.ndarray, boxes: np.ndarray, others: np.ndarray, reaches: np.ndarray) -> np.ndarray:
-    """Those of the pieces `candidates` whose box is no farther from that of one of the `others`, or of one found so,
-    than its reach."""
+    """Which of the pieces `candidates` are near: their box is within their reach of the box of one of the `others`, or
+    of a candidate that was found near before."""
     found = []
     while len(others) and len(candidates):
         one, other = boxes[candidates][:, None], boxes[others][None]
@@ -111,7 +112,7 @@ def _near(candidates: np.ndarray, boxes: np.ndarray, others: np.ndarray, reaches
 def _runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Row, first column and one more than the last column of every run of set pixels."""
     height, width = flags.shape
-    padded = np.zeros((height, width + 1), bool)  # a column that is not set parts the rows
+    padded = np.zeros((height, width + 1), bool)  # one more column, never set, keeps the runs of two rows apart
     padded[:, :width] = flags
     flat = padded.ravel()
     changes = np.flatnonzero(flat[1:] != flat[:-1]) + 1
@@ -123,9 +124,10 @@ def _runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _touching(rows: np.ndarray, starts: np.ndarray, ends: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of runs that touch, one in the row below the other's; reach: 1 where corners touch, else 0."""
+    """Pairs of runs that touch, the second in the row below the first; reach: 1 if corners are enough, else 0."""
     stride = 2 * (int(ends.max(initial=0)) + 2)
-    # The runs of the next row are in order of both their starts and ends, so those that touch follow each other
+    # The runs of the next row are in order of their starts and of their ends, so those that touch a run follow each
+    # other: a range.
     below = (rows + 1) * stride
     first = np.searchsorted(rows * stride + ends, below + starts - reach, side="right")
     last = np.searchsorted(rows * stride + starts, below + ends + reach, side="left")
@@ -136,7 +138,7 @@ def _touching(rows: np.ndarray, starts: np.ndarray, ends: np.ndarray, reach: int
 
 
 def _joined(count: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """A number for each of `count` things, the same for those that pairs join: the least index among them."""
+    """A number for each of `count` things, which things that pairs join share: the least index among them."""
     roots = np.arange(count)
     while len(one):
         low, high = np.minimum(roots[one], roots[other]), np.maximum(roots[one], roots[other])

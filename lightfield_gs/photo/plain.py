@@ -11,29 +11,45 @@ import numpy as np
 from lightfield_gs.photo.pieces import Pieces, object_pieces
 from lightfield_gs.photo.strips import strips
 
-_BORDER_SHARE = 0.02  # of the shorter side, at least one pixel: what has to be plain
-_PLAIN_STD = 0.04  # largest spread of the border's colour, but for its outliers
-_PLAIN_SHARE = 0.9  # of the border pixels that must be near the background's colour
-_NEAR, _FAR = 0.06, 0.14  # colour distances between which the mask rises from 0 to 1
-_SAME = 0.02  # colour distance below which an enclosed patch is the background, seen through a hole ...
-_PATCH_SHARE = 0.025  # ... if a square of this share of the shorter side fits in it: smaller ones are highlights
-_WINDOWS_PX = (1, 3, 5, 7, 9)  # means over such squares make noise smaller, where it is too strong
-_LEAST_SLOPE = 0.02  # of a background's colour, from the middle to an edge
-_USUAL_SHARE = 0.98  # of the border: has nothing but noise
-_NOISE_REACH = 3.4  # deviations of noise in a channel: a colour is farther off by chance once in a hundred times
-_LEAST_DIFFERENCE = 0.012  # colour distance: what differs less from a background without noise is part of it
-_BAND_LINES = 16  # of the border that are looked at, at most twice as many
-_EDGE_PX, _CLEARLY, _SHARP_SHARE = 3, 2.0, 0.5  # how far inside an edge, how many times what differs, on how much of it
-_BLOCK_PX = 16  # as far from a strong edge JPEG makes colours up
-_SHARE_SAMPLES = 1500  # pixels of the longer side that are looked at to see what is lost
-_MOST_PIXELS = 1 << 24  # that are looked at one by one: a display shows no more
-_STRIP_PIXELS = 1 << 19  # at a time in floating point: eight bytes times all pixels would be more than a photo itself
+# The border, which has to be plain. Distances of colours are Euclidean, of channels in 0..1.
+_BORDER_SHARE = 0.02  # its width as a share of the shorter side, at least one pixel
+_PLAIN_STD = 0.04  # largest spread of its colour, but for outliers
+_PLAIN_SHARE = 0.9  # share of its pixels that must be near the background's colour
+_BAND_LINES = 16  # of its lines, so many are looked at, and at most twice as many
+_LEAST_SLOPE = 0.02  # least change of a background's colour, from the middle to an edge, that is taken for one
+
+# The mask
+_NEAR, _FAR = 0.06, 0.14  # colour distances between which it rises from 0 to 1
+# An enclosed patch is the background, seen through a hole, if its colour is as close as _SAME and a square of
+# _PATCH_SHARE of the shorter side fits in it. Smaller ones are highlights.
+_SAME, _PATCH_SHARE = 0.02, 0.025
+
+# Noise
+_WINDOWS_PX = (1, 3, 5, 7, 9)  # sides of the squares over which means are taken where noise is too strong
+_USUAL_SHARE = 0.98  # share of the border that has nothing but noise
+_NOISE_REACH = 3.4  # deviations of noise in a channel that a colour exceeds by chance once in a hundred times
+
+# What is lost: parts of an object that hardly differ from the background
+_LEAST_DIFFERENCE = 0.012  # what differs by a smaller colour distance from a background without noise is part of it
+# An edge is that of a body, and not of a shadow, if _EDGE_PX inside it colours differ _CLEARLY times as much as they
+# have to, on _SHARP_SHARE of its length.
+_EDGE_PX, _CLEARLY, _SHARP_SHARE = 3, 2.0, 0.5
+_BLOCK_PX = 16  # how far from a strong edge JPEG makes up colours
+_SHARE_SAMPLES = 1500  # pixels along the longer side that are looked at
+
+# Memory
+_MOST_PIXELS = 1 << 24  # of a photo whose pixels are looked at one by one: a display shows no more
+_STRIP_PIXELS = 1 << 19  # in floating point at a time: eight bytes times all pixels would be more than a photo itself
 
 
 @dataclass(frozen=True)
 class PlainCut:
-    """alpha: float32 [H, W] in 0..1, 1 on the object. Shares 0..1 of it and what lies between its parts: faded, what
-    went with the background though its colour is another, as a pale body does; holes, where that shows through."""
+    """An object cut out from a plain background.
+
+    alpha: float32 [H, W] in 0..1, 1 on the object. faded, holes: shares 0..1 of the object and what lies between its
+    parts: what went with the background although its colour is another, as a pale body does, and where the background
+    shows through.
+    """
 
     alpha: np.ndarray
     faded: float
@@ -80,9 +96,12 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
 
 @dataclass(frozen=True)
 class _Ground:
-    """A plain background. colours: what 1 and the place of a pixel, -1..1 from edge to edge downwards and across, are
-    to be multiplied by, [3, 3] float32. noise: its deviation in a channel; window: over how many pixels a side means
-    make little of it. differs: the colour distance from which on a pixel, as such a mean, is of another colour."""
+    """A plain background, whose colour may change evenly over the photo.
+
+    colours: [3, 3] float32; its colour at a pixel is (1, down, across) @ colours, the place in -1..1 from edge to edge.
+    noise: its standard deviation in a channel. window: side in pixels of the squares over which means make little of
+    the noise. differs: the colour distance from which on such a mean is of another colour.
+    """
 
     colours: np.ndarray
     noise: float
@@ -91,6 +110,7 @@ class _Ground:
 
 
 def _ground_of(rgb: np.ndarray) -> _Ground | None:
+    """The background of rgb [H, W, 3], from its border; None where that is not plain."""
     height, width = rgb.shape[:2]
     thick = max(1, round(_BORDER_SHARE * min(height, width)))
     bands = _border(rgb, thick)
@@ -107,7 +127,7 @@ def _ground_of(rgb: np.ndarray) -> _Ground | None:
 
 
 def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
-    """rgb [H, W, 3] made smaller by a whole factor, of the same type; what is over at the far edges is left out."""
+    """rgb [H, W, 3] made smaller by a whole factor, of the same type; pixels left over at the far edges are dropped."""
     height, width = (size // factor for size in rgb.shape[:2])
     means = np.empty((height, width, 3), rgb.dtype)
     for top, bottom in strips(height, width, _STRIP_PIXELS):
@@ -122,7 +142,7 @@ def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _enlarged(alpha: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
-    """alpha of _block_means as that of the picture [height, width]."""
+    """The alpha of a picture that _block_means made smaller, as that of the picture itself, [height, width]."""
     bottom, right = (size * factor for size in alpha.shape)
     enlarged = np.empty((height, width), np.float32)
     for down in range(factor):
@@ -134,7 +154,7 @@ def _enlarged(alpha: np.ndarray, factor: int, height: int, width: int) -> np.nda
 
 
 def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
-    """The four bands [., ., 3] along the edges, float32 in 0..1; of thick ones some of the lines."""
+    """The four bands [lines, pixels, 3] along the edges, float32 in 0..1; of thick ones only some of the lines."""
     each = max(1, thick // _BAND_LINES)
     middle = rgb[thick:-thick]
     bands = (rgb[:thick], rgb[-thick:], middle[:, :thick].swapaxes(0, 1), middle[:, -thick:].swapaxes(0, 1))
@@ -142,7 +162,7 @@ def _border(rgb: np.ndarray, thick: int) -> list[np.ndarray]:
 
 
 def _places(height: int, width: int, thick: int) -> np.ndarray:
-    """1, and where each pixel of _border is, -1..1 from edge to edge downwards and across: [N, 3] float32."""
+    """(1, down, across) of each pixel of _border, its place in -1..1 from edge to edge: [N, 3] float32."""
     down, across = (np.linspace(-1, 1, size, dtype=np.float32) for size in (height, width))
     grids = (np.broadcast_to(values, (height, width))[..., None] for values in (np.float32(1), down[:, None], across))
     return np.stack([np.concatenate([band.ravel() for band in _border(grid, thick)]) for grid in grids], 1)
@@ -158,6 +178,7 @@ def _fitted(colours: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def _floats(rgb: np.ndarray) -> np.ndarray:
+    """Colours as float32 in 0..1."""
     return rgb.astype(np.float32) * np.float32(1 / 255) if rgb.dtype == np.uint8 else rgb.astype(np.float32)
 
 
@@ -165,7 +186,7 @@ def _noise(bands: list[np.ndarray]) -> float:
     """The standard deviation of noise, per channel, from pixels two apart (JPEG shares colours among neighbours): that
     of a slow gradient is not in it."""
     squares = np.concatenate([(band[:, 2:] - band[:, :-2]).reshape(-1, 3) for band in bands]) ** 2 / 2
-    usual = np.sort(squares, 0)[: max(1, round(_USUAL_SHARE * len(squares)))]  # not what specks and objects do there
+    usual = np.sort(squares, 0)[: max(1, round(_USUAL_SHARE * len(squares)))]  # without specks and objects
     return float(np.sqrt(usual.mean()))
 
 
@@ -176,7 +197,7 @@ def _window_px(noise: float) -> int:
 
 
 def _means(values: np.ndarray, window: int) -> np.ndarray:
-    """Means of values [H, W, C] over window x window pixels, which end at the edges."""
+    """Means of values [H, W, C] over window x window pixels; beyond the edges the last pixel is repeated."""
     reach = window // 2
     for axis in (0, 1):
         if reach:
@@ -188,7 +209,10 @@ def _means(values: np.ndarray, window: int) -> np.ndarray:
 
 
 def _distances(rgb: np.ndarray, ground: np.ndarray, window: int) -> np.ndarray:
-    """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from _Ground's."""
+    """The distance [H, W] float32 of each pixel's colour, a mean over window x window pixels, from the background's.
+
+    ground: _Ground.colours.
+    """
     (height, width), reach = rgb.shape[:2], window // 2
     distances = np.empty((height, width), np.float32)
     tables = (_floats(np.arange(256, dtype=np.uint8))[:, None] - ground[0]).T ** 2
@@ -207,7 +231,7 @@ def _distances(rgb: np.ndarray, ground: np.ndarray, window: int) -> np.ndarray:
 
 
 def _background(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What belongs to the background [H, W], and those of its pieces that the border does not reach."""
+    """What belongs to the background, bool [H, W], and of that the holes, which are not connected to the border."""
     height, width = distance.shape
     thick = max(1, round(_BORDER_SHARE * min(height, width)))
     ring = np.ones((height, width), bool)
@@ -253,15 +277,16 @@ def _grown(flags: np.ndarray, reach: int) -> np.ndarray:
 def _shares_lost(outside: np.ndarray, holes: np.ndarray, distance: np.ndarray, differs: float) -> tuple[float, float]:
     """PlainCut's faded and holes; differs: the colour distance from which on a pixel is not of the background's colour.
 
-    Of a white body before white all but its outline goes, or all: its shades are faded, the rest is taken for holes.
+    Of a white body before white everything goes, or all but its outline: then its shades are counted as faded, and the
+    rest is taken for holes.
     """
-    step = max(1, round(max(distance.shape) / _SHARE_SAMPLES))  # of a large picture a part will do
+    step = max(1, round(max(distance.shape) / _SHARE_SAMPLES))  # of a large picture, some of the pixels will do
     outside, holes, distance = (values[::step, ::step] for values in (outside, holes, distance))
     opaque = distance > (_NEAR + _FAR) / 2
     opaque |= ~outside
     other = distance > differs
     object_ = object_pieces(opaque.astype(np.float32), 1)[0]
-    other &= object_ | ~opaque  # no specks
+    other &= object_ | ~opaque  # leaves out specks
     opaque = object_
     between = _between(opaque, 0) | _between(opaque, 1)
     between &= ~opaque

@@ -21,9 +21,9 @@ from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
 MAX_PIXELS = 1 << 24
 _NEAREST = 1e-12  # scene units
-_SPREAD = 0.65  # standard deviation in pixels: neighbours one apart close into a surface, 99 % opaque when magnified
-_THICKNESS = 0.1  # across the surface, in pixels
-_OPACITY = 0.99  # the most that the rasterizer makes of any
+_SPREAD = 0.65  # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
+_THICKNESS = 0.1  # standard deviation across the surface, in pixels
+_OPACITY = 0.99  # of each pixel that is opaque: the rasterizer makes no more of any
 
 
 def focal_length_px(field_of_view_deg: float, height_px: int, width_px: int) -> float:
@@ -95,7 +95,7 @@ def _visible(
 def _hidden(
     image: Tensor, depth: Tensor, opacity: Tensor, focal: tuple[float, float], centre: tuple[float, float]
 ) -> tuple[Tensor, ...]:
-    """The Gaussians of what goes on behind the edges, parallel to the image."""
+    """The Gaussians of the far surfaces that go on behind edges, parallel to the image."""
     more = continue_behind(depth, focal[0])
     z = depth[more.rows, more.columns]
     x, y = torch.eye(3, device=z.device)[:2]

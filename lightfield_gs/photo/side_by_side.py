@@ -13,9 +13,10 @@ from lightfield_gs.io.images import as_floats
 from lightfield_gs.photo.depth import channels_apart
 
 _NAME = re.compile(r"(^|[^a-z0-9])rgbd$", re.IGNORECASE)
-_SAMPLES = 128  # a side: enough to see whether a half is grey
-_GREY = 0.04  # of its range: how far the channels of a grey half come apart, saved as JPEG
-_RELIEF, _COLOURFUL = 0.05, 0.05  # standard deviation of the one half, mean difference of the other's channels, of 1
+_SAMPLES = 128  # pixels a side that are looked at: enough to see whether a half is grey
+_GREY = 0.04  # how far the channels of a grey half come apart when it is saved as JPEG, as a share of its range
+# The least standard deviation of a depth map, and the least mean difference of the channels of a photo, values in 0..1
+_RELIEF, _COLOURFUL = 0.05, 0.05
 
 
 def is_named_so(path: Path) -> bool:
@@ -40,7 +41,7 @@ def halves(path: str | Path, pixels: np.ndarray, side: str) -> tuple[np.ndarray,
 
 
 def depth_side(pixels: np.ndarray) -> str | None:
-    """The half of pixels [H, W, C] that is grey with some relief beside one in colour, if it is one."""
+    """Which half of pixels [H, W, C] is grey, with some relief, beside one in colour; None where no half is."""
     height, width, channels = pixels.shape
     if channels < 3 or min(height, width) < 16:
         return None

@@ -1,7 +1,7 @@
 """Ordinary images as a torch operator with its reverse: torch.ops.lightfield_gs.render_dense.
 
-project -> order -> bin -> composite. Deterministic: the same bits whatever the number of threads. Every argument is
-checked here, every buffer is a torch tensor.
+Its stages are project, order, bin and composite (docs/design.md). The result is deterministic: the same bits whatever
+the number of threads. Every argument is checked here, and every buffer is a torch tensor.
 """
 
 from __future__ import annotations
@@ -23,7 +23,11 @@ _Arguments = tuple[  # of render_dense
 
 
 class _DenseJob:
-    """Arguments of render_dense, checked, and the stages up to the composite, or what a render left of them."""
+    """The checked arguments of render_dense, and a workspace that is ready for the composite or its reverse.
+
+    Without `state` project, order and bin run here; with it the workspace consists of what a render of the same
+    arguments left.
+    """
 
     def __init__(
         self,
@@ -76,6 +80,7 @@ def dense_forward(*arguments: Any, stats: Stats | None = None, threads: int | No
 
 
 def _dense_forward(arguments: _Arguments, stats: Stats, threads: int) -> tuple[_Images, State]:
+    """The images, and the state that spares their reverse the stages before the composite."""
     job = _DenseJob(*arguments, stats, threads)
     with job.scene.guard, stats.stage("composite"):
         image, alpha, depth = (job.scene.new(*shape) for shape in job.image_shapes())
@@ -107,7 +112,7 @@ def render_dense(
     Differentiable in all but intrinsics and limits. Source: Kerbl et al. 2023. Raises InputError.
     """
     tensors = (means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits)
-    # Views are copied here, once: the reverse would copy them again, while the device waits for it
+    # Tensors that are parts of others are copied here, once: the reverse would copy them again while the device waits
     return _RenderDense.apply(*(t.contiguous() for t in tensors), width, height, antialiased)[:3]
 
 
@@ -245,7 +250,7 @@ def _dense_setup(ctx, inputs, output):
     *tensors, ctx.width, ctx.height, ctx.antialiased = inputs
     ctx.save_for_backward(*tensors, *output)
     ctx.mark_non_differentiable(*output[3:])
-    ctx.set_materialize_grads(False)  # no zeros for the state
+    ctx.set_materialize_grads(False)  # the state has no gradients, and needs no zeros for them
 
 
 def _dense_backward(ctx, *grads):
@@ -261,8 +266,11 @@ render_dense_with_state.register_autograd(_dense_backward, setup_context=_dense_
 
 
 class _RenderDense(torch.autograd.Function):
-    """render_dense_with_state as register_autograd records it, without its look at every argument's default: the host
-    takes 0.1 ms for that, between forward and reverse, where the device waits for it."""
+    """render_dense_with_state with the same reverse as by register_autograd, but recorded faster.
+
+    register_autograd compares every argument with its default. That takes the host 0.1 ms between forward and reverse,
+    while the device waits.
+    """
 
     @staticmethod
     def forward(ctx, *inputs):

@@ -21,19 +21,24 @@ from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.scene import floats_or_bytes
 from lightfield_gs.rasterizer.stats import Stats
 
-_SLACK, _MOVING_SLACK = 1 / 16, 1.0  # pairs reserved beyond those of the last frame, as a share; of changing rigs
+# Pairs that are reserved beyond those of the last frame, as a share of them: for one rig, and for rigs that change
+_SLACK, _MOVING_SLACK = 1 / 16, 1.0
 # Polynomial orders tried for colours that vary over a rig; the order that was good enough is remembered
 COLOUR_ORDERS = (2, 4, 8, 12, 16)
 _LEAST_PAIRS = 1 << 12
-_MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # numbered with 32 bits
-_MOST_KNOWN = 64
-# Of exact frames, whose other errors leave less room than on the CPU: what the order of colours may leave, and what is
-# left out of each splat's; the latter adds up over all of them
+_MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # pairs are numbered with 32 bits
+_MOST_KNOWN = 64  # kinds of frames that are remembered
+# How far the polynomials of colours may err in exact frames, whose other errors leave less room than on the CPU. The
+# first bounds what the frame's order cannot express, the second what each splat's polynomial leaves out to be shorter.
+# The latter adds up over all splats of a sample.
 _COLOUR_TOLERANCE, _COLOUR_LEFT_OUT = 2e-5, 5e-6
 
 
 def _colour_tolerances(quality: Quality) -> tuple[float, float]:
-    """Both; of what is left out, kernels that draw colours as lines or parabolas leave as much again."""
+    """The two tolerances of colours, of the frame's order and of what each splat leaves out.
+
+    Kernels that draw colours as lines or parabolas leave out as much again, so the latter is half of what is allowed.
+    """
     exact = quality.colour_error == EXACT.colour_error
     return (_COLOUR_TOLERANCE, _COLOUR_LEFT_OUT) if exact else (quality.colour_error, quality.colour_error / 2)
 
@@ -65,7 +70,7 @@ class Frame:
         return torch.cuda.current_stream(self.work.device).cuda_stream
 
     def project(self, keep_lists: bool = False) -> None:
-        """keep_lists: only colours are others than when these splats were binned and ordered."""
+        """keep_lists: nothing but colours has changed since these splats were binned and ordered: their lists stay."""
         _core.cuda.frame_project(self.native, self.scene.native(), keep_lists, self.stream)
 
     def bin(self) -> None:
@@ -78,7 +83,7 @@ class Frame:
         _core.cuda.frame_composite(self.native, background.data_ptr(), *floats_or_bytes(out), self.stream)
 
     def draw(self, background: Tensor, out: Tensor, stats: Stats | None = None, keep_lists: bool = False) -> None:
-        """All stages, in order; keep_lists: see project, without bin and order."""
+        """Runs all stages in order; with keep_lists (see project) neither bin nor order."""
         stats = stats or Stats()
         with stats.stage("project"):
             self.project(keep_lists)
@@ -96,6 +101,7 @@ class Frame:
         return _state_of(self.state_bytes().cpu())
 
     def state_bytes(self) -> Tensor:
+        """The frame's state on the device, uint8: a part of its work buffer."""
         offset = self.native.state_address() - self.work.data_ptr()
         return self.work[offset : offset + _core.cuda.FRAME_STATE_BYTES]
 
@@ -106,7 +112,7 @@ def _state_of(host: Tensor) -> dict[str, Any]:
 
 
 def _free_bytes(device: torch.device) -> int:
-    """What the device has left, and what torch keeps of it for later."""
+    """How much can still be allocated: what is free on the device, and what torch keeps there for later."""
     kept = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
     return torch.cuda.mem_get_info(device)[0] + kept
 
@@ -114,16 +120,16 @@ def _free_bytes(device: torch.device) -> int:
 class Frames:
     """Frames of scenes of one kind and quality, by whatever rigs: draws them, and remembers what they needed.
 
-    Their colour polynomials have the highest order that a frame before needed. Where rigs change, colours may so differ
-    from those of `frames_of` by the errors of both, each at most twice the tolerance: once what the order leaves, once
-    the powers left out. A frame that needs a higher one than those before is drawn with theirs, and the next with its
-    own.
+    Their colour polynomials have the highest order that a frame so far needed. Where rigs change, colours may therefore
+    differ from those of `frames_of` by the errors of both, each at most twice the tolerance: once for what the order
+    cannot express, once for the powers left out. A frame that needs a higher order than those before is still drawn
+    with theirs, and only the next one with its own.
     """
 
     def __init__(self, job: LensJob, quality: Quality, slack: float = _MOVING_SLACK):
-        """job: any of them; slack: pairs to reserve beyond those of the last frame, as a share.
+        """job: any of those to be drawn; slack: pairs to reserve beyond those of the last frame, as a share of them.
 
-        Anti-aliased ones know neither lattices nor half precision, whatever the quality.
+        Anti-aliased scenes are drawn without lattices and without half precision, whatever the quality.
         """
         if job.antialiased:
             quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)
@@ -133,10 +139,10 @@ class Frames:
         self.colour_order = self.orders[0]
         self.kernel = forced_kernel
         self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
-        self.noted: torch.cuda.Event | None = None  # after it `host` holds the state of a frame
+        self.noted: torch.cuda.Event | None = None  # once it is reached, `host` holds the state of a frame
 
     def takes(self, job: LensJob) -> bool:
-        """Whether it may draw such a scene; of any number of Gaussians."""
+        """Whether these frames can show the scene of a job; its number of Gaussians does not matter."""
         return job.scene.tensors[0].device == self.device and (job.scene.degree == 0) == (self.orders == (0,))
 
     def draw(
@@ -148,14 +154,14 @@ class Frames:
             with stats.stage("plan"):
                 frame, out = self.frame(job), job.image(as_bytes) if out is None else out
             frame.draw(job.background, out, stats)
-            if not torch.cuda.is_current_stream_capturing():  # the user's graph may outlive these, whose memory it is
+            if not torch.cuda.is_current_stream_capturing():  # a user's graph may outlive `host`, and still write there
                 self.note(frame)
             if stats.device is not None:
                 stats.count_frame(frame.state(), frame.work)
         return out
 
     def frame(self, job: LensJob) -> Frame:
-        """A frame that is large enough, as far as known. The first waits for the device, later ones do not."""
+        """A frame with room for what the frames so far needed. The first waits for the device, later ones do not."""
         if self.capacity is None:
             self._learn(job)
         elif not torch.cuda.is_current_stream_capturing():
@@ -163,24 +169,25 @@ class Frames:
         return self._frame(job, cast(int, self.capacity))
 
     def note(self, frame: Frame) -> None:
-        """Has the frame's state copied to the host, for adapt."""
+        """Begins to copy the frame's state to the host, where `adapt` looks at it."""
         self.host.copy_(frame.state_bytes(), non_blocking=True)
         if not torch.cuda.is_current_stream_capturing():
             self.mark()
 
     def mark(self) -> None:
-        """The copy of a frame's state is under way on the current stream."""
+        """Notes that a copy of a frame's state is under way on the current stream."""
         self.noted = torch.cuda.Event()
         self.noted.record()
 
     def adapt(self) -> bool:
-        """Reserves more, and says so, when the last noted frame has arrived and had not enough."""
+        """Reserves more if the state of the last noted frame has arrived and shows a lack; returns whether it did."""
         if self.noted is None or not self.noted.query():
             return False
         self.noted = None
         return self._needs(_state_of(self.host))
 
     def _learn(self, job: LensJob) -> None:
+        """Finds out how many pairs a first frame has and which order its colours need, without drawing it."""
         if torch.cuda.is_current_stream_capturing():
             raise InputError(
                 "the first frame of a kind waits for the device, which a stream that captures a graph "
@@ -189,13 +196,14 @@ class Frames:
         while True:
             frame = self._frame(job, 0)
             frame.project()
-            frame.bin()  # without places it only says how many pairs there are
+            frame.bin()  # without room for any it only counts the pairs
             order = self.colour_order
             self._needs(frame.state())
             if order == self.colour_order:
                 return
 
     def _needs(self, state: dict[str, Any]) -> bool:
+        """Raises capacity and order of colours to what a frame of this state lacked; returns whether either changed."""
         before = self.capacity, self.colour_order
         if self.capacity is None or state["pairs"] > self.capacity:
             affordable = _free_bytes(self.device) // (2 * _PAIR_BYTES)
@@ -210,7 +218,8 @@ class Frames:
 
 
 _known: OrderedDict[tuple, Frames] = OrderedDict()
-forced_kernel: str | None = None  # of _core.cuda.FRAME_KERNELS; None: chosen by cost. For tests and measurements
+# For tests and measurements: one of _core.cuda.FRAME_KERNELS that all frames are drawn by; None: chosen by cost
+forced_kernel: str | None = None
 
 
 def frames_of(job: LensJob, quality: Quality) -> Frames:

@@ -94,7 +94,7 @@ def render(
         expect(name, value, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
-        gaussians.validate()  # there, looking at values would wait for the device
+        gaussians.validate()  # on CUDA looking at values would wait for the device
     like, batched = gaussians.means, gaussians.is_batched
     views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     if cameras.world_to_camera.dim() == 3:
@@ -108,7 +108,7 @@ def render(
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
     draw: Callable[..., tuple[Tensor, Tensor, Tensor]] = torch.ops.lightfield_gs.render_dense
     if not (torch.is_grad_enabled() and any(t.requires_grad for t in (*tensors, colour, *views))):
-        draw = dense_forward  # the first call of an operator with a reverse has torch import for a second
+        draw = dense_forward  # at the first call of an operator with a reverse torch spends a second on imports
     image, coverage, weighted_depth = draw(*tensors, colour, *views, cameras.width_px, cameras.height_px, antialiased)
     out = [image]
     if alpha:
@@ -129,22 +129,25 @@ def background_tensor(background: Colour, like: Tensor) -> Tensor:
 
 
 def _captured_background(background: Sequence[float], like: Tensor) -> Tensor:
-    """Made by the graph itself, in its own memory: of a constant from outside it would keep the address alone."""
+    """A background that a graph under capture makes itself, in its own memory.
+
+    Of a tensor from outside it would keep nothing but the address, where something else may lie at a replay.
+    """
     numbers = _checked_background(background, like.dtype, torch.device("cpu")).tolist()
     return torch.stack([like.new_full((), number) for number in numbers])
 
 
 @lru_cache(maxsize=64)
 def _constant_background(background: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Made once: copying it to a device would wait for the device every time."""
+    """A background of plain numbers. It is made once, for copying it to a device waits for that every time."""
     with torch.inference_mode(False):  # it may be part of a graph of gradients later
         return _checked_background(background, dtype, device)
 
 
 def _checked_background(background: Colour, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """A tensor on a GPU is taken as it is: looking for NaN there would wait for it.
+    """A background of any kind as a tensor. One on a GPU is not searched for NaN, which would wait for the GPU.
 
-    Tensors and arrays may leave 0..1, for optimizers do; plain numbers that do are mistakes.
+    Tensors and arrays may hold values beyond 0..1, as optimizers make them; plain numbers beyond it are mistakes.
     """
     plain = True
     if isinstance(background, (Tensor, np.ndarray)):

@@ -1,7 +1,8 @@
 """The sub-pixels of a panel as a torch operator with its reverse: torch.ops.lightfield_gs.render_lens.
 
-project -> order -> bin -> composite, each sub-pixel at the camera offset of its own view. Deterministic: the same bits
-whatever the number of threads. On CUDA images without gradients are frames, see frame_cuda.py.
+Its stages are project, order, bin and composite (docs/design.md); each sub-pixel is seen from the camera offset of its
+own view. The result is deterministic: the same bits whatever the number of threads. On CUDA, images without gradients
+are drawn as frames, see frame_cuda.py.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ def draw_lens(
     out: Tensor | None = None,
 ) -> Tensor:
     """The image [H, W, 3] without gradients. as_bytes: uint8 = round(255 clamp(c, 0, 1)). Fills `stats`, and `out`
-    where it is given: an image of that size and type, checked.
+    where it is given: an image of that size and type, which the caller has checked.
 
-    On CUDA the image is that of the fast kernels, within 1/255 but where a sample sits on a threshold.
+    On CUDA the fast kernels of a frame draw it: within 1/255, except where a sample lies on a threshold, such as the
+    alpha from which on a splat counts.
     """
     stats, threads = stats or Stats(), threads or torch.get_num_threads()
     if job.scene.tensors[0].is_cuda:
@@ -41,6 +43,7 @@ def draw_lens(
 
 
 def _job(means, quaternions, scales, opacities, sh, background, rig, lens, lens_shape, antialiased) -> LensJob:
+    """The job of an operator's arguments, which has its view as three lists of numbers."""
     view = LensView.of_lists(rig, lens, lens_shape)
     return LensJob((means, quaternions, scales, opacities, sh), background, view, antialiased)
 
@@ -62,7 +65,7 @@ def render_lens(
 
     means [N,3], quaternions [N,4] wxyz, scales [N,3] > 0, opacities [N] in (0,1], sh [N,K,3], background [3]; all
     float32 or all float64 (CUDA: float32); differentiable in all of these. Every sub-pixel belongs to
-    the camera at offset s = offset_start + offset_step * x of its own view coordinate x.
+    the camera at offset s = offset_start + offset_step * x, with x its own view coordinate.
     rig: 26 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits),
     zero_depth.
     lens: width, height, views, phase0, phase_x, phase_y (64-bit patterns as signed integers, 2^64 = one lens),

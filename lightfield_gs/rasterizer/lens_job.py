@@ -18,20 +18,24 @@ COLOUR_ORDERS = (8, 16)  # polynomial orders tried for colours that vary over a 
 
 
 class LensJob:
-    """fields: means [N,3], quaternions, scales, opacities and sh of one scene; background [3]; view: what the panel's
-    sub-pixels see of it. antialiased: see encoding.encode. Raises InputError."""
+    """One light-field image to be drawn.
+
+    fields: means [N,3], quaternions, scales, opacities and sh of one scene. background: [3]. view: what the panel's
+    sub-pixels see. antialiased: see encoding.encode. Raises InputError for tensors of other shapes, types or devices.
+    """
 
     def __init__(self, fields: Iterable[Tensor], background: Tensor, view: LensView, antialiased: bool = False):
         self.scene = Scene(*(t.unsqueeze(0) for t in fields))
         self.background = check("background", background, (3,), self.scene.tensors[0])
         self.view, self.antialiased, self.native = view, antialiased, view.native(antialiased)
         self.width, self.height = view.lens.width_px, view.lens.height_px
-        # Colours: raise the order until the polynomials are good enough. float64 is the exact twin: highest order.
+        # The order of colours is raised until the polynomials are good enough. float64 always takes the highest one:
+        # it is there to be exact.
         exact = background.dtype == torch.float64
         self.colour_orders = (0,) if self.scene.degree == 0 else COLOUR_ORDERS[-1:] if exact else COLOUR_ORDERS
 
     def image(self, as_bytes: bool = False) -> Tensor:
-        """Memory for the image [H, W, 3]."""
+        """Memory for the image [H, W, 3], of the scene's dtype or, with as_bytes, uint8."""
         return self.scene.new(self.height, self.width, 3, dtype=torch.uint8 if as_bytes else None)
 
     def workspace(self, stats: Stats, threads: int, quality: Quality = EXACT) -> Workspace:

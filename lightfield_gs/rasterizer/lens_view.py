@@ -10,12 +10,12 @@ from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 
 _LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
-_LENS_SIZES = (8, 8 + 2 * _core.CELL_SUBPIXELS)  # of the operators' list `lens`: of stripes, of cells
+_LENS_SIZES = (8, 8 + 2 * _core.CELL_SUBPIXELS)  # how long the operators' list `lens` is, of stripes and of cells
 _RIG_SIZE, _SHAPE_SIZE = 26, 5
 
 
 class NativeView(NamedTuple):
-    """The same for the native code."""
+    """A LensView as the native code takes it."""
 
     rig: _core.Rig
     lens: _core.Lens
@@ -23,12 +23,12 @@ class NativeView(NamedTuple):
 
 @dataclass(frozen=True)
 class Lens:
-    """The lens of a panel, in the numbers of csrc/scene/lens.h. Raises InputError for what it cannot be.
+    """The lens of a panel, in the numbers of csrc/scene/lens.h. Raises InputError for values that no lens has.
 
     width_px, height_px, views: 1..65536. line_number: width of a lens along a row, sub-pixels, > 0. slant_tan, phase:
     as of a Panel, phase in sub-pixels.
-    phases: of the first sub-pixel, and what it grows by from one sub-pixel and from one row to the next; 2^-64 lens
-    widths, mod 2^64.
+    phases: the phase of the first sub-pixel, and what it grows by from one sub-pixel to the next and from one row to
+    the next; whole numbers of 2^-64 lens widths, modulo 2^64.
     bgr: blue is the left-most sub-pixel. continuous: cameras at x itself in place of floor(x) + 1/2.
     offset_start, offset_step: the camera of view coordinate x stands at offset_start + offset_step * x, scene units.
     cell_phases, cell_channels: of a panel with sub-pixel cells, by row mod 4, column mod 4 and place: what its
@@ -97,6 +97,7 @@ class LensView:
     lens: Lens
 
     def native(self, antialiased: bool = False) -> NativeView:
+        """For the native code; antialiased: see encoding.encode."""
         lens = self.lens.native()
         rig = _core.Rig(
             world_to_camera=self.pose,
@@ -108,7 +109,7 @@ class LensView:
         )
         return NativeView(rig, lens)
 
-    # At the operators' border, where a schema knows lists of numbers only
+    # As lists: the schema of an operator knows no other way to take so many numbers
 
     def lists(self) -> tuple[list[float], list[int], list[float]]:
         """rig, lens and lens_shape as torch.ops.lightfield_gs.render_lens takes them; see there."""

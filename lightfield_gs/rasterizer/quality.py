@@ -15,7 +15,7 @@ OPACITY_CUT, TRANSMITTANCE_STOP, COLOUR_ERROR = 1 / 255, 1e-4, 5e-5
 
 @dataclass(frozen=True)
 class Quality:
-    """Knobs of run time against error, all of them errors of colours in 0..1. As they are made: nothing given up.
+    """Knobs that trade errors, of colours in 0..1, for run time. By default nothing is given up.
 
     opacity_cut: 1/255..0.5; a Gaussian leaves samples alone where its alpha is below. What that loses outside is added
         inside: opacities rise by cut - 1/255 (to 0.99 at most), which keeps the integral of alpha. A sample that K
@@ -25,16 +25,17 @@ class Quality:
         it takes what light is left: an error of at most the stop. Pays where scenes are deep and opaque.
     colour_error: 0..1; of the polynomials that stand for spherical harmonics over the rig, hence of the image.
     lattice_error: 0..1; where the light field is smooth it is evaluated on a coarse lattice in (x, y, view) only, and
-        interpolated. The middle of every cell is evaluated too, and nodes are moved by two thirds of the errors round
-        them (on CUDA, if those are too large), which makes bends err to both sides: nowhere in the middles is what is
-        left larger than this, nor its root mean square over a run of tiles (on CUDA: a tile) larger than a fifth, nor
-        is a node moved farther; else the lattice is refined, split or given up. Between corners and middles the error
-        is what a smooth field leaves it, not bounded. Colours on a lattice end at 0 and 1; on the CPU its nodes have 8
-        bits. 0: no lattice. On CUDA panels with sub-pixel cells and anti-aliased scenes have none.
+        interpolated. As a check the middle of every cell is evaluated too. Nodes are moved by two thirds of the errors
+        round them (on CUDA only if those are too large), so that bends err to both sides. A lattice is good enough if
+        what is left is nowhere in the middles larger than this, its root mean square over a run of tiles (on CUDA: a
+        tile) no larger than a fifth of this, and no node was moved farther than this; else it is refined, split or
+        given up. Between nodes and middles the error is what a smooth field makes of it, without a bound. Colours on a
+        lattice end at 0 and 1; on the CPU its nodes have 8 bits. 0: no lattice. On CUDA panels with sub-pixel cells and
+        anti-aliased scenes have none.
     contribution_cut: 0..1; a Gaussian is left out whose alphas, summed over all sub-pixels of the panel as if nothing
         hid it, are less than its even share of this: contribution_cut * sub-pixels / Gaussians. A sample changes by at
-        most the sum of the alphas left out there, and the mean of all samples by at most this; for the sums are taken
-        as integrals, where Gaussians are not few. Pays in captures of many small Gaussians, not where all are alike.
+        most the sum of the alphas left out there, and the mean of all samples by at most this, unless Gaussians are
+        few: the sums are taken as integrals. Pays in captures of many small Gaussians, not where all are alike.
         `prune` looks at what hides them too, once for a scene, and leaves out more for the same error. 0: none.
     evaluation_error: 0..1; of the arithmetic. From 0.02 on samples may be evaluated with numbers of 16 bits, twice as
         many at a time (on CUDA), or in fewer operations and until a transmittance of 0.002 (on the CPU): some 60 dB;
@@ -86,8 +87,9 @@ class Quality:
 
 
 EXACT = Quality()
-# PSNR on 8K frames of scenes and photos as `bench pareto` has them: high at least 50 dB, fast 40 dB, draft 33 dB. Cuts
-# are for photos, in which many faint Gaussians overlap; scenes that are less deep bear four times as much
+# On the 8K frames of `bench pareto`, scenes and photos, high reaches a PSNR of at least 50 dB, fast 40 dB, draft 33 dB.
+# The opacity cuts are made for photos, in which many faint Gaussians overlap; scenes that are less deep bear cuts four
+# times as high.
 QUALITIES: dict[str, Quality] = {
     "exact": EXACT,
     "high": Quality(opacity_cut=1 / 128, colour_error=1e-3, lattice_error=0.02, evaluation_error=0.02),

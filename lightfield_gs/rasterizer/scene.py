@@ -13,6 +13,7 @@ from lightfield_gs.base.errors import InputError
 
 
 def _devices() -> str:
+    """Where this build can render, in words for messages."""
     return "CPU or CUDA" if hasattr(_core, "cuda") else "CPU"
 
 
@@ -73,13 +74,16 @@ class Scene:
         return torch.cuda.device(device) if device.type == "cuda" else nullcontext()
 
     def native(self) -> _core._Stages.Gaussians:
+        """Their addresses for the core, which hold as long as this scene does."""
         return self.core.Gaussians(self.count, self.degree, *(t.data_ptr() for t in self.tensors))
 
     def new(self, *shape: int, dtype: torch.dtype | None = None, zero: bool = False) -> Tensor:
+        """A tensor on the scene's device, of its dtype unless one is given; without values, or all zero."""
         make = torch.zeros if zero else torch.empty
         return make(shape, dtype=dtype or self.tensors[0].dtype, device=self.tensors[0].device)
 
     def gradients(self) -> tuple[list[Tensor], _core._Stages.Gaussians]:
+        """Tensors of zeros for the gradients of the five fields, and their addresses for the core."""
         grads = [torch.zeros_like(t) for t in self.tensors]
         return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))
 

@@ -28,7 +28,7 @@ def culled(gaussians: Gaussians, world_to_camera: np.ndarray, drawn: int, pruned
 def of_lens(counters: _core.Counters, orders: Tensor, splats: Tensor, most: int) -> dict[str, Any]:
     """Tiles, lattices and samples of a composite; splats [1, N, ...] by the polynomial orders [1, N] of their colours,
     0..most."""
-    drawn = splats[..., _core.SPLAT_REACH_INDEX] >= 0  # by their reach
+    drawn = splats[..., _core.SPLAT_REACH_INDEX] >= 0  # what is not drawn has a negative reach
     return {
         "colour_orders": torch.bincount(orders[drawn], minlength=most + 1).tolist(),
         "tiles": {"empty": counters.empty_tiles, "lattice": counters.lattice_tiles, "drawn": counters.tiles},

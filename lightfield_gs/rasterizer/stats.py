@@ -19,7 +19,8 @@ from lightfield_gs.rasterizer import skips
 class Stats:
     """What a render did: milliseconds per stage, counts, bytes of work memory.
 
-    device: waits for a CUDA device at both ends of a stage, or its work would be timed elsewhere; None: does not wait.
+    device: where the work is done. At both ends of a stage its host waits for a CUDA device, or the work of one stage
+    would be timed in another. None: nothing waits, and stages of a device have no times that mean anything.
     """
 
     device: torch.device | None = None
@@ -27,7 +28,7 @@ class Stats:
     pairs: int = 0
     evaluations: int = 0
     work_bytes: int = 0
-    memory_bytes: dict[str, int] = field(default_factory=dict)  # of method sorted, see sorted.encode_sorted
+    memory_bytes: dict[str, int] = field(default_factory=dict)  # of method sorted, see encode_sorted
     memory_bytes_unchunked: dict[str, int] = field(default_factory=dict)
     images: int = 0
     gaussians_drawn: int = 0  # in all images
@@ -38,6 +39,7 @@ class Stats:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
+        """Adds the time of what is done within to the stage of this name."""
         self._wait()
         start = time.perf_counter()
         yield
@@ -49,7 +51,7 @@ class Stats:
             torch.cuda.synchronize(self.device)
 
     def add_render(self, other: Stats) -> None:
-        """One of several renders that follow each other: their work adds up, their memory is used again."""
+        """Adds one of several renders that follow each other: their work adds up, their memory is used again."""
         for name, ms in other.stages_ms.items():
             self.stages_ms[name] = self.stages_ms.get(name, 0.0) + ms
         self.pairs += other.pairs
@@ -59,10 +61,11 @@ class Stats:
         self.work_bytes = max(self.work_bytes, other.work_bytes)
 
     def add_buffers(self, *buffers: Tensor) -> None:
+        """Adds the sizes of these to the work memory."""
         self.work_bytes += sum(t.numel() * t.element_size() for t in buffers)
 
     def count_frame(self, state: dict[str, Any], work: Tensor) -> None:
-        """A light-field frame on CUDA and its work buffer."""
+        """Adds a light-field frame on CUDA, by the state that it found out, and its work buffer."""
         self.pairs += state["pairs"]
         self.images += 1
         self.gaussians_drawn += state["drawn"]
@@ -71,6 +74,7 @@ class Stats:
         self.add_buffers(work)
 
     def count(self, counters: _core.Counters) -> None:
+        """Adds what the core counted in a composite."""
         self.pairs += counters.pairs
         self.evaluations += counters.evaluations
         self.work_bytes += counters.scratch_bytes

@@ -21,9 +21,12 @@ class Splats:
     def __init__(
         self, scene: Scene, images: int, colour_order: int, with_orders: bool, compensated: bool, state: State | None
     ):
-        """colour_order: of polynomials of the offset, for the colours of a light field. with_orders: each Gaussian may
-        have one of its own. compensated: of an anti-aliased light field, whose opacities change over the rig. state:
-        what a render left of them."""
+        """Memory for them, or what a render left of them in `state`.
+
+        colour_order: highest order of the polynomials that give the colours of a light field over the rig; 0 for one
+        colour each. with_orders: whether each Gaussian may have a lower order of its own. compensated: whether they are
+        those of an anti-aliased light field, whose opacities change over the rig.
+        """
         n, self.colour_order = scene.count, colour_order
         if state is None:
             self.splats, self.colours = (scene.new(*shape) for shape in State.shapes(images, n, colour_order))
@@ -47,9 +50,10 @@ class Splats:
 
 
 class Workspace(Protocol):
-    """project_dense or project_lens comes first, then order_and_bin, then a composite, or its reverse.
+    """A render in the making: project_dense or project_lens comes first, then order_and_bin, then a composite or its
+    reverse.
 
-    A *pair* is a Gaussian and a tile that it may touch (on the CPU a band of rows); what lists hold.
+    The lists of a render hold pairs: a *pair* is a splat and a tile (on the CPU a band of rows) that it may touch.
     """
 
     stats: Stats
@@ -59,13 +63,15 @@ class Workspace(Protocol):
     def state(self) -> State:
         """What a reverse needs."""
 
-    def project_dense(self, cameras: _core._Stages.Cameras) -> None: ...
+    def project_dense(self, cameras: _core._Stages.Cameras) -> None:
+        """Makes the splats of I images, one for each camera."""
 
     def project_lens(self, view: NativeView, quality: Quality) -> float:
-        """Returns the largest estimated error of a colour polynomial."""
+        """Makes the splats of one light-field image. Returns the largest estimated error of a colour, in 0..1."""
 
     def order_and_bin(self, admit: Callable[[], bool] = ...) -> bool:
-        """admit: asked once `pair_count` is known, whether to go on; returns its answer."""
+        """Sorts the splats by depth and lists the pairs. admit: asked, once `pair_count` is known and before memory is
+        taken for the lists, whether to go on; returns its answer."""
 
     def composite_dense(
         self, cameras: _core._Stages.Cameras, background: Tensor, out: _core._Stages.DenseImages

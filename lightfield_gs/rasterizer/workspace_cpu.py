@@ -33,14 +33,14 @@ class CpuWorkspace:
     ):
         self.scene, self.images, self.stats, self.threads = scene, images, stats, threads
         self.width, self.height = width, height
-        self.offsets = images * _core.band_count(height) + 1  # of bands into their lists
+        self.offsets = images * _core.band_count(height) + 1  # where each band's list begins, and the end
         if state is not None:
             state = state.check(images, scene, colour_order, 8 * self.offsets)
             self._use_lists(state.lists)
         self.splats = Splats(scene, images, colour_order, True, compensated, state)
 
     def _use_lists(self, lists: Tensor) -> None:
-        """Bytes: band offsets [I * bands + 1] int64, then the splats of the pairs, int32."""
+        """Takes over lists, bytes: band offsets [I * bands + 1] int64, then the splats of the pairs, int32."""
         self.lists, self.pair_count = lists, (lists.numel() - 8 * self.offsets) // 4
         self.bins = _core.Bins(lists.data_ptr(), lists.data_ptr() + 8 * self.offsets)
 
@@ -63,7 +63,8 @@ class CpuWorkspace:
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
         scene, core, native, threads = self.scene, self.scene.core, self.splats.native, self.threads
-        with self.stats.stage("order"):  # splats [I, N], of which the first `drawn` [I] are drawn, nearest first
+        with self.stats.stage("order"):
+            # `order` [I, N] begins with the splats that are drawn, nearest first; there are `drawn` [I] of them
             order = scene.new(self.images, scene.count, dtype=torch.int32)
             drawn = scene.new(self.images, dtype=torch.int64)
             core.order(native, order.data_ptr(), drawn.data_ptr(), threads)

@@ -1,4 +1,4 @@
-"""The stages of a render on a CUDA device, float32: what workspace_cpu.CpuWorkspace is there."""
+"""The stages of a render on a CUDA device, in float32, and their buffers. See workspace.Workspace."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class CudaWorkspace:
         self.scene, self.images, self.stats, self.items = scene, images, stats, images * scene.count
         self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
         self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
-        self.ranges_bytes = 16 * self.image.tiles()  # of tiles
-        self.lists_bytes = self.ranges_bytes + 8 * self.items  # before those of the pairs
+        self.ranges_bytes = 16 * self.image.tiles()  # a range of pairs for each tile
+        self.lists_bytes = self.ranges_bytes + 8 * self.items  # these, and a range of slots for each splat
         if state is None:
             self.keys = scene.new(self.items, dtype=torch.int64)
         else:
@@ -45,9 +45,11 @@ class CudaWorkspace:
         self.splats = Splats(scene, images, colour_order, lens, compensated, state)
 
     def _use_lists(self, lists: Tensor, unsorted: Tensor | None = None) -> None:
-        """Bytes: range of each tile [tiles, 2] int64, of slots of each splat [I, N, 2] int32, then slots and splats of
-        the sorted pairs, int32. unsorted [4, pairs] int32: tiles, sorted tiles, slots and their splats, which only the
-        filling needs. Kept as addresses: parts of tensors take the host longer, and here the device waits for it.
+        """Takes over lists, a tensor of bytes: the range of pairs of each tile [tiles, 2] int64, the range of slots of
+        each splat [I, N, 2] int32, then slots and splats of the sorted pairs, int32.
+
+        unsorted: [4, pairs] int32, tiles, sorted tiles, slots and their splats, which only the filling needs. All are
+        kept as addresses: to make tensors of the parts takes the host longer, and here the device waits for it.
         """
         self.lists, self.pair_count = lists, (lists.numel() - self.lists_bytes) // 8
         self.ranges, sorted_slots = lists.data_ptr(), lists.data_ptr() + self.lists_bytes
@@ -118,7 +120,7 @@ class CudaWorkspace:
             self.pair_count = count = int(pairs)
             if not admit():
                 return False
-            # First: raises for more pairs than can be
+            # fill_bytes raises where there are more pairs than can be numbered, and so it comes before other memory
             scratch = scene.new(cuda.fill_bytes(items, count), dtype=torch.uint8)
             ends = scene.new(items, dtype=torch.int64)
             unsorted = scene.new(4, count, dtype=torch.int32)
@@ -138,7 +140,7 @@ class CudaWorkspace:
                 self.stream,
             )
         self.stats.pairs += count
-        if self.stats.device is not None:  # reading the count back waits
+        if self.stats.device is not None:  # only then, for reading the count back waits for the device
             self.stats.images += self.images
             self.stats.gaussians_drawn += int((self.keys != -1).sum())
         self.stats.add_buffers(

@@ -106,7 +106,8 @@ def square(vectors: Tensor) -> Tensor:
 class Projection:
     """One scene before one eye: view-space means and spreads of the Gaussians it may draw, near ones first.
 
-    antialiased: opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its light."""
+    antialiased: opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its light.
+    """
 
     def __init__(self, scene: Scene, eye: Eye, antialiased: bool = False):
         self.scene, self.eye, self.antialiased = scene, eye.to(scene.means.device), antialiased
@@ -127,8 +128,10 @@ class Projection:
 
     def footprint(self, gaussian: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
         """Projected mean u, v (px) of Gaussians seen from an offset, and the rows [3, ...] of their spread (px): two
-        vectors whose products are the covariance (EWA) before the low pass. Both arguments of as many dimensions, and
-        broadcast against each other, or one offset for all."""
+        vectors whose products are the covariance (EWA) before the low pass.
+
+        The arguments have equally many dimensions and are broadcast against each other, or there is one offset for all.
+        """
         fx, fy, cx, cy = self.eye.intrinsics.unbind()
         low_x, high_x, low_y, high_y = self.eye.limits.unbind()
         X, Y, Z = self.position[gaussian].unbind(-1)
@@ -191,7 +194,7 @@ class Projection:
         full = self.alpha(gaussian, Samples(samples.columns[sample], samples.rows[sample], samples.offsets[sample]))
         shape = (len(samples.rows), max(1, int(count.max())))
 
-        # Every sample a row of the table, its Gaussians from near to far; what is missing is transparent.
+        # Every sample has a row of the table with its Gaussians from near to far; what is missing is transparent.
         table = full.new_zeros(shape).index_put((sample, rank), full)
         drawn = table.detach() >= ALPHA_MIN
         table = torch.where(drawn, table, 0.0)
@@ -201,7 +204,7 @@ class Projection:
         weight = torch.where(kept, before * table, 0.0)[sample, rank]
         left = torch.where(kept, 1 - table, 1.0).prod(1)
 
-        # Decisions are made up to and including the Gaussian that stops the sample.
+        # The margin: decisions are made up to and including the Gaussian that stops the sample.
         alive = before.detach() >= TRANSMITTANCE_MIN
         cut = (full.new_zeros(shape).index_put((sample, rank), full.detach()) * 255 - 1).abs()
         stop = torch.where(drawn, (after.detach() / TRANSMITTANCE_MIN - 1).abs(), torch.inf)

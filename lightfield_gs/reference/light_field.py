@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
 
-CLAMP_MARGIN = 0.15  # the Jacobian is clamped this share of the image beyond each of its edges
+CLAMP_MARGIN = 0.15  # the Jacobian is clamped at this share of the image beyond each of its edges
 SAMPLES_PER_CHUNK = 1024
 
 
@@ -83,7 +83,8 @@ def lens_views(
 
 
 def _places(panel: Panel, cell: Any, slant: Fraction) -> list[Fraction]:
-    """Sub-pixels from a pixel's reference to its red, green and blue: along the row, and up along the slant."""
+    """How far red, green and blue lie from the reference of their pixel, in sub-pixels along the row; what lies higher
+    counts as farther left or right by the slant."""
     if cell is None:
         return [Fraction(k) for k in ((0, 1, 2) if panel.subpixel_order == "RGB" else (2, 1, 0))]
     return [3 * (Fraction(float(x)) - slant * Fraction(float(y))) for x, y in cell]

@@ -30,7 +30,7 @@ class Up:
     source: str
 
     def words(self) -> str:
-        """For whoever wants to know what was taken."""
+        """What was taken and why, for the user."""
         return f"{self.axis} is up ({self.source})"
 
 

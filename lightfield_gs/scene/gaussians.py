@@ -211,7 +211,7 @@ class Gaussians:
 
 
 def _extremes(tensor: torch.Tensor) -> tuple[float, float]:
-    """Smallest and largest value; NaN where there is any. One pass, without a temporary."""
+    """Smallest and largest value, or NaN where there is one; found in one pass, without a temporary."""
     low, high = tensor.detach().aminmax()
     return float(low), float(high)
 

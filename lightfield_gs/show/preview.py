@@ -21,10 +21,10 @@ EYE_SEPARATION_MM = 63.0
 _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of the middle, in eye separations
 FILES = ("views.png", "look-around.webp", *_EYES)
 _FRAMES, _LOOP_MS, _WEBP_QUALITY = 24, 60 * 46, 85
-_FRAME_PIXELS = 960 * 480  # of any shape, so that upright panels take no longer
-# Of a scene of so many Gaussians a view takes a CPU longer than all else of it, and every second one has to do.
+_FRAME_PIXELS = 960 * 480  # of a frame of any shape, so that upright panels take no longer
+# From so many Gaussians on, rendering a view takes a CPU longer than all else, and every second view has to do.
 _MANY_GAUSSIANS = 200_000
-_MOST_SPLATS = 1_000_000  # of the views that are rendered at a time, so that threads wait less for each other
+_MOST_SPLATS = 1_000_000  # that the views have which are rendered at a time, so that threads wait less for each other
 _SHEET_VIEWS, _SHEET_WIDTH_PX = 12, 1920
 
 
@@ -111,11 +111,11 @@ def to_integers(image: np.ndarray, bits: int) -> np.ndarray:
     out = np.empty(image.shape, np.uint8 if bits == 8 else np.uint16)
     for first in range(0, len(image), 16):  # in strips that stay in the cache
         strip = image[first : first + 16].astype(np.float64)
-        np.fmax(strip, 0, out=strip)  # of NaN and 0, 0
+        np.fmax(strip, 0, out=strip)  # turns NaN into 0
         np.fmin(strip, 1, out=strip)
         strip *= top
         strip += 0.5
-        out[first : first + 16] = strip  # without what is behind the point
+        out[first : first + 16] = strip  # the conversion cuts off the fraction
     return out
 
 

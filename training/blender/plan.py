@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.captures.pinhole import TO_OPENCV
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.rig import Rig
@@ -151,8 +152,6 @@ def main(arguments: list[str] | None = None) -> int:
     ):
         parser.add_argument(f"--{option}", type=int, default=default, help=f"{text} (default: {default})")
     options = parser.parse_args(arguments)
-    from lightfield_gs.io.atomic import atomic_path
-
     plan = make_plan(
         Panel.load(options.panel, serial=options.device_serial),
         None if options.rig is None else Rig.from_yaml(options.rig),

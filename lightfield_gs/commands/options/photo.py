@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.load import Photo
     from lightfield_gs.scene.gaussians import Gaussians
 
-# A depth map beside its photo, when nothing else is said: bright is near, as Looking Glass has it
+# How a depth map beside its photo is taken when nothing else is said: bright is near, as Looking Glass has it
 _BESIDE_KIND, _BESIDE_LIMITS = "disparity", (1.0, 1.6)
-_OFF_CENTRE = 0.1  # of the photo's sides: where a principal point is farther off the middle, it may be another photo's
-_USUAL_ANGLES_DEG, _ANGLES_DEG = (10.0, 130.0), (1.0, 175.0)  # of the longer side; beyond the latter in other units
+_OFF_CENTRE = 0.1  # a principal point that is farther off the middle, in sides of the photo, may be another photo's
+# Angles of the longer side that are usual, and those beyond which intrinsics must be in other units
+_USUAL_ANGLES_DEG, _ANGLES_DEG = (10.0, 130.0), (1.0, 175.0)
 
 
 def add_depth(add: Callable[..., argparse.Action]) -> None:

@@ -32,7 +32,7 @@ def load_cameras(args: argparse.Namespace, panel: Panel) -> Cameras:
 
     cameras = read_cameras(args.cameras, panel)
     _note_of_centre(args.cameras, cameras.intrinsics()[:, 2:].median(0).values.tolist(), panel)
-    if args.view_map is None:  # which has the views in an order of its own
+    if args.view_map is None:  # a view map has the views in an order of its own
         _note_of_order(args.cameras, cameras, panel)
     return cameras
 

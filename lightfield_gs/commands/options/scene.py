@@ -64,7 +64,7 @@ def check_scene_options(args: argparse.Namespace) -> None:
 
 
 def check_scene_path(path: Path) -> None:
-    """Raises InputError where no Gaussians can be written: it is readers that go by the extension."""
+    """Raises InputError where no Gaussians can be written. The name must end in .ply, for readers go by that."""
     check_output_path(path)
     if path.suffix.lower() != ".ply":
         raise InputError(f"cannot write {path}: expected a name that ends in .ply")

@@ -14,7 +14,7 @@ import numpy as np
 from lightfield_gs.base.errors import InputError
 
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
-_LARGEST_LOSS = 0.25  # of a picture's area: more is no lens but a mistake in its numbers
+_LARGEST_LOSS = 0.25  # share of a picture's area that a lens may cost: more is a mistake in its numbers
 
 
 def distorted(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """What looks wrong in the numbers of a file of Gaussians, though each has a meaning.
 
-Each rule asks for what no scene shows that was fitted to photographs: a note that is often wrong is soon not read.
+Each rule looks for something that no scene fitted to photographs shows, for nobody reads notes that are often wrong.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ import numpy as np
 
 _LEAST_COUNT = 20  # Gaussians: fewer say nothing about how they were made
 _SAMPLE = 4096  # Gaussians that medians are taken of
-_LARGE = 0.1  # of the scene's extent: no usual Gaussian is as large
-_NEAR_ONE = 0.1  # log scale: half of the Gaussians between 1 and 1.1 scene units, and none below
-_NO_SIZE = 1e-37  # what log scales of -inf are stored as
-_STEP = 0.5  # of the usual Gaussian's size: centres that are rounded so much tear surfaces
+_LARGE = 0.1  # no usual Gaussian has this share of the scene's extent
+_NEAR_ONE = 0.1  # a median log scale below this, and none below 0: half of the Gaussians between 1 and 1.1 scene units
+_NO_SIZE = 1e-37  # a size up to this one is that of a point, whose log scale is -inf
+_STEP = 0.5  # centres that are rounded to steps of this share of the usual Gaussian's size tear surfaces
 
 
 def usual(values: np.ndarray) -> np.ndarray | None:
-    """Medians of the columns [N, C], of a sample of the rows that are finite; None where there are none."""
+    """Medians of the columns of values [N, C], from a sample of the rows; None where none of these is finite."""
     sample = values[:: max(1, len(values) // _SAMPLE)]
     sample = sample[np.isfinite(sample).all(1)]
     return np.median(sample, 0) if len(sample) else None
 
 
 def usual_size(scales: np.ndarray) -> float:
-    """Median of the middle standard deviations of scales [N, 3]; infinite where that is 0: points have no size that
-    anything could be large beside."""
+    """Median of the middle standard deviations of scales [N, 3]. It is infinite for points: they have no size beside
+    which anything could be large."""
     size = _middle(np.sort(scales[:: max(1, len(scales) // _SAMPLE)], 1)[:, 1:2])
     return size if size > _NO_SIZE else math.inf
 
@@ -69,7 +69,7 @@ def _middle(values: np.ndarray) -> float:
 
 
 def _extent(means: np.ndarray) -> float:
-    """Diagonal of the box without the outer twentieth on each side."""
+    """Diagonal of the box of the centres [N, 3], without the outer twentieth of them on each side."""
     sample = means[:: max(1, len(means) // _SAMPLE)]
     sample = sample[np.isfinite(sample).all(1)]
     low, high = np.percentile(sample, (5, 95), 0) if len(sample) else np.zeros((2, 3))

@@ -12,7 +12,7 @@ NOTE = (
 
 
 def filtered(scales: np.ndarray, opacities: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What scales [N, 3] and opacities [N] become, float32: Gaussians are as much fainter as they are larger.
+    """Scales [N, 3] and opacities [N] after the filter, float32: Gaussians become larger, and fainter by as much.
 
     widths: of the filters, [N].
     """

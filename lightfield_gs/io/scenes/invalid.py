@@ -9,7 +9,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 
-# Of each field: the properties that it comes from, and what is wrong where it is not finite
+# For each field the properties that it comes from, and what is wrong where it is not finite
 _REASONS = {
     "means": (("x", "y", "z"), "a centre that is not finite"),
     "quaternions": (("rot_0", "rot_1", "rot_2", "rot_3"), "a rotation that is not finite"),
@@ -25,8 +25,8 @@ def check_or_skip(
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """The fields (after exp and sigmoid) of the Gaussians that all have a meaning, and a note on those left out.
 
-    records: what the fields were read from. Raises InputError where there are others and `skip` is not set, or nothing
-    else.
+    records: what the fields were read from. Raises InputError where some have no meaning and `skip` is not set, or none
+    has one.
     """
     wrong = _wrong(fields)
     if not wrong:
@@ -49,7 +49,7 @@ def check_or_skip(
 
 
 def _wrong(fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """By reason, which Gaussians [N] it holds for, where there are any."""
+    """For each reason that holds for any Gaussian, which ones it holds for, bool [N]."""
     wrong = {}
     for name, (_, reason) in _REASONS.items():
         good = np.isfinite(fields[name])

@@ -27,8 +27,10 @@ _SHAPE = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",
 _REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1), degree 0..3
 _TINY = np.finfo(np.float32).tiny
 _MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
-_ROWS_AT_ONCE = 2048  # of the file and of what becomes of them: both stay in the cache, eleven times as quick
-_ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: where rounding to float32 moves centres by more, an origin is taken
+_ROWS_AT_ONCE = 2048  # so few that they and what becomes of them stay in the cache, which is eleven times as quick
+# Where rounding to float32 would move centres by more than this share of the usual Gaussian's size, they are given from
+# an origin
+_ORIGIN_STEP = 1e-3
 
 
 def check_header(path: Path, header: Header) -> None:
@@ -206,7 +208,7 @@ def _header(count: int, kinds: dict[str, str], comments: Sequence[str]) -> bytes
 
 
 def _comment_lines(comments: Sequence[str]) -> bytes:
-    """Lines of the header. Raises InputError."""
+    """The comments as lines of the header. Raises InputError for texts that are no single lines."""
     if not is_row(comments):
         raise InputError(f"comments: expected texts of one line each, got {shown(comments)}")
     lines = []

@@ -16,9 +16,9 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.scenes.ply_header import Element, Header
 
 SMALL_BYTES = 1 << 16  # elements beside the vertices are kept up to this size
-_MOST_STEPS = 1 << 20  # through rows with lists, one by one: a second's work
-_MOST_BYTES_AFTER = 16  # blank ones after the data, as editors and shells append them
-_LINES_AT_ONCE = 1 << 14  # of text
+_MOST_STEPS = 1 << 20  # numbers and lists of rows that are gone through one by one: a second's work
+_MOST_BYTES_AFTER = 16  # blank bytes after the data, as editors and shells append them
+_LINES_AT_ONCE = 1 << 14  # lines of text that are parsed at a time
 _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 
 
@@ -60,7 +60,7 @@ def _binary_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np
 
 
 def _text_elements(path: Path, file: BinaryIO, header: Header) -> dict[str, np.ndarray]:
-    """As _binary_elements, of numbers in words: a line a row."""
+    """What _binary_elements does, for files whose numbers are text: a line for each row."""
     size = path.stat().st_size - header.size_bytes
     file.seek(header.size_bytes)
     lines = (line for line in io.TextIOWrapper(file, "latin-1") if not line.isspace())

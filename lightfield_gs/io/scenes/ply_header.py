@@ -63,8 +63,11 @@ class Element:
 
 @dataclass
 class Header:
-    """order: of the bytes, "<" or ">", or "" where numbers are text. elements: in file order. comments: the text of
-    comment and obj_info lines. size_bytes: length of the header."""
+    """What a header says.
+
+    order: of the bytes, "<" or ">", or "" where numbers are text. elements: in file order. comments: the text of
+    comment and obj_info lines. size_bytes: length of the header.
+    """
 
     order: str
     elements: list[Element]
@@ -82,9 +85,9 @@ def read_header(path: Path, start: bytes) -> Header:
     if end is None:
         raise InputError(f"{path}: no end_header in the first {HEADER_LIMIT_BYTES} bytes; the file is cut or damaged")
     size_bytes = end.end()
-    if b"\n" not in start[: end.start() + 1]:  # lines end with \r alone, and a \n after the last is the first of data
+    if b"\n" not in start[: end.start() + 1]:  # lines end with \r alone, and a \n after the last is data
         size_bytes = end.start(1) + 1
-    # Not splitlines, which takes further characters of Unicode for ends of lines
+    # splitlines would also take other characters of Unicode for ends of lines
     lines = re.split(r"\r\n|\r|\n", start[: end.start()].decode("utf-8", "replace"))[1:]
     return _parsed(path, lines, size_bytes)
 
