@@ -29,6 +29,9 @@ from documents import DOCUMENTS, LANGUAGES, REASONS, ROOT, anchors, blocks, link
 from PIL import Image
 from srn_scene import write_object
 
+# What the documents name is tested where it belongs, and under the sanitizers there
+pytestmark = pytest.mark.not_sanitized
+
 import lightfield_gs
 from lightfield_gs import Panel, Rig, cli
 from lightfield_gs.bench import pareto
