@@ -29,15 +29,15 @@ from documents import DOCUMENTS, LANGUAGES, REASONS, ROOT, anchors, blocks, link
 from PIL import Image
 from srn_scene import write_object
 
-# What the documents name is tested where it belongs, and under the sanitizers there
-pytestmark = pytest.mark.not_sanitized
-
 import lightfield_gs
 from lightfield_gs import Panel, Rig, cli
 from lightfield_gs.bench import pareto
 from lightfield_gs.bench import training as training_step
 from lightfield_gs.bench.oracle import oracle_samples
 from lightfield_gs.encoding.view_files import read_cameras
+
+# What the documents name is tested where it belongs, and under the sanitizers there
+pytestmark = pytest.mark.not_sanitized
 
 SMALL = replace(PANEL, views=96)  # documents name views of the default panel
 UNET = {"base_channels": 8, "multipliers": [1, 2], "blocks": 1, "attention_px": [8], "heads": 2}

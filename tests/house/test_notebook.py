@@ -15,6 +15,7 @@ from lightfield_gs.models.splatter_net import PRETRAINED
 # What notebooks call is tested where it belongs, and under the sanitizers there
 pytestmark = pytest.mark.not_sanitized
 
+
 FOLDER = next(folder for folder in Path(__file__).resolve().parents if (folder / "notebooks").is_dir()) / "notebooks"
 NOTEBOOKS = ("quickstart", "research")
 MOST_BYTES = 1_500_000  # with the pictures that are stored
