@@ -1,0 +1,97 @@
+"""Photographs freed of their lens, and smaller ones."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from lightfield_gs.io.captures.camera_models import Lens
+
+LARGEST_LOSS = 0.25  # share of a picture that a lens may fold away: more is a mistake in its numbers
+_RAYS, _STEPS = 32, 2048  # where a lens is looked at for the place from which on it folds
+
+
+def source_places(lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
+    """Where in the photograph each pixel of a pinhole's picture is, [H,W,2] float64: x and y in pixels from the outer
+    corner of the first; NaN where the lens folds the plane, so that it does not show what is there.
+
+    Both pictures have the intrinsics [4] (fx, fy, cx, cy) and this size.
+    """
+    columns, rows = np.meshgrid(np.arange(width_px) + 0.5, np.arange(height_px) + 0.5)
+    points = (np.stack([columns, rows], -1) - intrinsics[2:]) / intrinsics[:2]
+    places = lens.distorted(points) * intrinsics[:2] + intrinsics[2:]
+    radii = np.sqrt((points**2).sum(-1))
+    places[(radii >= first_fold(lens, radii.max())) | ~np.isfinite(places).all(-1)] = np.nan
+    return places
+
+
+def first_fold(lens: Lens, largest: float) -> float:
+    """The radius at depth 1, up to `largest`, from which on the lens shows a point further out nearer to the middle
+    than one before it; infinity where there is none. To a thousandth of `largest`."""
+    angles = np.arange(_RAYS) * (2 * np.pi / _RAYS)
+    outward = np.stack([np.cos(angles), np.sin(angles)], -1)[:, None]
+    radii = np.linspace(0, largest, _STEPS)
+    along = (lens.distorted(outward * radii[:, None]) * outward).sum(-1)
+    with np.errstate(invalid="ignore"):
+        grows = (np.diff(along, axis=1) > 0).all(0)
+    return np.inf if grows.all() else float(radii[grows.argmin()])
+
+
+def share_folded(lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int) -> float:
+    """The share 0..1 of the pinhole's picture that the lens does not show at all, to some 2 %."""
+    scale = 128 / max(width_px, height_px)
+    width, height = (max(2, round(side * scale)) for side in (width_px, height_px))
+    ratio = np.array([width / width_px, height / height_px] * 2)
+    return float(np.isnan(source_places(lens, intrinsics * ratio, width, height)).any(-1).mean())
+
+
+@lru_cache(maxsize=4)  # photographs of one camera follow each other
+def straightening(lens: Lens, intrinsics: tuple[float, ...], width_px: int, height_px: int) -> Straightening:
+    """What takes the lens out of photographs of this size; intrinsics: (fx, fy, cx, cy) of the pinhole, too."""
+    return Straightening(source_places(lens, np.array(intrinsics), width_px, height_px))
+
+
+class Straightening:
+    """Pictures of one size looked up at places of source_places."""
+
+    def __init__(self, places: np.ndarray):
+        import torch
+
+        height, width = places.shape[:2]
+        inside = ((places >= 0) & (places <= (width, height))).all(-1)  # false for NaN
+        self.frame: np.ndarray | None = None if inside.all() else np.where(inside, np.uint8(255), np.uint8(0))
+        shares = np.nan_to_num(places / (width, height) * 2 - 1)
+        self.grid = torch.from_numpy(shares.astype(np.float32))[None]
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """A photograph uint8 [H,W,C], or [H,W], without its lens, bilinearly; beyond its edges it is as these are."""
+        import torch
+
+        planes = torch.from_numpy(np.ascontiguousarray(image)).reshape(*image.shape[:2], -1)
+        planes = planes.permute(2, 0, 1)[None].float()
+        found = torch.nn.functional.grid_sample(planes, self.grid, "bilinear", "border", align_corners=False)
+        return found.round_().clamp_(0, 255).to(torch.uint8)[0].permute(1, 2, 0).reshape(image.shape).numpy()
+
+
+def reduced(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
+    """A picture uint8 [H,W,...] made as small as this: each pixel is the mean over its own area of the picture."""
+    for axis, size in ((0, height_px), (1, width_px)):
+        if image.shape[axis] != size:
+            image = _reduced_along(image, axis, size)
+    return image if image.dtype == np.uint8 else np.rint(image).clip(0, 255).astype(np.uint8)
+
+
+def _reduced_along(image: np.ndarray, axis: int, size: int) -> np.ndarray:
+    """Means of `size` equal stretches along an axis, float32."""
+    edges = np.arange(size + 1) * (image.shape[axis] / size)
+    edges[-1] = image.shape[axis]
+    whole = np.floor(edges).astype(np.int64)
+    sums = np.add.reduceat(image, whole[:-1], axis, dtype=np.float32)
+    shape = [-1 if place == axis else 1 for place in range(image.ndim)]
+    # The pixel that an edge cuts was counted with the stretch after the edge: its part before goes to the one before
+    parts = (edges - whole).astype(np.float32).reshape(shape)
+    cut = parts * np.take(image, np.minimum(whole, image.shape[axis] - 1), axis)
+    first, last = [slice(None)] * image.ndim, [slice(None)] * image.ndim
+    first[axis], last[axis] = slice(None, -1), slice(1, None)
+    return (sums - cut[tuple(first)] + cut[tuple(last)]) / np.float32(image.shape[axis] / size)
