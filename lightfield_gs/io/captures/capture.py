@@ -14,7 +14,9 @@ from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.captures.colmap_capture import colmap_shots, model_folder
 from lightfield_gs.io.captures.photograph import Photograph
 from lightfield_gs.io.captures.prepared import photographs_of, usable_points
+from lightfield_gs.io.captures.shot import Shots
 from lightfield_gs.io.captures.spread import extent_of
+from lightfield_gs.io.captures.transforms_capture import transforms_file, transforms_shots
 
 _SMALLEST_PX = 16  # of a photograph's longer side that is asked for
 
@@ -97,7 +99,8 @@ def read_capture(
     scale: float | None = None,
     longest_px: int | None = None,
 ) -> Capture:
-    """The capture in a folder: photographs that COLMAP posed (sparse/0, sparse, or the files of a model in the folder).
+    """The capture in a folder: photographs that COLMAP posed (sparse/0, sparse, or the files of a model in the folder),
+    or those of a transforms.json, which may be given itself.
 
     images: the folder of the photographs, absolute or below `folder`; None: images, or what else has them. The size of
     the files is what counts: intrinsics are scaled by its ratio to the model's cameras, for each axis. masks: the
@@ -110,10 +113,11 @@ def read_capture(
         raise InputError("expected scale or longest_px, got both")
     share = 1.0 if scale is None else real_number("scale", scale, 1e-3, 1)
     longest = None if longest_px is None else whole_number("longest_px", longest_px, _SMALLEST_PX, 1 << 20)
-    found = colmap_shots(folder, None if images is None else _folder("images", folder, images))
-    masks_at = None if masks is None else _folder("masks", folder, masks)
+    root = folder.parent if folder.is_file() else folder
+    found = _read_layout(folder, None if images is None else _folder("images", root, images))
+    masks_at = None if masks is None else _folder("masks", root, masks)
     shots = sorted(found.shots, key=lambda shot: shot.name)
-    photographs = photographs_of(found, shots, folder, masks_at, share, longest)
+    photographs = photographs_of(found, shots, root, masks_at, share, longest)
     points, colours = usable_points(found)
     if not len(points):
         assume(f"{found.source} has no points of the scene: a fit begins at random ones")
@@ -131,9 +135,26 @@ def read_capture(
     )
 
 
-def is_capture(folder: Path) -> bool:
-    """Whether a folder looks like one that read_capture reads."""
-    return model_folder(folder) is not None
+def is_capture(path: Path) -> bool:
+    """Whether a folder, or a file, looks like what read_capture reads."""
+    return transforms_file(path) is not None or model_folder(path) is not None
+
+
+def _read_layout(folder: Path, images: Path | None) -> Shots:
+    """What the capture says, by what is in its folder; raises InputError."""
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder: expected a capture, with sparse/0 or transforms.json")
+    model, file = model_folder(folder), transforms_file(folder)
+    if model is not None:
+        if file is not None:
+            assume(f"the COLMAP model {model} is read, not {file}: give that file itself to read it")
+        return colmap_shots(folder, images)
+    if file is not None:
+        return transforms_shots(file, images)
+    raise InputError(
+        f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
+        "sparse or the folder itself, or a transforms.json; photographs alone need --sfm first, which poses them"
+    )
 
 
 def _folder(what: str, capture: Path, given: str | Path) -> Path:
