@@ -35,7 +35,9 @@ def colmap_shots(folder: Path, images: Path | None) -> Shots:
     roots = [folder, folder.parent, folder.parent.parent] if model_at == folder else [folder]
     folders = [images] if images else [root / name for root in roots for name in _IMAGES]
     files, paths = photographs_in(folders, [image.name for image, _ in posed])
-    _say_what_is_left_out(model_at, files.without(paths), unposed)
+    # In a folder that holds the model too there are pictures of other kinds, as masks
+    unknown = [] if model_at.is_relative_to(files.folder) else files.without(paths)
+    _say_what_is_left_out(model_at, unknown, unposed)
     shots = []
     for (image, pose), path in zip(posed, paths):
         camera = model.cameras[image.camera]

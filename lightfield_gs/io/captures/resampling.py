@@ -9,23 +9,32 @@ import numpy as np
 from lightfield_gs.io.captures.camera_models import Lens
 
 LARGEST_LOSS = 0.25  # share of a picture that a lens may fold away: more is a mistake in its numbers
+_BAND = 256  # rows at a time: in float64 a whole photograph would take 100 bytes a pixel
 _RAYS, _STEPS = 32, 2048  # where a lens is looked at for the place from which on it folds
 
 
-def source_places(lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
+def source_places(
+    lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int, rows: range | None = None
+) -> np.ndarray:
     """Where in the photograph each pixel of a pinhole's picture is, [H,W,2] float64: x and y in pixels from the outer
     corner of the first; NaN where the lens folds the plane, so that it does not show what is there.
 
-    Both pictures have the intrinsics [4] (fx, fy, cx, cy) and this size.
+    Both pictures have the intrinsics [4] (fx, fy, cx, cy) and this size. rows: those alone.
     """
-    columns, rows = np.meshgrid(np.arange(width_px) + 0.5, np.arange(height_px) + 0.5)
-    points = (np.stack([columns, rows], -1) - intrinsics[2:]) / intrinsics[:2]
+    y, x = np.meshgrid(
+        np.arange(height_px)[range(height_px) if rows is None else rows] + 0.5, np.arange(width_px) + 0.5
+    )
+    points = (np.stack([x.T, y.T], -1) - intrinsics[2:]) / intrinsics[:2]
     places = lens.distorted(points) * intrinsics[:2] + intrinsics[2:]
-    radii = np.sqrt((points**2).sum(-1))
-    places[(radii >= first_fold(lens, radii.max())) | ~np.isfinite(places).all(-1)] = np.nan
+    corners = (np.array([(0, 0), (0, height_px), (width_px, 0), (width_px, height_px)]) - intrinsics[2:]) / intrinsics[
+        :2
+    ]
+    fold = first_fold(lens, float(np.linalg.norm(corners, axis=1).max()))
+    places[(np.sqrt((points**2).sum(-1)) >= fold) | ~np.isfinite(places).all(-1)] = np.nan
     return places
 
 
+@lru_cache(maxsize=16)  # of the bands of one picture
 def first_fold(lens: Lens, largest: float) -> float:
     """The radius at depth 1, up to `largest`, from which on the lens shows a point further out nearer to the middle
     than one before it; infinity where there is none. To a thousandth of `largest`."""
@@ -46,23 +55,29 @@ def share_folded(lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: i
     return float(np.isnan(source_places(lens, intrinsics * ratio, width, height)).any(-1).mean())
 
 
-@lru_cache(maxsize=4)  # photographs of one camera follow each other
+@lru_cache(maxsize=2)  # photographs of one camera follow each other
 def straightening(lens: Lens, intrinsics: tuple[float, ...], width_px: int, height_px: int) -> Straightening:
     """What takes the lens out of photographs of this size; intrinsics: (fx, fy, cx, cy) of the pinhole, too."""
-    return Straightening(source_places(lens, np.array(intrinsics), width_px, height_px))
+    return Straightening(lens, np.array(intrinsics), width_px, height_px)
 
 
 class Straightening:
-    """Pictures of one size looked up at places of source_places."""
+    """Pictures of one camera without its lens. frame: uint8 [H,W], 255 within the distorted photograph and 0 beyond;
+    None where all is within."""
 
-    def __init__(self, places: np.ndarray):
+    def __init__(self, lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int):
         import torch
 
-        height, width = places.shape[:2]
-        inside = ((places >= 0) & (places <= (width, height))).all(-1)  # false for NaN
-        self.frame: np.ndarray | None = None if inside.all() else np.where(inside, np.uint8(255), np.uint8(0))
-        shares = np.nan_to_num(places / (width, height) * 2 - 1)
-        self.grid = torch.from_numpy(shares.astype(np.float32))[None]
+        shares = np.empty((1, height_px, width_px, 2), np.float32)  # -1..1 across the photograph, as grid_sample wants
+        frame = np.empty((height_px, width_px), np.uint8)
+        for top in range(0, height_px, _BAND):
+            rows = range(top, min(top + _BAND, height_px))
+            places = source_places(lens, intrinsics, width_px, height_px, rows)
+            inside = ((places >= 0) & (places <= (width_px, height_px))).all(-1)  # false for NaN
+            frame[rows] = np.where(inside, 255, 0)
+            shares[0, rows] = np.nan_to_num(places / (width_px, height_px) * 2 - 1)
+        self.frame: np.ndarray | None = None if frame.all() else frame
+        self.grid = torch.from_numpy(shares)
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """A photograph uint8 [H,W,C], or [H,W], without its lens, bilinearly; beyond its edges it is as these are."""

@@ -158,12 +158,13 @@ def _points(path: Path, name: Any) -> tuple[np.ndarray, np.ndarray]:
     with ply.open("rb") as file:
         header = read_header(ply, file.read(HEADER_LIMIT_BYTES))
     vertices = read_elements(ply, header).get("vertex")
-    if vertices is None or not {"x", "y", "z"} <= set(vertices.dtype.names or ()):
+    columns = () if vertices is None else vertices.dtype.names or ()
+    if vertices is None or not {"x", "y", "z"} <= set(columns):
         raise InputError(f"{ply}: expected points with x, y and z")
     points = np.stack([vertices[key].astype(np.float64) for key in "xyz"], 1)
     colours = np.full(points.shape, 128, np.uint8)  # grey where the file has no colours
     for column, key in enumerate(("red", "green", "blue")):
-        if key in vertices.dtype.names:
+        if key in columns:
             values = vertices[key]
             full = 1 if values.dtype.kind == "u" else 255  # of floats, 0..1
             colours[:, column] = np.rint(np.nan_to_num(np.clip(values * full, 0, 255)))
