@@ -54,7 +54,8 @@ def test_lenses_are_their_formulas(model):
 def test_photographs_are_those_of_a_pinhole(tmp_path, model, form):
     """Dots that the lens shows where its formula says are, in what is read, where a pinhole shows them."""
     write_capture(tmp_path, model, form)
-    capture, _ = said(tmp_path)
+    capture, assumed = said(tmp_path)
+    assert ("fisheye photographs as 000.png" in assumed) == ("FISHEYE" in model)
     focal = FOCAL[MODELS[model][1]]
     np.testing.assert_array_equal(capture.intrinsics, np.tile([focal[0], focal[-1], *CENTRE], (3, 1)))
     np.testing.assert_array_equal(capture.sizes_px, [(WIDTH, HEIGHT)] * 3)

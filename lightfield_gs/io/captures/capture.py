@@ -144,7 +144,8 @@ def _read_layout(folder: Path, images: Path | None) -> Shots:
     """What the capture says, by what is in its folder; raises InputError."""
     if not folder.exists():
         raise InputError(f"{folder}: no such folder: expected a capture, with sparse/0 or transforms.json")
-    model, file = model_folder(folder), transforms_file(folder)
+    file = transforms_file(folder)
+    model = model_folder(folder, inner=file is None)
     if model is not None:
         if file is not None:
             assume(f"the COLMAP model {model} is read, not {file}: give that file itself to read it")

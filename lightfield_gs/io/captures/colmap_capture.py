@@ -12,13 +12,16 @@ from lightfield_gs.io.captures.colmap import is_model, read_model
 from lightfield_gs.io.captures.photo_files import first_names, photographs_in
 from lightfield_gs.io.captures.shot import Shot, Shots
 
-_MODELS = ("sparse/0", "sparse", "", "colmap/sparse/0", "distorted/sparse/0")
+_MODELS = ("sparse/0", "sparse", "")
+_INNER_MODELS = ("colmap/sparse/0", "distorted/sparse/0")  # what nerfstudio's and Inria's scripts worked on
 _IMAGES = ("images", "input", "images_2", "images_4", "images_8", "")
 
 
-def model_folder(folder: Path) -> Path | None:
-    """Where below a capture's folder the model is, or the folder itself; None where there is none."""
-    return next((folder / name for name in _MODELS if is_model(folder / name)), None)
+def model_folder(folder: Path, inner: bool = True) -> Path | None:
+    """Where below a capture's folder the model is, or the folder itself; None where there is none. inner: also where
+    scripts keep the model that they made the capture from."""
+    names = (*_MODELS, *_INNER_MODELS) if inner else _MODELS
+    return next((folder / name for name in names if is_model(folder / name)), None)
 
 
 def colmap_shots(folder: Path, images: Path | None) -> Shots:

@@ -10,6 +10,7 @@ import numpy as np
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.captures.camera_models import Lens
 from lightfield_gs.io.captures.capture_masks import masks_for
 from lightfield_gs.io.captures.photograph import Photograph
 from lightfield_gs.io.captures.resampling import LARGEST_LOSS, share_folded
@@ -35,7 +36,7 @@ def photographs_of(
         intrinsics = tuple((shot.intrinsics * np.tile(ratio, 2)).tolist())
         if shot.lens is not None and (key := (shot.lens, intrinsics, stored)) not in checked:
             checked.add(key)
-            _check_lens(shot, np.array(intrinsics), stored)
+            _check_lens(shot, shot.lens, np.array(intrinsics), stored)
         photographs.append(
             Photograph(shot.path, stored, _size(stored, share, longest_px), intrinsics, shot.lens, mask, alpha)
         )
@@ -83,11 +84,19 @@ def _check_size(shot: Shot, stored: tuple[int, int], orientation: int) -> None:
     )
 
 
-def _check_lens(shot: Shot, intrinsics: np.ndarray, stored: tuple[int, int]) -> None:
-    if shot.lens is not None and (lost := share_folded(shot.lens, intrinsics, *stored)) > LARGEST_LOSS:
+def _check_lens(shot: Shot, lens: Lens, intrinsics: np.ndarray, stored: tuple[int, int]) -> None:
+    """Raises InputError for a lens that makes no picture; says what of a fisheye's is seen."""
+    if (lost := share_folded(lens, intrinsics, *stored)) > LARGEST_LOSS:
         raise InputError(
-            f"{shot.path}: the lens {shot.lens.words} folds {lost:.0%} of the picture onto the rest: expected "
+            f"{shot.path}: the lens {lens.words} folds {lost:.0%} of the picture onto the rest: expected "
             "coefficients that straighten it; pose the photographs again with a simpler camera model"
+        )
+    if lens.fisheye:
+        before, after = intrinsics[2:] / intrinsics[:2], (stored - intrinsics[2:]) / intrinsics[:2]
+        wide, high = np.degrees(np.arctan(before) + np.arctan(after))
+        assume(
+            f"fisheye photographs as {shot.name} are seen as a pinhole of their focal length sees the scene, "
+            f"{wide:.0f} x {high:.0f} degrees; what they show beyond is not used"
         )
 
 
