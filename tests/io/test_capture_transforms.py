@@ -97,7 +97,10 @@ def test_points_masks_and_reduced_copies(tmp_path):
     "change, words",
     [
         (lambda d: d["frames"][1].update(file_path="images/none.png"), "missing 1 of 3 photographs: images/none.png"),
-        (lambda d: d["frames"][1].update(file_path="images/a/0.png"), "each photograph once, got images/a/0.png twice"),
+        (
+            lambda d: d["frames"][1].update(file_path="images/a/0.png"),
+            "each photograph once, got 'images/a/0.png' twice",
+        ),
         (lambda d: d["frames"][2].pop("transform_matrix"), r"frames\[2\].transform_matrix: expected 4 rows"),
         (lambda d: d.update(camera_model="EQUIRECTANGULAR"), "camera_model: expected one of SIMPLE_PINHOLE"),
         (lambda d: d.update(k5=0.1), "k5: expected a lens of k1, k2, k3, k4, p1, p2 alone"),

@@ -216,8 +216,8 @@ def test_models_that_make_no_sense(tmp_path):
     pose = ring(1)[0]
     camera = (7, "PINHOLE", WIDTH, HEIGHT, parameters("PINHOLE"))
     for images, words in (
-        ([("a.png", 7, *pose), ("a.png", 7, *pose)], "each photograph once, got a.png twice"),
-        ([("a.png", 8, *pose)], "a.png: expected a camera of the file cameras, got number 8"),
+        ([("a.png", 7, *pose), ("a.png", 7, *pose)], "each photograph once, got 'a.png' twice"),
+        ([("a.png", 8, *pose)], "'a.png': expected a camera of the file cameras, got number 8"),
         ([], "expected photographs with poses, got none"),
     ):
         write_model(tmp_path, "txt", [camera], images)

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, named, reading
 from lightfield_gs.io.captures.colmap_binary import binary_cameras, binary_images, binary_points
 from lightfield_gs.io.captures.colmap_records import ColmapCamera, ColmapImage
@@ -44,17 +46,19 @@ def is_model(folder: Path) -> bool:
 
 def read_model(folder: Path) -> ColmapModel:
     """The model in a folder; without a file of points it has none. Raises InputError that names the file."""
-    cameras = dict(_read(folder, "cameras"))
-    images = _read(folder, "images")
+    cameras: dict[int, ColmapCamera] = dict(_read(folder, "cameras"))
+    images: list[ColmapImage] = _read(folder, "images")
     where = f"{folder}: images"
     if not images:
         raise InputError(f"{where}: expected photographs with poses, got none: COLMAP registered none")
     seen: set[str] = set()
     for image in images:
         if image.camera not in cameras:
-            raise InputError(f"{where}: {image.name}: expected a camera of the file cameras, got number {image.camera}")
+            raise InputError(
+                f"{where}: {shown(image.name)}: expected a camera of the file cameras, got number {image.camera}"
+            )
         if image.name in seen:
-            raise InputError(f"{where}: expected each photograph once, got {image.name} twice")
+            raise InputError(f"{where}: expected each photograph once, got {shown(image.name)} twice")
         seen.add(image.name)
     if any((folder / f"points3D{suffix}").is_file() for suffix in (".bin", ".txt")):
         points, colours = _read(folder, "points3D")
@@ -63,20 +67,26 @@ def read_model(folder: Path) -> ColmapModel:
     return ColmapModel(cameras, images, points, colours)
 
 
-def _read(folder: Path, kind: str):
-    """What one of the three files holds, as the function for its kind gives it."""
-    path = folder / f"{kind}.bin"
-    if path.is_file():
-        with reading(path):
-            size = path.stat().st_size
-            if size > _LIMIT_BYTES:
-                raise InputError(f"{path}: expected at most {_LIMIT_BYTES} bytes, got {size}")
-            data = path.read_bytes()
+def _read(folder: Path, kind: str) -> Any:
+    """What one of the three files holds: the binary one, or else the text. Raises InputError where there is neither."""
+    for suffix in (".bin", ".txt"):
+        if (path := folder / f"{kind}{suffix}").is_file():
+            return read_model_file(path, kind)
+    raise InputError(f"{folder}: missing {kind}.bin or {kind}.txt beside the other files of a COLMAP model")
+
+
+def read_model_file(path: Path, kind: str) -> Any:
+    """What a file of `kind` (cameras, images or points3D) holds, by its suffix, as the functions of colmap_binary and
+    colmap_text give it. Raises InputError that names the file."""
+    if path.suffix == ".txt":
+        text = read_text(path, _LIMIT_BYTES, "text of a COLMAP model")
+        if not text.strip():  # even a model of nothing has its comments
+            raise InputError(f"{path} is empty: copy the model again")
         with named(path):
-            return _BINARY[kind](data)
-    path = folder / f"{kind}.txt"
-    if not path.is_file():
-        raise InputError(f"{folder}: missing {kind}.bin or {kind}.txt beside the other files of a COLMAP model")
-    text = read_text(path, _LIMIT_BYTES, "text of a COLMAP model")
+            return _TEXT[kind](text)
+    with reading(path):
+        if path.stat().st_size > _LIMIT_BYTES:
+            raise InputError(f"{path}: expected at most {_LIMIT_BYTES} bytes, got {path.stat().st_size}")
+        data = path.read_bytes()
     with named(path):
-        return _TEXT[kind](text)
+        return _BINARY[kind](data)

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import COLMAP_MODELS
 
 _MAX_SIZE_PX = 1 << 20
+_LONGEST_NAME = 4096  # more than any system lets a path have
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class ColmapImage:
 def camera_record(model: str, width: int, height: int, parameters: Sequence[float]) -> ColmapCamera:
     """A camera of these numbers. Raises InputError where they make none."""
     if model not in COLMAP_MODELS:
-        raise InputError(f"camera model: expected one of {', '.join(COLMAP_MODELS)}, got {model}")
+        raise InputError(f"camera model: expected one of {', '.join(COLMAP_MODELS)}, got {shown(model)}")
     kind = COLMAP_MODELS[model]
     if len(parameters) != kind.parameters:
         raise InputError(f"camera of {model}: expected {kind.parameters} parameters, got {len(parameters)}")
@@ -60,12 +62,11 @@ def camera_record(model: str, width: int, height: int, parameters: Sequence[floa
 
 def image_record(name: str, camera: int, quaternion: Sequence[float], translation: Sequence[float]) -> ColmapImage:
     """A photograph of these numbers: quaternion w, x, y, z of any length, and translation, world to camera."""
-    if not name.strip() or "\0" in name:
-        raise InputError("images: expected the name of a photograph, got none")
+    if not name.strip() or "\0" in name or len(name) > _LONGEST_NAME:
+        raise InputError(f"images: expected the name of a photograph, got {shown(name)}")
     numbers = np.array([*quaternion, *translation], np.float64)
-    length = np.linalg.norm(numbers[:4])
     pose = None
-    if (np.abs(numbers) < 1e12).all() and length > 1e-9:
+    if (np.abs(numbers) < 1e12).all() and (length := np.linalg.norm(numbers[:4])) > 1e-9:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation_of(numbers[:4] / length), numbers[4:]
     return ColmapImage(name.replace("\\", "/"), camera, pose)

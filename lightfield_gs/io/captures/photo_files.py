@@ -72,8 +72,8 @@ def missing_photographs(folder: Path, missing: Sequence[str], count: int) -> str
 
 
 def first_names(names: Sequence[str]) -> str:
-    """The first three."""
-    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    """The first three; of long ones, the end."""
+    return ", ".join(name[-80:] for name in names[:3]) + (", ..." if len(names) > 3 else "")
 
 
 def _stem(name: str) -> str:

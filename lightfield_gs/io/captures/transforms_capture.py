@@ -55,7 +55,7 @@ def transforms_shots(path: Path, images: Path | None) -> Shots:
         names.append(PurePosixPath(os.path.normpath(name.replace("\\", "/"))).as_posix())
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{path}: frames: expected each photograph once, got {twice} twice")
+        raise InputError(f"{path}: frames: expected each photograph once, got {shown(twice)} twice")
     folder, names, paths = _photographs(path, images, names)
     shots = [
         _shot(f"{path}: frames[{index}]", path.parent, {**data, **frame}, name, photo)
