@@ -25,7 +25,7 @@ _SMALLEST_PX = 16  # of a photograph's longer side that is asked for
 class Capture:
     """C photographs with their cameras, and P points.
 
-    folder: what was read. names: sorted, relative to the folder of images, with / between folders. world_to_camera:
+    folder: where it is. names: sorted, relative to the folder of images, with / between folders. world_to_camera:
     [C,4,4] float64, OpenCV axes. intrinsics: [C,4] float64, (fx, fy, cx, cy), and sizes_px: [C,2] int, width and
     height, of what image(i) gives: undistorted, scaled, in pixels from the outer corner of the first. points: [P,3]
     float64, may be none; colours: [P,3] uint8. photographs: C, where image and mask come from.
@@ -124,7 +124,7 @@ def read_capture(
     sizes = np.array([photograph.size_px for photograph in photographs])
     stored = np.array([photograph.stored_px for photograph in photographs])
     return Capture(
-        folder,
+        root,
         [shot.name for shot in shots],
         np.stack([shot.world_to_camera for shot in shots]),
         np.array([photograph.intrinsics for photograph in photographs]) * np.tile(sizes / stored, 2),

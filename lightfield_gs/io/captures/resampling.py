@@ -30,7 +30,8 @@ def source_places(
         :2
     ]
     fold = first_fold(lens, float(np.linalg.norm(corners, axis=1).max()))
-    places[(np.sqrt((points**2).sum(-1)) >= fold) | ~np.isfinite(places).all(-1)] = np.nan
+    beyond = points[..., 0] ** 2 + points[..., 1] ** 2 >= fold**2  # numpy is slow at sums of two
+    places[beyond | ~np.isfinite(places[..., 0] + places[..., 1])] = np.nan
     return places
 
 
@@ -73,7 +74,8 @@ class Straightening:
         for top in range(0, height_px, _BAND):
             rows = range(top, min(top + _BAND, height_px))
             places = source_places(lens, intrinsics, width_px, height_px, rows)
-            inside = ((places >= 0) & (places <= (width_px, height_px))).all(-1)  # false for NaN
+            good = (places >= 0) & (places <= (width_px, height_px))  # false for NaN
+            inside = good[..., 0] & good[..., 1]
             frame[rows] = np.where(inside, 255, 0)
             shares[0, rows] = np.nan_to_num(places / (width_px, height_px) * 2 - 1)
         self.frame: np.ndarray | None = None if frame.all() else frame
@@ -99,14 +101,15 @@ def reduced(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
 
 def _reduced_along(image: np.ndarray, axis: int, size: int) -> np.ndarray:
     """Means of `size` equal stretches along an axis, float32."""
-    edges = np.arange(size + 1) * (image.shape[axis] / size)
-    edges[-1] = image.shape[axis]
-    whole = np.floor(edges).astype(np.int64)
-    sums = np.add.reduceat(image, whole[:-1], axis, dtype=np.float32)
-    shape = [-1 if place == axis else 1 for place in range(image.ndim)]
-    # The pixel that an edge cuts was counted with the stretch after the edge: its part before goes to the one before
-    parts = (edges - whole).astype(np.float32).reshape(shape)
-    cut = parts * np.take(image, np.minimum(whole, image.shape[axis] - 1), axis)
-    first, last = [slice(None)] * image.ndim, [slice(None)] * image.ndim
-    first[axis], last[axis] = slice(None, -1), slice(1, None)
-    return (sums - cut[tuple(first)] + cut[tuple(last)]) / np.float32(image.shape[axis] / size)
+    length = image.shape[axis]
+    ratio = length / size
+    edges = np.arange(size + 1) * ratio
+    first = np.floor(edges[:-1]).astype(np.int64)
+    shape = [size if place == axis else 1 for place in range(image.ndim)]
+    means = np.zeros([size if place == axis else side for place, side in enumerate(image.shape)], np.float32)
+    for tap in range(int(np.ceil(ratio)) + 1):
+        pixel = first + tap
+        share = (np.minimum(pixel + 1, edges[1:]) - np.maximum(pixel, edges[:-1])).clip(0) / ratio
+        pixels = np.take(image, np.minimum(pixel, length - 1), axis)
+        means += pixels * share.astype(np.float32).reshape(shape)
+    return means
