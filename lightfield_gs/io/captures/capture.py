@@ -154,7 +154,8 @@ def _read_layout(folder: Path, images: Path | None) -> Shots:
         return transforms_shots(file, images)
     raise InputError(
         f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
-        "sparse or the folder itself, or a transforms.json; photographs alone need --sfm first, which poses them"
+        "sparse or the folder itself, or a transforms.json (one of another name, as transforms_train.json, is given "
+        "itself); photographs alone need --sfm first, which poses them"
     )
 
 
