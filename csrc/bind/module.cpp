@@ -25,6 +25,7 @@ PYBIND11_MODULE(_core, m) {
   bind_sorted_types(m);
   bind_cpu(m);
   bind_sorted(m);
+  bind_fit(m);
 #ifdef LFGS_WITH_CUDA
   py::module_ cuda = m.def_submodule("cuda");
   bind_cuda(cuda);

@@ -1,0 +1,1 @@
+"""Fits a scene to posed photographs."""
