@@ -1,4 +1,4 @@
-"""The loss of rendered images against photographs: L1 and SSIM, fused with its gradient (csrc/math/fit/photo_loss.h)."""
+"""The loss of rendered images against photographs, L1 and SSIM, with its gradient (csrc/math/fit/photo_loss.h)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-// The loss of images against photographs, and its gradient. Two passes, each over bands of rows: the first blurs the five
-// moments and finds SSIM and its derivatives, the second blurs those and writes the gradient. Samples of a row lie side
-// by side, red, green, blue, so that a tap of the window is three samples from the next, and the loops run over whole
-// rows; the compiler turns them into vectors, once for every instruction set.
+// The loss of images against photographs, and its gradient. Two passes, each over bands of rows: the first blurs the
+// five moments and finds SSIM and its derivatives, the second blurs those and writes the gradient. Samples of a row lie
+// side by side, red, green, blue, so that a tap of the window is three samples from the next, and the loops run over
+// whole rows; the compiler turns them into vectors, once for every instruction set.
 #include <algorithm>
 #include <vector>
 
@@ -32,12 +32,15 @@ struct Rows {
 };
 
 // What a worker keeps: the band with the rows around it that windows reach, of up to three quantities; and up to five
-// of one row, blurred along the columns of the image.
+// of one row, blurred across the rows, and along the row as well.
 template <class T>
 struct LossScratch {
-  Rows<T> band[3], blurred, weights, losses;
+  Rows<T> band[3], across, blurred, weights, losses;
   explicit LossScratch(int64_t row)
-      : band{{kLossBand + 2 * kWindowReach, row}, {kLossBand + 2 * kWindowReach, row}, {kLossBand + 2 * kWindowReach, row}},
+      : band{{kLossBand + 2 * kWindowReach, row},
+             {kLossBand + 2 * kWindowReach, row},
+             {kLossBand + 2 * kWindowReach, row}},
+        across(5, row),
         blurred(5, row),
         weights(1, row),
         losses(1, row) {}
@@ -55,12 +58,15 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// The blur along a row, of sample 0 of `in`.
+// The blur of one quantity along a row.
 template <class T>
-HWY_ATTR inline T blurred_along(const T* in) {
-  T sum = T(window_tap(kWindowReach)) * in[0];
-  for (int d = 1; d <= kWindowReach; ++d) sum += T(window_tap(kWindowReach - d)) * (in[-3 * d] + in[3 * d]);
-  return sum;
+HWY_ATTR void blur_along(const T* in, int64_t row, T* __restrict out) {
+  for (int64_t j = 0; j < row; ++j) {
+    T sum = T(window_tap(kWindowReach)) * in[j];
+#pragma GCC unroll 16
+    for (int d = 1; d <= kWindowReach; ++d) sum += T(window_tap(kWindowReach - d)) * (in[j - 3 * d] + in[j + 3 * d]);
+    out[j] = sum;
+  }
 }
 
 // The five moments blurred across rows: x and y are the top row of the window, each `pitch` from the next.
@@ -69,6 +75,7 @@ HWY_ATTR void blur_moments(const T* x, const T* y, int64_t pitch, int64_t row, T
                            T* __restrict mxx, T* __restrict myy, T* __restrict mxy) {
   for (int64_t j = 0; j < row; ++j) {
     T sx = 0, sy = 0, sxx = 0, syy = 0, sxy = 0;
+#pragma GCC unroll 16
     for (int tap = 0; tap < kWindow; ++tap) {
       const T a = x[tap * pitch + j], b = y[tap * pitch + j], weight = T(window_tap(tap));
       const T wa = weight * a, wb = weight * b;
@@ -83,6 +90,7 @@ template <class T>
 HWY_ATTR void blur_across(const T* in, int64_t pitch, int64_t row, T* __restrict out) {
   for (int64_t j = 0; j < row; ++j) {
     T sum = T(window_tap(kWindowReach)) * in[kWindowReach * pitch + j];
+#pragma GCC unroll 16
     for (int tap = 0; tap < kWindowReach; ++tap)
       sum += T(window_tap(tap)) * (in[tap * pitch + j] + in[(2 * kWindowReach - tap) * pitch + j]);
     out[j] = sum;
@@ -107,14 +115,13 @@ HWY_ATTR void read_row(const PhotoLoss<T>& job, int64_t view, int64_t r, T* __re
   for (int64_t j = 0; j < row; ++j) x[j] = job.image_at(start + j, y[j], weights[j]);
 }
 
-// SSIM, its derivatives and the loss of a row, from moments that are blurred across rows.
+// SSIM, its derivatives and the loss of a row, from blurred moments.
 template <class T>
 HWY_ATTR void finish_row(const Rows<T>& moments, const T* x, const T* y, const T* weights, int64_t row, T ssim_share,
                          T* __restrict by_x, T* __restrict by_xx, T* __restrict by_xy, T* __restrict losses) {
   const T *mx = moments[0], *my = moments[1], *mxx = moments[2], *myy = moments[3], *mxy = moments[4];
   for (int64_t j = 0; j < row; ++j) {
-    const Ssim<T> ssim = ssim_of(SsimMoments<T>{blurred_along(mx + j), blurred_along(my + j), blurred_along(mxx + j),
-                                                blurred_along(myy + j), blurred_along(mxy + j)});
+    const Ssim<T> ssim = ssim_of(SsimMoments<T>{mx[j], my[j], mxx[j], myy[j], mxy[j]});
     const T w = weights[j];
     by_x[j] = w * ssim.by_x, by_xx[j] = w * ssim.by_xx, by_xy[j] = w * ssim.by_xy;
     losses[j] = sample_loss(x[j], y[j], w, ssim.value, ssim_share);
@@ -137,7 +144,8 @@ HWY_ATTR double sum_of(const T* numbers, int64_t count) {
 template <class T>
 HWY_ATTR void find_derivatives(const PhotoLoss<T>& job, const LossBand& band, LossScratch<T>& scratch) {
   const int64_t row = job.row(), size = job.samples();
-  Rows<T>&x = scratch.band[0], &y = scratch.band[1], &weights = scratch.band[2], &blurred = scratch.blurred;
+  Rows<T>&x = scratch.band[0], &y = scratch.band[1], &weights = scratch.band[2], &blurred = scratch.blurred,
+  &across = scratch.across;
   for (int64_t r = band.first - kWindowReach; r < band.last + kWindowReach; ++r) {
     const int64_t at = r - band.first + kWindowReach;
     if (r >= 0 && r < job.height_px)
@@ -148,21 +156,21 @@ HWY_ATTR void find_derivatives(const PhotoLoss<T>& job, const LossBand& band, Lo
   for (int64_t r = band.first; r < band.last; ++r) {
     const int64_t top = r - band.first, own = top + kWindowReach, line = band.view * job.height_px + r;
     T* out = job.derivatives + line * row;
-    blur_moments(x[top], y[top], x.pitch, row, blurred[0], blurred[1], blurred[2], blurred[3], blurred[4]);
+    blur_moments(x[top], y[top], x.pitch, row, across[0], across[1], across[2], across[3], across[4]);
+    for (int m = 0; m < 5; ++m) blur_along<T>(across[m], row, blurred[m]);
     finish_row(blurred, x[own], y[own], weights[own], row, T(job.ssim_share), out, out + size, out + 2 * size,
                scratch.losses[0]);
     job.partials[line] = sum_of(scratch.losses[0], row);
   }
 }
 
-// The gradient of a row, from derivatives that are blurred across rows.
+// The gradient of a row, from blurred derivatives.
 template <class T>
 HWY_ATTR void gradient_row(const Rows<T>& derivatives, const T* x, const T* y, const T* weights, int64_t row,
                            T ssim_share, T sample_share, T* __restrict out) {
   const T *by_x = derivatives[0], *by_xx = derivatives[1], *by_xy = derivatives[2];
   for (int64_t j = 0; j < row; ++j) {
-    const T ssim_by_x =
-        ssim_gradient(blurred_along(by_x + j), blurred_along(by_xx + j), blurred_along(by_xy + j), x[j], y[j]);
+    const T ssim_by_x = ssim_gradient(by_x[j], by_xx[j], by_xy[j], x[j], y[j]);
     out[j] = sample_share * sample_gradient(x[j], y[j], weights[j], ssim_by_x, ssim_share);
   }
 }
@@ -170,7 +178,7 @@ HWY_ATTR void gradient_row(const Rows<T>& derivatives, const T* x, const T* y, c
 template <class T>
 HWY_ATTR void find_gradient(const PhotoLoss<T>& job, const LossBand& band, LossScratch<T>& scratch) {
   const int64_t row = job.row(), size = job.samples();
-  Rows<T>& blurred = scratch.blurred;
+  Rows<T>&blurred = scratch.blurred, &across = scratch.across;
   for (int64_t r = band.first - kWindowReach; r < band.last + kWindowReach; ++r) {
     const bool inside = r >= 0 && r < job.height_px;
     const T* from = job.derivatives + (band.view * job.height_px + r) * row;
@@ -181,8 +189,10 @@ HWY_ATTR void find_gradient(const PhotoLoss<T>& job, const LossBand& band, LossS
   }
   T *x = blurred[3], *y = blurred[4], *weights = scratch.weights[0];
   for (int64_t r = band.first; r < band.last; ++r) {
-    for (int d = 0; d < 3; ++d)
-      blur_across<T>(scratch.band[d][r - band.first], scratch.band[d].pitch, row, blurred[d]);
+    for (int d = 0; d < 3; ++d) {
+      blur_across<T>(scratch.band[d][r - band.first], scratch.band[d].pitch, row, across[d]);
+      blur_along<T>(across[d], row, blurred[d]);
+    }
     read_row(job, band.view, r, x, y, weights);
     gradient_row(blurred, x, y, weights, row, T(job.ssim_share), T(job.share_of_sample()),
                  job.gradient + (band.view * job.height_px + r) * row);

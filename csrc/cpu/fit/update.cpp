@@ -1,5 +1,5 @@
-// The step of the optimiser. A work item is a chunk of Gaussians; nothing of one depends on another. The harmonics, most
-// of the numbers, are moved by loops that the compiler turns into vectors, once for every instruction set.
+// The step of the optimiser. A work item is a chunk of Gaussians; nothing of one depends on another. The harmonics,
+// most of the numbers, are moved by loops that the compiler turns into vectors, once for every instruction set.
 #include <algorithm>
 #include <vector>
 
@@ -83,9 +83,8 @@ void update(const Update<T>& job, int threads) {
     return;
   }
   std::vector<int64_t> skipped((job.count() + kChunk - 1) / kChunk);
-  parallel_for_chunks(job.count(), kChunk, threads, [&](int64_t begin, int64_t end, int) {
-    skipped[begin / kChunk] = move(job, begin, end);
-  });
+  parallel_for_chunks(job.count(), kChunk, threads,
+                      [&](int64_t begin, int64_t end, int) { skipped[begin / kChunk] = move(job, begin, end); });
   for (int64_t of_chunk : skipped) *job.skipped += of_chunk;
 }
 

@@ -8,8 +8,8 @@
 
 namespace lfgs {
 
-// exp(-20) .. exp(20) is 2e-9 .. 5e8 scene units: beyond what float32 tells from zero beside a mean of 1, and beyond any
-// scene.
+// exp(-20) .. exp(20) is 2e-9 .. 5e8 scene units: beyond what float32 tells from zero beside a mean of 1, and beyond
+// any scene.
 constexpr double kMostLogScale = 20;
 // sigmoid(15) = 1 - 3e-7 is the largest that float32 still tells from 1 by a few steps: log(1 - opacity) stays finite.
 constexpr double kMostLogit = 15;

@@ -1,5 +1,5 @@
-// A step of Adam for one number (Kingma & Ba, "Adam: a method for stochastic optimization", ICLR 2015, algorithm 1), with
-// its corrections for moments that begin at zero.
+// A step of Adam for one number (Kingma & Ba, "Adam: a method for stochastic optimization", ICLR 2015, algorithm 1),
+// with its corrections for moments that begin at zero.
 #pragma once
 
 #include <cmath>

@@ -1,6 +1,7 @@
 // The loss of rendered images against photographs: the buffers of its stage, and how a sample of them is read.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 
 #include "base/config.h"
@@ -32,13 +33,16 @@ struct PhotoLoss {
     return photo_bytes ? T(photo_bytes[sample]) * T(1.0 / 255) : photo[sample];
   }
   // x' of a sample, from its y and w. An image that has no weight may be no number.
-  LFGS_HD T image_at(int64_t sample, T y, T w) const { return w > 0 ? w * image[sample] + (1 - w) * y : y; }
+  LFGS_HD T image_at(int64_t sample, T y, T w) const {
+    const T mixed = w * image[sample] + (1 - w) * y;
+    return w > 0 ? mixed : y;
+  }
 };
 
 // What a sample adds to the loss, but for the share of a sample.
 template <class R>
 LFGS_HD R sample_loss(R x, R y, R w, R ssim, R ssim_share) {
-  return (1 - ssim_share) * (x > y ? x - y : y - x) + ssim_share * w * (1 - ssim);
+  return (1 - ssim_share) * std::abs(x - y) + ssim_share * w * (1 - ssim);
 }
 
 // d(loss)/d(image) of a sample, but for the share of a sample. ssim_by_x: derivative of the sum of w SSIM by x'. At

@@ -3,6 +3,8 @@
 // taps with sigma 1.5; beyond the image all is zero.
 #pragma once
 
+#include <cmath>
+
 #include "base/config.h"
 
 namespace lfgs {
@@ -35,12 +37,13 @@ struct Ssim {
   R value, by_x, by_xx, by_xy;
 };
 
-// Variances are not below zero, which rounding could make of them.
+// Variances are not below zero, which rounding could make of them. (v + |v|) / 2 is their greater part: a comparison
+// would keep compilers from using vectors.
 template <class R>
 LFGS_HD Ssim<R> ssim_of(const SsimMoments<R>& m) {
   const R c1 = R(kSsimMeans), c2 = R(kSsimVariances), product = m.x * m.y, squares = m.x * m.x + m.y * m.y;
   const R variances = m.xx + m.yy - squares;
-  const R inverse_means = 1 / (squares + c1), inverse_variances = 1 / ((variances > 0 ? variances : R(0)) + c2);
+  const R inverse_means = 1 / (squares + c1), inverse_variances = 1 / (R(0.5) * (variances + std::abs(variances)) + c2);
   const R luminance = (2 * product + c1) * inverse_means;
   const R structure = (2 * (m.xy - product) + c2) * inverse_variances;
   const R value = luminance * structure;
