@@ -31,5 +31,6 @@ PYBIND11_MODULE(_core, m) {
   bind_cuda(cuda);
   bind_frame(cuda);
   bind_sorted_cuda(cuda);
+  bind_fit_cuda(cuda);
 #endif
 }

@@ -14,6 +14,7 @@ void bind_fit(pybind11::module_ root);
 void bind_cuda(pybind11::module_ cuda);
 void bind_frame(pybind11::module_ cuda);
 void bind_sorted_cuda(pybind11::module_ cuda);
+void bind_fit_cuda(pybind11::module_ cuda);
 #endif
 
 }  // namespace lfgs

@@ -20,6 +20,7 @@ ROOMS = {  # and what each may include beside itself
     "cuda/common": "base scene math",
     "cuda/stages": "base scene math stages cuda/common",
     "cuda/dense": "base scene math stages cuda/common cuda/stages",
+    "cuda/fit": "base math/fit cuda/common cuda/stages",
     "cuda/lens": "base scene math stages cuda/common cuda/stages",
     "cuda/sorted": "base scene math stages cuda/common cuda/stages",
     "cuda/frame": "base scene math stages cuda/common cuda/stages cuda/lens",
@@ -27,7 +28,7 @@ ROOMS = {  # and what each may include beside itself
     "cuda/frame/ordinal": "base scene math stages cuda/common cuda/stages cuda/frame",
     "cuda/frame/lattice": "base scene math stages cuda/common cuda/stages cuda/frame",
     "network": "base cuda/common cuda/stages",
-    "bind": "base scene math math/fit stages cuda/common cuda/stages cuda/frame network",
+    "bind": "base scene math math/fit stages cuda/common cuda/fit cuda/stages cuda/frame network",
 }
 SUFFIXES = {".h", ".cuh", ".cpp", ".cu"}
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)

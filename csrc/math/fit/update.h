@@ -78,6 +78,7 @@ template <class R>
 struct FieldGradient {
   R means[3], log_scales[3], quaternions[4], logit;
 
+  FieldGradient() = default;
   LFGS_HD FieldGradient(const Update<R>& job, const Step<R>& step, int64_t i) {
     const Gaussians<const R>& g = job.gradients;
     const bool pushed = !job.seen || job.seen[i];
