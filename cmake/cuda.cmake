@@ -32,6 +32,7 @@ set_target_properties(_core PROPERTIES
 
 target_sources(_core PRIVATE
   csrc/bind/cuda.cpp
+  csrc/bind/fit_cuda.cpp
   csrc/bind/frame.cpp
   csrc/cuda/common/architectures.cu
   csrc/cuda/stages/bin.cu
@@ -39,6 +40,9 @@ target_sources(_core PRIVATE
   csrc/cuda/dense/composite_dense.cu
   csrc/cuda/dense/project_dense.cu
   csrc/cuda/dense/project_dense_backward.cu
+  csrc/cuda/fit/photo_loss.cu
+  csrc/cuda/fit/random.cu
+  csrc/cuda/fit/update.cu
   csrc/cuda/lens/composite_lens.cu
   csrc/cuda/lens/project_lens.cu
   csrc/cuda/lens/project_lens_backward.cu

@@ -19,6 +19,10 @@ COLOUR_STRIDE: int
 CELL_SUBPIXELS: int
 COMPENSATION_FIELDS: int
 SUBPIXEL_BLOCK: int
+STEP_COLUMNS: int
+NOISE_PURPOSE: int
+MOST_LOG_SCALE: float
+MOST_LOGIT: float
 
 class Lens:
     def __init__(
@@ -110,6 +114,9 @@ def pair_gradient_size(colour_order: int, compensated: bool = ...) -> int: ...
 def dense_pair_gradient_size(absolute: bool) -> int: ...
 def simd_targets() -> list[str]: ...
 def set_simd_target(name: str) -> None: ...
+def photo_loss_partials(views: int, height_px: int, width_px: int) -> int: ...
+def philox4x32(counter: Sequence[int], key: Sequence[int]) -> list[int]: ...
+def uniforms(seed: int, step: int, purpose: int, count: int, out: Address, threads: int) -> None: ...
 def plan_sorted_count(
     map: ViewMap, tile: SubpixelTile, places: Address, views: int, counts: Address, threads: int
 ) -> None: ...
@@ -159,6 +166,50 @@ class _Stages:
 
     class DenseImages:
         def __init__(self, image: Address, alpha: Address, depth: Address) -> None: ...
+
+    class PhotoLoss:
+        def __init__(
+            self,
+            *,
+            views: int,
+            height_px: int,
+            width_px: int,
+            image: Address,
+            photo: Address,
+            photo_bytes: Address,
+            weights: Address,
+            ssim_share: float,
+            derivatives: Address,
+            partials: Address,
+            loss: Address,
+            gradient: Address,
+        ) -> None: ...
+
+    class Fields:
+        def __init__(
+            self, means: Address, log_scales: Address, quaternions: Address, logits: Address, sh: Address
+        ) -> None: ...
+
+    class Update:
+        def __init__(
+            self,
+            *,
+            gradients: _Stages.Gaussians,
+            fields: _Stages.Fields,
+            first: _Stages.Fields,
+            second: _Stages.Fields,
+            scales: Address,
+            opacities: Address,
+            seen: Address,
+            table: Address,
+            rows: int,
+            step: Address,
+            skipped: Address,
+            beta1: float,
+            beta2: float,
+            epsilon: float,
+            seed: int,
+        ) -> None: ...
 
     @staticmethod
     def project_dense(
@@ -268,6 +319,12 @@ class _Stages:
         out8: Address,
         threads: int,
     ) -> Counters: ...
+    @staticmethod
+    def photo_loss(job: _Stages.PhotoLoss, threads: int) -> None: ...
+    @staticmethod
+    def update(job: _Stages.Update, threads: int) -> None: ...
+    @staticmethod
+    def normals(seed: int, step: int, purpose: int, count: int, out: Address, threads: int) -> None: ...
 
 float32: type[_Stages]
 float64: type[_Stages]
@@ -487,5 +544,15 @@ class _Cuda:
         out8: Address,
         stream: Address,
     ) -> None: ...
+    @staticmethod
+    def photo_loss_partials(views: int, height_px: int, width_px: int) -> int: ...
+    @staticmethod
+    def photo_loss(job: _Stages.PhotoLoss, stream: Address) -> None: ...
+    @staticmethod
+    def update(job: _Stages.Update, stream: Address) -> None: ...
+    @staticmethod
+    def uniforms(seed: int, step: int, purpose: int, count: int, out: Address, stream: Address) -> None: ...
+    @staticmethod
+    def normals(seed: int, step: int, purpose: int, count: int, out: Address, stream: Address) -> None: ...
 
 cuda: type[_Cuda]

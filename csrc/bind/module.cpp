@@ -25,10 +25,12 @@ PYBIND11_MODULE(_core, m) {
   bind_sorted_types(m);
   bind_cpu(m);
   bind_sorted(m);
+  bind_fit(m);
 #ifdef LFGS_WITH_CUDA
   py::module_ cuda = m.def_submodule("cuda");
   bind_cuda(cuda);
   bind_frame(cuda);
   bind_sorted_cuda(cuda);
+  bind_fit_cuda(cuda);
 #endif
 }

@@ -9,76 +9,81 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
+from lightfield_gs.fit.update import MOST_LOGIT, RawFields, activated
 from lightfield_gs.scene.gaussians import Gaussians
 
-NAMES = ("means", "log_scales", "quaternions", "logits", "sh")
+_GROUPS = ("values", "first", "second")
 
 
 @dataclass
 class Fields:
     """N Gaussians under optimisation; all tensors are contiguous, of one dtype and on one device.
 
-    means [N,3]; log_scales [N,3], natural logarithms of the standard deviations; quaternions [N,4], wxyz of any length;
-    logits [N], log(opacity / (1 - opacity)); sh [N,K,3], K = (degree + 1)^2 of the degree that is in use.
-    first, second: the moments of Adam of each, by name. scales [N,3] and opacities [N] are what is drawn: exp and
-    sigmoid of theirs, which every step renews.
+    values: see RawFields; the K harmonics are those of the degree in use. first, second: the moments of Adam. scales
+    [N,3] and opacities [N] are what is drawn, exp and sigmoid of log_scales and logits, which every update renews.
     """
 
-    values: dict[str, Tensor]
-    first: dict[str, Tensor]
-    second: dict[str, Tensor]
+    values: RawFields
+    first: RawFields
+    second: RawFields
     scales: Tensor
     opacities: Tensor
 
     @classmethod
     def of(cls, gaussians: Gaussians) -> Fields:
         """Those of a scene [N, ...], with moments of zero."""
-        logits = torch.logit(gaussians.opacities, eps=1e-6)
-        values = dict(
-            zip(
-                NAMES,
-                (gaussians.means, gaussians.scales.log(), gaussians.quaternions, logits, gaussians.sh),
-            )
+        fields = (
+            gaussians.means,
+            gaussians.scales.log(),
+            gaussians.quaternions,
+            torch.logit(gaussians.opacities).clamp(-MOST_LOGIT, MOST_LOGIT),
+            gaussians.sh,
         )
-        return cls._of_values({name: value.detach().contiguous().clone() for name, value in values.items()})
-
-    @classmethod
-    def _of_values(cls, values: dict[str, Tensor]) -> Fields:
-        first, second = ({name: torch.zeros_like(value) for name, value in values.items()} for _ in range(2))
-        return cls(values, first, second, values["log_scales"].exp(), values["logits"].sigmoid())
+        values = RawFields(*(field.detach().contiguous().clone() for field in fields))
+        return cls(values, values.zeros_like(), values.zeros_like(), *activated(values))
 
     @property
     def count(self) -> int:
         """N."""
-        return self.values["means"].shape[0]
+        return self.values.means.shape[0]
 
     @property
     def degree(self) -> int:
         """Of the harmonics that are in use."""
-        return SH_COEFFICIENTS.index(self.values["sh"].shape[1])
+        return SH_COEFFICIENTS.index(self.values.sh.shape[1])
 
     def gaussians(self) -> Gaussians:
         """The scene as it is drawn; it shares the memory of the fields."""
-        means, _, quaternions, _, sh = self.values.values()
-        return Gaussians(means, quaternions, self.scales, self.opacities, sh)
+        return Gaussians(self.values.means, self.values.quaternions, self.scales, self.opacities, self.values.sh)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All of them by name, for a checkpoint."""
+        named = {f"{group}.{name}": t for group in _GROUPS for name, t in getattr(self, group)._asdict().items()}
+        return {**named, "scales": self.scales, "opacities": self.opacities}
+
+    @classmethod
+    def of_tensors(cls, tensors: dict[str, Tensor]) -> Fields:
+        """What tensors() gave."""
+        raw = (RawFields(*(tensors[f"{group}.{name}"] for name in RawFields._fields)) for group in _GROUPS)
+        return cls(*raw, tensors["scales"], tensors["opacities"])
 
     def changed(self, change: Callable[[Tensor], Tensor]) -> Fields:
-        """Every tensor changed, moments too."""
-        values, first, second = (
-            {name: change(tensor).contiguous() for name, tensor in group.items()}
-            for group in (self.values, self.first, self.second)
-        )
-        return Fields(values, first, second, change(self.scales).contiguous(), change(self.opacities).contiguous())
+        """Every tensor changed, moments too; for changes of which Gaussians there are, and in which order."""
+        raw = (RawFields(*(change(t).contiguous() for t in group)) for group in (self.values, self.first, self.second))
+        return Fields(*raw, change(self.scales).contiguous(), change(self.opacities).contiguous())
 
     def renew(self) -> None:
-        """Writes scales and opacities anew, after log_scales and logits were set."""
-        self.scales.copy_(self.values["log_scales"].exp())
-        self.opacities.copy_(self.values["logits"].sigmoid())
+        """Writes scales and opacities anew, after log_scales or logits were set."""
+        for drawn, fresh in zip((self.scales, self.opacities), activated(self.values)):
+            drawn.copy_(fresh)
 
     def raise_degree(self, degree: int) -> None:
         """Makes room for harmonics up to `degree`: those that are new begin at zero."""
-        count = SH_COEFFICIENTS[degree]
-        for group in (self.values, self.first, self.second):
-            old = group["sh"]
-            group["sh"] = old.new_zeros(old.shape[0], count, 3)
-            group["sh"][:, : old.shape[1]] = old
+
+        def grown(raw: RawFields) -> RawFields:
+            sh = raw.sh.new_zeros(self.count, SH_COEFFICIENTS[degree], 3)
+            sh[:, : raw.sh.shape[1]] = raw.sh
+            return raw._replace(sh=sh)
+
+        self.values, self.first, self.second = map(grown, (self.values, self.first, self.second))
+

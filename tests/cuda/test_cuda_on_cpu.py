@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from cuda_on_cpu import cases
+from cuda_on_cpu import cases, fit_cases
 
 from lightfield_gs import Quality, encode, reference
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -52,6 +52,7 @@ DRAWN = (
     "pruned",
     "recoloured",
     "dense",
+    "fit",
     "sorted",
     "gradients",
     "norms",
@@ -374,3 +375,7 @@ def test_group_norm_and_silu(drawn):
         expected = cases.norm_expected(*cases.norm_case(*case))
         assert found.dtype == torch.bfloat16 and found.is_contiguous(memory_format=torch.channels_last)
         torch.testing.assert_close(found.double(), expected, rtol=2**-8, atol=2e-5)
+
+
+def test_fitting_is_that_of_the_cpu(drawn):
+    fit_cases.compare(drawn("fit"))

@@ -19,6 +19,7 @@ import emulation  # before all that loads the native module
 sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 
 import cases
+import fit_cases
 import torch
 
 from lightfield_gs.models import group_norm
@@ -143,6 +144,8 @@ def main(what: str) -> object:
             drawn(*cases.half_frame(changes, degree, brightness), views, kernel, cases.HALF_QUALITY, 1.0)
             for kernel, changes, degree, views, brightness in cases.HALF_FRAMES
         ]
+    if what == "fit":
+        return fit_cases.fitted(torch.float32)
     if what == "dense":
         return cases.dense_step(torch.float32)
     if what == "words":

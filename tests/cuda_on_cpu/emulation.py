@@ -35,3 +35,14 @@ def use_cuda_stages() -> None:
     sorted_plan._tile = lambda views, width_px, _: tile(views, width_px, "cuda")
     sorted._CpuStages = lambda scene, plan, threads: sorted._CudaStages(scene, plan)
     torch.set_num_threads(1)
+    _use_cuda_fit()
+
+
+def _use_cuda_fit() -> None:
+    """The same for the stages of fitting, whose functions of the CPU this module lacks."""
+    core, cuda = lightfield_gs._core, lightfield_gs._core.cuda
+    core.photo_loss_partials = cuda.photo_loss_partials
+    core.float32.photo_loss = lambda job, threads: cuda.photo_loss(job, 0)
+    core.float32.update = lambda job, threads: cuda.update(job, 0)
+    core.float32.normals = lambda *arguments: cuda.normals(*arguments[:-1], 0)
+    core.uniforms = lambda *arguments: cuda.uniforms(*arguments[:-1], 0)

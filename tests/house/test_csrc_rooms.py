@@ -10,14 +10,17 @@ ROOMS = {  # and what each may include beside itself
     "base": "",
     "scene": "base",
     "math": "base scene",
-    "stages": "base scene math",
+    "math/fit": "base scene math",
+    "stages": "base scene math math/fit",
     "cpu": "base scene math stages",
     "cpu/dense": "base scene math stages cpu",
+    "cpu/fit": "base math/fit stages",
     "cpu/lens": "base scene math stages cpu",
     "cpu/sorted": "base scene math stages cpu",
     "cuda/common": "base scene math",
     "cuda/stages": "base scene math stages cuda/common",
     "cuda/dense": "base scene math stages cuda/common cuda/stages",
+    "cuda/fit": "base math/fit cuda/common cuda/stages",
     "cuda/lens": "base scene math stages cuda/common cuda/stages",
     "cuda/sorted": "base scene math stages cuda/common cuda/stages",
     "cuda/frame": "base scene math stages cuda/common cuda/stages cuda/lens",
@@ -25,7 +28,7 @@ ROOMS = {  # and what each may include beside itself
     "cuda/frame/ordinal": "base scene math stages cuda/common cuda/stages cuda/frame",
     "cuda/frame/lattice": "base scene math stages cuda/common cuda/stages cuda/frame",
     "network": "base cuda/common cuda/stages",
-    "bind": "base scene math stages cuda/common cuda/stages cuda/frame network",
+    "bind": "base scene math math/fit stages cuda/common cuda/fit cuda/stages cuda/frame network",
 }
 SUFFIXES = {".h", ".cuh", ".cpp", ".cu"}
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)

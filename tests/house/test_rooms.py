@@ -23,6 +23,7 @@ ROOMS = (
     "lightfield_gs.models",
     "lightfield_gs.photo",
     "lightfield_gs.show",
+    "lightfield_gs.fit",
     "training",
     "lightfield_gs.bench",
     "lightfield_gs.commands",

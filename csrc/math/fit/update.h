@@ -1,0 +1,140 @@
+// A step of the optimiser: its buffers and numbers, and what it does to one Gaussian (without harmonics, which are many
+// and all alike).
+#pragma once
+
+#include <cstdint>
+
+#include "math/fit/activation.h"
+#include "math/fit/adam.h"
+#include "math/fit/noise.h"
+#include "scene/gaussians.h"
+
+namespace lfgs {
+
+// The fields that are optimised, or their moments: log_scales and logits stand for scales and opacities.
+template <class T>
+struct Fields {
+  T* means = nullptr;        // [N, 3]
+  T* log_scales = nullptr;   // [N, 3]
+  T* quaternions = nullptr;  // [N, 4] wxyz of any length
+  T* logits = nullptr;       // [N]
+  T* sh = nullptr;           // [N, K, 3]
+};
+
+// What one step needs: a row of the table of a run.
+template <class T>
+struct StepNumbers {
+  T means, log_scales, quaternions, logits, sh_dc, sh_rest;  // rates
+  T first_correction, second_correction;                     // 1 - beta1^t, 1 - beta2^t
+  T noise_rate;                                              // of the noise of positions, times the rate of means
+  T opacity_share, scale_share;                              // of the mean opacity and the mean scale in the loss
+};
+constexpr int kStepColumns = sizeof(StepNumbers<float>) / sizeof(float);
+
+// Gradients of what is drawn go through the chain rule of exp and sigmoid, the regularisers are added, Adam moves the
+// fields, noise moves the means, and what is drawn is written anew. Of Gaussians with a gradient that is_usable()
+// refuses nothing changes, and they are counted. So are all, where `step` is not a row of the table.
+template <class T>
+struct Update {
+  Gaussians<const T> gradients;  // of what is drawn; its count and degree are those of all fields
+  Fields<T> fields, first, second;
+  T* scales = nullptr;                    // [N, 3] exp(log_scales): what the gradients were taken at; written anew
+  T* opacities = nullptr;                 // [N] sigmoid(logits), likewise
+  const uint8_t* seen = nullptr;          // [N] whom the regularisers are for, or null for all
+  const StepNumbers<T>* table = nullptr;  // [rows]
+  int64_t rows = 0;
+  const int64_t* step = nullptr;  // one number in 0..rows-1, the row; also the step of the noise
+  int64_t* skipped = nullptr;     // one number, added to
+  AdamDecay decay;
+  uint64_t seed = 0;  // of the noise
+
+  LFGS_HD int64_t count() const { return gradients.count; }
+  LFGS_HD int numbers() const { return 3 * gradients.sh_count(); }  // harmonics of a Gaussian
+  LFGS_HD bool has_row() const { return *step >= 0 && *step < rows; }
+};
+
+// The numbers of the step that an update is at.
+template <class R>
+struct Step {
+  StepNumbers<R> numbers;
+  AdamStep<R> adam;
+  R opacity_push, scale_push;  // what the regularisers add to the gradient of an opacity, of a scale
+  RandomStream noise;
+
+  LFGS_HD explicit Step(const Update<R>& job)
+      : numbers(job.table[*job.step]),
+        adam(job.decay, numbers.first_correction, numbers.second_correction),
+        opacity_push(numbers.opacity_share / R(job.count())),
+        scale_push(numbers.scale_share / R(3 * job.count())),
+        noise{job.seed, uint32_t(*job.step), kNoisePurpose} {}
+
+  LFGS_HD R scaled(R rate) const { return rate * adam.inverse_correction; }
+  // Of the k-th harmonic of a Gaussian
+  LFGS_HD R sh_rate(int k) const { return scaled(k < 3 ? numbers.sh_dc : numbers.sh_rest); }
+};
+
+// Gradients of one Gaussian's fields, but for its harmonics.
+template <class R>
+struct FieldGradient {
+  R means[3], log_scales[3], quaternions[4], logit;
+
+  FieldGradient() = default;
+  LFGS_HD FieldGradient(const Update<R>& job, const Step<R>& step, int64_t i) {
+    const Gaussians<const R>& g = job.gradients;
+    const bool pushed = !job.seen || job.seen[i];
+    for (int c = 0; c < 3; ++c) {
+      means[c] = g.means[3 * i + c];
+      log_scales[c] = (g.scales[3 * i + c] + (pushed ? step.scale_push : R(0))) * job.scales[3 * i + c];
+    }
+    for (int c = 0; c < 4; ++c) quaternions[c] = g.quaternions[4 * i + c];
+    const R opacity = job.opacities[i];
+    logit = (g.opacities[i] + (pushed ? step.opacity_push : R(0))) * opacity * (1 - opacity);
+  }
+
+  LFGS_HD bool usable() const {
+    bool good = is_usable(logit);
+    for (int c = 0; c < 3; ++c) good = good && is_usable(means[c]) && is_usable(log_scales[c]);
+    for (int c = 0; c < 4; ++c) good = good && is_usable(quaternions[c]);
+    return good;
+  }
+};
+
+// Moves `size` numbers of Gaussian i that share a rate.
+template <int size, class R>
+LFGS_HD void move_numbers(const AdamStep<R>& adam, const R (&gradient)[size], R rate, int64_t i, R* values, R* first,
+                          R* second) {
+  for (int c = 0; c < size; ++c) {
+    const int64_t k = size * i + c;
+    values[k] = adam.moved(values[k], gradient[c], rate, first[k], second[k]);
+  }
+}
+
+// All of the step for one Gaussian but its harmonics.
+template <class R>
+LFGS_HD void move_gaussian(const Update<R>& job, const Step<R>& step, const FieldGradient<R>& g, int64_t i) {
+  const Fields<R>&fields = job.fields, &first = job.first, &second = job.second;
+  const StepNumbers<R>& n = step.numbers;
+  move_numbers(step.adam, g.means, step.scaled(n.means), i, fields.means, first.means, second.means);
+  move_numbers(step.adam, g.log_scales, step.scaled(n.log_scales), i, fields.log_scales, first.log_scales,
+               second.log_scales);
+  move_numbers(step.adam, g.quaternions, step.scaled(n.quaternions), i, fields.quaternions, first.quaternions,
+               second.quaternions);
+  const R logit = step.adam.moved(fields.logits[i], g.logit, step.scaled(n.logits), first.logits[i], second.logits[i]);
+  fields.logits[i] = clamped(logit, R(kMostLogit));
+
+  glm::vec<3, R> scale;
+  for (int c = 0; c < 3; ++c) {
+    R& log_scale = fields.log_scales[3 * i + c];
+    log_scale = clamped(log_scale, R(kMostLogScale));
+    job.scales[3 * i + c] = scale[c] = std::exp(log_scale);
+  }
+  const R opacity = job.opacities[i] = sigmoid(fields.logits[i]);
+  if (n.noise_rate > 0) {
+    const R* q = fields.quaternions + 4 * i;
+    const glm::vec<3, R> noise =
+        position_noise(step.noise, i, glm::vec<4, R>(q[0], q[1], q[2], q[3]), scale, opacity, n.noise_rate * n.means);
+    for (int c = 0; c < 3; ++c) fields.means[3 * i + c] += noise[c];
+  }
+}
+
+}  // namespace lfgs

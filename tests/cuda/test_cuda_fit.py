@@ -1,0 +1,84 @@
+"""The stages of fitting on a GPU, against those of the CPU in float64."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from cuda_on_cpu import fit_cases
+
+from lightfield_gs import _core
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.fit.photo_loss import photo_loss, photo_loss_and_gradient
+from lightfield_gs.fit.update import Gradients, RawFields, activated, update, update_table
+
+if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
+    pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
+
+CUDA = "cuda"
+
+
+def test_fitting_is_that_of_the_cpu():
+    fit_cases.compare(fit_cases.fitted(torch.float32, CUDA))
+
+
+def test_every_run_gives_the_same_bits():
+    first, again = (fit_cases.fitted(torch.float32, CUDA) for _ in range(2))
+    for what, cases in first.items():
+        for case, same in zip(cases, again[what], strict=True):
+            assert all(torch.equal(value, same[name]) for name, value in case.items()), what
+
+
+class Run:
+    """Three steps on the device that a graph can hold."""
+
+    def __init__(self) -> None:
+        random = torch.Generator(CUDA).manual_seed(1)
+        n, options = 5000, dict(device=CUDA, generator=random)
+        shapes = [(n, 3), (n, 3), (n, 4), (n,), (n, 16, 3)]
+        self.fields = RawFields(*(torch.randn(shape, **options) for shape in shapes))
+        self.first, self.second = self.fields.zeros_like(), self.fields.zeros_like()
+        self.drawn = activated(self.fields)
+        self.gradients = Gradients(*(torch.randn(shapes[k], **options) for k in (0, 2, 1, 3, 4)))
+        self.table = update_table(3, **fit_cases.RATES, noise_rate=300.0, device=CUDA)
+        self.step, self.skipped = (torch.zeros((), dtype=torch.int64, device=CUDA) for _ in range(2))
+        self.image, self.photo = torch.rand(2, 1, 60, 80, 3, **options)
+        self.losses = torch.zeros(4, device=CUDA)
+
+    def once(self) -> None:
+        loss, gradient = photo_loss_and_gradient(self.image, self.photo)
+        self.losses.index_copy_(0, self.step.view(1), loss.view(1))
+        self.image -= 1e3 * gradient
+        update(self.fields, self.first, self.second, self.gradients, *self.drawn,
+               table=self.table, step=self.step, skipped=self.skipped, seed=9)  # fmt: skip
+        self.step += 1
+
+
+def test_a_graph_repeats_the_steps_of_the_table():
+    plain, captured = Run(), Run()
+    for _ in range(3):
+        plain.once()
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        captured.once()
+    for _ in range(3):
+        graph.replay()
+    assert plain.losses[0] > plain.losses[1] > plain.losses[2] > 0
+    assert torch.equal(plain.losses, captured.losses) and torch.equal(plain.image, captured.image)
+    for name, value, same in zip(RawFields._fields, plain.fields, captured.fields):
+        assert torch.equal(value, same), name
+
+
+def test_a_step_outside_the_table_skips_all():
+    run = Run()
+    run.step += 3
+    before = [field.clone() for field in run.fields]
+    run.once()
+    assert run.skipped == 5000 and all(torch.equal(a, b) for a, b in zip(before, run.fields))
+
+
+def test_what_cannot_be_used_is_said():
+    image = torch.zeros(1, 4, 4, 3, device=CUDA)
+    with pytest.raises(InputError, match="image must be float32 on cuda:0, got torch.float64"):
+        photo_loss(image.double(), image.double())
+    with pytest.raises(InputError, match="photo must be torch.float32 on cuda:0, got torch.float32 on cpu"):
+        photo_loss(image, image.cpu())
