@@ -13,6 +13,7 @@ version: str
 BAND_ROWS: int
 SPLAT_FIELDS: int
 SPLAT_REACH_INDEX: int
+SPLAT_SHAPE_INDICES: tuple[int, int, int, int]
 PRUNED: int
 NEAR_DEPTH: float
 COLOUR_STRIDE: int

@@ -24,6 +24,10 @@ void bind_constants(py::module_ m) {
   m.attr("SPLAT_FIELDS") = kSplatFields;
   static_assert(offsetof(Splat<float>, reach_y) == kSplatReachIndex * sizeof(float));
   m.attr("SPLAT_REACH_INDEX") = kSplatReachIndex;
+  const auto index = [](size_t offset) { return offset / sizeof(float); };
+  m.attr("SPLAT_SHAPE_INDICES") =
+      py::make_tuple(index(offsetof(Splat<float>, log2_opacity)), index(offsetof(Splat<float>, S0)),
+                     index(offsetof(Splat<float>, tau)), index(offsetof(Splat<float>, c0)));
   m.attr("PRUNED") = kPruned;
   m.attr("NEAR_DEPTH") = kNearDepth;
   m.attr("COLOUR_STRIDE") = kColourStride;

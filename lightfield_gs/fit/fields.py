@@ -86,4 +86,3 @@ class Fields:
             return raw._replace(sh=sh)
 
         self.values, self.first, self.second = map(grown, (self.values, self.first, self.second))
-

@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
-from lightfield_gs.fit.random import uniforms
+from lightfield_gs.fit.random import Purpose, uniforms
 from lightfield_gs.fit.settings import FitSettings
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -45,8 +46,10 @@ def initial_gaussians(points: np.ndarray, colours: np.ndarray, centres: np.ndarr
 
 def neighbour_distances(points: np.ndarray) -> Tensor:
     """[P] float64: the root of the mean squared distance of each point [P,3] to its three nearest others; positive."""
-    from scipy.spatial import cKDTree
-
+    try:
+        from scipy.spatial import cKDTree
+    except ImportError:
+        raise InputError("fitting needs scipy, which is not installed: pip install 'lightfield-gs[fit]'") from None
     found, _ = cKDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(points)), workers=-1)
     squares = (found[:, 1:] ** 2).mean(1) if len(points) > 1 else np.ones(1)
     return torch.from_numpy(np.sqrt(np.maximum(squares, 1e-7**2)))
@@ -55,11 +58,11 @@ def neighbour_distances(points: np.ndarray) -> Tensor:
 def _random_points(centres: np.ndarray, settings: FitSettings) -> tuple[np.ndarray, np.ndarray]:
     """Points in a cube of three times the extent round the cameras, and their colours."""
     count = min(settings.gaussians, 100_000)
-    numbers = uniforms(settings.seed, 0, "initial", (count + 1) * 6).numpy()[: count * 6].reshape(count, 6)
+    numbers = uniforms(settings.seed, 0, Purpose.INITIAL, 6 * count).numpy().reshape(count, 6)
     middle = np.median(centres, 0)
     return middle + 6 * (numbers[:, :3] - 0.5), np.uint8(255 * numbers[:, 3:])
 
 
 def _some(count: int, wanted: int, seed: int) -> np.ndarray:
     """`wanted` of the numbers below `count`, chosen by the seed, ascending."""
-    return np.sort(np.argsort(uniforms(seed, 1, "initial", count).numpy(), kind="stable")[:wanted])
+    return np.sort(np.argsort(uniforms(seed, 1, Purpose.INITIAL, count).numpy(), kind="stable")[:wanted])

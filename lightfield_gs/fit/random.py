@@ -21,6 +21,10 @@ class Purpose(IntEnum):
     """What random numbers are drawn for: those of one purpose have nothing to do with those of another."""
 
     NOISE = _core.NOISE_PURPOSE  # of MCMC on positions, drawn by the update itself
+    INITIAL = 16  # which points a fit begins with, and where random ones are
+    ORDER = 17  # of the photographs in an epoch
+    BACKGROUND = 18
+    DENSITY = 19  # which Gaussians are moved, added or split, and where to
 
 
 def uniforms(seed: int, step: int, purpose: int, count: int, device: torch.device | str = "cpu") -> Tensor:

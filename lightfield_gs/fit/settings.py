@@ -101,10 +101,7 @@ class FitSettings:
     def refines_after(self, step: int) -> bool:
         """Whether the density changes once `step` steps are done."""
         until = self.refine_until or (25_000 if self.density == "mcmc" else 15_000)
-        return (
-            step % self.scaled(self.refine_every) == 0
-            and self.scaled(self.refine_from) < step < self.scaled(until)
-        )
+        return step % self.scaled(self.refine_every) == 0 and self.scaled(self.refine_from) < step < self.scaled(until)
 
     def refine_rounds(self) -> int:
         """How often the density changes in the whole fit."""

@@ -38,7 +38,9 @@ class Views:
         width, height = (max(side) for side in zip(*sizes))
         if len(set(sizes)) > 1:
             wasted = 1 - sum(w * h for w, h in sizes) / (len(sizes) * width * height)
-            assume(f"photographs are of {len(set(sizes))} sizes: all are drawn as {width} x {height}, {wasted:.0%} more")
+            assume(
+                f"photographs are of {len(set(sizes))} sizes: all are drawn as {width} x {height}, {wasted:.0%} more"
+            )
         photos = np.zeros((len(sizes), height, width, 3), np.uint8)
         weights = np.zeros((len(sizes), height, width), np.uint8)
         for place, (index, (w, h)) in enumerate(zip(ticks, sizes)):
@@ -58,6 +60,11 @@ class Views:
             *(t.float().to(device) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())),
             sizes,
         )
+
+    def chosen(self, indices: Tensor) -> tuple[Tensor, Tensor | None]:
+        """The photographs at `indices` [V], and weights 0..1 where there are any."""
+        weights = None if self.weights is None else self.weights.index_select(0, indices) / 255
+        return self.photos.index_select(0, indices), weights
 
     @property
     def count(self) -> int:

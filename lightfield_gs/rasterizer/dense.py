@@ -173,7 +173,9 @@ def render_dense_backward(
 
 
 @render_dense_backward.register_fake
-def _(means, quaternions, scales, opacities, sh, background, world_to_camera, *rest, antialiased=False, screen_numbers=0):
+def _(
+    means, quaternions, scales, opacities, sh, background, world_to_camera, *rest, antialiased=False, screen_numbers=0
+):
     inputs = (means, quaternions, scales, opacities, sh, background, world_to_camera)
     screen = means.new_empty(*world_to_camera.shape[:2], means.shape[1], screen_numbers)
     return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in inputs), screen)

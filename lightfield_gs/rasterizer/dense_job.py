@@ -67,7 +67,14 @@ class DenseJob:
         self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased)
         with scene.guard:
             self.work = workspace_of(
-                scene, self.images, width, height, self.stats, threads or torch.get_num_threads(), state=state, room=room
+                scene,
+                self.images,
+                width,
+                height,
+                self.stats,
+                threads or torch.get_num_threads(),
+                state=state,
+                room=room,
             )
             if state is None:
                 with self.stats.stage("project"):
@@ -78,6 +85,11 @@ class DenseJob:
     def pairs_on_device(self) -> Tensor:
         """[1] int64: how many pairs there are, of a job with `room`. If it is larger, the images are not right."""
         return self.work.pairs_on_device
+
+    @property
+    def splats(self) -> Tensor:
+        """What the Gaussians are in each image, [B * V, N, SPLAT_FIELDS]."""
+        return self.work.splats.splats
 
     def draw(self) -> DenseImages:
         """The images."""

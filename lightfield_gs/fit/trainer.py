@@ -1,0 +1,125 @@
+"""The steps of a fit in their order, and what comes between them: harmonics of a higher degree, other densities."""
+
+from __future__ import annotations
+
+import torch
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.fit import adaptive, mcmc
+from lightfield_gs.fit.fields import Fields
+from lightfield_gs.fit.schedule import Schedule
+from lightfield_gs.fit.settings import FitSettings
+from lightfield_gs.fit.step import Counters, Step
+from lightfield_gs.fit.tally import Tally
+from lightfield_gs.fit.views import Views
+
+_LOOK_EVERY = 100  # steps after which the host looks where the device is
+_SLACK, _LEAST_ROOM = 1.25, 1 << 16  # of the room for pairs beyond what the steps so far needed
+
+
+class Trainer:
+    """A fit under way. Where it stands is `done`, how many steps are done; whoever drives it calls `advance`.
+
+    The same settings, views and Gaussians give the same bits on the same device, whether in one go or with any number
+    of stops and checkpoints between: nothing depends on time, and random numbers only on the seed and the step.
+    """
+
+    def __init__(self, gaussians_or_fields: Fields, views: Views, settings: FitSettings):
+        self.fields, self.views, self.settings = gaussians_or_fields, views, settings
+        self.device = views.photos.device
+        self.schedule = Schedule.of(settings, views.count, self.device)
+        self.counters = Counters.start(settings.steps, self.device)
+        self.tally = Tally(self.fields.count, settings, self.device)
+        self.done = 0
+        self._room: int | None = None
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._graph_key: tuple | None = None
+
+    def advance(self, until: int) -> None:
+        """Does the steps up to `until`, with all that is due between them."""
+        until = min(until, self.settings.steps)
+        while self.done < until:
+            self._begin_segment()
+            self._run(min(until, self._segment_end()))
+            self._end_segment()
+
+    def _segment_end(self) -> int:
+        """The next step after which something else is due."""
+        step = self.done + 1
+        while step < self.settings.steps and not self._something_due(step):
+            step += 1
+        return step
+
+    def _something_due(self, step: int) -> bool:
+        settings = self.settings
+        return settings.refines_after(step) or settings.degree_at(step) != settings.degree_at(step - 1)
+
+    def _begin_segment(self) -> None:
+        degree = self.settings.degree_at(self.done)
+        if degree > self.fields.degree:
+            self.fields.raise_degree(degree)
+
+    def _end_segment(self) -> None:
+        """Changes the density, if that is due."""
+        if not self.settings.refines_after(self.done):
+            return
+        before = self.fields
+        if self.settings.density == "mcmc":
+            self.fields = mcmc.change(self.fields, self.settings, self.done)
+        else:
+            self.fields = adaptive.change(self.fields, self.tally, self.settings, self.done)
+        if self.fields is before and self.fields.count == len(self.tally.seen):
+            self.tally.next_round()
+        else:
+            self.tally = Tally(self.fields.count, self.settings, self.device)
+
+    # --- Steps, by a graph where there is CUDA
+
+    def _run(self, until: int) -> None:
+        """Does the steps up to `until`, between which nothing else is due."""
+        while self.done < until:
+            count = min(until - self.done, _LOOK_EVERY)
+            if self.device.type == "cuda":
+                self._run_cuda(count)
+            else:
+                for _ in range(count):
+                    self._step(None).run()
+            self._look()
+
+    def _step(self, room: int | None) -> Step:
+        return Step(self.fields, self.views, self.schedule, self.settings, self.counters, self.tally, room)
+
+    def _run_cuda(self, count: int) -> None:
+        if self._room is None:  # the first steps of all find out how many pairs there are
+            self._step(None).run()
+            self._look()
+            count -= 1
+        key = (*(t.data_ptr() for t in self.fields.tensors().values()), self.tally.seen.data_ptr(), self._room)
+        if key != self._graph_key and count:
+            self._graph = None  # its memory is free for the next before that is made
+            self._step(self._room).run()
+            count -= 1
+            self._graph, self._graph_key = self._captured(), key
+        for _ in range(count):
+            self._graph.replay()
+
+    def _captured(self) -> torch.cuda.CUDAGraph:
+        """A step as a graph. Capturing does not run it."""
+        torch.cuda.synchronize(self.device)
+        graph, step = torch.cuda.CUDAGraph(), self._step(self._room)
+        with torch.cuda.graph(graph):
+            step.run()
+        return graph
+
+    def _look(self) -> None:
+        """Waits for the device, and learns from it how many steps are done, and whether they need more room."""
+        counters = self.counters
+        self.done, pairs, lost = torch.cat([counters.step, counters.pairs, counters.lost]).tolist()
+        if self._room is None or lost:
+            self._room = int(pairs * _SLACK) + _LEAST_ROOM
+        if lost:
+            counters.lost.zero_()
+        if not torch.isfinite(counters.losses[self.done - 1]):
+            raise InputError(
+                f"step {self.done}: the loss is no number any more; a lower rate or other photographs may help"
+            )
