@@ -70,7 +70,10 @@ def camera(width_px: int, height_px: int, device: str) -> Cameras:
 def rows(
     counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: int | None, complain: Callable[[str], None]
 ) -> list[dict[str, Any]]:
-    """A row for each number of Gaussians and program; gsplat's where it can be had on CUDA, or `complain` hears why not."""
+    """A row for each number of Gaussians and program.
+
+    gsplat's are there where it can be had on CUDA; else `complain`, which also hears how far it is, is told why not.
+    """
     programs: dict[str, Program] = {OURS: _ours}
     if device == "cuda":
         try:
@@ -102,10 +105,7 @@ def _gsplats(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
 
 
 def _rows_of(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    programs: dict[str, Program],
-    repeats: int | None,
+    gaussians: Gaussians, cameras: Cameras, programs: dict[str, Program], repeats: int | None
 ) -> list[dict[str, Any]]:
     """The rows of one scene. Every program has Gaussians of its own, whose gradients are held."""
     device, cuda = cameras.world_to_camera.device, cameras.world_to_camera.is_cuda
@@ -156,14 +156,24 @@ def _peak_bytes(step: Step, cuda: bool) -> int | None:
 
 
 def _differences(ours: dict[str, Tensor], theirs: dict[str, Tensor]) -> dict[str, float]:
-    """Of the image and of each gradient: the norm of the difference in terms of that of ours; and the image's largest."""
+    """Norms of the differences of image and gradients in terms of those of ours, and the largest of the image."""
     found = {name: float((ours[name] - theirs[name]).norm() / ours[name].norm()) for name in ours}
     return {**found, "image_largest": float((ours["image"] - theirs["image"]).abs().max())}
 
 
 def table(found: list[dict[str, Any]]) -> str:
     """The rows as text, a line each, and how ours compares with the other program's."""
-    head = ("Gaussians", "program", "forward ms", "backward ms", "both ms", "in a row ms", "peak MB", "image", "gradients")
+    head = (
+        "Gaussians",
+        "program",
+        "forward ms",
+        "backward ms",
+        "both ms",
+        "in a row ms",
+        "peak MB",
+        "image",
+        "gradients",
+    )
     lines = [
         (
             str(row["gaussians"]),
@@ -187,7 +197,9 @@ def _comparisons(found: list[dict[str, Any]]) -> list[str]:
             ours = row
             continue
         both, backward = (row[key] / ours[key] for key in ("ms_total", "ms_backward"))
-        memory = "" if not row["peak_bytes"] else f", with {ours['peak_bytes'] / row['peak_bytes']:.2f} times its memory"
+        memory = (
+            "" if not row["peak_bytes"] else f", with {ours['peak_bytes'] / row['peak_bytes']:.2f} times its memory"
+        )
         lines.append(
             f"{row['gaussians']} Gaussians: ours is {both:.2f} times as fast as {row['program']}, backward "
             f"{backward:.2f} times{memory}"
