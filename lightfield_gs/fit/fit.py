@@ -13,6 +13,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
+from lightfield_gs.fit import memory
 from lightfield_gs.fit.checkpoint import Origin
 from lightfield_gs.fit.evaluate import Scores
 from lightfield_gs.fit.fields import Fields
@@ -93,6 +94,9 @@ def fit(
     if tensorboard and where is None:
         raise InputError("tensorboard: expected a folder for it as well")
     teller = Progress(progress, where / "tensorboard" if tensorboard and where is not None else None)
+    width, height = map(int, read.sizes_px.max(0))
+    need = memory.needed(chosen, len(read.names), width, height, masked=True)
+    needs = memory.check(need, on, is_certain=chosen.density == "mcmc")
     world = World.of(read.world_to_camera, read.extent)
     trainer = _begun(read, train, world, chosen, on)
     held = Views.load(read, test, world, on, test) if test else None
@@ -101,6 +105,7 @@ def fit(
         f"fits {len(train)} photographs of {views.width_px} x {views.height_px} pixels, {len(test)} held out, on {on}: "
         f"{chosen.steps} steps, {trainer.fields.count} Gaussians to begin with, {chosen.gaussians} at most"
     )
+    teller.say(f"needs about {needs}")
     run = Run(trainer, held, Origin.of(chosen, read, train), habits, teller)
     run.go()
     return FitResult(_finished(trainer, world), chosen, trainer.done, run.scores, run.history, run.stopped)
