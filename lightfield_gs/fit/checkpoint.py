@@ -23,7 +23,7 @@ from lightfield_gs.fit.fields import Fields
 from lightfield_gs.fit.settings import FitSettings
 from lightfield_gs.fit.tally import Tally
 from lightfield_gs.fit.trainer import Trainer
-from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.atomic import atomic_path, remove_file
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.json_file import parse_json
 
@@ -51,6 +51,13 @@ class Origin:
         }
         digests = {name: hashlib.sha256(data).hexdigest()[:16] for name, data in parts.items()}
         return cls(json.loads(json.dumps(asdict(settings))), digests)
+
+    def check_file(self, path: Path, fresh: bool) -> None:
+        """As check, of a checkpoint where there is one. fresh: it is removed instead."""
+        if fresh:
+            remove_file(path)
+        elif path.exists():
+            self.check(path, _read(path, with_tensors=False)[0])
 
     def check(self, path: Path, stored: Mapping[str, Any]) -> None:
         """Raises InputError that names what differs from a stored one."""
@@ -101,7 +108,7 @@ def restore(path: Path, trainer: Trainer, origin: Origin) -> list[dict[str, Any]
     return said["history"]
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Any], dict[str, Tensor]]:
     from safetensors import SafetensorError, safe_open
     from safetensors.torch import load
 
@@ -112,7 +119,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             raise InputError(
                 f"{path}: expected a checkpoint of version {_VERSION}, got {shown(said['version'])}; {_WAY_OUT}"
             )
-        return said, load(path.read_bytes())
+        return said, load(path.read_bytes()) if with_tensors else {}
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
