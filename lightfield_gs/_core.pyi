@@ -111,6 +111,7 @@ class SubpixelLists:
 
 def band_count(height_px: int) -> int: ...
 def pair_gradient_size(colour_order: int, compensated: bool = ...) -> int: ...
+def dense_pair_gradient_size(absolute: bool) -> int: ...
 def simd_targets() -> list[str]: ...
 def set_simd_target(name: str) -> None: ...
 def photo_loss_partials(views: int, height_px: int, width_px: int) -> int: ...
@@ -222,6 +223,8 @@ class _Stages:
         first_pair: Address,
         pair_gradients: Address,
         out: _Stages.Gaussians,
+        screen: Address,
+        absolute: bool,
         g_world_to_camera: Address,
         threads: int,
     ) -> None: ...
@@ -275,6 +278,7 @@ class _Stages:
         background: Address,
         images: _Stages.DenseImages,
         gradients: _Stages.DenseImages,
+        absolute: bool,
         first_pair: Address,
         pair_gradients: Address,
         band_background: Address,
@@ -329,6 +333,7 @@ float64: type[_Stages]
 
 class _Cuda:
     architectures: list[int]
+    ABSOLUTE_DENSE_SUMS: int
     DENSE_SUMS: int
     LENS_SUMS: int
     FRAME_STATE_BYTES: int
@@ -350,6 +355,7 @@ class _Cuda:
             sorted_slots: Address,
             slot_splats: Address,
             sorted_splats: Address,
+            total: Address = ...,
         ) -> None: ...
 
     class LensFrame:
@@ -395,6 +401,8 @@ class _Cuda:
         slot_ranges: Address,
         slot_gradients: Address,
         out: _Stages.Gaussians,
+        screen: Address,
+        absolute: bool,
         view_partials: Address,
         stream: Address,
     ) -> None: ...
@@ -467,6 +475,7 @@ class _Cuda:
         pairs: _Cuda.Pairs,
         images: _Stages.DenseImages,
         gradients: _Stages.DenseImages,
+        absolute: bool,
         slot_gradients: Address,
         tile_background: Address,
         stream: Address,

@@ -29,12 +29,13 @@ void bind_project(py::module_ m) {
   m.def(
       "project_dense_backward",
       [](const G& gaussians, const Cameras<T>& cameras, const Splats<T>& splats, Address first_pair,
-         Address pair_gradients, const G& out, Address g_world_to_camera, int threads) {
+         Address pair_gradients, const G& out, Address screen, bool absolute, Address g_world_to_camera, int threads) {
         project_dense_backward<T>(read_only(gaussians), cameras, splats, at<int64_t>(first_pair), at<T>(pair_gradients),
-                                  out, at<T>(g_world_to_camera), threads);
+                                  out, at<T>(screen), absolute, at<T>(g_world_to_camera), threads);
       },
       NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("splats"), py::arg("first_pair"),
-      py::arg("pair_gradients"), py::arg("out"), py::arg("g_world_to_camera"), py::arg("threads"));
+      py::arg("pair_gradients"), py::arg("out"), py::arg("screen"), py::arg("absolute"), py::arg("g_world_to_camera"),
+      py::arg("threads"));
   m.def(
       "project_lens",
       [](const G& gaussians, const View<double>& rig, const Lens& lens, const Quality& quality, double tolerance,
@@ -95,15 +96,15 @@ void bind_composite_dense(py::module_ m) {
   m.def(
       "composite_dense_backward",
       [](const Splats<T>& splats, const Bins& bins, const Cameras<T>& cameras, Address background,
-         const DenseImages<T>& images, const DenseImages<T>& gradients, Address first_pair, Address pair_gradients,
-         Address band_background, int threads) {
+         const DenseImages<T>& images, const DenseImages<T>& gradients, bool absolute, Address first_pair,
+         Address pair_gradients, Address band_background, int threads) {
         return composite_dense_backward<T>(splats, bins, cameras, at<T>(background), read_only(images),
-                                           read_only(gradients), at<int64_t>(first_pair), at<T>(pair_gradients),
-                                           at<T>(band_background), threads);
+                                           read_only(gradients), absolute, at<int64_t>(first_pair),
+                                           at<T>(pair_gradients), at<T>(band_background), threads);
       },
       NoGil(), py::arg("splats"), py::arg("bins"), py::arg("cameras"), py::arg("background"), py::arg("images"),
-      py::arg("gradients"), py::arg("first_pair"), py::arg("pair_gradients"), py::arg("band_background"),
-      py::arg("threads"));
+      py::arg("gradients"), py::arg("absolute"), py::arg("first_pair"), py::arg("pair_gradients"),
+      py::arg("band_background"), py::arg("threads"));
 }
 
 template <class T>
@@ -163,6 +164,7 @@ void set_simd_target(const std::string& name) {
 
 void bind_cpu(py::module_ root) {
   root.def("band_count", &band_count, py::arg("height_px"));
+  root.def("dense_pair_gradient_size", &dense_pair_gradient_size, py::arg("absolute"));
   root.def("pair_gradient_size", &pair_gradient_size, py::arg("colour_order"), py::arg("compensated") = false);
   root.def("simd_targets", &simd_targets);
   root.def("set_simd_target", &set_simd_target, py::arg("name"));

@@ -19,6 +19,7 @@ using G = Gaussians<float>;
 void bind_image_and_pairs(py::module_ m) {
   m.attr("architectures") = cuda::architectures();
   m.attr("DENSE_SUMS") = cuda::kDenseSums;
+  m.attr("ABSOLUTE_DENSE_SUMS") = cuda::kAbsoluteDenseSums;
   m.attr("LENS_SUMS") = cuda::kLensSums;
   py::class_<cuda::Image>(m, "Image")
       .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, bool lens) {
@@ -32,17 +33,18 @@ void bind_image_and_pairs(py::module_ m) {
       .def("tiles", [](const cuda::Image& i) { return i.count * cuda::tile_count(i.tile, i.width_px, i.height_px); });
   py::class_<cuda::Pairs>(m, "Pairs")
       .def(py::init([](int64_t count, Address tiles, Address sorted_tiles, Address slots, Address sorted_slots,
-                       Address slot_splats, Address sorted_splats) {
+                       Address slot_splats, Address sorted_splats, Address total) {
              return cuda::Pairs{count,
                                 at<uint32_t>(tiles),
                                 at<uint32_t>(sorted_tiles),
                                 at<uint32_t>(slots),
                                 at<uint32_t>(sorted_slots),
                                 at<uint32_t>(slot_splats),
-                                at<uint32_t>(sorted_splats)};
+                                at<uint32_t>(sorted_splats),
+                                at<int64_t>(total)};
            }),
            py::arg("count"), py::arg("tiles"), py::arg("sorted_tiles"), py::arg("slots"), py::arg("sorted_slots"),
-           py::arg("slot_splats"), py::arg("sorted_splats"));
+           py::arg("slot_splats"), py::arg("sorted_splats"), py::arg("total") = 0);
 }
 
 void bind_project(py::module_ m) {
@@ -65,12 +67,14 @@ void bind_project(py::module_ m) {
   m.def(
       "project_dense_backward",
       [](const G& gaussians, const Cameras<float>& cameras, const Splats<float>& splats, Address slot_ranges,
-         Address slot_gradients, const G& out, Address view_partials, Address stream) {
+         Address slot_gradients, const G& out, Address screen, bool absolute, Address view_partials, Address stream) {
         cuda::project_dense_backward(read_only(gaussians), cameras, splats, at<cuda::SlotRange>(slot_ranges),
-                                     at<float>(slot_gradients), out, at<float>(view_partials), at<void>(stream));
+                                     at<float>(slot_gradients), out, at<float>(screen), absolute,
+                                     at<float>(view_partials), at<void>(stream));
       },
       NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("splats"), py::arg("slot_ranges"),
-      py::arg("slot_gradients"), py::arg("out"), py::arg("view_partials"), py::arg("stream"));
+      py::arg("slot_gradients"), py::arg("out"), py::arg("screen"), py::arg("absolute"), py::arg("view_partials"),
+      py::arg("stream"));
   m.def(
       "project_lens_backward",
       [](const G& gaussians, const View<double>& rig, const Splats<float>& splats, Address slot_ranges,
@@ -130,14 +134,15 @@ void bind_composite(py::module_ m) {
   m.def(
       "composite_dense_backward",
       [](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,
-         const DenseImages<float>& images, const DenseImages<float>& gradients, Address slot_gradients,
+         const DenseImages<float>& images, const DenseImages<float>& gradients, bool absolute, Address slot_gradients,
          Address tile_background, Address stream) {
         cuda::composite_dense_backward(splats, image, at<int64_t>(ranges), pairs, read_only(images),
-                                       read_only(gradients), at<float>(slot_gradients), at<float>(tile_background),
-                                       at<void>(stream));
+                                       read_only(gradients), absolute, at<float>(slot_gradients),
+                                       at<float>(tile_background), at<void>(stream));
       },
       NoGil(), py::arg("splats"), py::arg("image"), py::arg("ranges"), py::arg("pairs"), py::arg("images"),
-      py::arg("gradients"), py::arg("slot_gradients"), py::arg("tile_background"), py::arg("stream"));
+      py::arg("gradients"), py::arg("absolute"), py::arg("slot_gradients"), py::arg("tile_background"),
+      py::arg("stream"));
   m.def(
       "composite_lens",
       [](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,

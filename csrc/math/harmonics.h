@@ -73,8 +73,9 @@ LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& 
   return colour;
 }
 
-// Adds the gradients of the coefficients to g_sh and returns that of the mean; that of the eye is minus this.
-template <class R, class T, class G>
+// Writes the gradients of the coefficients to g_sh, which may be sh itself, or adds them if kAdd. Returns the gradient of
+// the mean; that of the eye is minus this.
+template <bool kAdd = true, class R, class T, class G>
 LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye,
                                          const glm::vec<3, R>& g_colour, G* g_sh) {
   R basis[kMaxShCount], g_basis[kMaxShCount] = {};
@@ -86,8 +87,9 @@ LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec
   for (int k = 0; k < (degree + 1) * (degree + 1); ++k) {
     g_basis[k] = 0;
     for (int c = 0; c < 3; ++c) {
-      g_sh[3 * k + c] += G(basis[k] * g_colour[c]);
       g_basis[k] += R(sh[3 * k + c]) * g_colour[c];
+      const G gradient = G(basis[k] * g_colour[c]);
+      g_sh[3 * k + c] = kAdd ? g_sh[3 * k + c] + gradient : gradient;
     }
   }
   if (!defined) return glm::vec<3, R>(0);

@@ -28,6 +28,9 @@ inline int64_t band_count(int64_t height_px) { return (height_px + kBandRows - 1
 inline int pair_gradient_size(int colour_order, bool compensated = false) {
   return kSplatFields + 3 * (colour_order + 1) + (compensated ? kCompensationFields : 0);
 }
+// The same for ordinary images; absolute: with the sums over samples of |gradient| of u0 and of v0 behind the others (Ye
+// et al., "AbsGS", 2024).
+inline int dense_pair_gradient_size(bool absolute) { return pair_gradient_size(0) + (absolute ? 2 : 0); }
 
 // The gradient of a pair, or a sum over pairs: what the samples of a band add to the gradients of a splat's fields, of
 // its colours by power of s, and, for an anti-aliased scene on a panel, of its compensation.
@@ -38,6 +41,7 @@ struct PairGradient {
 
   Splat<T>& splat() const { return *reinterpret_cast<Splat<T>*>(numbers); }
   T* colours() const { return numbers + kSplatFields; }  // [order + 1, 3]
+  T* absolute() const { return numbers + pair_gradient_size(0); }
   Compensation<T>& compensation() const {
     return *reinterpret_cast<Compensation<T>*>(colours() + 3 * (colour_order + 1));
   }
@@ -125,10 +129,12 @@ template <class T>
 double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                     const Quality& quality, double tolerance, const Splats<T>& out, int threads);
 
+// screen [I, N, 2], or null, receives the gradients of the splats' places, u0 and v0 in pixels, 0 where nothing is drawn;
+// if the pairs have absolute ones, [I, N, 4], with these behind.
 template <class T>
 void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
-                            const int64_t* first_pair, const T* pair_gradients, const Gaussians<T>& out,
-                            T* g_world_to_camera, int threads);
+                            const int64_t* first_pair, const T* pair_gradients, const Gaussians<T>& out, T* screen,
+                            bool absolute, T* g_world_to_camera, int threads);
 template <class T>
 void project_lens_backward(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                            const Splats<T>& splats, const int64_t* first_pair, const T* pair_gradients,
@@ -153,13 +159,13 @@ template <class T>
 void first_pairs(const Splats<T>& splats, int64_t height_px, Bins bins, int64_t* first_pair, int threads);
 
 // --- composite: blends splats into samples. The reverse writes the gradients of pairs, and that of the background by
-// band.
+// band. Gradients of alpha and of depth of ordinary images may be null: zero everywhere.
 template <class T>
 Counters composite_dense(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
                          DenseImages<T> out, int threads);
 template <class T>
 Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
-                                  DenseImages<const T> images, DenseImages<const T> gradients,
+                                  DenseImages<const T> images, DenseImages<const T> gradients, bool absolute,
                                   const int64_t* first_pair, T* pair_gradients, T* band_background, int threads);
 
 // Draws each sub-pixel by the camera of its view, one channel of one sample: image i is the i-th view of the lists.

@@ -6,87 +6,23 @@ the number of threads. Every argument is checked here, and every buffer is a tor
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.scene import Scene, State, check
+from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
+from lightfield_gs.rasterizer.scene import State
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspaces import workspace_of
+from lightfield_gs.rasterizer.workspace import Wanted
 
 _Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
-_Arguments = tuple[  # of render_dense
-    Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, int, int, bool
-]
-
-
-class _DenseJob:
-    """The checked arguments of render_dense, and a workspace that is ready for the composite or its reverse.
-
-    Without `state` project, order and bin run here; with it the workspace consists of what a render of the same
-    arguments left.
-    """
-
-    def __init__(
-        self,
-        means,
-        quaternions,
-        scales,
-        opacities,
-        sh,
-        background,
-        world_to_camera,
-        intrinsics,
-        limits,
-        width: int,
-        height: int,
-        antialiased: bool,
-        stats: Stats,
-        threads: int,
-        state: State | None = None,
-    ):
-        self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
-        if world_to_camera.dim() != 4:
-            raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
-        if not (1 <= width <= 65536 and 1 <= height <= 65536):
-            raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
-        self.lead = lead = (scene.batch, world_to_camera.shape[1])
-        self.images, self.width, self.height, self.threads = lead[0] * lead[1], width, height, threads
-        self.background = check("background", background, (*lead, 3), means)
-        self.cameras_tensors = [
-            check("world_to_camera", world_to_camera, (*lead, 4, 4), means),
-            check("intrinsics", intrinsics, (*lead, 4), means),
-            check("limits", limits, (*lead, 5), means),
-        ]
-        poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
-        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased)
-        with scene.guard:
-            self.work = workspace_of(scene, self.images, width, height, stats, threads, state=state)
-            if state is None:
-                with stats.stage("project"):
-                    self.work.project_dense(self.cameras)
-                self.work.order_and_bin()
-
-    def image_shapes(self) -> list[tuple[int, ...]]:
-        size = (*self.lead, self.height, self.width)
-        return [(*size, 3), size, size]
 
 
 def dense_forward(*arguments: Any, stats: Stats | None = None, threads: int | None = None) -> _Images:
     """render_dense without autograd; see there. Also fills `stats`."""
-    return _dense_forward(arguments, stats or Stats(), threads or torch.get_num_threads())[0]
-
-
-def _dense_forward(arguments: _Arguments, stats: Stats, threads: int) -> tuple[_Images, State]:
-    """The images, and the state that spares their reverse the stages before the composite."""
-    job = _DenseJob(*arguments, stats, threads)
-    with job.scene.guard, stats.stage("composite"):
-        image, alpha, depth = (job.scene.new(*shape) for shape in job.image_shapes())
-        native = job.scene.core.DenseImages(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
-        job.work.composite_dense(job.cameras, job.background, native)
-    return (image, alpha, depth), job.work.state()
+    return cast(_Images, tuple(DenseJob(*arguments, stats=stats, threads=threads).draw()))
 
 
 def render_dense(
@@ -102,6 +38,7 @@ def render_dense(
     width: int,
     height: int,
     antialiased: bool = False,
+    screen: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """B scenes of N Gaussians, each seen by V cameras.
 
@@ -109,11 +46,17 @@ def render_dense(
     background [B,V,3], world_to_camera [B,V,4,4], intrinsics [B,V,4] (fx, fy, cx, cy in pixels), limits [B,V,5] (see
     Cameras.limits); all float32 or all float64 (CUDA: float32). antialiased: see images.render. Returns image
     [B,V,H,W,3] over the background, alpha [B,V,H,W], depth [B,V,H,W] (sum of weight * z, not normalized).
-    Differentiable in all but intrinsics and limits. Source: Kerbl et al. 2023. Raises InputError.
+    Differentiable in all but intrinsics and limits. screen [B,V,N,2]: read by no stage, but its gradient is that of the
+    projected means, in 1 / pixels; [B,V,N,4]: then with the sums over pixels of the absolute values behind (Ye et al.,
+    "AbsGS", 2024). Source: Kerbl et al. 2023. Raises InputError.
     """
+    if screen is not None:
+        size = [means.shape[0], *world_to_camera.shape[1:2], means.shape[1]]
+        if screen.dim() != 4 or list(screen.shape[:3]) != size or screen.shape[3] not in (2, 4):
+            raise InputError(f"screen must be {size} of 2 or 4 numbers, got {list(screen.shape)}")
     tensors = (means, quaternions, scales, opacities, sh, background, world_to_camera, intrinsics, limits)
     # Tensors that are parts of others are copied here, once: the reverse would copy them again while the device waits
-    return _RenderDense.apply(*(t.contiguous() for t in tensors), width, height, antialiased)[:3]
+    return _RenderDense.apply(*(t.contiguous() for t in tensors), width, height, antialiased, screen)[:3]
 
 
 _library = torch.library.Library("lightfield_gs", "FRAGMENT")
@@ -135,27 +78,25 @@ def render_dense_with_state(
     width: int,
     height: int,
     antialiased: bool = False,
+    screen: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """render_dense, and the State that spares the reverse to project, order and bin once more."""
-    out, state = _dense_forward(
-        (
-            means,
-            quaternions,
-            scales,
-            opacities,
-            sh,
-            background,
-            world_to_camera,
-            intrinsics,
-            limits,
-            width,
-            height,
-            antialiased,
-        ),
-        Stats(),
-        torch.get_num_threads(),
+    job = DenseJob(
+        means,
+        quaternions,
+        scales,
+        opacities,
+        sh,
+        background,
+        world_to_camera,
+        intrinsics,
+        limits,
+        width,
+        height,
+        antialiased,
     )
-    return (*out, *state)
+    image, alpha, depth = cast(_Images, job.draw())
+    return image, alpha, depth, *job.work.state()
 
 
 @render_dense_with_state.register_fake
@@ -172,6 +113,7 @@ def _(
     width,
     height,
     antialiased=False,
+    screen=None,
 ):
     lead, count = world_to_camera.shape[:2], means.shape[1]
     size = (*lead, height, width)
@@ -200,14 +142,14 @@ def render_dense_backward(
     colours: Tensor,
     lists: Tensor,
     g_image: Tensor,
-    g_alpha: Tensor,
-    g_depth: Tensor,
+    g_alpha: Tensor | None,
+    g_depth: Tensor | None,
     antialiased: bool = False,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Gradients of render_dense's first seven arguments from what render_dense_with_state returned and the gradients of
-    its images."""
-    threads = torch.get_num_threads()
-    job = _DenseJob(
+    screen_numbers: int = 0,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Gradients of render_dense's first seven arguments and, of `screen_numbers` 2 or 4, of its screen, from what
+    render_dense_with_state returned and the gradients of its images."""
+    job = DenseJob(
         means,
         quaternions,
         scales,
@@ -220,46 +162,45 @@ def render_dense_backward(
         width,
         height,
         antialiased,
-        Stats(),
-        threads,
-        State(splats, colours, lists),
+        state=State(splats, colours, lists),
     )
-    core, work = job.scene.core, job.work
-    images = [
-        check(n, t, s, means) for n, t, s in zip(("image", "alpha", "depth"), (image, alpha, depth), job.image_shapes())
-    ]
-    grads = [
-        check(n, t, s, means)
-        for n, t, s in zip(("g_image", "g_alpha", "g_depth"), (g_image, g_alpha, g_depth), job.image_shapes())
-    ]
-    native = [core.DenseImages(*(t.data_ptr() for t in ts)) for ts in (images, grads)]
-    with job.scene.guard:
-        out, parts, g_cameras = work.dense_backward(job.cameras, job.background, *native)
-    g_means, g_quaternions, g_scales, g_opacities, g_sh = out
-    g_background = parts.view(*job.lead, -1, 3).sum(2)
-    return g_means, g_quaternions, g_scales, g_opacities, g_sh, g_background, g_cameras.view(*job.lead, 4, 4)
+    found = job.backward(
+        DenseImages(image, alpha, depth), DenseImages(g_image, g_alpha, g_depth), Wanted(screen_numbers, True)
+    )
+    g_background = found.background_parts.view(*job.lead, -1, 3).sum(2)
+    g_screen = found.screen.view(*job.lead, means.shape[1], screen_numbers)
+    return (*found.fields, g_background, found.cameras.view(*job.lead, 4, 4), g_screen)
 
 
 @render_dense_backward.register_fake
-def _(means, quaternions, scales, opacities, sh, background, world_to_camera, *rest):
+def _(means, quaternions, scales, opacities, sh, background, world_to_camera, *rest, antialiased=False, screen_numbers=0):
     inputs = (means, quaternions, scales, opacities, sh, background, world_to_camera)
-    return tuple(torch.empty_like(t, memory_format=torch.contiguous_format) for t in inputs)
+    screen = means.new_empty(*world_to_camera.shape[:2], means.shape[1], screen_numbers)
+    return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in inputs), screen)
 
 
 def _dense_setup(ctx, inputs, output):
-    *tensors, ctx.width, ctx.height, ctx.antialiased = inputs
+    *tensors, ctx.width, ctx.height, ctx.antialiased, screen = inputs
+    ctx.screen_numbers = 0 if screen is None else screen.shape[-1]
     ctx.save_for_backward(*tensors, *output)
     ctx.mark_non_differentiable(*output[3:])
-    ctx.set_materialize_grads(False)  # the state has no gradients, and needs no zeros for them
+    ctx.set_materialize_grads(False)  # the state has no gradients, and neither have images that the loss does not read
 
 
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
-    grads = [torch.zeros_like(out) if g is None else g for g, out in zip(grads[:3], saved[9:])]
-    out = torch.ops.lightfield_gs.render_dense_backward(
-        *saved[:9], ctx.width, ctx.height, *saved[9:], *grads, ctx.antialiased
+    g_image = torch.zeros_like(saved[9]) if grads[0] is None else grads[0]
+    *out, g_screen = torch.ops.lightfield_gs.render_dense_backward(
+        *saved[:9],
+        ctx.width,
+        ctx.height,
+        *saved[9:],
+        g_image,
+        *grads[1:3],
+        antialiased=ctx.antialiased,
+        screen_numbers=ctx.screen_numbers,
     )
-    return (*out, None, None, None, None, None)
+    return (*out, None, None, None, None, None, g_screen if ctx.screen_numbers else None)
 
 
 render_dense_with_state.register_autograd(_dense_backward, setup_context=_dense_setup)

@@ -82,9 +82,9 @@ class Scene:
         make = torch.zeros if zero else torch.empty
         return make(shape, dtype=dtype or self.tensors[0].dtype, device=self.tensors[0].device)
 
-    def gradients(self) -> tuple[list[Tensor], _core._Stages.Gaussians]:
-        """Tensors of zeros for the gradients of the five fields, and their addresses for the core."""
-        grads = [torch.zeros_like(t) for t in self.tensors]
+    def gradients(self, zero: bool) -> tuple[list[Tensor], _core._Stages.Gaussians]:
+        """Tensors for the gradients of the five fields, without values or all zero, and their addresses for the core."""
+        grads = [torch.zeros_like(t) if zero else torch.empty_like(t) for t in self.tensors]
         return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))
 
 

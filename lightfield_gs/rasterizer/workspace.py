@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -49,6 +49,30 @@ class Splats:
         return [self.splats, self.colours, self.orders, *extra]
 
 
+class Wanted(NamedTuple):
+    """Which gradients of ordinary images are asked for beside those of the five fields and of the background.
+
+    screen_numbers: 0; 2 for the places of the splats, in 1 / pixels; 4 for these and the sums of absolute values.
+    """
+
+    screen_numbers: int = 0
+    cameras: bool = True
+
+    @property
+    def absolute(self) -> bool:
+        return self.screen_numbers == 4
+
+
+class DenseGradients(NamedTuple):
+    """Gradients of ordinary images: of the five fields; of the background in parts [I * parts, 3]; of the cameras
+    [I, 4, 4], or of none; and of the splats' places [I, N, screen_numbers]."""
+
+    fields: list[Tensor]
+    background_parts: Tensor
+    cameras: Tensor
+    screen: Tensor
+
+
 class Workspace(Protocol):
     """A render in the making: project_dense or project_lens comes first, then order_and_bin, then a composite or its
     reverse.
@@ -59,6 +83,7 @@ class Workspace(Protocol):
     stats: Stats
     splats: Splats
     pair_count: int
+    pairs_on_device: Tensor
 
     def state(self) -> State:
         """What a reverse needs."""
@@ -87,8 +112,9 @@ class Workspace(Protocol):
         background: Tensor,
         images: _core._Stages.DenseImages,
         gradients: _core._Stages.DenseImages,
-    ) -> tuple[list[Tensor], Tensor, Tensor]:
-        """Gradients of the five fields, of the background in parts [I * parts, 3], and of the cameras [I, 4, 4]."""
+        wanted: Wanted,
+    ) -> DenseGradients:
+        """The gradients that follow from those of images."""
 
     def lens_backward(
         self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor

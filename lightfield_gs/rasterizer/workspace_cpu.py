@@ -13,7 +13,7 @@ from lightfield_gs.rasterizer.lens_view import NativeView
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.scene import Scene, State, floats_or_bytes
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import Splats
+from lightfield_gs.rasterizer.workspace import DenseGradients, Splats, Wanted
 
 
 class CpuWorkspace:
@@ -77,6 +77,7 @@ class CpuWorkspace:
             self._use_lists(scene.new(8 * self.offsets + 4 * self.pair_count, dtype=torch.uint8))
             self.lists[: 8 * self.offsets] = self.band_offsets.view(torch.uint8)
             core.bin_fill(native, order.data_ptr(), drawn.data_ptr(), self.height, self.bins, threads)
+        self.pairs_on_device = torch.tensor([self.pair_count])
         self.stats.images += self.images
         self.stats.gaussians_drawn += int(drawn.sum())
         self.stats.add_buffers(*self.splats.buffers(), order, drawn, self.lists)
@@ -114,8 +115,10 @@ class CpuWorkspace:
         background: Tensor,
         images: _core._Stages.DenseImages,
         gradients: _core._Stages.DenseImages,
-    ) -> tuple[list[Tensor], Tensor, Tensor]:
-        core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
+        wanted: Wanted,
+    ) -> DenseGradients:
+        core, scene = self.scene.core, self.scene
+        first, pairs, g_background = self._gradient_buffers(_core.dense_pair_gradient_size(wanted.absolute))
         core.composite_dense_backward(
             self.splats.native,
             self.bins,
@@ -123,29 +126,35 @@ class CpuWorkspace:
             background.data_ptr(),
             images,
             gradients,
+            wanted.absolute,
             first.data_ptr(),
             pairs.data_ptr(),
             g_background.data_ptr(),
             self.threads,
         )
-        out, native = self.scene.gradients()
-        g_cameras = self.scene.new(self.images, 4, 4, zero=True)
+        out, native = scene.gradients(zero=True)
+        g_cameras = scene.new(self.images, 4, 4, zero=True)
+        screen = scene.new(self.images, scene.count, wanted.screen_numbers)
         core.project_dense_backward(
-            self.scene.native(),
+            scene.native(),
             cameras,
             self.splats.native,
             first.data_ptr(),
             pairs.data_ptr(),
             native,
+            screen.data_ptr() if wanted.screen_numbers else 0,
+            wanted.absolute,
             g_cameras.data_ptr(),
             self.threads,
         )
-        return out, g_background, g_cameras
+        return DenseGradients(out, g_background, g_cameras, screen)
 
     def lens_backward(
         self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
     ) -> tuple[list[Tensor], Tensor]:
-        core, (first, pairs, g_background) = self.scene.core, self._gradient_buffers()
+        core, splats = self.scene.core, self.splats
+        size = _core.pair_gradient_size(splats.colour_order, splats.compensations is not None)
+        first, pairs, g_background = self._gradient_buffers(size)
         core.composite_lens_backward(
             self.splats.native,
             self.bins,
@@ -158,7 +167,7 @@ class CpuWorkspace:
             g_background.data_ptr(),
             self.threads,
         )
-        out, native = self.scene.gradients()
+        out, native = self.scene.gradients(zero=True)
         core.project_lens_backward(
             self.scene.native(),
             view.rig,
@@ -171,10 +180,9 @@ class CpuWorkspace:
         )
         return out, g_background
 
-    def _gradient_buffers(self) -> tuple[Tensor, Tensor, Tensor]:
+    def _gradient_buffers(self, size: int) -> tuple[Tensor, Tensor, Tensor]:
         """first_pair [I, N], pair gradients [pairs, size], background gradient per band [bands, 3]."""
         first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
         self.scene.core.first_pairs(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
-        size = _core.pair_gradient_size(self.splats.colour_order, self.splats.compensations is not None)
         pairs = self.scene.new(self.pair_count, size, zero=True)
         return first, pairs, self.scene.new(self.images * _core.band_count(self.height), 3, zero=True)

@@ -13,7 +13,7 @@ from lightfield_gs.rasterizer.lens_view import NativeView
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.scene import Scene, State
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import Splats
+from lightfield_gs.rasterizer.workspace import DenseGradients, Splats, Wanted
 
 
 class CudaWorkspace:
@@ -31,7 +31,9 @@ class CudaWorkspace:
         state: State | None = None,
         tile: _core.SubpixelTile | None = None,
         compensated: bool = False,
+        room: int | None = None,
     ):
+        self.room = room
         self.scene, self.images, self.stats, self.items = scene, images, stats, images * scene.count
         self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
         self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
@@ -58,7 +60,14 @@ class CudaWorkspace:
             0 if unsorted is None else unsorted.data_ptr() + 4 * self.pair_count * row for row in range(4)
         )
         self.pair_lists = _core.cuda.Pairs(
-            self.pair_count, tiles, sorted_tiles, slots, sorted_slots, slot_splats, sorted_slots + 4 * self.pair_count
+            self.pair_count,
+            tiles,
+            sorted_tiles,
+            slots,
+            sorted_slots,
+            slot_splats,
+            sorted_slots + 4 * self.pair_count,
+            0 if self.room is None else self.pairs_on_device.data_ptr(),
         )
 
     def tile_ranges(self) -> Tensor:
@@ -86,10 +95,12 @@ class CudaWorkspace:
         return float(error) if self.scene.degree > 0 else 0.0
 
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
-        """The pairs are counted first: the host, which has to know their number, learns it while the device sorts."""
+        """The pairs are counted first: the host learns their number while the device sorts, unless it needs not know it
+        because there is `room` for so many."""
         scene, cuda, items = self.scene, _core.cuda, self.items
         with self.stats.stage("bin"):
-            counts, pairs = scene.new(items, dtype=torch.int32), scene.new(1, dtype=torch.int64, zero=True)
+            counts = scene.new(items, dtype=torch.int32)
+            pairs = self.pairs_on_device = scene.new(1, dtype=torch.int64, zero=True)
             total = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
             cuda.bin_count(
                 self.splats.native,
@@ -100,8 +111,9 @@ class CudaWorkspace:
                 total.numel(),
                 self.stream,
             )
-            pairs, counted = pairs.to("cpu", non_blocking=True), torch.cuda.Event()
-            counted.record()
+            if self.room is None:
+                pairs, counted = pairs.to("cpu", non_blocking=True), torch.cuda.Event()
+                counted.record()
         with self.stats.stage("order"):
             sorted_keys, indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
             temporary = scene.new(cuda.order_bytes(items), dtype=torch.uint8)
@@ -116,8 +128,9 @@ class CudaWorkspace:
                 self.stream,
             )
         with self.stats.stage("bin"):
-            counted.synchronize()
-            self.pair_count = count = int(pairs)
+            if self.room is None:
+                counted.synchronize()
+            self.pair_count = count = int(pairs) if self.room is None else self.room
             if not admit():
                 return False
             # fill_bytes raises where there are more pairs than can be numbered, and so it comes before other memory
@@ -184,9 +197,10 @@ class CudaWorkspace:
         background: Tensor,
         images: _core._Stages.DenseImages,
         gradients: _core._Stages.DenseImages,
-    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        wanted: Wanted,
+    ) -> DenseGradients:
         scene, cuda = self.scene, _core.cuda
-        slots = scene.new(self.pair_count, cuda.DENSE_SUMS)
+        slots = scene.new(self.pair_count, cuda.ABSOLUTE_DENSE_SUMS if wanted.absolute else cuda.DENSE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
         cuda.composite_dense_backward(
             self.splats.native,
@@ -195,12 +209,14 @@ class CudaWorkspace:
             self.pair_lists,
             images,
             gradients,
+            wanted.absolute,
             slots.data_ptr(),
             g_background.data_ptr(),
             self.stream,
         )
-        out, native = scene.gradients()
-        views = scene.new(self.images, cuda.view_blocks(scene.count), 3, 4)
+        out, native = scene.gradients(zero=False)
+        views = scene.new(self.images if wanted.cameras else 0, cuda.view_blocks(scene.count), 3, 4)
+        screen = scene.new(self.images, scene.count, wanted.screen_numbers)
         cuda.project_dense_backward(
             scene.native(),
             cameras,
@@ -208,10 +224,12 @@ class CudaWorkspace:
             self.slot_ranges,
             slots.data_ptr(),
             native,
-            views.data_ptr(),
+            screen.data_ptr() if wanted.screen_numbers else 0,
+            wanted.absolute,
+            views.data_ptr() if wanted.cameras else 0,
             self.stream,
         )
-        return out, g_background, functional.pad(views.sum(1), (0, 0, 0, 1))
+        return DenseGradients(out, g_background, functional.pad(views.sum(1), (0, 0, 0, 1)), screen)
 
     def lens_backward(
         self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
@@ -232,7 +250,7 @@ class CudaWorkspace:
             g_background.data_ptr(),
             self.stream,
         )
-        out, native = scene.gradients()
+        out, native = scene.gradients(zero=True)
         cuda.project_lens_backward(
             scene.native(), view.rig, self.splats.native, self.slot_ranges, slots.data_ptr(), native, self.stream
         )

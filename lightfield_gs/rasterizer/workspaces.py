@@ -21,8 +21,12 @@ def workspace_of(
     colour_order: int = 0,
     compensated: bool = False,
     state: State | None = None,
+    room: int | None = None,
 ) -> Workspace:
-    """For `images` images of one size. lens, colour_order, compensated, state: see workspace.Splats."""
+    """For `images` images of one size. lens, colour_order, compensated, state: see workspace.Splats; room: see
+    dense_job.DenseJob."""
     if scene.tensors[0].is_cuda:
-        return CudaWorkspace(scene, images, width, height, colour_order, stats, lens, state, compensated=compensated)
+        return CudaWorkspace(
+            scene, images, width, height, colour_order, stats, lens, state, compensated=compensated, room=room
+        )
     return CpuWorkspace(scene, images, width, height, colour_order, stats, threads, state, compensated)

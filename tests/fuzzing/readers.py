@@ -5,6 +5,7 @@ from __future__ import annotations
 import resource
 import shutil
 import signal
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,9 +15,12 @@ from typing import Any
 from PIL import features
 
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
+from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.view_files import read_cameras, read_view_map
 from lightfield_gs.io.captures.camera_files import read_camera_file
+from lightfield_gs.io.captures.capture import read_capture
+from lightfield_gs.io.captures.colmap import read_model_file
 from lightfield_gs.io.captures.srn import read_intrinsics, read_pose
 from lightfield_gs.io.captures.transforms import read_transforms
 from lightfield_gs.io.images import read_image, read_info
@@ -39,6 +43,18 @@ def _read_transforms(path: Path) -> Any:
     if not image.exists():
         shutil.copyfile(CORPUS / "image" / "rgba.png", image)
     return read_transforms(path)
+
+
+def _read_capture(path: Path) -> None:
+    """Cameras, and a photograph without its lens, of the two that the frames name."""
+    for name in ("view.png", "other.png"):
+        if not (image := path.with_name(name)).exists():
+            shutil.copyfile(CORPUS / "image" / "rgba.png", image)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Assumption)
+        capture = read_capture(path)
+    capture.image(0)
+    capture.mask(0)
 
 
 def _read_own_camera(path: Path) -> Any:
@@ -89,6 +105,13 @@ READERS = {
     "srn-intrinsics": Reader(".txt", read_intrinsics, "srn-intrinsics"),
     "srn-pose": Reader(".txt", read_pose, "srn-pose"),
     "transforms": Reader(".json", _read_transforms, "transforms"),
+    "capture": Reader(".json", _read_capture, "capture"),
+    "colmap-cameras": Reader(".bin", lambda path: read_model_file(path, "cameras"), "colmap-cameras"),
+    "colmap-images": Reader(".bin", lambda path: read_model_file(path, "images"), "colmap-images"),
+    "colmap-points": Reader(".bin", lambda path: read_model_file(path, "points3D"), "colmap-points"),
+    "colmap-cameras-text": Reader(".txt", lambda path: read_model_file(path, "cameras"), "colmap-cameras-text"),
+    "colmap-images-text": Reader(".txt", lambda path: read_model_file(path, "images"), "colmap-images-text"),
+    "colmap-points-text": Reader(".txt", lambda path: read_model_file(path, "points3D"), "colmap-points-text"),
     "object": Reader(".json", lambda path: read_object(path, 1 << 16), "object"),
     "checkpoint": Reader(".safetensors", SplatterNet.from_pretrained, "checkpoint"),
 }

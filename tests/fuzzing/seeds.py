@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import struct
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from capture_scene import MODELS, parameters, ring, write_model
 from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
 from PIL import Image
 
@@ -126,6 +129,27 @@ def _calibrations(folder: Path, calibration: dict[str, Any]) -> None:
     (folder / "displays.json").write_text(json.dumps({"devices": displays}))
 
 
+def _captures(folder: Path) -> None:
+    names = ("./view.png", "other")
+    frames = [{"file_path": name, "transform_matrix": _looking_at_the_origin(0.2)} for name in names]
+    lenses = {"opencv": {"k1": 0.1, "p2": -0.01}, "opencv_fisheye": {"k1": 0.1, "k4": 0.02}, "fov": {"omega": 0.9}}
+    for model, lens in lenses.items():
+        camera = {"camera_model": model.upper(), "fl_x": 9.0, "fl_y": 9.5, **lens, "frames": frames}
+        (folder / f"{model}.json").write_text(json.dumps(camera))
+
+
+def _colmap_models() -> None:
+    """A camera of every model, photographs and points, in both forms."""
+    cameras = [(number, model, 96, 72, parameters(model)) for number, model in enumerate(MODELS)]
+    images = [("a/b c.png", 0, *ring(2)[0]), ("d.png", 2, *ring(2)[1])]
+    points = [((0.1, 0.2, 0.3), (255, 0, 7)), ((-1.0, 2.0, 0.5), (1, 2, 3))]
+    for form, ending in (("bin", ""), ("txt", "-text")):
+        with tempfile.TemporaryDirectory() as folder:
+            write_model(Path(folder), form, cameras, images, points)
+            for kind, name in (("cameras", "cameras"), ("images", "images"), ("points3D", "points")):
+                shutil.copy(Path(folder) / f"{kind}.{form}", CORPUS / f"colmap-{name}{ending}/small.{form}")
+
+
 def main() -> None:
     folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
     for folder in folders.values():
@@ -167,6 +191,8 @@ def main() -> None:
     frames = [{"file_path": "view", "transform_matrix": _looking_at_the_origin(angle)} for angle in (-0.3, 0.2)]
     camera = {"camera_angle_x": 0.7, "frames": frames}
     (folders["transforms"] / "two.json").write_text(json.dumps(camera))
+    _captures(folders["capture"])
+    _colmap_models()
     (folders["object"] / "nested.json").write_text('{"a": [1, 2.5e-3, null, true, {"b": "\\u00e4"}]}')
     (folders["srn-intrinsics"] / "intrinsics.txt").write_text("131.25 64. 64. 0.\n0. 0. 0.\n1.\n128 128\n")
     (folders["srn-pose"] / "pose.txt").write_text(" ".join(map(str, np.diag([1.0, 1, 1, 1]).ravel())))

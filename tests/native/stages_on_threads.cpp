@@ -104,9 +104,10 @@ struct Render {
     const Bins bins = order_and_bin(s);
     composite_dense<T>(s, bins, cameras, background, {image.data(), alpha.data(), depth.data()}, threads);
     composite_dense_backward<T>(s, bins, cameras, background, {image.data(), alpha.data(), depth.data()},
-                                {gradient.data(), alpha.data(), depth.data()}, first.data(), pairs.data(),
+                                {gradient.data(), alpha.data(), depth.data()}, false, first.data(), pairs.data(),
                                 g_background.data(), threads);
-    project_dense_backward<T>(scene(), cameras, s, first.data(), pairs.data(), gradients(), g_pose.data(), threads);
+    project_dense_backward<T>(scene(), cameras, s, first.data(), pairs.data(), gradients(), nullptr, false,
+                              g_pose.data(), threads);
     keep();
   }
 

@@ -33,6 +33,7 @@ struct DenseJob {
   DenseImages<const T> images, gradients;
   const int64_t* first_pair;
   T *pair_gradients, *band_background;
+  bool absolute;  // the reverse also sums up absolute gradients of the splats' places
   bool backward;  // the direction; pair_gradients cannot tell, for it is also null where no splat is drawn
   int threads;
 };
@@ -117,12 +118,13 @@ void ForwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s) {
 
 // Adds to `out` the gradient of a pair: what the pixels of this tile give to the splat. math/over-inl.h has the
 // formula.
-template <class T>
+template <bool kAbsolute, class T>
 void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& splat, const PairGradient<T>& out) {
   using Tile = DenseTile<T>;
   using V = typename Tile::V;
   const Tag<T> d;
   SplatSums<Tag<T>> sums(d);
+  V absolute_u = hn::Zero(d), absolute_v = hn::Zero(d);
   V g_channel[4] = {hn::Zero(d), hn::Zero(d), hn::Zero(d), hn::Zero(d)};
   tile.patches.for_each_touched([&](int patch) HWY_ATTR {
     const int i = patch * Tile::kLanes;
@@ -142,13 +144,23 @@ void BackwardSplat(DenseTile<T>& tile, const DenseSplat<T>& s, const Splat<T>& s
     }
     const V g_alpha = OverAdjoint<true>(d, alpha, before, weight, v, tile.total + i, tile.prefix + i);
     const auto free = hn::And(hn::Gt(alpha, hn::Zero(d)), hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha))));
-    sums.Add(ExponentAdjoint(d, g_alpha, alpha, free), dy, hn::Mul(dx, s.inverse_S));
+    const V g = ExponentAdjoint(d, g_alpha, alpha, free), e = hn::Mul(dx, s.inverse_S);
+    sums.Add(g, dy, e);
+    if constexpr (kAbsolute) {
+      const V twice = hn::Add(g, g), g_u = hn::Mul(twice, e);
+      const V g_v = hn::NegMulAdd(hn::Set(d, splat.c0), g_u, hn::Mul(hn::Set(d, splat.tau), hn::Mul(twice, dy)));
+      absolute_u = hn::Add(absolute_u, hn::Abs(g_u)), absolute_v = hn::Add(absolute_v, hn::Abs(g_v));
+    }
   });
 
   // Sums over the lanes
   sums.Reduce(d, splat, out.splat());
   out.splat().depth += hn::GetLane(hn::SumOfLanes(d, g_channel[3]));
   for (int k = 0; k < 3; ++k) out.colours()[k] += hn::GetLane(hn::SumOfLanes(d, g_channel[k]));
+  if constexpr (kAbsolute) {
+    out.absolute()[0] += hn::GetLane(hn::SumOfLanes(d, absolute_u));
+    out.absolute()[1] += hn::GetLane(hn::SumOfLanes(d, absolute_v));
+  }
 }
 
 template <class T>
@@ -177,8 +189,9 @@ void BeginBackward(const DenseJob<T>& job, DenseTile<T>& tile, T* g_background) 
   for (auto* a : {tile.total, tile.prefix, tile.transmittance}) std::fill(a, a + tile.kSamples, T(0));
   tile.for_each_pixel(job.width_px, job.height_px, [&](int i, int64_t pixel) {
     const T rest = 1 - job.images.alpha[pixel];
-    tile.gradient[3][i] = job.gradients.depth[pixel];
-    T total = tile.gradient[3][i] * job.images.depth[pixel] - job.gradients.alpha[pixel] * rest;
+    tile.gradient[3][i] = job.gradients.depth ? job.gradients.depth[pixel] : T(0);
+    const T g_alpha = job.gradients.alpha ? job.gradients.alpha[pixel] : T(0);
+    T total = tile.gradient[3][i] * job.images.depth[pixel] - g_alpha * rest;
     for (int k = 0; k < 3; ++k) {
       const T g = tile.gradient[k][i] = job.gradients.image[3 * pixel + k];
       total += g * job.images.image[3 * pixel + k];
@@ -232,7 +245,11 @@ void CompositeBand(const DenseJob<T>& job, int64_t item, TileLists& lists, Dense
       // The gradient of this pair: pairs of a splat are numbered by its bands
       const int64_t own_band = band - rows_of(splat, job.height_px).first / kBandRows;
       const int64_t pair = job.first_pair[index] + own_band;
-      BackwardSplat(tile, s, splat, PairGradient<T>{job.pair_gradients + pair * pair_gradient_size(0)});
+      const PairGradient<T> out{job.pair_gradients + pair * dense_pair_gradient_size(job.absolute)};
+      if (job.absolute)
+        BackwardSplat<true>(tile, s, splat, out);
+      else
+        BackwardSplat<false>(tile, s, splat, out);
     }
     if (!job.backward) FinishForward(job, tile);
   }
@@ -281,11 +298,11 @@ Counters composite_dense(const Splats<T>& splats, Bins bins, const Cameras<T>& c
 
 template <class T>
 Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const T* background,
-                                  DenseImages<const T> images, DenseImages<const T> gradients,
+                                  DenseImages<const T> images, DenseImages<const T> gradients, bool absolute,
                                   const int64_t* first_pair, T* pair_gradients, T* band_background, int threads) {
   DenseJob<T> job{};
   job.splats = splats, job.bins = bins, job.background = background, job.threads = threads;
-  job.images = images, job.gradients = gradients, job.first_pair = first_pair;
+  job.images = images, job.gradients = gradients, job.absolute = absolute, job.first_pair = first_pair;
   job.pair_gradients = pair_gradients, job.band_background = band_background, job.backward = true;
   job.width_px = cameras.width_px, job.height_px = cameras.height_px;
   return dispatch(job);
@@ -294,7 +311,8 @@ Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Came
 #define LFGS_INSTANTIATE(T)                                                                                    \
   template Counters composite_dense(const Splats<T>&, Bins, const Cameras<T>&, const T*, DenseImages<T>, int); \
   template Counters composite_dense_backward(const Splats<T>&, Bins, const Cameras<T>&, const T*,              \
-                                             DenseImages<const T>, DenseImages<const T>, const int64_t*, T*, T*, int);
+                                             DenseImages<const T>, DenseImages<const T>, bool, const int64_t*, T*, T*, \
+                                             int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

@@ -37,10 +37,10 @@ void project_dense(const Gaussians<const T>& gaussians, const Cameras<T>& camera
 
 template <class T>
 void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
-                            const int64_t* first_pair, const T* pair_gradients, const Gaussians<T>& out,
-                            T* g_world_to_camera, int threads) {
+                            const int64_t* first_pair, const T* pair_gradients, const Gaussians<T>& out, T* screen,
+                            bool absolute, T* g_world_to_camera, int threads) {
   const int64_t n = gaussians.count, chunks = (n + kGrain - 1) / kGrain;
-  const int size = pair_gradient_size(0);
+  const int size = dense_pair_gradient_size(absolute), screen_numbers = absolute ? 4 : 2;
   std::vector<ViewAdjoint<double>> partial(cameras.images() * chunks);
 
   // A work item is a chunk of one scene's Gaussians, and takes the cameras of the scene in order. What it adds to a
@@ -60,6 +60,8 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
       dvec3 g_eye(0);
       for (int64_t i = begin; i < end; ++i) {
         const Splat<T>& splat = splats.splats[image * n + i];
+        T* place = screen ? screen + (image * n + i) * screen_numbers : nullptr;
+        if (place) std::fill_n(place, screen_numbers, T(0));
         if (splat.reach_y < 0) continue;
         sum_pairs(splat, cameras.height_px, first_pair[image * n + i], size, pair_gradients, sum.data());
 
@@ -74,6 +76,9 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
         } else {
           projection.adjoint(view, shape, g_splat, g, g_view);
         }
+
+        if (place) place[0] = saturated<T>(g_splat.u0), place[1] = saturated<T>(g_splat.v0);
+        for (int k = 2; place && k < screen_numbers; ++k) place[k] = saturated<T>(g_pair.absolute()[k - 2]);
 
         // Colours, through their clamp at zero
         const T* colour = splats.colours + (image * n + i) * kColourStride;
@@ -110,7 +115,7 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
 #define LFGS_INSTANTIATE(T)                                                                                            \
   template void project_dense(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, int);                    \
   template void project_dense_backward(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, const int64_t*, \
-                                       const T*, const Gaussians<T>&, T*, int);
+                                       const T*, const Gaussians<T>&, T*, bool, T*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

@@ -133,7 +133,8 @@ __global__ void __launch_bounds__(kThreads)
 // splats that may touch the patch (hits), then the lanes share the sums of that over the pixels. Within either step no
 // lane waits for another.
 
-constexpr int kBatch = 64;  // splats staged at a time
+template <int kSums>
+constexpr int kBatchOf = kSums == kDenseSums ? 64 : 60;  // splats staged at a time: 48 KiB hold no more with all sums
 constexpr int kHits = 8;    // with the four rows of a patch, a sum for every lane
 static_assert(kHits * kPatchHeight == 32);
 
@@ -163,17 +164,31 @@ __device__ Sample sample_at(const Pixel& pixel, DenseImages<const float> images,
   rest = 0;
   if (!pixel.inside) return {make_float4(0, 0, 0, 0), 0, 0};
   const float *rgb = images.image + 3 * pixel.index, *g_rgb = gradients.image + 3 * pixel.index;
-  const float4 g = make_float4(g_rgb[0], g_rgb[1], g_rgb[2], gradients.depth[pixel.index]);
+  const float4 g = make_float4(g_rgb[0], g_rgb[1], g_rgb[2], gradients.depth ? gradients.depth[pixel.index] : 0.f);
   rest = 1 - images.alpha[pixel.index];
-  const float all = g.x * rgb[0] + g.y * rgb[1] + g.z * rgb[2] + g.w * images.depth[pixel.index] -
-                    gradients.alpha[pixel.index] * rest;
+  float all = g.x * rgb[0] + g.y * rgb[1] + g.z * rgb[2] + g.w * images.depth[pixel.index];
+  if (gradients.alpha) all -= gradients.alpha[pixel.index] * rest;
   return {g, 1, all};
+}
+
+// The sum over a row of what its pixels' gradients of a splat's place are, each taken absolutely. The middle of the row
+// is at (dx, dy) from the splat's.
+__device__ float2 absolute_sums(const Staged& s, const float2* effects, float dx, float dy) {
+  float2 sums = make_float2(0, 0);
+#pragma unroll
+  for (int i = 0; i < kPatchWidth; ++i) {
+    const float g = 2 * float(kLn2) * effects[i].x, across = dx + (i - 0.5f * (kPatchWidth - 1));
+    const float u = g * s.size.y * across;
+    sums.x += fabsf(u), sums.y += fabsf(g * s.place.w * dy - s.place.z * u);
+  }
+  return sums;
 }
 
 // The sums over a patch for one splat. A lane has one row of the patch: effects and gradients are those of the row's
 // pixels, and (x, y) is its middle. The rows of one splat are with lanes kHits apart, which then join their sums.
+template <int kSums>
 __device__ void sum_over_patch(const Staged& s, const float2* effects, const float4* gradients, float x, float y,
-                               float (&sums)[kDenseSums]) {
+                               float (&sums)[kSums]) {
   // Over the pixels of the row; moments are of the distance from its middle
   float moments[3] = {}, depth = 0, colour[3] = {};
 #pragma unroll
@@ -195,10 +210,14 @@ __device__ void sum_over_patch(const Staged& s, const float2* effects, const flo
   sums[kSSum] = s.size.y * s.size.y * (moments[2] + dx * (2 * moments[1] + dx * g));
   sums[kDepthSum] = depth;
   for (int c = 0; c < 3; ++c) sums[kColourSum + c] = colour[c];
+  if constexpr (kSums == kAbsoluteDenseSums) {
+    const float2 absolute = absolute_sums(s, effects, dx, dy);
+    sums[kAbsoluteSum] = absolute.x, sums[kAbsoluteSum + 1] = absolute.y;
+  }
 
   // Join the rows
 #pragma unroll
-  for (int f = 0; f < kDenseSums; ++f)
+  for (int f = 0; f < kSums; ++f)
     for (int step = kHits; step < 32; step *= 2) sums[f] += __shfl_xor_sync(kAll, sums[f], step);
 }
 
@@ -218,15 +237,17 @@ __device__ void background_backward(const Pixel& pixel, const Sample& sample, fl
 
 // Writes the sums of every slot of a tile, a block each. They are taken within each warp, then over the warps that the
 // splat hits, always in the same order, so that the bits are always the same.
+template <int kSums>
 __global__ void __launch_bounds__(kThreads, 4)
     composite_dense_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs,
                                     DenseImages<const float> images, DenseImages<const float> gradients,
                                     float* slot_gradients, float* tile_background) {
+  constexpr int kBatch = kBatchOf<kSums>;
   __shared__ Staged staged[kBatch];
   __shared__ uint32_t slots[kBatch], summed[kBatch];  // summed, bit w: warp w has sums of this splat
   __shared__ float2 effects[kWarps][kHits][32 + 1];   // odd rows, so that no two lanes of a half warp meet in a bank
   __shared__ float4 pixel_gradients[kWarps][32];
-  __shared__ float partial[kWarps][kBatch][kDenseSums], partial_background[kWarps][3];
+  __shared__ float partial[kWarps][kBatch][kSums], partial_background[kWarps][3];
   const Pixel pixel(image);
   float rest;
   Sample sample = sample_at(pixel, images, gradients, rest);
@@ -261,22 +282,22 @@ __global__ void __launch_bounds__(kThreads, 4)
           splat = hit == filled ? k : splat;
         } while (++filled < kHits && todo);
         __syncwarp();
-        float sums[kDenseSums];
+        float sums[kSums];
         sum_over_patch(staged[splat], &effects[pixel.warp][hit][row * kPatchWidth],
                        &pixel_gradients[pixel.warp][row * kPatchWidth], row_x, row_y, sums);
         if (row == 0 && hit < filled)
-          for (int f = 0; f < kDenseSums; ++f) partial[pixel.warp][splat][f] = sums[f];
+          for (int f = 0; f < kSums; ++f) partial[pixel.warp][splat][f] = sums[f];
         __syncwarp();
       }
     }
     __syncthreads();
 
     // Sum over the warps, a number a thread
-    for (int i = threadIdx.x; i < count * kDenseSums; i += kThreads) {
-      const int k = i / kDenseSums, f = i % kDenseSums;
+    for (int i = threadIdx.x; i < count * kSums; i += kThreads) {
+      const int k = i / kSums, f = i % kSums;
       float sum = 0;
       for (uint32_t warps = summed[k]; warps; warps &= warps - 1) sum += partial[__ffs(int(warps)) - 1][k][f];
-      slot_gradients[int64_t(slots[k]) * kDenseSums + f] = sum;
+      slot_gradients[int64_t(slots[k]) * kSums + f] = sum;
     }
   }
 }
@@ -294,11 +315,13 @@ void composite_dense(const Splats<float>& splats, const Image& image, const int6
 
 void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                               const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
-                              float* slot_gradients, float* tile_background, Stream stream) {
+                              bool absolute, float* slot_gradients, float* tile_background, Stream stream) {
   const int64_t tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
   if (tiles == 0) return;
-  composite_dense_backward_kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(
-      splats, image, ranges, pairs, images, gradients, slot_gradients, tile_background);
+  const auto kernel = absolute ? composite_dense_backward_kernel<kAbsoluteDenseSums>
+                               : composite_dense_backward_kernel<kDenseSums>;
+  kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, images, gradients,
+                                                                 slot_gradients, tile_background);
   check_launch("composite_dense_backward");
 }
 

@@ -1,6 +1,9 @@
 // Reverse of stage project for ordinary images on the device: reads the sums of all slots, writes the gradients of the
-// Gaussians and of the cameras. A thread has a Gaussian of a scene, and goes through the cameras of the scene in order;
-// a block adds up what its Gaussians say of each camera.
+// Gaussians, of the cameras and, where they are asked for, of the splats' places on the screen. A thread has a Gaussian
+// of a scene, and goes through the cameras of the scene in order; a block adds up what its Gaussians say of each camera.
+//
+// Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp moves
+// those of its 32 Gaussians together, through shared memory.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
@@ -16,13 +19,20 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128, kWarps = kThreads / 32, kViewNumbers = 12;
 
+// What the composite's reverse left of all splats: the sums of their slots, `size` numbers each.
+struct Slots {
+  const SlotRange* ranges;
+  const float* sums;
+  int size;
+};
+
 // Adds up the slots of a splat, and turns the sums into the gradients of the splat and of its colour.
 template <class R>
-__device__ Splat<R> splat_gradient(const Splat<float>& s, const float* slot_gradients, SlotRange slots, vec3& colour) {
-  static_assert(kDenseSums % 2 == 0);
+__device__ Splat<R> splat_gradient(const Splat<float>& s, const Slots& slots, SlotRange range, vec3& colour) {
+  static_assert(kDenseSums % 2 == 0 && kAbsoluteDenseSums % 2 == 0);
   R sum[kDenseSums] = {};
-  for (uint32_t slot = slots.first; slot < slots.last; ++slot) {
-    const float2* own = reinterpret_cast<const float2*>(slot_gradients + int64_t(slot) * kDenseSums);
+  for (uint32_t slot = range.first; slot < range.last; ++slot) {
+    const float2* own = reinterpret_cast<const float2*>(slots.sums + int64_t(slot) * slots.size);
     for (int f = 0; f < kDenseSums / 2; ++f) {
       const float2 two = own[f];
       sum[2 * f] += two.x, sum[2 * f + 1] += two.y;
@@ -34,6 +44,16 @@ __device__ Splat<R> splat_gradient(const Splat<float>& s, const float* slot_grad
   return g;
 }
 
+// The sums of the absolute gradients of a splat's place, which follow the others in its slots.
+__device__ float2 absolute_gradient(const Slots& slots, SlotRange range) {
+  float2 sum = make_float2(0, 0);
+  for (uint32_t slot = range.first; slot < range.last; ++slot) {
+    const float* own = slots.sums + int64_t(slot) * slots.size + kDenseSums;
+    sum.x += own[0], sum.y += own[1];
+  }
+  return sum;
+}
+
 // Whether a splat is so long and thin that its covariance has few digits left in float. The measure is
 // rho^2 / (1 - rho^2), where rho is the correlation of x and y.
 __device__ bool is_needle(const Splat<float>& s) {
@@ -41,15 +61,16 @@ __device__ bool is_needle(const Splat<float>& s) {
   return !(s.c0 * s.c0 <= kLong * s.tau * s.S0);
 }
 
-// Adds the adjoint of the projection, from the sums over slots on, computed in double and then rounded. It is not
-// inlined, since it is rarely called and takes many registers.
+// Adds the adjoint of the projection, from the sums over slots on, computed in double and then rounded. Returns the
+// gradient of the splat's place on the screen. It is not inlined, since it is rarely called and takes many registers.
 template <bool kAntialiased>
-__device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Shape<float>& shape,
-                                               const Splat<float>& splat, const float* slot_gradients, SlotRange slots,
-                                               Shape<float>& g, ViewAdjoint<float>& g_view, vec3& g_colour) {
+__device__ __noinline__ float2 add_exact_adjoint(const View<float>& view, const Shape<float>& shape,
+                                                 const Splat<float>& splat, const Slots& slots, SlotRange range,
+                                                 Shape<float>& g, ViewAdjoint<float>& g_view, vec3& g_colour) {
   const View<double> exact = widened(view);
   const Shape<double> wide = widened(shape);
-  Splat<double> gradient = splat_gradient<double>(splat, slot_gradients, slots, g_colour);
+  Splat<double> gradient = splat_gradient<double>(splat, slots, range, g_colour);
+  const float2 g_place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> of_view;
 
@@ -68,65 +89,137 @@ __device__ __noinline__ void add_exact_adjoint(const View<float>& view, const Sh
     add(g_view.translation[c], of_view.translation[c]);
     for (int r = 0; r < 3; ++r) add(g_view.rotation[c][r], of_view.rotation[c][r]);
   }
+  return g_place;
+}
+
+// The harmonics of a warp's Gaussians in shared memory, a row each. Rows are of odd length, so that lanes that read the
+// same column of their rows meet in no bank.
+struct HarmonicRows {
+  float* rows;
+  int numbers, stride;
+
+  static __host__ __device__ int stride_of(int numbers) { return numbers | 1; }
+  __device__ HarmonicRows(float* rows, int numbers) : rows(rows), numbers(numbers), stride(stride_of(numbers)) {}
+  __device__ float* own() const { return rows + int(threadIdx.x % 32) * stride; }
+
+  // Reads the rows whose bits are set in `which`; `from` is the first row in memory.
+  __device__ void load(const float* from, unsigned which) const {
+#pragma unroll 8
+    for (int row = 0; row < 32; ++row)
+      if (which >> row & 1)
+        for (int k = threadIdx.x % 32; k < numbers; k += 32) rows[row * stride + k] = __ldg(from + row * numbers + k);
+    __syncwarp();
+  }
+
+  // Sets all rows to zero.
+  __device__ void clear() const {
+    for (int k = threadIdx.x % 32; k < 32 * stride; k += 32) rows[k] = 0;
+    __syncwarp();
+  }
+
+  // Writes `count` rows, zeros where the bit is not set.
+  __device__ void store(float* to, unsigned which, int count) const {
+    __syncwarp();
+#pragma unroll 8
+    for (int row = 0; row < 32; ++row)
+      if (row < count)
+        for (int k = threadIdx.x % 32; k < numbers; k += 32)
+          to[row * numbers + k] = which >> row & 1 ? rows[row * stride + k] : 0.f;
+  }
+};
+
+// Writes the sums of a block over its threads' gradients of a camera to `out`: over each warp, then over the warps.
+__device__ void store_view(const ViewAdjoint<float>& g_view, float (&partial)[kWarps][kViewNumbers], float* out) {
+  for (int f = 0; f < kViewNumbers; ++f) {
+    const float sum = warp_sum(f % 4 == 3 ? g_view.translation[f / 4] : g_view.rotation[f % 4][f / 4]);
+    if (threadIdx.x % 32 == 0) partial[threadIdx.x / 32][f] = sum;
+  }
+  __syncthreads();
+  if (threadIdx.x < kViewNumbers) {
+    float sum = 0;
+    for (int w = 0; w < kWarps; ++w) sum += partial[w][threadIdx.x];
+    out[threadIdx.x] = sum;
+  }
+  __syncthreads();
+}
+
+// Whether any camera of a scene drew the Gaussian `i` of it.
+__device__ bool is_drawn(const Slots& slots, const Cameras<float>& cameras, int64_t scene, int64_t n, int64_t i) {
+  bool drawn = false;
+  for (int64_t v = 0; v < cameras.per_scene; ++v) {
+    const SlotRange range = slots.ranges[(scene * cameras.per_scene + v) * n + i];
+    drawn |= range.first < range.last;
+  }
+  return drawn;
+}
+
+// Writes the gradient of a splat's place, and where slots have them the absolute ones behind it.
+__device__ void store_place(float2 gradient, const Slots& slots, SlotRange range, float* screen, int64_t index) {
+  if (slots.size == kDenseSums) {
+    reinterpret_cast<float2*>(screen)[index] = gradient;
+  } else {
+    const float2 absolute = absolute_gradient(slots, range);
+    reinterpret_cast<float4*>(screen)[index] = make_float4(gradient.x, gradient.y, absolute.x, absolute.y);
+  }
 }
 
 // Writes all gradients. The adjoint of an ordinary splat fits the registers that three blocks on a multiprocessor
 // leave. Needles, and all splats of an anti-aliased scene (see compensated_splat()), go through add_exact_adjoint()
-// instead.
-template <bool kAntialiased>
+// instead. kOneView: there is one camera a scene, so that the gradients of harmonics can take the place of these.
+template <bool kAntialiased, bool kOneView>
 __global__ void __launch_bounds__(kThreads, 3)
     project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
-                                  const SlotRange* slot_ranges, const float* slot_gradients, Gaussians<float> out,
-                                  float* view_partials) {
+                                  Slots slots, Gaussians<float> out, float* screen, float* view_partials) {
   __shared__ float partial[kWarps][kViewNumbers];
+  extern __shared__ float harmonics[];
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, scene = blockIdx.y, n = gaussians.count;
   const bool real = i < n;
   const Gaussians<const float> own = gaussians.slice(scene * n);
   const Gaussians<float> g_own = out.slice(scene * n);
   const Shape<float> shape = shape_of(own, real ? i : 0);
-  const int numbers = 3 * own.sh_count();
   Shape<float> g{vec3(0), glm::vec4(0), vec3(0), 0};
+
+  // Harmonics of those that were drawn, and room for their gradients
+  const int numbers = 3 * own.sh_count(), warp_floats = 32 * HarmonicRows::stride_of(numbers);
+  const int64_t first = i - threadIdx.x % 32;  // Gaussian of this warp
+  const unsigned drawn = __ballot_sync(~0u, real && is_drawn(slots, cameras, scene, n, i));
+  const HarmonicRows rows(harmonics + threadIdx.x / 32 * warp_floats, numbers);
+  const HarmonicRows g_rows(kOneView ? rows.rows : rows.rows + kWarps * warp_floats, numbers);
+  rows.load(own.sh + numbers * first, drawn);
+  if (!kOneView) g_rows.clear();
 
   for (int64_t v = 0; v < cameras.per_scene; ++v) {
     const int64_t image = scene * cameras.per_scene + v;
     const View<float> view = cameras.view<float>(image);
     const int64_t index = image * n + i;
-    const SlotRange slots = real ? slot_ranges[index] : SlotRange{0, 0};
+    const SlotRange range = real ? slots.ranges[index] : SlotRange{0, 0};
     ViewAdjoint<float> g_view;
-    if (slots.first < slots.last) {
+    float2 g_place = make_float2(0, 0);
+    if (range.first < range.last) {
       vec3 g_colour;
       const Splat<float> splat = read_splat(splats.splats + index);
       if (kAntialiased || is_needle(splat)) {
-        add_exact_adjoint<kAntialiased>(view, shape, splat, slot_gradients, slots, g, g_view, g_colour);
+        g_place = add_exact_adjoint<kAntialiased>(view, shape, splat, slots, range, g, g_view, g_colour);
       } else {
-        const Splat<float> g_splat = splat_gradient<float>(splat, slot_gradients, slots, g_colour);
+        const Splat<float> g_splat = splat_gradient<float>(splat, slots, range, g_colour);
         Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
+        g_place = make_float2(g_splat.u0, g_splat.v0);
       }
 
       // The colours, through their clamp at zero; they also depend on the eye, which is -R^T t
       const float* colour = splats.colours + index * kColourStride;
       for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_colour[c] : 0.f;
-      const vec3 g_mean = sh_colour_adjoint(own.sh_degree, own.sh + numbers * i, shape.mean, view.centre(), g_colour,
-                                            g_own.sh + numbers * i);
+      const vec3 g_mean = sh_colour_adjoint<!kOneView>(own.sh_degree, rows.own(), shape.mean, view.centre(), g_colour,
+                                                       g_rows.own());
       g.mean += g_mean;
       g_view.rotation += glm::outerProduct(-view.translation, -g_mean);
       g_view.translation += view.rotation * g_mean;
     }
-
-    // The camera's gradient, summed over each warp, then over the warps
-    for (int f = 0; f < kViewNumbers; ++f) {
-      const float sum = warp_sum(f % 4 == 3 ? g_view.translation[f / 4] : g_view.rotation[f % 4][f / 4]);
-      if (threadIdx.x % 32 == 0) partial[threadIdx.x / 32][f] = sum;
-    }
-    __syncthreads();
-    if (threadIdx.x < kViewNumbers) {
-      float sum = 0;
-      for (int w = 0; w < kWarps; ++w) sum += partial[w][threadIdx.x];
-      view_partials[(image * gridDim.x + blockIdx.x) * kViewNumbers + threadIdx.x] = sum;
-    }
-    __syncthreads();
+    if (screen && real) store_place(g_place, slots, range, screen, index);
+    if (view_partials) store_view(g_view, partial, view_partials + (image * gridDim.x + blockIdx.x) * kViewNumbers);
   }
   if (real) store_gradient(shape, g, g_own, i);
+  g_rows.store(g_own.sh + numbers * first, drawn, int(min(int64_t(32), n - first)));
 }
 
 }  // namespace
@@ -135,12 +228,20 @@ int64_t view_blocks(int64_t gaussians) { return blocks_for(gaussians, kThreads);
 
 void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
                             const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
-                            const Gaussians<float>& out, float* view_partials, Stream stream) {
+                            const Gaussians<float>& out, float* screen, bool absolute, float* view_partials,
+                            Stream stream) {
   if (gaussians.count == 0 || cameras.scenes == 0) return;
   const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
-  const auto kernel = cameras.antialiased ? project_dense_backward_kernel<true> : project_dense_backward_kernel<false>;
-  kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, splats, slot_ranges, slot_gradients, out,
-                                                        view_partials);
+  const bool one = cameras.per_scene == 1;
+  const auto kernel =
+      cameras.antialiased ? (one ? project_dense_backward_kernel<true, true> : project_dense_backward_kernel<true, false>)
+                          : (one ? project_dense_backward_kernel<false, true> : project_dense_backward_kernel<false, false>);
+  const size_t bytes = size_t(one ? 1 : 2) * kThreads * HarmonicRows::stride_of(3 * gaussians.sh_count()) * sizeof(float);
+  check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
+        "project_dense_backward: shared memory");
+  const Slots slots{slot_ranges, slot_gradients, absolute ? kAbsoluteDenseSums : kDenseSums};
+  kernel<<<blocks, kThreads, bytes, cudaStream_t(stream)>>>(gaussians, cameras, splats, slots, out, screen,
+                                                            view_partials);
   check_launch("project_dense_backward");
 }
 

@@ -19,6 +19,7 @@ namespace lfgs::cuda {
 namespace {
 
 constexpr int kThreads = 128;
+constexpr uint32_t kNoTile = ~0u;  // of the room that no pair took; sorts behind all tiles
 
 // Calls visit(first, last) for each row of tiles of its image that a splat may touch: first to last of them.
 template <class Visit>
@@ -62,14 +63,15 @@ __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* i
                             Pairs pairs, SlotRange* slot_ranges) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= splats.images * splats.count) return;
-  const uint32_t index = indices[i], begin = i ? uint32_t(ends[i - 1]) : 0, end = uint32_t(ends[i]);
+  const uint32_t index = indices[i];
+  const uint32_t begin = uint32_t(i ? min(ends[i - 1], pairs.count) : 0), end = uint32_t(min(ends[i], pairs.count));
   slot_ranges[index] = {begin, end};
   if (begin == end) return;
   const uint32_t tiles = uint32_t(tile_count(image.tile, image.width_px, image.height_px));
   const uint32_t first_tile = index / uint32_t(splats.count) * tiles;
   uint32_t at = begin;
   for_each_tile_row(read_splat(splats.splats + index), image, [&](int first, int last) {
-    for (int tile = first; tile <= last; ++tile, ++at) {
+    for (int tile = first; tile <= last && at < end; ++tile, ++at) {
       pairs.tiles[at] = first_tile + tile;
       pairs.slots[at] = at;
       pairs.slot_splats[at] = index;
@@ -82,6 +84,7 @@ __global__ void ranges_kernel(Pairs pairs, int64_t* ranges) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= pairs.count) return;
   const uint32_t tile = pairs.sorted_tiles[i];
+  if (tile == kNoTile) return;
   if (i == 0 || pairs.sorted_tiles[i - 1] != tile) ranges[2 * int64_t(tile)] = i;
   if (i == pairs.count - 1 || pairs.sorted_tiles[i + 1] != tile) ranges[2 * int64_t(tile) + 1] = i + 1;
   pairs.sorted_splats[i] = pairs.slot_splats[pairs.sorted_slots[i]];
@@ -127,6 +130,8 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
   if (items == 0) return;
 
   // Where the slots of each splat end, then the pairs
+  if (pairs.total)
+    check(cudaMemsetAsync(pairs.tiles, 0xff, size_t(pairs.count) * sizeof(kNoTile), cudaStream_t(stream)), "bin: tiles");
   check(cub::DeviceScan::InclusiveSum(temporary, temporary_bytes, each_count(counts, indices), ends, items,
                                       cudaStream_t(stream)),
         "bin: scan");
@@ -134,11 +139,12 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
                                                                                             ends, pairs, slot_ranges);
   check_launch("bin_fill");
 
-  // Sort them by tile, and find the tiles' ranges
+  // Sort them by tile, and find the tiles' ranges. The bits of kNoTile are those of no tile
   if (pairs.count == 0) return;
+  const int tile_bits = std::max(1, int(std::bit_width(uint64_t(pairs.total ? all_tiles : all_tiles - 1))));
   check(cub::DeviceRadixSort::SortPairs(
             temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots, pairs.sorted_slots, pairs.count,
-            0, std::max(1, int(std::bit_width(uint64_t(all_tiles - 1)))), cudaStream_t(stream)),
+            0, tile_bits, cudaStream_t(stream)),
         "bin: sort");
   ranges_kernel<<<unsigned(blocks_for(pairs.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(pairs, ranges);
   check_launch("bin: ranges");

@@ -51,11 +51,15 @@ void bin_count(const Splats<float>& splats, const Image& image, uint32_t* counts
                size_t temporary_bytes, Stream stream);
 // Buffers of bin_fill, a number per pair. A *slot* is the place of a pair in splat-major order: those of the i-th
 // sorted splat are [ends[i - 1], ends[i]). After bin_fill only the sorted ones are of use.
+//
+// Where the host does not wait for the number of pairs, `count` is how many there is room for and `total` where the
+// device has their number. If that is larger, some pairs are missing: whoever reads the images has to look.
 struct Pairs {
   int64_t count;
   uint32_t *tiles, *sorted_tiles;         // tile of each slot; of each sorted pair
   uint32_t *slots, *sorted_slots;         // 0, 1, 2, ...; the slot of each sorted pair
   uint32_t *slot_splats, *sorted_splats;  // splat of each slot; of each sorted pair
+  const int64_t* total = nullptr;         // null: `count` is their number
 };
 // The splat of the k-th pair in the order of `ranges`.
 LFGS_HD uint32_t splat_of(const Pairs& pairs, int64_t k) { return pairs.sorted_splats[k]; }
@@ -86,19 +90,24 @@ void composite_sorted(const Splats<float>& splats, const Image& image, const int
 // every run gives the same bits. slot_gradients is [pairs, numbers of a slot]; tile_background is [I * tiles, 3].
 //
 // The numbers of a slot are, for ordinary images, the first kDenseFootprintSums of FootprintSum, then the gradients of
-// depth, r, g and b. For the lens they are all of FootprintSum, the gradients of r, g, b for each power of s, and in an
+// depth, r, g and b; where absolute gradients are asked for, then the sums of |gradient| of u0 and of v0 over the
+// samples (Ye et al., "AbsGS", 2024). For the lens they are all of FootprintSum, the gradients of r, g, b for each power of s, and in an
 // anti-aliased scene those of D.
 constexpr int kDepthSum = kDenseFootprintSums, kColourSum = kDepthSum + 1, kDenseSums = kColourSum + 3;
+constexpr int kAbsoluteSum = kDenseSums, kAbsoluteDenseSums = kAbsoluteSum + 2;
 constexpr int kLensSums = kLensFootprintSums;
+// Gradients of alpha and of depth may be null: zero everywhere.
 void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                               const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
-                              float* slot_gradients, float* tile_background, Stream stream);
-// All of out is overwritten, except its harmonics, which are added to. view_partials [I, view_blocks(N), 12] receives
-// the gradients of the rows of [R|t], which the caller sums over the blocks.
+                              bool absolute, float* slot_gradients, float* tile_background, Stream stream);
+// All of out is overwritten. screen [I, N, 2], or null, receives the gradients of the splats' places, u0 and v0 in
+// pixels; if the slots are `absolute` [I, N, 4], with the absolute ones behind. view_partials [I, view_blocks(N), 12], or
+// null, receives those of the rows of [R|t], which the caller sums over the blocks.
 int64_t view_blocks(int64_t gaussians);
 void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
                             const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
-                            const Gaussians<float>& out, float* view_partials, Stream stream);
+                            const Gaussians<float>& out, float* screen, bool absolute, float* view_partials,
+                            Stream stream);
 
 void composite_lens_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                              const Lens& lens, const float* pixels, const float* gradient, float* slot_gradients,

@@ -49,12 +49,19 @@ def _mask_of(folder: Path, image: Path, known: dict[str, Path]) -> Path | None:
     return None
 
 
-def read_mask(path: Path, width_px: int, height_px: int) -> np.ndarray:
+def read_mask(path: Path, width_px: int, height_px: int, any_size: bool = False) -> np.ndarray:
     """A mask as opacity, uint8 [H,W]: its alpha, or else its brightness; of values 0 and 1 alone, 1 is opaque.
 
-    Its pixels as stored, like those of the image. Raises InputError for another size than the image's.
+    Its pixels as stored, like those of the image. Raises InputError for another size than the image's; any_size: then
+    each pixel of the image has what the mask says at its middle.
     """
     pixels = read_image(path, as_stored=True, turn=False)
+    if any_size:
+        rows, columns = (
+            (2 * np.arange(size) + 1) * stored // (2 * size)
+            for size, stored in zip((height_px, width_px), pixels.shape[:2])
+        )
+        pixels = pixels[rows[:, None], columns]
     if pixels.shape[:2] != (height_px, width_px):
         raise InputError(
             f"{path}: expected a mask of the image's size {width_px} x {height_px}, got "

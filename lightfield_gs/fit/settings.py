@@ -1,0 +1,115 @@
+"""Every number of a fit, and how the numbers change from step to step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Literal, get_args
+
+from lightfield_gs.base.checks import real_number, whole_number
+from lightfield_gs.base.errors import InputError
+
+Density = Literal["mcmc", "adaptive"]
+Masks = Literal["ignore", "alpha"]
+DENSITIES: tuple[Density, ...] = get_args(Density)
+MASKS: tuple[Masks, ...] = get_args(Masks)
+RECIPE_STEPS = 30_000  # of the recipes that the schedules are from; those of other lengths are scaled
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How a scene is fitted. Step numbers are those of a fit of 30,000 steps, and are scaled to `steps`.
+
+    Sources: Kerbl et al. 2023 and their program; Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte
+    Carlo", 2024, for `mcmc`; Ye et al., "AbsGS", 2024, for absolute gradients. Raises InputError for what cannot be.
+    """
+
+    steps: int = 30_000
+    gaussians: int = 300_000  # mcmc: their number at the end; adaptive: at most so many
+    density: Density = "mcmc"
+    sh_degree: int = 3
+    views: int = 1  # photographs of a step
+    seed: int = 0
+    antialiased: bool = False
+    background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)  # None: another random one at each step
+    masks: Masks = "ignore"  # what they leave out says nothing, or is transparent
+    exposure: bool = False  # an affine change of colours for each photograph
+    poses: bool = False  # the cameras' poses are refined
+
+    # The loss: (1 - ssim_share) L1 + ssim_share (1 - SSIM)
+    ssim_share: float = 0.2
+    # Rates of Adam. That of positions is in units of the scene's extent, and falls by means_decay over the fit
+    rate_means: float = 1.6e-4
+    means_decay: float = 0.01
+    rate_log_scales: float = 5e-3
+    rate_quaternions: float = 1e-3
+    rate_logits: float = 5e-2
+    rate_sh_dc: float = 2.5e-3
+    rate_sh_rest: float = 2.5e-3 / 20
+    rate_exposure: float = 1e-3
+    rate_poses: float = 1e-5
+
+    # How it begins: opacity, and scales by the distance to neighbours; None: that of the strategy for density
+    initial_opacity: float | None = None
+    initial_scale: float | None = None
+
+    # Density, which is looked at every refine_every steps between refine_from and refine_until
+    sh_every: int = 1000
+    refine_from: int = 500
+    refine_until: int | None = None  # None: 25,000 for mcmc, 15,000 for adaptive
+    refine_every: int = 100
+    min_opacity: float = 0.005  # fainter ones are dead
+    # mcmc
+    growth: float = 1.05  # of the number of Gaussians, each time
+    noise_rate: float = 5e5
+    opacity_share: float = 0.01
+    scale_share: float = 0.01
+    # adaptive
+    absolute_gradients: bool = False
+    grow_gradient: float | None = None  # None: 2e-4, or 6e-4 for absolute gradients; in halves of the image
+    clone_scale: float = 0.01  # smaller Gaussians are cloned and larger ones split, in units of the extent
+    prune_scale: float = 0.1
+    reset_every: int = 3000
+    # Gaussians are sorted along a Morton curve every so many steps, as long as density changes
+    morton_every: int = 5000
+
+    def __post_init__(self) -> None:
+        whole_number("steps", self.steps, 1, 10_000_000)
+        whole_number("gaussians", self.gaussians, 1, 2**31 - 1)
+        whole_number("sh_degree", self.sh_degree, 0, 3)
+        whole_number("views", self.views, 1, 1024)
+        whole_number("seed", self.seed, 0, 2**63 - 1)
+        for name, choices in (("density", DENSITIES), ("masks", MASKS)):
+            if getattr(self, name) not in choices:
+                raise InputError(f"{name}: expected {' or '.join(choices)}, got {getattr(self, name)!r}")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, float):
+                real_number(field.name, value, 0.0, 1e9)
+        if self.background is not None:
+            for value in self.background:
+                real_number("background", value, 0.0, 1.0)
+
+    def scaled(self, recipe_step: int) -> int:
+        """The step of this fit at which what a recipe of 30,000 steps does at `recipe_step` is due; 1 at least."""
+        return max(1, round(recipe_step * self.steps / RECIPE_STEPS))
+
+    def degree_at(self, step: int) -> int:
+        """The degree of the harmonics at a step, counted from 0: one more every sh_every steps."""
+        return min(self.sh_degree, step // self.scaled(self.sh_every))
+
+    def refines_after(self, step: int) -> bool:
+        """Whether the density changes once `step` steps are done."""
+        until = self.refine_until or (25_000 if self.density == "mcmc" else 15_000)
+        return (
+            step % self.scaled(self.refine_every) == 0
+            and self.scaled(self.refine_from) < step < self.scaled(until)
+        )
+
+    def refine_rounds(self) -> int:
+        """How often the density changes in the whole fit."""
+        return sum(map(self.refines_after, range(1, self.steps + 1)))
+
+    def rate_means_at(self, step: int) -> float:
+        """The rate of positions at a step, in units of the extent: from rate_means down, exponentially."""
+        return self.rate_means * math.exp(math.log(self.means_decay) * step / self.steps)

@@ -1,0 +1,154 @@
+"""The camera models of COLMAP: where each shows a point of the scene.
+
+Source: COLMAP's documentation, "Camera Models" (parameters and their order), and what it cites: Brown 1971 in the form
+of OpenCV's calib3d (OPENCV, FULL_OPENCV), Devernay and Faugeras, "Straight lines have to be straight", 2001 (FOV), Weng
+et al., "Camera calibration with distortion models and accuracy evaluation", 1992 (THIN_PRISM_FISHEYE), Project Aria's
+"FisheyeRadTanThinPrism" (RAD_TAN_THIN_PRISM_FISHEYE), Fitzgibbon, "Simultaneous linear estimation of multiple view
+geometry and lens distortion", 2001 (DIVISION), Khomutenko et al., "An enhanced unified camera model", 2016 (EUCM).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lightfield_gs.io.captures.lens import distorted as brown
+
+Formula = Callable[..., np.ndarray]  # points [...,2] at depth 1 and the coefficients -> where they are seen [...,2]
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """One model: its number in binary files, how many focal lengths stand before the principal point, the names of the
+    coefficients after it, and its formula; None: a pinhole.
+
+    fisheye: whether it bends with all coefficients zero.
+    """
+
+    number: int
+    focal_lengths: int
+    coefficients: tuple[str, ...] = ()
+    formula: Formula | None = None
+    fisheye: bool = False
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers a camera of this model has."""
+        return self.focal_lengths + 2 + len(self.coefficients)
+
+
+def _squared(points: np.ndarray) -> np.ndarray:
+    """x^2 + y^2 of points [...,2], [...,1]; numpy's sums of two numbers take much longer."""
+    return points[..., :1] ** 2 + points[..., 1:] ** 2
+
+
+def _flattened(points: np.ndarray) -> np.ndarray:
+    """Points at depth 1 as an equidistant fisheye shows them: at the angle from the axis, not at its tangent."""
+    radius = np.sqrt(_squared(points))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return points * np.where(radius > 1e-12, np.arctan(radius) / radius, 1)
+
+
+def _radial_tangential(points: np.ndarray, k1: float, k2: float, p1: float = 0, p2: float = 0) -> np.ndarray:
+    return brown(points, np.array([k1, k2, 0, 0, p1, p2]))
+
+
+def _rational(
+    points: np.ndarray, k1: float, k2: float, p1: float, p2: float, k3: float, k4: float, k5: float, k6: float
+) -> np.ndarray:
+    r2 = _squared(points)
+    numerator, denominator = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    # A lens shows nothing beyond the pole of the quotient
+    quotient = numerator / np.where(denominator > 0, denominator, np.nan)
+    return points * quotient + brown(points, np.array([0, 0, 0, 0, p1, p2])) - points
+
+
+def _fisheye(points: np.ndarray, *k: float) -> np.ndarray:
+    return brown(_flattened(points), np.array([*k, *[0.0] * (6 - len(k))]))
+
+
+def _thin_prism(
+    points: np.ndarray, k1: float, k2: float, p1: float, p2: float, k3: float, k4: float, sx1: float, sy1: float
+) -> np.ndarray:
+    flat = _flattened(points)
+    return brown(flat, np.array([k1, k2, k3, k4, p1, p2])) + _squared(flat) * (sx1, sy1)
+
+
+def _rad_tan_thin_prism(points: np.ndarray, *coefficients: float) -> np.ndarray:
+    """x_r = x (1 + k0 t^2 + ... + k5 t^12) of the fisheye's x; then x_r + 2 x_r (p . x_r) + p r^2 + s0 r^2 + s1 r^4."""
+    k, p, s = coefficients[:6], np.array(coefficients[6:8]), np.array(coefficients[8:]).reshape(2, 2)
+    flat = _flattened(points)
+    t2 = _squared(flat)
+    radial = flat * (1 + sum(factor * t2 ** (power + 1) for power, factor in enumerate(k)))
+    r2 = _squared(radial)
+    return radial * (1 + 2 * (radial @ p)[..., None]) + r2 * (p + s[:, 0] + s[:, 1] * r2)
+
+
+def _field_of_view(points: np.ndarray, omega: float) -> np.ndarray:
+    radius = np.sqrt(_squared(points))
+    steepness = 2 * np.tan(omega / 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.arctan(steepness * radius) / (omega * radius)
+    return points * np.where(radius > 1e-12, scale, steepness / omega)
+
+
+def _division(points: np.ndarray, k: float) -> np.ndarray:
+    """The inverse of x / (1 + k r^2)."""
+    with np.errstate(invalid="ignore"):
+        return points * 2 / (1 + np.sqrt(1 - 4 * k * _squared(points)))
+
+
+def _enhanced_unified(points: np.ndarray, alpha: float, beta: float) -> np.ndarray:
+    return points / (alpha * np.sqrt(beta * _squared(points) + 1) + 1 - alpha)
+
+
+_THIN_PRISM = ("k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1")
+_ARIA = ("k0", "k1", "k2", "k3", "k4", "k5", "p0", "p1", "s0", "s1", "s2", "s3")
+COLMAP_MODELS = {
+    "SIMPLE_PINHOLE": CameraModel(0, 1),
+    "PINHOLE": CameraModel(1, 2),
+    "SIMPLE_RADIAL": CameraModel(2, 1, ("k",), lambda points, k: _radial_tangential(points, k, 0)),
+    "RADIAL": CameraModel(3, 1, ("k1", "k2"), _radial_tangential),
+    "OPENCV": CameraModel(4, 2, ("k1", "k2", "p1", "p2"), _radial_tangential),
+    "OPENCV_FISHEYE": CameraModel(5, 2, ("k1", "k2", "k3", "k4"), _fisheye, True),
+    "FULL_OPENCV": CameraModel(6, 2, ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), _rational),
+    "FOV": CameraModel(7, 2, ("omega",), _field_of_view),
+    "SIMPLE_RADIAL_FISHEYE": CameraModel(8, 1, ("k",), _fisheye, True),
+    "RADIAL_FISHEYE": CameraModel(9, 1, ("k1", "k2"), _fisheye, True),
+    "THIN_PRISM_FISHEYE": CameraModel(10, 2, _THIN_PRISM, _thin_prism, True),
+    "RAD_TAN_THIN_PRISM_FISHEYE": CameraModel(11, 2, _ARIA, _rad_tan_thin_prism, True),
+    "SIMPLE_DIVISION": CameraModel(12, 1, ("k",), _division),
+    "DIVISION": CameraModel(13, 2, ("k",), _division),
+    "SIMPLE_FISHEYE": CameraModel(14, 1, (), _fisheye, True),
+    "FISHEYE": CameraModel(15, 2, (), _fisheye, True),
+    "EUCM": CameraModel(16, 2, ("alpha", "beta"), _enhanced_unified),
+}
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How a camera departs from a pinhole: a formula, its coefficients, and words for it."""
+
+    formula: Formula
+    coefficients: tuple[float, ...]
+    words: str
+    fisheye: bool = False
+
+    def distorted(self, points: np.ndarray) -> np.ndarray:
+        """Where points [...,2] at depth 1 are seen, [...,2] float64, in units of the focal lengths; NaN where no lens
+        of this kind shows them."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.formula(np.asarray(points, np.float64), *self.coefficients)
+
+
+def lens_of(name: str, coefficients: Sequence[float]) -> Lens | None:
+    """The lens of a camera of COLMAP's model `name`; None where it is a pinhole, as with all coefficients zero."""
+    model = COLMAP_MODELS[name]
+    # With alpha zero EUCM is a pinhole, whatever beta is
+    bends = model.fisheye or any(coefficients[:1] if name == "EUCM" else coefficients)
+    if model.formula is None or not bends:
+        return None
+    said = ", ".join(f"{key} {value:g}" for key, value in zip(model.coefficients, coefficients))
+    return Lens(model.formula, tuple(coefficients), f"{name} {said}".strip(), model.fisheye)

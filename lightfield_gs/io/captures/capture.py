@@ -1,0 +1,168 @@
+"""Captures: posed photographs of a scene that stands still, and points of its surfaces where they are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.checks import real_number, whole_number
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.captures.colmap_capture import colmap_shots, model_folder
+from lightfield_gs.io.captures.photograph import Photograph
+from lightfield_gs.io.captures.prepared import photographs_of, usable_points
+from lightfield_gs.io.captures.shot import Shots
+from lightfield_gs.io.captures.spread import extent_of
+from lightfield_gs.io.captures.transforms_capture import transforms_file, transforms_shots
+
+_SMALLEST_PX = 16  # of a photograph's longer side that is asked for
+
+
+@dataclass(frozen=True)
+class Capture:
+    """C photographs with their cameras, and P points.
+
+    folder: where it is. names: sorted, relative to the folder of images, with / between folders. world_to_camera:
+    [C,4,4] float64, OpenCV axes. intrinsics: [C,4] float64, (fx, fy, cx, cy), and sizes_px: [C,2] int, width and
+    height, of what image(i) gives: undistorted, scaled, in pixels from the outer corner of the first. points: [P,3]
+    float64, may be none; colours: [P,3] uint8. photographs: C, where image and mask come from.
+    """
+
+    folder: Path
+    names: list[str]
+    world_to_camera: np.ndarray
+    intrinsics: np.ndarray
+    sizes_px: np.ndarray
+    points: np.ndarray
+    colours: np.ndarray
+    photographs: list[Photograph]
+
+    def image(self, index: int) -> np.ndarray:
+        """Photograph `index`, uint8 [H,W,3], sRGB, undistorted and scaled; decoded now. Raises InputError."""
+        return self.photographs[index].image()
+
+    def mask(self, index: int) -> np.ndarray | None:
+        """What of photograph `index` counts, uint8 [H,W]: 255 does, 0 does not; None where all does. The least of its
+        mask's file, its alpha, and what lies within the distorted frame. Raises InputError."""
+        return self.photographs[index].mask()
+
+    @property
+    def centres(self) -> np.ndarray:
+        """Where the cameras stand, [C,3] float64."""
+        rotations, translations = self.world_to_camera[:, :3, :3], self.world_to_camera[:, :3, 3]
+        return -(rotations.swapaxes(1, 2) @ translations[..., None])[..., 0]
+
+    @property
+    def extent(self) -> float:
+        """The length that steps of positions are measured by, scene units, > 0; see spread.extent_of."""
+        return extent_of(self.centres, self.points)
+
+    def split(self, test_every: int | None, names: list[str] | None = None) -> tuple[list[int], list[int]]:
+        """Indices of the photographs to fit to and of those held out to test, in order.
+
+        test_every: k holds out index % k == k // 2, the middle of every k, so that the ends of an arc are never
+        extrapolated; None: none. names: those to hold out instead, as in `names` or by their last part. Raises
+        InputError for names that there are not, and where nothing is left to fit to.
+        """
+        if names is not None:
+            test = sorted({self._index_of(name) for name in names})
+        elif test_every is None:
+            test = []
+        else:
+            every = whole_number("test_every", test_every, 2, 1 << 30)
+            test = [index for index in range(len(self.names)) if index % every == every // 2]
+        train = sorted(set(range(len(self.names))) - set(test))
+        if not train:
+            raise InputError(f"expected photographs to fit to, but all {len(self.names)} are held out to test")
+        return train, test
+
+    def _index_of(self, name: str) -> int:
+        if name in self.names:
+            return self.names.index(name)
+        found = [index for index, known in enumerate(self.names) if known.rsplit("/", 1)[-1] == name]
+        if len(found) != 1:
+            raise InputError(
+                f"test photograph {name}: expected the name of one of the {len(self.names)} photographs, as "
+                f"{self.names[0]}, got one that {len(found) or 'none'} of them has"
+            )
+        return found[0]
+
+
+def read_capture(
+    folder: str | Path,
+    *,
+    images: str | Path | None = None,
+    masks: str | Path | None = None,
+    scale: float | None = None,
+    longest_px: int | None = None,
+) -> Capture:
+    """The capture in a folder: photographs that COLMAP posed (sparse/0, sparse, or the files of a model in the folder),
+    or those of a transforms.json, which may be given itself.
+
+    images: the folder of the photographs, absolute or below `folder`; None: images, or what else has them. The size of
+    the files is what counts: intrinsics are scaled by its ratio to the model's cameras, for each axis. masks: the
+    folder of masks; None: masks, where there is one. scale: 0..1, shrinks the photographs in memory by an area filter;
+    longest_px: shrinks those whose longer side is longer. What is assumed is said (base/assumptions.py). Raises
+    InputError that names what is missing or wrong.
+    """
+    folder = checked_path(folder)
+    if scale is not None and longest_px is not None:
+        raise InputError("expected scale or longest_px, got both")
+    share = 1.0 if scale is None else real_number("scale", scale, 1e-3, 1)
+    longest = None if longest_px is None else whole_number("longest_px", longest_px, _SMALLEST_PX, 1 << 20)
+    root = folder.parent if folder.is_file() else folder
+    found = _read_layout(folder, None if images is None else _folder("images", root, images))
+    masks_at = None if masks is None else _folder("masks", root, masks)
+    shots = sorted(found.shots, key=lambda shot: shot.name)
+    photographs = photographs_of(found, shots, root, masks_at, share, longest)
+    points, colours = usable_points(found)
+    if not len(points):
+        assume(f"{found.source} has no points of the scene: a fit begins at random ones")
+    sizes = np.array([photograph.size_px for photograph in photographs])
+    stored = np.array([photograph.stored_px for photograph in photographs])
+    return Capture(
+        root,
+        [shot.name for shot in shots],
+        np.stack([shot.world_to_camera for shot in shots]),
+        np.array([photograph.intrinsics for photograph in photographs]) * np.tile(sizes / stored, 2),
+        sizes,
+        points,
+        colours,
+        photographs,
+    )
+
+
+def is_capture(path: Path) -> bool:
+    """Whether a folder, or a file, looks like what read_capture reads."""
+    return transforms_file(path) is not None or model_folder(path) is not None
+
+
+def _read_layout(folder: Path, images: Path | None) -> Shots:
+    """What the capture says, by what is in its folder; raises InputError."""
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder: expected a capture, with sparse/0 or transforms.json")
+    file = transforms_file(folder)
+    model = model_folder(folder, inner=file is None)
+    if model is not None:
+        if file is not None:
+            assume(f"the COLMAP model {model} is read, not {file}: give that file itself to read it")
+        return colmap_shots(folder, images)
+    if file is not None:
+        return transforms_shots(file, images)
+    raise InputError(
+        f"{folder}: expected a capture: a COLMAP model (images.bin or images.txt, cameras, points3D) in sparse/0, "
+        "sparse or the folder itself, or a transforms.json (one of another name, as transforms_train.json, is given "
+        "itself); photographs alone need --sfm first, which poses them"
+    )
+
+
+def _folder(what: str, capture: Path, given: str | Path) -> Path:
+    """A folder that was given by its path, or by its name below the capture; raises InputError."""
+    below = capture / checked_path(given)
+    for path in (below, Path(given)):
+        if path.is_dir():
+            return path
+    raise InputError(f"{what}: expected a folder, got {given}: there is none at {below}")

@@ -1,0 +1,115 @@
+"""Photographs freed of their lens, and smaller ones."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from lightfield_gs.io.captures.camera_models import Lens
+
+LARGEST_LOSS = 0.25  # share of a picture that a lens may fold away: more is a mistake in its numbers
+_BAND = 256  # rows at a time: in float64 a whole photograph would take 100 bytes a pixel
+_RAYS, _STEPS = 32, 2048  # where a lens is looked at for the place from which on it folds
+
+
+def source_places(
+    lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int, rows: range | None = None
+) -> np.ndarray:
+    """Where in the photograph each pixel of a pinhole's picture is, [H,W,2] float64: x and y in pixels from the outer
+    corner of the first; NaN where the lens folds the plane, so that it does not show what is there.
+
+    Both pictures have the intrinsics [4] (fx, fy, cx, cy) and this size. rows: those alone.
+    """
+    y, x = np.meshgrid(
+        np.arange(height_px)[range(height_px) if rows is None else rows] + 0.5, np.arange(width_px) + 0.5
+    )
+    points = (np.stack([x.T, y.T], -1) - intrinsics[2:]) / intrinsics[:2]
+    places = lens.distorted(points) * intrinsics[:2] + intrinsics[2:]
+    corners = (np.array([(0, 0), (0, height_px), (width_px, 0), (width_px, height_px)]) - intrinsics[2:]) / intrinsics[
+        :2
+    ]
+    fold = first_fold(lens, float(np.linalg.norm(corners, axis=1).max()))
+    beyond = points[..., 0] ** 2 + points[..., 1] ** 2 >= fold**2  # numpy is slow at sums of two
+    places[beyond | ~np.isfinite(places[..., 0] + places[..., 1])] = np.nan
+    return places
+
+
+@lru_cache(maxsize=16)  # of the bands of one picture
+def first_fold(lens: Lens, largest: float) -> float:
+    """The radius at depth 1, up to `largest`, from which on the lens shows a point further out nearer to the middle
+    than one before it; infinity where there is none. To a thousandth of `largest`."""
+    angles = np.arange(_RAYS) * (2 * np.pi / _RAYS)
+    outward = np.stack([np.cos(angles), np.sin(angles)], -1)[:, None]
+    radii = np.linspace(0, largest, _STEPS)
+    along = (lens.distorted(outward * radii[:, None]) * outward).sum(-1)
+    with np.errstate(invalid="ignore"):
+        grows = (np.diff(along, axis=1) > 0).all(0)
+    return np.inf if grows.all() else float(radii[grows.argmin()])
+
+
+def share_folded(lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int) -> float:
+    """The share 0..1 of the pinhole's picture that the lens does not show at all, to some 2 %."""
+    scale = 128 / max(width_px, height_px)
+    width, height = (max(2, round(side * scale)) for side in (width_px, height_px))
+    ratio = np.array([width / width_px, height / height_px] * 2)
+    return float(np.isnan(source_places(lens, intrinsics * ratio, width, height)).any(-1).mean())
+
+
+@lru_cache(maxsize=2)  # photographs of one camera follow each other
+def straightening(lens: Lens, intrinsics: tuple[float, ...], width_px: int, height_px: int) -> Straightening:
+    """What takes the lens out of photographs of this size; intrinsics: (fx, fy, cx, cy) of the pinhole, too."""
+    return Straightening(lens, np.array(intrinsics), width_px, height_px)
+
+
+class Straightening:
+    """Pictures of one camera without its lens. frame: uint8 [H,W], 255 within the distorted photograph and 0 beyond;
+    None where all is within."""
+
+    def __init__(self, lens: Lens, intrinsics: np.ndarray, width_px: int, height_px: int):
+        import torch
+
+        shares = np.empty((1, height_px, width_px, 2), np.float32)  # -1..1 across the photograph, as grid_sample wants
+        frame = np.empty((height_px, width_px), np.uint8)
+        for top in range(0, height_px, _BAND):
+            rows = range(top, min(top + _BAND, height_px))
+            places = source_places(lens, intrinsics, width_px, height_px, rows)
+            good = (places >= 0) & (places <= (width_px, height_px))  # false for NaN
+            inside = good[..., 0] & good[..., 1]
+            frame[rows] = np.where(inside, 255, 0)
+            shares[0, rows] = np.nan_to_num(places / (width_px, height_px) * 2 - 1)
+        self.frame: np.ndarray | None = None if frame.all() else frame
+        self.grid = torch.from_numpy(shares)
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """A photograph uint8 [H,W,C], or [H,W], without its lens, bilinearly; beyond its edges it is as these are."""
+        import torch
+
+        planes = torch.from_numpy(np.ascontiguousarray(image)).reshape(*image.shape[:2], -1)
+        planes = planes.permute(2, 0, 1)[None].float()
+        found = torch.nn.functional.grid_sample(planes, self.grid, "bilinear", "border", align_corners=False)
+        return found.round_().clamp_(0, 255).to(torch.uint8)[0].permute(1, 2, 0).reshape(image.shape).numpy()
+
+
+def reduced(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
+    """A picture uint8 [H,W,...] made as small as this: each pixel is the mean over its own area of the picture."""
+    for axis, size in ((0, height_px), (1, width_px)):
+        if image.shape[axis] != size:
+            image = _reduced_along(image, axis, size)
+    return image if image.dtype == np.uint8 else np.rint(image).clip(0, 255).astype(np.uint8)
+
+
+def _reduced_along(image: np.ndarray, axis: int, size: int) -> np.ndarray:
+    """Means of `size` equal stretches along an axis, float32."""
+    length = image.shape[axis]
+    ratio = length / size
+    edges = np.arange(size + 1) * ratio
+    first = np.floor(edges[:-1]).astype(np.int64)
+    shape = [size if place == axis else 1 for place in range(image.ndim)]
+    means = np.zeros([size if place == axis else side for place, side in enumerate(image.shape)], np.float32)
+    for tap in range(int(np.ceil(ratio)) + 1):
+        pixel = first + tap
+        share = (np.minimum(pixel + 1, edges[1:]) - np.maximum(pixel, edges[:-1])).clip(0) / ratio
+        pixels = np.take(image, np.minimum(pixel, length - 1), axis)
+        means += pixels * share.astype(np.float32).reshape(shape)
+    return means

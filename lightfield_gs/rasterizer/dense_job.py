@@ -1,0 +1,113 @@
+"""Ordinary images without autograd: their stages, and the gradients that follow from gradients of the images."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.rasterizer.scene import Scene, State, check
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.rasterizer.workspace import DenseGradients, Wanted
+from lightfield_gs.rasterizer.workspaces import workspace_of
+
+
+class DenseImages(NamedTuple):
+    """Image [B,V,H,W,3], alpha and depth [B,V,H,W]; or gradients of them, where None stands for zeros."""
+
+    image: Tensor
+    alpha: Tensor | None
+    depth: Tensor | None
+
+
+class DenseJob:
+    """The checked arguments of render_dense, and a workspace that is ready for the composite or its reverse.
+
+    Without `state` project, order and bin run here; with it the workspace consists of what a render of the same
+    arguments left. room: on CUDA, how many (tile, splat) pairs there is room for: then nothing waits for the device,
+    and `pairs_on_device` has to be looked at. Raises InputError.
+    """
+
+    def __init__(
+        self,
+        means: Tensor,
+        quaternions: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        sh: Tensor,
+        background: Tensor,
+        world_to_camera: Tensor,
+        intrinsics: Tensor,
+        limits: Tensor,
+        width: int,
+        height: int,
+        antialiased: bool = False,
+        *,
+        stats: Stats | None = None,
+        threads: int | None = None,
+        state: State | None = None,
+        room: int | None = None,
+    ):
+        self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
+        if world_to_camera.dim() != 4:
+            raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
+        if not (1 <= width <= 65536 and 1 <= height <= 65536):
+            raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
+        self.lead = lead = (scene.batch, world_to_camera.shape[1])
+        self.stats, self.images, self.width, self.height = stats or Stats(), lead[0] * lead[1], width, height
+        self.background = check("background", background, (*lead, 3), means)
+        self.cameras_tensors = [
+            check("world_to_camera", world_to_camera, (*lead, 4, 4), means),
+            check("intrinsics", intrinsics, (*lead, 4), means),
+            check("limits", limits, (*lead, 5), means),
+        ]
+        poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
+        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased)
+        with scene.guard:
+            self.work = workspace_of(
+                scene, self.images, width, height, self.stats, threads or torch.get_num_threads(), state=state, room=room
+            )
+            if state is None:
+                with self.stats.stage("project"):
+                    self.work.project_dense(self.cameras)
+                self.work.order_and_bin()
+
+    @property
+    def pairs_on_device(self) -> Tensor:
+        """[1] int64: how many pairs there are, of a job with `room`. If it is larger, the images are not right."""
+        return self.work.pairs_on_device
+
+    def draw(self) -> DenseImages:
+        """The images."""
+        scene = self.scene
+        with scene.guard, self.stats.stage("composite"):
+            image, alpha, depth = (scene.new(*shape) for shape in self._shapes())
+            native = scene.core.DenseImages(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
+            self.work.composite_dense(self.cameras, self.background, native)
+        return DenseImages(image, alpha, depth)
+
+    def backward(self, images: DenseImages, gradients: DenseImages, wanted: Wanted) -> DenseGradients:
+        """What follows from the gradients of the images that draw() returned."""
+        images, gradients = self._checked("", images), self._checked("g_", gradients)
+        native = [
+            self.scene.core.DenseImages(*(0 if t is None else t.data_ptr() for t in group))
+            for group in (images, gradients)
+        ]
+        with self.scene.guard:
+            return self.work.dense_backward(self.cameras, self.background, *native, wanted)
+
+    def _checked(self, prefix: str, images: DenseImages) -> DenseImages:
+        """The same, contiguous."""
+        like = self.scene.tensors[0]
+        return DenseImages(
+            *(
+                None if tensor is None else check(prefix + name, tensor, shape, like)
+                for name, tensor, shape in zip(images._fields, images, self._shapes())
+            )
+        )
+
+    def _shapes(self) -> list[tuple[int, ...]]:
+        size = (*self.lead, self.height, self.width)
+        return [(*size, 3), size, size]
