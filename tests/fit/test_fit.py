@@ -13,6 +13,7 @@ import pytest
 import torch
 from fit_capture import write_capture
 from fit_scene import first_fields, known_scene, views_of
+from safetensors.torch import save
 
 import lightfield_gs as lf
 from lightfield_gs import InputError
@@ -120,9 +121,20 @@ def test_a_run_of_other_settings_or_of_another_capture_is_refused(capture, tmp_p
     with pytest.raises(InputError, match="other cameras"):
         lf.fit(moved, folder=folder, **{**QUICK, "steps": 4})
     assert lf.fit(capture, folder=folder, fresh=True, **{**QUICK, "steps": 5}).steps == 5
-    (folder / checkpoint.FILE).write_bytes(b"nonsense")
-    with pytest.raises(InputError, match="expected a checkpoint of a fit"):
-        lf.fit(capture, folder=folder, **{**QUICK, "steps": 5})
+
+
+def test_a_file_that_is_no_checkpoint_is_refused(capture, tmp_path):
+    path = tmp_path / checkpoint.FILE
+    other = torch.zeros(1)
+    for data in (
+        b"nonsense",
+        save({"a": other}, {"lightfield_gs.fit": "{}"}),
+        save({"a": other}, {"lightfield_gs.fit": '{"version": 1, "settings": [], "capture": {}}'}),
+        save({"a": other}, {"lightfield_gs.fit": '{"version": 9}'}),
+    ):
+        path.write_bytes(data)
+        with pytest.raises(InputError, match="expected a checkpoint"):
+            lf.fit(capture, folder=tmp_path, **QUICK)
 
 
 def test_a_fit_that_gains_nothing_ends_early_where_asked(capture):
@@ -140,6 +152,15 @@ def test_the_scene_is_in_the_coordinates_of_the_capture(capture, tmp_path):
     result.save(tmp_path / "s.ply")
     header = (tmp_path / "s.ply").read_bytes()[:4000].decode(errors="replace")
     assert "property float x" in header and '"steps": 2' in header
+
+
+def test_scalars_for_tensorboard_are_written_where_asked(capture, tmp_path, monkeypatch):
+    given = {**QUICK, "folder": tmp_path, "steps": 3, "tensorboard": True}
+    lf.fit(capture, **given)
+    assert list((tmp_path / "tensorboard").glob("events.*"))
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with pytest.raises(InputError, match=r"pip install 'lightfield-gs\[fit\]'"):
+        lf.fit(capture, **given)
 
 
 def test_without_memory_for_it_a_fit_does_not_begin(capture, monkeypatch):
