@@ -9,7 +9,7 @@ import gc
 import math
 import statistics
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -62,9 +62,10 @@ def frustum(count: int, width_px: int, height_px: int, seed: int = 0) -> Gaussia
 
 def camera(width_px: int, height_px: int, device: str) -> Cameras:
     """The camera before which `frustum` puts its Gaussians."""
-    focal, centre = [[_FOCAL_WIDTHS * width_px] * 2], [[width_px / 2, height_px / 2]]
-    pose, *optics = (torch.tensor(values, device=device) for values in (np.eye(4, dtype=np.float32), focal, centre))
-    return Cameras(pose[None], *optics, width_px=width_px, height_px=height_px)
+    focal, centre = (
+        torch.tensor([pair], device=device) for pair in ([_FOCAL_WIDTHS * width_px] * 2, [width_px / 2, height_px / 2])
+    )
+    return Cameras(torch.eye(4, device=device)[None], focal, centre, width_px, height_px)
 
 
 def rows(
@@ -109,12 +110,12 @@ def _rows_of(
 ) -> list[dict[str, Any]]:
     """The rows of one scene. Every program has Gaussians of its own, whose gradients are held."""
     device, cuda = cameras.world_to_camera.device, cameras.world_to_camera.is_cuda
-    shape = (1, cameras.height_px, cameras.width_px, 3)
-    gradient = torch.from_numpy(np.random.default_rng(1).normal(size=shape).astype(np.float32)).to(device)
-    steps = []
+    width, height = cast(int, cameras.width_px), cast(int, cameras.height_px)
+    gradient = np.random.default_rng(1).normal(size=(1, height, width, 3)).astype(np.float32)
+    weights, steps = torch.from_numpy(gradient).to(device), []
     for draw in programs.values():
         own = of_tensors(field.to(device, copy=True).requires_grad_() for field in gaussians.fields().values())
-        steps.append(Step(own, draw(cameras), lambda image: (image * gradient).sum()))
+        steps.append(Step(own, draw(cameras), lambda image: (image * weights).sum()))
     peaks = [_peak_bytes(step, cuda) for step in steps]
     first = steps[0].kept()
     differences = [{}, *(_differences(first, step.kept()) for step in steps[1:])]
@@ -124,7 +125,7 @@ def _rows_of(
     times = timed_by_turns([(step.forward, step.backward) for step in steps], cuda, repeats)
     in_a_row = [ms_in_a_row(step.both, cuda, RUNS_IN_A_ROW[device.type]) for step in steps]
     what = {"device": device.type, "gaussians": gaussians.count, "sh_degree": gaussians.sh_degree}
-    what |= {"width_px": cameras.width_px, "height_px": cameras.height_px}
+    what |= {"width_px": width, "height_px": height}
     if cuda:
         what["card"] = torch.cuda.get_device_name()
     return [

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.fit.evaluate import compared, weighted_psnr_db
 from lightfield_gs.fit.initial import initial_gaussians
 from lightfield_gs.fit.settings import FitSettings
 from lightfield_gs.fit.views import Views
 from lightfield_gs.fit.world import World
 from lightfield_gs.io.captures.capture import Capture
-from lightfield_gs.rasterizer.images import render
-from lightfield_gs.reference.metrics import psnr_db, ssim
+from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -58,9 +58,9 @@ class Photographs:
                 f"{capture.folder}: {len(capture.names)} photographs are too few to hold out one of {test_every}; "
                 "give a smaller --test-every"
             )
-        views = [Views.load(capture, some, world, device, some) for some in (train, test)]
+        fitted, held = (Views.load(capture, some, world, device, some) for some in (train, test))
         points, centres = (world.points(places) for places in (capture.points, capture.centres))
-        return cls(capture.folder.resolve().name, *views, points, capture.colours, centres)
+        return cls(capture.folder.resolve().name, fitted, held, points, capture.colours, centres)
 
     def start(self, settings: FitSettings) -> Gaussians:
         """What a fit begins with, on the device."""
@@ -69,27 +69,17 @@ class Photographs:
 
 @torch.no_grad()
 def scores(fit: Fit, views: Views) -> dict[str, float]:
-    """Means over views of PSNR in dB and of SSIM, of images clamped to 0..1; by the fit's rasterizer and PSNR by ours.
-
-    What a mask leaves out looks as in the photograph, and does not count in the PSNR.
-    """
+    """Means over views of PSNR in dB and SSIM by the protocol of fit/evaluate.py, drawn by the fit's own rasterizer;
+    and of the PSNR of the same scene drawn by ours."""
     scene, found = fit.gaussians(), []
-    for place in range(views.count):
-        cameras = view_cameras(views, place)
-        own, ours = fit.draw(cameras), render(scene, cameras, background=BLACK)
-        found.append((*_score(own, views, place), _score(ours, views, place)[0]))
-    psnr, structure, by_ours = np.mean(found, 0).tolist()
-    return {"psnr_db": psnr, "ssim": structure, "psnr_db_by_ours": by_ours}
-
-
-def _score(image: Tensor, views: Views, place: int) -> tuple[float, float]:
-    width, height = views.sizes[place]
-    drawn, photo = (t.movedim(-1, 0)[:, :height, :width] for t in (image[0].clamp(0, 1), views.photos[place] / 255))
-    counted = 1.0
-    if views.weights is not None:
-        weights = views.weights[place, :height, :width] / 255
-        drawn, counted = weights * drawn + (1 - weights) * photo, float(weights.mean())
-    return float(psnr_db(drawn, photo)) + 10 * float(np.log10(counted)), float(ssim(drawn, photo))
+    for place, (width, height) in enumerate(views.sizes):
+        by_ours, photo, weights = compared(scene, views, place, BLACK)
+        image = fit.draw(view_cameras(views, place))[0, :height, :width].clamp(0, 1)
+        counts = (weights > 0)[..., None]
+        structure = ssim(*(picture.mul(counts).permute(2, 0, 1) for picture in (image, photo)))
+        psnr, psnr_by_ours = (weighted_psnr_db(picture, photo, weights) for picture in (image, by_ours))
+        found.append((psnr, float(structure), psnr_by_ours))
+    return dict(zip(("psnr_db", "ssim", "psnr_db_by_ours"), np.mean(found, 0).tolist()))
 
 
 def view_cameras(views: Views, place: int) -> Cameras:
