@@ -68,6 +68,7 @@ RECIPES = {
     "gsplat-mcmc-our-loss": Recipe("gsplat", "mcmc", our_loss=True),
     "gsplat-default-our-loss": Recipe("gsplat", "default", our_loss=True),
     "our-rasterizer-gsplat-mcmc": Recipe("ours", "mcmc"),
+    "our-rasterizer-gsplat-default": Recipe("ours", "default"),
 }
 ARMS: dict[str, Callable[[Photographs, FitSettings], Fit]] = {
     "ours": partial(_ours, "mcmc"),

@@ -37,7 +37,7 @@ OPTIONS = {"packed": False, "near_plane": 0.01, "rasterize_mode": "classic"}
 class Recipe:
     """What an arm is made of. our_loss: that of our fits, in one pass, in place of torch's operations.
 
-    Ours as the rasterizer goes with mcmc alone: the other strategies want gradients of projected means.
+    Ours as the rasterizer does not go with absgrad, which wants its gradients in an attribute of gsplat's own tensor.
     """
 
     rasterizer: Literal["gsplat", "ours"]
@@ -138,7 +138,7 @@ class PeerFit:
         if self._recipe.rasterizer == "ours":
             used = sh[:, : (degree + 1) ** 2].contiguous()
             scene = Gaussians(params["means"], params["quats"], scales, opacities, used)
-            return render(scene, cameras, background=BLACK), {}
+            return self._drawn_by_ours(scene, cameras)
         image, _, info = self._rasterization(
             params["means"],
             params["quats"],
@@ -154,6 +154,15 @@ class PeerFit:
             **OPTIONS,
         )
         return image, info
+
+    def _drawn_by_ours(self, scene: Gaussians, cameras: Cameras) -> tuple[Tensor, dict[str, Any]]:
+        """Ours, and what the strategies would know from gsplat."""
+        if self._recipe.strategy == "mcmc" or not torch.is_grad_enabled():
+            return render(scene, cameras, background=BLACK), {}
+        screen = scene.means.new_zeros(1, scene.count, 2, requires_grad=True)
+        image, radii = render(scene, cameras, background=BLACK, screen=screen, radii=True)
+        info = {"means2d": screen, "radii": radii[..., None].expand(-1, -1, 2), "gaussian_ids": None, "n_cameras": 1}
+        return image, {**info, "width": cameras.width_px, "height": cameras.height_px}
 
     def _loss(self, image: Tensor, place: int) -> Tensor:
         """That of Kerbl et al. 2023, and regularisers of mcmc; what a mask leaves out looks as in the photograph."""

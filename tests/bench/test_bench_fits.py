@@ -91,7 +91,9 @@ def test_the_dense_scene_is_as_described():
     expected = 1.2 * np.sqrt(1e6 / 40_000 * 400 * 266 / (1600 * 1066))
     assert float(sigmas.median()) == pytest.approx(expected, rel=0.02)
     assert float(sigmas.log().std()) == pytest.approx(0.6, rel=0.02) and scene.sh_degree == 3
-    assert float(scene.opacities.min()) == pytest.approx(0.01) and float(scene.opacities.median()) == pytest.approx(0.5, abs=0.02)
+    assert float(scene.opacities.min()) == pytest.approx(0.01) and float(scene.opacities.median()) == pytest.approx(
+        0.5, abs=0.02
+    )
 
 
 def test_programs_run_by_turns():
@@ -159,17 +161,17 @@ def test_scores_are_those_of_a_fit(photographs):
 
 @pytest.mark.parametrize("arm", list(fit.RECIPES))
 def test_a_fit_in_the_peers_loop_learns(arm, photographs, gsplat):
-    settings = FitSettings(steps=120, gaussians=200)
+    settings = FitSettings(steps=60, gaussians=200)
     rows = list(fit._rows_of(photographs, arm, settings))
     peer = fit.ARMS[arm](photographs, settings)
     assert rows[-1]["psnr_db"] > fit.scores(peer, photographs.test)["psnr_db"] + 1
     strategy = Strategy.made[0]
-    assert [step for step, _ in strategy.calls] == list(range(120)) and strategy.options["refine_start_iter"] == 2
+    assert [step for step, _ in strategy.calls] == list(range(60)) and strategy.options["refine_start_iter"] == 1
     if "mcmc" in arm:
-        assert strategy.options["cap_max"] == 200 and strategy.options["refine_stop_iter"] == 100
+        assert strategy.options["cap_max"] == 200 and strategy.options["refine_stop_iter"] == 50
         assert strategy.calls[-1][1] == {"lr": pytest.approx(1.6e-6, rel=1e-9)}
     else:
-        assert strategy.options["reset_every"] == 12 and strategy.calls[0][1] == {"packed": False}
+        assert strategy.options["reset_every"] == 6 and strategy.calls[0][1] == {"packed": False}
         assert strategy.options.get("grow_grad2d") == (6e-4 if "absgrad" in arm else None)
 
 
