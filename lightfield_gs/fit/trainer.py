@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fit import adaptive, mcmc
+from lightfield_gs.fit import adaptive, mcmc, morton
 from lightfield_gs.fit.fields import Fields
 from lightfield_gs.fit.schedule import Schedule
 from lightfield_gs.fit.settings import FitSettings
@@ -52,7 +52,8 @@ class Trainer:
 
     def _something_due(self, step: int) -> bool:
         settings = self.settings
-        return settings.refines_after(step) or settings.degree_at(step) != settings.degree_at(step - 1)
+        density = settings.refines_after(step) or settings.resets_after(step) or settings.sorts_after(step)
+        return density or settings.degree_at(step) != settings.degree_at(step - 1)
 
     def _begin_segment(self) -> None:
         degree = self.settings.degree_at(self.done)
@@ -60,9 +61,19 @@ class Trainer:
             self.fields.raise_degree(degree)
 
     def _end_segment(self) -> None:
-        """Changes the density, if that is due."""
-        if not self.settings.refines_after(self.done):
-            return
+        """Does what is due: changes the density, resets opacities, sorts."""
+        settings = self.settings
+        if settings.refines_after(self.done):
+            self._refine()
+        if settings.resets_after(self.done):
+            adaptive.reset(self.fields, settings)
+        if settings.sorts_after(self.done):
+            order = morton.order_of(self.fields.values.means)
+            self.fields = self.fields.changed(lambda tensor: tensor[order])
+            self.tally.sort(order)
+
+    def _refine(self) -> None:
+        """Changes the density, and begins another tally."""
         before = self.fields
         if self.settings.density == "mcmc":
             self.fields = mcmc.change(self.fields, self.settings, self.done)
@@ -94,7 +105,8 @@ class Trainer:
             self._step(None).run()
             self._look()
             count -= 1
-        key = (*(t.data_ptr() for t in self.fields.tensors().values()), self.tally.seen.data_ptr(), self._room)
+        tensors = [*self.fields.tensors().values(), *self.tally.tensors().values()]
+        key = (self.fields.count, self._room, *(t.data_ptr() for t in tensors))
         if key != self._graph_key and count:
             self._graph = None  # its memory is free for the next before that is made
             self._step(self._room).run()
