@@ -1,0 +1,170 @@
+"""From a capture to a scene: what a fit begins with, its run, and what it leaves."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEVICES, Device
+from lightfield_gs.base.paths import checked_path
+from lightfield_gs.fit import checkpoint, memory
+from lightfield_gs.fit.checkpoint import Origin
+from lightfield_gs.fit.evaluate import Scores
+from lightfield_gs.fit.fields import Fields
+from lightfield_gs.fit.initial import initial_gaussians
+from lightfield_gs.fit.progress import Progress
+from lightfield_gs.fit.run import Habits, Run
+from lightfield_gs.fit.settings import Density, FitSettings
+from lightfield_gs.fit.trainer import Trainer
+from lightfield_gs.fit.views import Views
+from lightfield_gs.fit.world import World
+from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.captures.capture import Capture, read_capture
+from lightfield_gs.io.scenes.doubts import float_step, usual_size
+from lightfield_gs.scene.gaussians import Gaussians
+
+_ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: rounding to float32 may move one by so much
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """What a fit made.
+
+    gaussians: the scene in the capture's coordinates, float32 on the CPU. settings: as it was fitted. steps: how many
+    were done, fewer than settings.steps where it was stopped. scores: of the photographs held out; None: none were.
+    history: of all evaluations: step, psnr_db, ssim, gaussians. stopped: whether it was asked to end before its time.
+    """
+
+    gaussians: Gaussians
+    settings: FitSettings
+    steps: int
+    scores: Scores | None
+    history: list[dict[str, Any]]
+    stopped: bool
+
+    def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
+        """Writes the scene as a standard 3DGS .ply, the settings in a line of its header; see Gaussians.save."""
+        said = {**asdict(self.settings), "steps_done": self.steps}
+        self.gaussians.save(path, [f"lightfield-gs fit: {json.dumps(said)}", *comments])
+
+
+def fit(
+    capture: str | Path | Capture,
+    *,
+    steps: int = 30_000,
+    gaussians: int = 300_000,
+    density: Density = "mcmc",
+    test_every: int | None = 8,
+    test_names: Sequence[str] | None = None,
+    device: Device = "auto",
+    folder: str | Path | None = None,
+    fresh: bool = False,
+    checkpoint_every: int | None = None,
+    evaluate_every: int | None = None,
+    picture_every: int | None = None,
+    stop_early: bool = False,
+    tensorboard: bool = False,
+    progress: bool = True,
+    stop: Callable[[], bool] = lambda: False,
+    **settings: Any,
+) -> FitResult:
+    """Fits Gaussians to posed photographs of a scene that stands still (Kerbl et al. 2023).
+
+    capture: a folder (COLMAP's sparse/0 or a transforms.json, and the photographs), or what read_capture returned.
+    steps, gaussians (a budget), density ("mcmc" or "adaptive") and settings: see FitSettings, whose fields they are.
+    test_every: k holds out the middle one of every k photographs and scores the scene by them; None: none. test_names:
+    those held out instead. device: "auto", "cpu" or "cuda". folder: where checkpoints, scores.json and pictures go; a
+    fit that was stopped goes on from there, to the same bits, unless `fresh`. The other arguments: see Habits.
+
+    The same capture, settings and device give the same bits. Raises InputError: what is no capture, settings that
+    cannot be, a folder of another fit.
+    """
+    chosen = settings_of(steps=steps, gaussians=gaussians, density=density, **settings)
+    where = None if folder is None else checked_path(folder)
+    habits = Habits(
+        where, fresh, checkpoint_every, evaluate_every, picture_every, stop_early, tensorboard, progress, stop
+    )
+    if device not in DEVICES:
+        raise InputError(f"device: expected {', '.join(DEVICES)}, got {shown(device)}")
+    if test_names is not None and not is_row(test_names):
+        raise InputError(f"test_names: expected names of photographs, got {shown(test_names)}")
+    on = choose_device(device)
+    expect("capture", capture, str, Path, Capture)
+    read = capture if isinstance(capture, Capture) else read_capture(capture)
+    train, test = read.split(test_every, None if test_names is None else list(test_names))
+    run, world = _prepared(read, train, test, chosen, habits, on)
+    run.go()
+    return FitResult(_finished(run.trainer, world), chosen, run.trainer.done, run.scores, run.history, run.stopped)
+
+
+def _prepared(
+    capture: Capture, train: list[int], test: list[int], settings: FitSettings, habits: Habits, device: str
+) -> tuple[Run, World]:
+    """The run before its first step, and the coordinates that it is in; says what was chosen."""
+    origin = Origin.of(settings, capture, train)
+    progress = Progress(habits.progress, habits.folder if habits.tensorboard else None)
+    if habits.folder is not None:
+        make_folder(habits.folder)
+        origin.check_file(habits.folder / checkpoint.FILE, habits.fresh)
+    width, height = map(int, capture.sizes_px.max(0))
+    need = memory.needed(settings, len(capture.names), width, height, masked=True)
+    progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
+    world = World.of(capture.world_to_camera, capture.extent)
+    trainer = _begun(capture, train, world, settings, device)
+    held = Views.load(capture, test, world, device, test) if test else None
+    progress.say(
+        f"fits {len(train)} photographs of {width} x {height} pixels, {len(test)} held out, on {device}: "
+        f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
+    )
+    return Run(trainer, held, origin, habits, progress), world
+
+
+def settings_of(**given: Any) -> FitSettings:
+    """FitSettings of these fields. Raises InputError for names that it does not have, and values of another kind."""
+    known = {field.name: field.default for field in fields(FitSettings)}
+    for name, value in given.items():
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
+            raise InputError(f"fit: there is no setting {name}; {hint}")
+        if isinstance(known[name], bool):
+            expect(name, value, bool)
+        elif isinstance(known[name], float):
+            given[name] = real_number(name, value, 0.0, 1e9)
+    if given.get("background") is not None:
+        if not is_row(given["background"], 3):
+            raise InputError(f"background: expected red, green and blue, or none, got {shown(given['background'])}")
+        given["background"] = tuple(real_number("background", value, 0.0, 1.0) for value in given["background"])
+    return FitSettings(**given)
+
+
+def _begun(capture: Capture, train: list[int], world: World, settings: FitSettings, device: str) -> Trainer:
+    """The trainer before its first step. What weighs photographs against each other has its place here."""
+    views = Views.load(capture, train, world, device, train)
+    gaussians = initial_gaussians(
+        world.points(capture.points), capture.colours, world.points(capture.centres), settings
+    )
+    return Trainer(Fields.of(gaussians.to(device)), views, settings)
+
+
+def _finished(trainer: Trainer, world: World) -> Gaussians:
+    """The scene in the capture's coordinates. What leaves Gaussians out at the end has its place here."""
+    return _without_origin(world.back(trainer.fields.gaussians().detach().to("cpu")))
+
+
+def _without_origin(gaussians: Gaussians) -> Gaussians:
+    """The same from an origin of zero, where float32 is fine enough for that: not every program reads doubles."""
+    exact = gaussians.means.double().numpy() + gaussians.origin
+    if float_step(np.median(exact, 0)) > _ORIGIN_STEP * usual_size(gaussians.scales.numpy()):
+        return gaussians
+    return replace(gaussians, means=torch.from_numpy(exact.astype(np.float32)), origin=(0.0, 0.0, 0.0))
