@@ -20,12 +20,14 @@ from lightfield_gs.base.errors import InputError
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it
 COMMANDS = {
+    "fit": "photographs of a scene to its Gaussians",
     "encode": "a photo or a .ply to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
     "simulate": "what an eye sees through the lenses",
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",
 }
+_REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
 _VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up")  # may begin with a minus sign
 
 
@@ -55,7 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (Exception, KeyboardInterrupt) as error:
-        return complain("lightfield-gs", error, "use a smaller scene or panel")
+        remedy = _REMEDIES.get(next(iter(arguments), ""), "use a smaller scene or panel")
+        return complain("lightfield-gs", error, remedy)
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
