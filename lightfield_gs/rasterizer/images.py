@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 import torch
@@ -13,7 +13,8 @@ from torch import Tensor
 from lightfield_gs.base.arrays import Colour, dense_tensor
 from lightfield_gs.base.checks import expect, shown
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.dense import dense_forward
+from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_splats, dense_with_splats
+from lightfield_gs.rasterizer.screen import radii_px
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -27,6 +28,8 @@ def render(
     alpha: Literal[False] = ...,
     depth: Literal[False] = ...,
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[False] = ...,
 ) -> Tensor: ...
 @overload
 def render(
@@ -37,6 +40,8 @@ def render(
     alpha: Literal[True],
     depth: Literal[False] = ...,
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[False] = ...,
 ) -> tuple[Tensor, Tensor]: ...
 @overload
 def render(
@@ -47,6 +52,8 @@ def render(
     alpha: Literal[False] = ...,
     depth: Literal[True],
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[False] = ...,
 ) -> tuple[Tensor, Tensor]: ...
 @overload
 def render(
@@ -57,7 +64,21 @@ def render(
     alpha: Literal[True],
     depth: Literal[True],
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[False] = ...,
 ) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[False] = ...,
+    depth: Literal[False] = ...,
+    antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[True],
+) -> tuple[Tensor, Tensor]: ...
 @overload
 def render(
     gaussians: Gaussians,
@@ -67,6 +88,20 @@ def render(
     alpha: bool = ...,
     depth: bool = ...,
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[True],
+) -> tuple[Tensor, ...]: ...
+@overload
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: bool = ...,
+    depth: bool = ...,
+    antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: bool = ...,
 ) -> Tensor | tuple[Tensor, ...]: ...
 def render(
     gaussians: Gaussians,
@@ -76,6 +111,8 @@ def render(
     alpha: bool = False,
     depth: bool = False,
     antialiased: bool = False,
+    screen: Tensor | None = None,
+    radii: bool = False,
 ) -> Tensor | tuple[Tensor, ...]:
     """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
 
@@ -86,11 +123,16 @@ def render(
     [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is.
     antialiased: for scenes that were trained so (Yu et al., Mip-Splatting, 2024; gsplat's rasterize_mode of that name):
     a Gaussian that 0.3 px^2 of blur spread out becomes fainter by as much, by the root of the ratio of the determinants
-    of its projected covariance. Raises InputError.
+    of its projected covariance.
+    screen: zeros [..., C, N, 2] that ask for gradients. The image does not depend on them, but their .grad is that of
+    the loss by the projected means (x right, y down), in 1 / pixels. [..., C, N, 4]: the last two are then sums over
+    pixels of the absolute values of what each adds to it (Ye et al., "AbsGS", 2024).
+    radii: returns, as the last of the tuple, [..., C, N] in pixels, without gradients: half the longest extent of where
+    a Gaussian's alpha is 1/255 or more; 0 where it is not drawn. Raises InputError.
     """
     expect("gaussians", gaussians, Gaussians)
     expect("cameras", cameras, Cameras)
-    for name, value in (("alpha", alpha), ("depth", depth), ("antialiased", antialiased)):
+    for name, value in (("alpha", alpha), ("depth", depth), ("antialiased", antialiased), ("radii", radii)):
         expect(name, value, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
@@ -106,17 +148,40 @@ def render(
         )
     tensors = [t if batched else t.unsqueeze(0) for t in gaussians.fields().values()]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
-    draw: Callable[..., tuple[Tensor, Tensor, Tensor]] = torch.ops.lightfield_gs.render_dense
-    if not (torch.is_grad_enabled() and any(t.requires_grad for t in (*tensors, colour, *views))):
-        draw = dense_forward  # at the first call of an operator with a reverse torch spends a second on imports
-    image, coverage, weighted_depth = draw(*tensors, colour, *views, cameras.width_px, cameras.height_px, antialiased)
+    inputs: list[Tensor] = [*tensors, colour, *views]
+    options: list[Any] = [cameras.width_px, cameras.height_px, antialiased]
+    if screen is not None:
+        screen = _checked_screen(screen, gaussians, cameras.count)
+    draw: Callable[..., tuple[Tensor, ...]]
+    if torch.is_grad_enabled() and (screen is not None or any(t.requires_grad for t in inputs)):
+        draw, options = dense_with_splats if radii else torch.ops.lightfield_gs.render_dense, [*options, screen]
+    else:  # at the first call of an operator with a reverse torch spends a second on imports
+        draw = dense_forward_with_splats if radii else dense_forward
+    image, coverage, weighted_depth, *splats = draw(*inputs, *options)
     out = [image]
     if alpha:
         out.append(coverage)
     if depth:
         out.append(weighted_depth / coverage.clamp_min(1e-10))
+    if radii:
+        out.append(radii_px(splats[0]).view(*coverage.shape[:2], gaussians.count))
     out = [t if batched else t.squeeze(0) for t in out]
     return tuple(out) if len(out) > 1 else out[0]
+
+
+def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tensor:
+    """The argument `screen` of render, [B, C, N, 2 or 4]. Raises InputError."""
+    expect("screen", screen, Tensor)
+    shape = [*gaussians.means.shape[:-2], cameras, gaussians.count]
+    if list(screen.shape[:-1]) != shape or screen.shape[-1] not in (2, 4):
+        raise InputError(f"screen: expected {shape} of 2 or 4 numbers, got {list(screen.shape)}")
+    if screen.dtype != gaussians.dtype or screen.device != gaussians.device:
+        raise InputError(
+            f"screen: expected {gaussians.dtype} on {gaussians.device} as means, got {screen.dtype} on {screen.device}"
+        )
+    if not screen.requires_grad:
+        raise InputError("screen: nothing but its gradient means anything; make it with requires_grad=True")
+    return screen if gaussians.is_batched else screen.unsqueeze(0)
 
 
 def background_tensor(background: Colour, like: Tensor) -> Tensor:
