@@ -5,15 +5,19 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.checks import expect
+import numpy as np
+import torch
+
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import Device
-from lightfield_gs.fit import memory
+from lightfield_gs.base.options import DEVICES, Device
+from lightfield_gs.base.paths import checked_path
+from lightfield_gs.fit import checkpoint, memory
 from lightfield_gs.fit.checkpoint import Origin
 from lightfield_gs.fit.evaluate import Scores
 from lightfield_gs.fit.fields import Fields
@@ -26,7 +30,10 @@ from lightfield_gs.fit.views import Views
 from lightfield_gs.fit.world import World
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.capture import Capture, read_capture
+from lightfield_gs.io.scenes.doubts import float_step, usual_size
 from lightfield_gs.scene.gaussians import Gaussians
+
+_ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: rounding to float32 may move one by so much
 
 
 @dataclass(frozen=True)
@@ -83,44 +90,61 @@ def fit(
     cannot be, a folder of another fit.
     """
     chosen = settings_of(steps=steps, gaussians=gaussians, density=density, **settings)
-    where = None if folder is None else make_folder(folder)
+    where = None if folder is None else checked_path(folder)
     habits = Habits(
         where, fresh, checkpoint_every, evaluate_every, picture_every, stop_early, tensorboard, progress, stop
     )
+    if device not in DEVICES:
+        raise InputError(f"device: expected {', '.join(DEVICES)}, got {shown(device)}")
+    if test_names is not None and not is_row(test_names):
+        raise InputError(f"test_names: expected names of photographs, got {shown(test_names)}")
     on = choose_device(device)
     expect("capture", capture, str, Path, Capture)
     read = capture if isinstance(capture, Capture) else read_capture(capture)
     train, test = read.split(test_every, None if test_names is None else list(test_names))
-    if tensorboard and where is None:
-        raise InputError("tensorboard: expected a folder for it as well")
-    teller = Progress(progress, where / "tensorboard" if tensorboard and where is not None else None)
-    width, height = map(int, read.sizes_px.max(0))
-    need = memory.needed(chosen, len(read.names), width, height, masked=True)
-    needs = memory.check(need, on, is_certain=chosen.density == "mcmc")
-    world = World.of(read.world_to_camera, read.extent)
-    trainer = _begun(read, train, world, chosen, on)
-    held = Views.load(read, test, world, on, test) if test else None
-    views = trainer.views
-    teller.say(
-        f"fits {len(train)} photographs of {views.width_px} x {views.height_px} pixels, {len(test)} held out, on {on}: "
-        f"{chosen.steps} steps, {trainer.fields.count} Gaussians to begin with, {chosen.gaussians} at most"
-    )
-    teller.say(f"needs about {needs}")
-    run = Run(trainer, held, Origin.of(chosen, read, train), habits, teller)
+    run, world = _prepared(read, train, test, chosen, habits, on)
     run.go()
-    return FitResult(_finished(trainer, world), chosen, trainer.done, run.scores, run.history, run.stopped)
+    return FitResult(_finished(run.trainer, world), chosen, run.trainer.done, run.scores, run.history, run.stopped)
+
+
+def _prepared(
+    capture: Capture, train: list[int], test: list[int], settings: FitSettings, habits: Habits, device: str
+) -> tuple[Run, World]:
+    """The run before its first step, and the coordinates that it is in; says what was chosen."""
+    origin = Origin.of(settings, capture, train)
+    progress = Progress(habits.progress, habits.folder if habits.tensorboard else None)
+    if habits.folder is not None:
+        make_folder(habits.folder)
+        origin.check_file(habits.folder / checkpoint.FILE, habits.fresh)
+    width, height = map(int, capture.sizes_px.max(0))
+    need = memory.needed(settings, len(capture.names), width, height, masked=True)
+    progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
+    world = World.of(capture.world_to_camera, capture.extent)
+    trainer = _begun(capture, train, world, settings, device)
+    held = Views.load(capture, test, world, device, test) if test else None
+    progress.say(
+        f"fits {len(train)} photographs of {width} x {height} pixels, {len(test)} held out, on {device}: "
+        f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
+    )
+    return Run(trainer, held, origin, habits, progress), world
 
 
 def settings_of(**given: Any) -> FitSettings:
-    """FitSettings of these fields. Raises InputError for names that it does not have."""
-    known = [field.name for field in fields(FitSettings)]
-    for name in given:
+    """FitSettings of these fields. Raises InputError for names that it does not have, and values of another kind."""
+    known = {field.name: field.default for field in fields(FitSettings)}
+    for name, value in given.items():
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
-            raise InputError(
-                f"fit: there is no setting {name}; "
-                + (f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}")
-            )
+            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
+            raise InputError(f"fit: there is no setting {name}; {hint}")
+        if isinstance(known[name], bool):
+            expect(name, value, bool)
+        elif isinstance(known[name], float):
+            given[name] = real_number(name, value, 0.0, 1e9)
+    if given.get("background") is not None:
+        if not is_row(given["background"], 3):
+            raise InputError(f"background: expected red, green and blue, or none, got {shown(given['background'])}")
+        given["background"] = tuple(real_number("background", value, 0.0, 1.0) for value in given["background"])
     return FitSettings(**given)
 
 
@@ -135,4 +159,12 @@ def _begun(capture: Capture, train: list[int], world: World, settings: FitSettin
 
 def _finished(trainer: Trainer, world: World) -> Gaussians:
     """The scene in the capture's coordinates. What leaves Gaussians out at the end has its place here."""
-    return world.back(trainer.fields.gaussians().detach().to("cpu"))
+    return _without_origin(world.back(trainer.fields.gaussians().detach().to("cpu")))
+
+
+def _without_origin(gaussians: Gaussians) -> Gaussians:
+    """The same from an origin of zero, where float32 is fine enough for that: not every program reads doubles."""
+    exact = gaussians.means.double().numpy() + gaussians.origin
+    if float_step(np.median(exact, 0)) > _ORIGIN_STEP * usual_size(gaussians.scales.numpy()):
+        return gaussians
+    return replace(gaussians, means=torch.from_numpy(exact.astype(np.float32)), origin=(0.0, 0.0, 0.0))
