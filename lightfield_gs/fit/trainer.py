@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 
 from lightfield_gs.base.errors import InputError
@@ -24,10 +26,13 @@ class Trainer:
     of stops and checkpoints between: nothing depends on time, and random numbers only on the seed and the step.
     """
 
-    def __init__(self, gaussians_or_fields: Fields, views: Views, settings: FitSettings):
+    def __init__(
+        self, gaussians_or_fields: Fields, views: Views, settings: FitSettings, shares: Sequence[float] | None = None
+    ):
+        """shares: in how many of the epochs each of the views is, see Schedule.of."""
         self.fields, self.views, self.settings = gaussians_or_fields, views, settings
         self.device = views.photos.device
-        self.schedule = Schedule.of(settings, views.count, self.device)
+        self.schedule = Schedule.of(settings, views.count, self.device, shares)
         self.counters = Counters.start(settings.steps, self.device)
         self.tally = Tally(self.fields.count, settings, self.device)
         self.done = 0
