@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.encoder import Encoder
     from lightfield_gs.encoding.pruning import prune
     from lightfield_gs.encoding.sorted_plan import SortedPlan
+    from lightfield_gs.fit.fit import FitResult, fit
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Cameras": "scene.cameras",
     "Encoder": "encoding.encoder",
+    "FitResult": "fit.fit",
     "Gaussians": "scene.gaussians",
     "InputError": "base.errors",
     "Panel": "panels.panel",
@@ -35,6 +37,7 @@ _HOMES = {
     "SortedPlan": "encoding.sorted_plan",
     "SplatterNet": "models",
     "encode": "encoding.encode",
+    "fit": "fit.fit",
     "from_depth": "photo.rgbd",
     "interlace": "encoding.encode",
     "load_photo": "photo.load",
@@ -45,6 +48,7 @@ _HOMES = {
 __all__ = [
     "Cameras",
     "Encoder",
+    "FitResult",
     "Gaussians",
     "InputError",
     "Panel",
@@ -55,6 +59,7 @@ __all__ = [
     "SplatterNet",
     "build_info",
     "encode",
+    "fit",
     "from_depth",
     "interlace",
     "load_photo",

@@ -20,6 +20,7 @@ from lightfield_gs.base.errors import InputError
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it
 COMMANDS = {
+    "fit": "photographs of a scene to its Gaussians",
     "encode": "a photo or a .ply to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
     "simulate": "what an eye sees through the lenses",

@@ -35,6 +35,7 @@ class Trainer:
         self.schedule = Schedule.of(settings, views.count, self.device, shares)
         self.counters = Counters.start(settings.steps, self.device)
         self.tally = Tally(self.fields.count, settings, self.device)
+        self.extra: dict[str, torch.Tensor] = {}  # what else is optimised, by name: a checkpoint keeps it too
         self.done = 0
         self._room: int | None = None
         self._graph: torch.cuda.CUDAGraph | None = None

@@ -1,0 +1,97 @@
+"""`lightfield-gs fit`: a scene from posed photographs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.commands.options.fit import add_capture, add_optimisation, add_run, names_in, settings_given
+from lightfield_gs.commands.options.interrupts import Interrupts
+from lightfield_gs.commands.options.scene import check_scene_path
+from lightfield_gs.io.atomic import check_folder, make_folder
+
+if TYPE_CHECKING:
+    from lightfield_gs.fit.fit import FitResult
+    from lightfield_gs.io.captures.capture import Capture
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs fit`."""
+    parser.description = (
+        "Fits Gaussians to photographs of a scene, with cameras that COLMAP or another program found. The same command "
+        "goes on where it was stopped; the same seed gives the same file."
+    )
+    add = parser.add_argument
+    add(
+        "input",
+        type=Path,
+        metavar="CAPTURE",
+        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json; with --sfm, photographs alone",
+    )
+    add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene, a standard 3DGS .ply")
+    add_capture(parser)
+    add_optimisation(parser)
+    add_run(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fits args.input into args.output; 128 and the signal where one stopped it. Raises InputError."""
+    check_scene_path(args.output)
+    folder = check_folder(args.output.with_suffix(".fit") if args.run is None else args.run)
+    choose_device(args.device)
+    names = names_in(args.test_list)
+
+    from lightfield_gs.fit.fit import fit
+
+    with Interrupts() as interrupts:
+        capture = _capture(args, folder)
+        result = fit(
+            capture,
+            test_every=args.test_every,
+            test_names=names,
+            device=args.device,
+            folder=folder,
+            fresh=args.fresh,
+            checkpoint_every=args.checkpoint_every,
+            evaluate_every=args.evaluate_every,
+            picture_every=args.picture_every,
+            stop_early=args.stop_early,
+            tensorboard=args.tensorboard,
+            stop=lambda: interrupts.number is not None,
+            **settings_given(args),
+        )
+        result.save(args.output)
+    _say(args, result, folder)
+    return 128 + interrupts.number if result.stopped and interrupts.number is not None else 0
+
+
+def _capture(args: argparse.Namespace, folder: Path) -> Capture:
+    """The capture that is fitted, posed first with --sfm."""
+    from lightfield_gs.io.captures.capture import read_capture
+    from lightfield_gs.io.captures.sfm import structure_from_motion
+
+    where, images = args.input, args.images
+    if args.sfm:
+        if images is not None:
+            raise InputError("--sfm: CAPTURE itself is the folder of photographs; leave out --images")
+        where, images = folder / "sfm", args.input.absolute()
+        if not (where / "sparse/0").exists():
+            structure_from_motion(images, make_folder(where), lambda words: print(words, flush=True))
+    return read_capture(where, images=images, masks=args.mask_folder, scale=args.scale, longest_px=args.longest_px)
+
+
+def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
+    """What came out, how well, and how to go on."""
+    from lightfield_gs.fit.evaluate import PROTOCOL
+
+    if result.scores is not None:
+        print(f"{result.scores.table()}\n{PROTOCOL}")
+    print(f"{args.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
+    print(f"{folder}: checkpoint" + (", scores.json and last.png" if result.scores is not None else ""))
+    if result.stopped:
+        print("stopped: the same command goes on from the checkpoint")
+    if result.settings.antialiased:
+        print("fitted with anti-aliasing: give --antialiased to encode and prune as well")

@@ -1,0 +1,145 @@
+"""Options of `lightfield-gs fit`: the capture, what is optimised, and what happens beside."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEVICES
+from lightfield_gs.commands.options.values import background, within
+
+Add = Callable[..., argparse.Action]
+_BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
+_MOST = 10_000_000
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """Parser of a whole number in low..high."""
+
+    def parse(text: str) -> int:
+        digits = text.replace("_", "").replace(",", "")
+        if not digits.isdecimal() or not low <= int(digits[:19]) <= high:
+            raise argparse.ArgumentTypeError(f"expected a whole number in {low}..{high}, got '{text}'")
+        return int(digits)
+
+    return parse
+
+
+def every_or_none(text: str) -> int | None:
+    """ "8" -> 8, "none" -> None."""
+    return None if text == "none" else whole(2, 1 << 30)(text)
+
+
+def backdrop(text: str) -> tuple[float, ...] | None:
+    """ "white" -> (1.0, 1.0, 1.0), "random" -> None, "0,0.5,1" -> (0.0, 0.5, 1.0)."""
+    return _BACKGROUNDS[text] if text in _BACKGROUNDS else background(text)
+
+
+def add_capture(parser: argparse.ArgumentParser) -> None:
+    """What is read of a capture, and how."""
+    add = parser.add_argument_group("capture").add_argument
+    add("--images", type=Path, metavar="FOLDER", help="the photographs, absolute or below CAPTURE (default: images)")
+    add("--mask-folder", type=Path, metavar="FOLDER", help="masks, named as the photographs (default: masks)")
+    add(
+        "--masks",
+        choices=("ignore", "alpha"),
+        default="ignore",
+        help="what masks leave out says nothing (ignore), or is to be transparent (alpha); default ignore",
+    )
+    size = parser.add_argument_group("size").add_mutually_exclusive_group().add_argument
+    size("--scale", type=within(1e-3, 1), metavar="SHARE", help="0..1, shrinks the photographs in memory")
+    size("--longest-px", type=whole(16, 1 << 20), metavar="PIXELS", help="shrinks photographs with a longer side")
+    test = add_test = parser.add_argument_group("held-out photographs").add_mutually_exclusive_group()
+    add_test = test.add_argument
+    add_test(
+        "--test-every",
+        type=every_or_none,
+        default=8,
+        metavar="N",
+        help="holds out the middle one of every N photographs, in the order of their names, to score by; or none "
+        "(default 8)",
+    )
+    add_test(
+        "--test-list", type=Path, metavar="FILE", help="holds out the photographs named in a text file, one a line"
+    )
+    add(
+        "--sfm",
+        action="store_true",
+        help="CAPTURE is a folder of photographs whose cameras nobody knows: pycolmap finds them first, and keeps them "
+        "in the folder of the run",
+    )
+
+
+def add_optimisation(parser: argparse.ArgumentParser) -> None:
+    """What becomes FitSettings."""
+    add = parser.add_argument_group("fit").add_argument
+    add("--steps", type=whole(1, _MOST), default=30_000, metavar="N", help="steps; schedules scale (default 30000)")
+    add(
+        "--gaussians",
+        type=whole(1, 2**31 - 1),
+        default=300_000,
+        metavar="N",
+        help="mcmc: their number at the end; adaptive: at most so many (default 300000)",
+    )
+    add("--density", choices=("mcmc", "adaptive"), default="mcmc", help="where Gaussians come and go (default mcmc)")
+    add("--absolute-gradients", action="store_true", help="adaptive density by absolute gradients (Ye et al. 2024)")
+    add("--sh-degree", type=int, choices=range(4), default=3, help="of the harmonics, 0..3 (default 3)")
+    add("--views-per-step", type=whole(1, 1024), default=1, metavar="N", help="photographs of a step (default 1)")
+    add("--exposure", action="store_true", help="fits a change of colours for each photograph")
+    add("--poses", action="store_true", help="refines the cameras' poses")
+    add(
+        "--background",
+        type=backdrop,
+        default=_BACKGROUNDS["black"],
+        metavar="COLOUR",
+        help="black, white, random (another at each step) or R,G,B in 0..1 (default black)",
+    )
+    add("--antialiased", action="store_true", help="fits for drawing with anti-aliasing: encode takes --antialiased")
+    add("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N", help="of random numbers (default 0)")
+    add("--device", choices=DEVICES, default="auto", help="where the scene is fitted (default auto)")
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """What becomes Habits."""
+    add = parser.add_argument_group("run").add_argument
+    add(
+        "--run",
+        type=Path,
+        metavar="FOLDER",
+        help="for checkpoints, scores and pictures (default: beside the output, scene.fit for scene.ply). A fit that "
+        "was stopped goes on from there",
+    )
+    add("--fresh", action="store_true", help="starts over, whatever the folder of the run holds")
+    every = dict(type=whole(1, _MOST), metavar="N")
+    add("--checkpoint-every", **every, help="steps (default: so that checkpoints take 2 %% of the time)")
+    add("--evaluate-every", **every, help="steps between scores of the held-out photographs (default: a tenth of all)")
+    add("--picture-every", **every, help="steps between pictures of a held-out view beside its photograph")
+    add(
+        "--stop-early",
+        action="store_true",
+        help="ends once the held-out PSNR has not improved over the last 3 evaluations",
+    )
+    add("--tensorboard", action="store_true", help="scalars for TensorBoard in the folder of the run")
+
+
+def settings_given(args: argparse.Namespace) -> dict[str, Any]:
+    """The fields of FitSettings, by the options."""
+    names = ("steps", "gaussians", "density", "absolute_gradients", "sh_degree", "exposure", "poses", "background")
+    others = {"views": args.views_per_step, "masks": args.masks}
+    return {name: getattr(args, name) for name in (*names, "antialiased", "seed")} | others
+
+
+def names_in(path: Path | None) -> list[str] | None:
+    """The photographs that a text file names, one a line; empty lines and those that begin with # are none."""
+    from lightfield_gs.io.text_file import read_text
+
+    if path is None:
+        return None
+    lines = [line.strip() for line in read_text(path, 1 << 24, "a list of photographs").splitlines()]
+    names = [line for line in lines if line and not line.startswith("#")]
+    if not names:
+        raise InputError(f"{path}: expected names of photographs, one a line, got none")
+    return names

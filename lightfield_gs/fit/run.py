@@ -1,0 +1,167 @@
+"""A fit from its first step, or a checkpoint's, to its last: what happens between steps, and when."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lightfield_gs.base.checks import whole_number
+from lightfield_gs.fit import checkpoint
+from lightfield_gs.fit.checkpoint import Origin
+from lightfield_gs.fit.evaluate import PROTOCOL, Scores, evaluated
+from lightfield_gs.fit.pictures import write_pictures
+from lightfield_gs.fit.progress import Progress
+from lightfield_gs.fit.trainer import Trainer
+from lightfield_gs.fit.views import Views
+from lightfield_gs.io.atomic import atomic_path, remove_file
+
+_CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # how long steps go on before the loop looks whether it is to stop
+_LEAST_REST_S, _CHECKPOINT_SHARE = 30.0, 0.02  # seconds between checkpoints, and their share of the time
+_PATIENCE = 3  # evaluations without a better one, after which --stop-early ends a fit
+
+
+@dataclass(frozen=True)
+class Habits:
+    """What a fit does beside its steps; none of it changes a bit of the scene.
+
+    folder: for checkpoints, scores and pictures; None: none are written. fresh: a checkpoint that is there is removed.
+    checkpoint_every, evaluate_every, picture_every: steps; None: so that checkpoints take 2 % of the time, evaluations
+    at every tenth of the steps, no pictures. stop_early: the fit ends once three evaluations in a row were no better.
+    tensorboard: scalars in the folder. progress: whether lines and a bar are printed. stop: is asked between steps.
+    """
+
+    folder: Path | None = None
+    fresh: bool = False
+    checkpoint_every: int | None = None
+    evaluate_every: int | None = None
+    picture_every: int | None = None
+    stop_early: bool = False
+    tensorboard: bool = False
+    progress: bool = True
+    stop: Callable[[], bool] = lambda: False
+
+    def __post_init__(self) -> None:
+        for name in ("checkpoint_every", "evaluate_every", "picture_every"):
+            if getattr(self, name) is not None:
+                whole_number(name, getattr(self, name), 1, 10_000_000)
+
+
+class Run:
+    """A trainer on its way, with the views that are held out from it, if any."""
+
+    def __init__(self, trainer: Trainer, held: Views | None, origin: Origin, habits: Habits, progress: Progress):
+        self.trainer, self.held, self.habits, self._progress = trainer, held, habits, progress
+        self._origin = origin
+        self.history: list[dict[str, Any]] = []  # of evaluations: step, psnr_db, ssim, gaussians
+        self.scores: Scores | None = None
+        self.stopped = False  # by habits.stop
+        self._saved_at, self._saving_s = time.monotonic(), 0.0
+
+    def go(self) -> None:
+        """Does all steps that are left, or as many as it may."""
+        self._resume()
+        trainer, steps, chunk = self.trainer, self.trainer.settings.steps, 1
+        self._progress.begin(trainer.done, steps, trainer.settings.views)
+        try:
+            while trainer.done < steps and not self.stopped and not self._is_no_better():
+                began = time.monotonic()
+                before = trainer.done
+                trainer.advance(min(self._next_stop(), before + chunk))
+                if time.monotonic() - began < _CHUNK_S / 2 and trainer.done == before + chunk:
+                    chunk = min(2 * chunk, _LONGEST_CHUNK)
+                self._between()
+            self._end()
+        finally:
+            self._progress.close()
+
+    def _next_stop(self) -> int:
+        """The next step after which something is due."""
+        habits = self.habits
+        every = [n for n in (habits.checkpoint_every, habits.picture_every, self._evaluate_every) if n is not None]
+        return min((self.trainer.done // n + 1) * n for n in every)
+
+    @property
+    def _evaluate_every(self) -> int:
+        return self.habits.evaluate_every or max(1, self.trainer.settings.steps // 10)
+
+    def _between(self) -> None:
+        trainer, habits = self.trainer, self.habits
+        done = trainer.done
+        losses = trainer.counters.losses[max(0, done - 100) : done]
+        self._progress.step(done, float(losses.mean()), trainer.fields.count)
+        if done % self._evaluate_every == 0 and done < trainer.settings.steps:
+            self._evaluate()
+        if habits.picture_every is not None and done % habits.picture_every == 0:
+            self._picture()
+        if self._checkpoint_is_due():
+            self._save()
+        self.stopped = habits.stop()
+
+    def _end(self) -> None:
+        """What is left for the scene as it is now."""
+        if not self.history or self.history[-1]["step"] != self.trainer.done or self.scores is None:
+            self._evaluate()
+        self._save()
+        self._picture()
+
+    # --- Scores
+
+    def _evaluate(self) -> None:
+        if self.held is None:
+            return
+        trainer, settings = self.trainer, self.trainer.settings
+        background = settings.background or (0.0, 0.0, 0.0)
+        scores = self.scores = evaluated(trainer.fields.gaussians(), self.held, background, settings.antialiased)
+        row = {"step": trainer.done, **scores.to_dict(), "gaussians": trainer.fields.count}
+        del row["views"]
+        self.history = [*(old for old in self.history if old["step"] < trainer.done), row]
+        self._progress.scores(trainer.done, scores.mean_psnr_db, scores.mean_ssim)
+        self._progress.say(
+            f"step {trainer.done}: held-out PSNR {scores.mean_psnr_db:.2f} dB, SSIM {scores.mean_ssim:.4f}, "
+            f"{trainer.fields.count} Gaussians"
+        )
+        if self.habits.folder is not None:
+            said = {"protocol": PROTOCOL, "step": trainer.done, **scores.to_dict(), "history": self.history}
+            with atomic_path(self.habits.folder / "scores.json") as temporary:
+                temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+
+    def _is_no_better(self) -> bool:
+        """Whether the last evaluations say that going on gains nothing, and the fit may end of that."""
+        scores = [row["psnr_db"] for row in self.history]
+        if not self.habits.stop_early or len(scores) <= _PATIENCE:
+            return False
+        return max(scores[-_PATIENCE:]) <= max(scores[:-_PATIENCE])
+
+    def _picture(self) -> None:
+        if self.habits.folder is not None and self.held is not None:
+            write_pictures(self.habits.folder, self.trainer, self.held)
+
+    # --- Checkpoints
+
+    def _resume(self) -> None:
+        if self.habits.folder is None:
+            return
+        path = self.habits.folder / checkpoint.FILE
+        if self.habits.fresh:
+            remove_file(path)
+        if path.exists():
+            self.history = checkpoint.restore(path, self.trainer, self._origin)
+            self._progress.say(f"goes on from {path}, {self.trainer.done} of {self.trainer.settings.steps} steps done")
+
+    def _checkpoint_is_due(self) -> bool:
+        every = self.habits.checkpoint_every
+        if every is not None:
+            return self.trainer.done % every == 0
+        return time.monotonic() - self._saved_at > max(_LEAST_REST_S, self._saving_s / _CHECKPOINT_SHARE)
+
+    def _save(self) -> None:
+        if self.habits.folder is None:
+            return
+        began = time.monotonic()
+        checkpoint.save(self.habits.folder / checkpoint.FILE, self.trainer, self._origin, self.history)
+        self._saved_at = time.monotonic()
+        self._saving_s = self._saved_at - began

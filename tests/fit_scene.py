@@ -1,0 +1,58 @@
+"""A known scene, photographs of it as a fit takes them, and Gaussians to begin with that are not yet right."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from rasterizer_cases import random_scene, turned_pose
+
+import lightfield_gs as lf
+from lightfield_gs.fit.fields import Fields
+from lightfield_gs.fit.initial import initial_gaussians
+from lightfield_gs.fit.settings import FitSettings
+from lightfield_gs.fit.views import Views
+from lightfield_gs.fit.world import centres_of
+
+WIDTH, HEIGHT, VIEWS = 48, 32, 6
+
+
+def known_scene(count: int = 300, degree: int = 0, seed: int = 0) -> lf.Gaussians:
+    """`count` opaque Gaussians, float32, in coordinates of a fit: 2 before the cameras of known_cameras."""
+    scene = random_scene(count, degree, seed, size=0.05, dtype=torch.float32)
+    scene.opacities = 0.5 + 0.5 * scene.opacities
+    return scene
+
+
+def known_cameras(count: int = VIEWS, width: int = WIDTH, height: int = HEIGHT) -> lf.Cameras:
+    """Cameras on an arc of 45 degrees about the middle of the scene, up and down by turns, within 1 of the origin."""
+    yaws = torch.linspace(-0.4, 0.4, count).tolist()
+    poses = torch.stack([torch.from_numpy(turned_pose(yaw, 0.1 * (-1) ** i)) for i, yaw in enumerate(yaws)]).float()
+    focal, middle = torch.full((count, 2), 1.2 * width), torch.tensor([[width / 2, height / 2]]).expand(count, 2)
+    return lf.Cameras(poses, focal, middle.contiguous(), width, height)
+
+
+def views_of(scene: lf.Gaussians, cameras: lf.Cameras | None = None, device: str = "cpu") -> Views:
+    """Photographs of a scene over black, in 8 bits, with their cameras."""
+    cameras = cameras or known_cameras()
+    photos = lf.render(scene, cameras, background=(0.0, 0.0, 0.0)).clamp(0, 1).mul(255).round().to(torch.uint8)
+    names, size = [f"{i:02d}.png" for i in range(cameras.count)], (cameras.width_px, cameras.height_px)
+    tensors = (t.contiguous().to(device) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits()))
+    return Views(names, photos.to(device), None, *tensors, [size] * cameras.count)
+
+
+def first_fields(scene: lf.Gaussians, settings: FitSettings, points: int = 150, device: str = "cpu") -> Fields:
+    """What a fit begins with: small Gaussians near some of those of the scene, all of them grey."""
+    shift = 0.02 * torch.randn(points, 3, generator=torch.Generator().manual_seed(1))
+    places = (scene.means[:points] + shift).double().numpy()
+    grey = (127 * torch.ones(points, 3, dtype=torch.uint8)).numpy()
+    centres = centres_of(known_cameras().world_to_camera.double().numpy())
+    return Fields.of(initial_gaussians(places, grey, centres, settings).to(device))
+
+
+def psnr_db(fields: Fields, views: Views) -> float:
+    """Of all views together, as the fields are now."""
+    fx_fy, middle = views.intrinsics.split(2, -1)
+    cameras = lf.Cameras(views.world_to_camera, fx_fy, middle, views.width_px, views.height_px, views.limits)
+    image = lf.render(fields.gaussians(), cameras, background=(0.0, 0.0, 0.0)).clamp(0, 1)
+    return -10 * math.log10(float((image - views.photos / 255).square().mean()))
