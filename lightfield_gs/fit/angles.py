@@ -3,13 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.fit.evaluate import Scores
 
 # Degrees at which the angles are parted: fine where panels are, coarse beyond
 EDGES_DEG = (0, 5, 10, 15, 20, 25, 30, 45, 90, 180)
+
+
+@dataclass(frozen=True)
+class Angles:
+    """Of held-out photographs: angles_deg [T], 0..180, from the photograph `centre`, as they are seen from the pivot of
+    a cone of this full angle."""
+
+    centre: str
+    cone_deg: float
+    angles_deg: list[float]
+
+    def to_dict(self, scores: Scores) -> dict[str, Any]:
+        """For JSON: scores by angle, and the angle of each photograph."""
+        angles = {name: round(angle, 3) for name, angle in zip(scores.names, self.angles_deg)}
+        return {"centre": self.centre, "cone_deg": self.cone_deg, "rows": self.rows(scores), "angles_deg": angles}
+
+    def rows(self, scores: Scores) -> list[dict[str, float | str]]:
+        """See by_angle."""
+        return by_angle(self.angles_deg, scores.psnr_db, scores.ssim, self.cone_deg)
+
+    def table(self, scores: Scores) -> str:
+        """A row for each part of the angles that has photographs."""
+        head = f"{'views':<16} {'photographs':>11} {'PSNR dB':>8} {'SSIM':>7}"
+        rows = (
+            f"{row['views']:<16} {row['photographs']:>11} {row['psnr_db']:>8.2f} {row['ssim']:>7.4f}"
+            for row in self.rows(scores)
+        )
+        return "\n".join([head, *rows])
 
 
 def by_angle(
@@ -41,13 +72,4 @@ def by_angle(
         }
         for name, chosen in parts
         if chosen.any()
-    ]
-
-
-def table(rows: list[dict[str, float | str]]) -> list[str]:
-    """Lines of a table of what by_angle returned."""
-    head = f"{'views':<16} {'photographs':>11} {'PSNR dB':>8} {'SSIM':>7}"
-    return [
-        head,
-        *(f"{row['views']:<16} {row['photographs']:>11} {row['psnr_db']:>8.2f} {row['ssim']:>7.4f}" for row in rows),
     ]

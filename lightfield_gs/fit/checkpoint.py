@@ -40,14 +40,17 @@ class Origin:
     capture: dict[str, str]
 
     @classmethod
-    def of(cls, settings: FitSettings, capture: Capture, train: Sequence[int]) -> Origin:
-        """Of a fit to the photographs `train` of a capture."""
+    def of(
+        cls, settings: FitSettings, capture: Capture, train: Sequence[int], shares: Sequence[float] | None = None
+    ) -> Origin:
+        """Of a fit to the photographs `train` of a capture, each of them in this share of the epochs; None: in all."""
         parts = {
             "names of photographs": json.dumps(capture.names).encode(),
             "sizes": np.asarray(capture.sizes_px, np.int64).tobytes(),
             "cameras": capture.world_to_camera.tobytes() + capture.intrinsics.tobytes(),
             "points": capture.points.tobytes() + capture.colours.tobytes(),
             "photographs held out": json.dumps(list(train)).encode(),
+            "photographs in the cone": json.dumps(shares and list(shares)).encode(),
         }
         digests = {name: hashlib.sha256(data).hexdigest()[:16] for name, data in parts.items()}
         return cls(json.loads(json.dumps(asdict(settings))), digests)

@@ -8,12 +8,14 @@ point of the centre camera's axis that the panel's own plane goes through.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.fit.angles import Angles
 from lightfield_gs.io.captures.capture import Capture
 
 # Photographs within half the cone and this count fully: what is before and behind the zero plane is seen at other
@@ -29,11 +31,12 @@ _FEWEST = 3  # cameras, and of points ten times as many, to learn a depth from
 
 @dataclass(frozen=True)
 class Cone:
-    """centre: index of the centre photograph. pivot: [3] float64, coordinates of the capture, on the axis of the centre
-    camera, `zero_depth` before it, scene units. cone_deg: full angle. angles_deg: [C] float64, 0..180, of every
-    photograph from the centre one, seen from the pivot. said: what was chosen, one line each.
+    """name and centre: of the centre photograph, and its index. pivot: [3] float64, coordinates of the capture, on the
+    axis of the centre camera, `zero_depth` before it, scene units. cone_deg: full angle. angles_deg: [C] float64,
+    0..180, of every photograph from the centre one, seen from the pivot. said: what was chosen, one line each.
     """
 
+    name: str
     centre: int
     pivot: np.ndarray
     zero_depth: float
@@ -45,6 +48,10 @@ class Cone:
     def inside(self) -> np.ndarray:
         """[C] bool: which photographs are within half the cone of the centre."""
         return self.angles_deg <= self.cone_deg / 2
+
+    def angles(self, indices: Sequence[int]) -> Angles:
+        """Of photographs at these indices of the capture, to score them by."""
+        return Angles(self.name, self.cone_deg, self.angles_deg[list(indices)].tolist())
 
     def weights(self) -> np.ndarray:
         """[C] float64, FLOOR..1: how much each photograph counts."""
@@ -89,7 +96,7 @@ def place_cone(capture: Capture, cone_deg: float, centre: str | None = None) -> 
         f"the others less, down to {FLOOR:g}",
         f"cone: zero plane {depth:.4g} scene units before the centre camera, {how}",
     )
-    return Cone(index, pivot, depth, cone_deg, angles, said)
+    return Cone(capture.names[index], index, pivot, depth, cone_deg, angles, said)
 
 
 def meeting_point(centres: np.ndarray, axes: np.ndarray) -> np.ndarray | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from lightfield_gs.base.checks import expect, real_number
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.fit.cone import Cone, place_cone
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
@@ -48,17 +49,39 @@ class Display:
         """Lines for the header of the scene's file: encoding it for any panel shows it by this rig."""
         return [framing_comment(self.rig, self.panel)]
 
-    @staticmethod
-    def rig_path(scene: Path) -> Path:
-        """Where the rig is written: scene.ply has it beside it in scene.rig.yaml."""
-        return scene.with_suffix(".rig.yaml")
+
+def rig_path(scene: Path) -> Path:
+    """Where the rig is written: scene.ply has it beside it in scene.rig.yaml."""
+    return scene.with_suffix(".rig.yaml")
+
+
+def placed(
+    capture: Capture,
+    cone: Panel | str | Path | float | None,
+    centre: str | None,
+    score_cone: float | None,
+    say: Callable[[str], None],
+) -> tuple[Display | None, Cone | None]:
+    """What a fit is for, and the cone that it is judged in: that of the display, or of score_cone degrees round the
+    same photograph. None: neither was asked for. say: is told what was chosen. Raises InputError."""
+    if centre is not None and cone is None and score_cone is None:
+        raise InputError(
+            f"centre: {centre} is the middle of a cone, and there is none: give cone or score_cone as well"
+        )
+    display = None if cone is None else Display.of(capture, cone, centre)
+    judged = None if display is None else display.cone
+    if score_cone is not None:
+        judged = place_cone(capture, score_cone, centre if display is None else display.cone.name)
+    for line in display.said if display is not None else () if judged is None else judged.said:
+        say(line)
+    return display, judged
 
 
 def panel_of(cone: Panel | str | Path | float) -> tuple[Panel, str]:
     """The panel that `--cone` names, or the default panel with a cone of so many degrees; and what to say of it."""
     expect("cone", cone, Panel, str, Path, int, float, np.integer, np.floating)
-    if isinstance(cone, str) and (angle := _number(cone)) is not None:
-        cone = angle
+    if isinstance(cone, str) and is_angle(cone):
+        cone = float(cone)
     if not isinstance(cone, (Panel, str, Path)):
         panel = replace(Panel.load(DEFAULT_PANEL), cone_deg=real_number("cone", cone, 1.0, 179.0))
         return panel, f"cone: the panel is {_words(panel)}, the default, but for its cone; another: --cone PANEL.yaml"
@@ -92,8 +115,10 @@ def _words(panel: Panel) -> str:
     return f"{panel.name}, {panel.width_px} x {panel.height_px}, {panel.views} views in {panel.cone_deg:g} degrees"
 
 
-def _number(text: str) -> float | None:
+def is_angle(cone: str) -> bool:
+    """Whether what was given as a cone is a number of degrees, not the name of a panel."""
     try:
-        return float(text)
+        float(cone)
     except ValueError:
-        return None
+        return False
+    return True

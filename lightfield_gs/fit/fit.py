@@ -13,18 +13,22 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Device
+from lightfield_gs.fit.angles import Angles
 from lightfield_gs.fit.checkpoint import Origin
+from lightfield_gs.fit.display import Display, placed, rig_path
 from lightfield_gs.fit.evaluate import Scores
 from lightfield_gs.fit.fields import Fields
 from lightfield_gs.fit.initial import initial_gaussians
 from lightfield_gs.fit.progress import Progress
 from lightfield_gs.fit.run import Habits, Run
 from lightfield_gs.fit.settings import Density, FitSettings
+from lightfield_gs.fit.shown import CONTRIBUTION_CUT, Shown, pruned
 from lightfield_gs.fit.trainer import Trainer
 from lightfield_gs.fit.views import Views
 from lightfield_gs.fit.world import World
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.capture import Capture, read_capture
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -35,6 +39,9 @@ class FitResult:
     gaussians: the scene in the capture's coordinates, float32 on the CPU. settings: as it was fitted. steps: how many
     were done, fewer than settings.steps where it was stopped. scores: of the photographs held out; None: none were.
     history: of all evaluations: step, psnr_db, ssim, gaussians. stopped: whether it was asked to end before its time.
+    angles: of the photographs held out, where they are scored by these. display: what the scene was fitted for. shown:
+    what of it that shows, None where the fit was stopped; then all Gaussians are there. pruned_scores: as scores, of
+    what is left.
     """
 
     gaussians: Gaussians
@@ -43,9 +50,18 @@ class FitResult:
     scores: Scores | None
     history: list[dict[str, Any]]
     stopped: bool
+    angles: Angles | None = None
+    display: Display | None = None
+    shown: Shown | None = None
+    pruned_scores: Scores | None = None
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Writes the scene as a standard 3DGS .ply, the settings in a line of its header; see Gaussians.save."""
+        """Writes the scene as a standard 3DGS .ply, the settings in a line of its header; see Gaussians.save. That of a
+        display has its framing there too, and its rig beside it: scene.rig.yaml for scene.ply."""
+        path = Path(path)
+        if self.display is not None:
+            comments = [*comments, *self.display.comments()]
+            self.display.rig.to_yaml(rig_path(path))
         said = {**asdict(self.settings), "steps_done": self.steps}
         self.gaussians.save(path, [f"lightfield-gs fit: {json.dumps(said)}", *comments])
 
@@ -58,6 +74,10 @@ def fit(
     density: Density = "mcmc",
     test_every: int | None = 8,
     test_names: Sequence[str] | None = None,
+    cone: Panel | str | Path | float | None = None,
+    centre: str | None = None,
+    score_cone: float | None = None,
+    contribution_cut: float = CONTRIBUTION_CUT,
     device: Device = "auto",
     folder: str | Path | None = None,
     fresh: bool = False,
@@ -78,6 +98,11 @@ def fit(
     those held out instead. device: "auto", "cpu" or "cuda". folder: where checkpoints, scores.json and pictures go; a
     fit that was stopped goes on from there, to the same bits, unless `fresh`. The other arguments: see Habits.
 
+    cone: a panel, its name or file, or degrees, 1..179, in place of the default panel's: the fit is for what that
+    shows, see Display, and leaves out what it does not, within contribution_cut (0..1), see shown_by. centre: the name
+    of the photograph in the middle of the cone; None: the most central one. score_cone: photographs held out are scored
+    by their angle in a cone of this full angle, degrees, without `cone` too; None: in that of `cone`.
+
     The same capture, settings and device give the same bits. Raises InputError: what is no capture, settings that
     cannot be, a folder of another fit.
     """
@@ -93,17 +118,34 @@ def fit(
     if tensorboard and where is None:
         raise InputError("tensorboard: expected a folder for it as well")
     teller = Progress(progress, where / "tensorboard" if tensorboard and where is not None else None)
+    display, judged = placed(read, cone, centre, score_cone, teller.say)
+    shares = None if display is None else display.shares(train)
     world = World.of(read.world_to_camera, read.extent)
-    trainer = _begun(read, train, world, chosen, on)
+    trainer = _begun(read, train, world, chosen, on, shares)
     held = Views.load(read, test, world, on, test) if test else None
     views = trainer.views
     teller.say(
         f"fits {len(train)} photographs of {views.width_px} x {views.height_px} pixels, {len(test)} held out, on {on}: "
         f"{chosen.steps} steps, {trainer.fields.count} Gaussians to begin with, {chosen.gaussians} at most"
     )
-    run = Run(trainer, held, Origin.of(chosen, read, train), habits, teller)
+    angles = None if judged is None or not test else judged.angles(test)
+    run = Run(trainer, held, Origin.of(chosen, read, train, shares), habits, teller, angles)
     run.go()
-    return FitResult(_finished(trainer, world), chosen, trainer.done, run.scores, run.history, run.stopped)
+    scene, shown, pruned_scores = trainer.fields.gaussians(), None, None
+    if display is not None and not run.stopped:
+        scene, shown, pruned_scores = pruned(run, world, display, contribution_cut, teller.say)
+    return FitResult(
+        world.back(scene.detach().to("cpu")),
+        chosen,
+        trainer.done,
+        run.scores,
+        run.history,
+        run.stopped,
+        angles,
+        display,
+        shown,
+        pruned_scores,
+    )
 
 
 def settings_of(**given: Any) -> FitSettings:
@@ -119,15 +161,12 @@ def settings_of(**given: Any) -> FitSettings:
     return FitSettings(**given)
 
 
-def _begun(capture: Capture, train: list[int], world: World, settings: FitSettings, device: str) -> Trainer:
-    """The trainer before its first step. What weighs photographs against each other has its place here."""
+def _begun(
+    capture: Capture, train: list[int], world: World, settings: FitSettings, device: str, shares: Sequence[float] | None
+) -> Trainer:
+    """The trainer before its first step."""
     views = Views.load(capture, train, world, device, train)
     gaussians = initial_gaussians(
         world.points(capture.points), capture.colours, world.points(capture.centres), settings
     )
-    return Trainer(Fields.of(gaussians.to(device)), views, settings)
-
-
-def _finished(trainer: Trainer, world: World) -> Gaussians:
-    """The scene in the capture's coordinates. What leaves Gaussians out at the end has its place here."""
-    return world.back(trainer.fields.gaussians().detach().to("cpu"))
+    return Trainer(Fields.of(gaussians.to(device)), views, settings, shares)

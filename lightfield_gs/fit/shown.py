@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.encoding.pruning import contributions, left_out
 from lightfield_gs.fit.display import Display
+from lightfield_gs.fit.evaluate import Scores
+from lightfield_gs.fit.run import Run
 from lightfield_gs.fit.views import Views
 from lightfield_gs.fit.world import World
 from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
@@ -48,6 +54,11 @@ class Shown:
         """How many Gaussians are left."""
         return int(self.kept.sum())
 
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: the numbers."""
+        numbers = {name: value for name, value in vars(self).items() if name != "kept"}
+        return {"gaussians": self.count, **numbers}
+
     def lines(self) -> list[str]:
         """What to say of it."""
         return [
@@ -77,22 +88,43 @@ def shown_by(
     of_capture = world.back(gaussians)
     rig = display.rig.relative_to(of_capture.origin)
     weights = contributions(of_capture, display.panel, rig, antialiased)
-    pruned = left_out(weights, display.panel, contribution_cut)
-    floating = ~pruned & (_depths(of_capture, rig.world_to_camera) < NEAR_SHARE * rig.zero_depth)
+    cut = left_out(weights, display.panel, contribution_cut)
+    floating = ~cut & (_depths(of_capture, rig.world_to_camera) < NEAR_SHARE * rig.zero_depth)
     unfounded = torch.zeros_like(floating)
     if bool(floating.any()):
         unfounded = floating & (photographed(gaussians, views, antialiased) < _SEEN_PX)
     unseen = weights == 0
-    gone = pruned | unfounded
+    gone = cut | unfounded
+    if bool(gone.all()):
+        assume("cone: nothing of the scene shows on the panel, so that nothing is left out of it")
+        gone = torch.zeros_like(gone)
     whole = 3 * display.panel.width_px * display.panel.height_px
     return Shown(
         ~gone,
         int(unseen.sum()),
-        int((pruned & ~unseen).sum()),
+        int((cut & ~unseen).sum()),
         int(floating.sum()),
         int(unfounded.sum()),
         float(weights[gone].sum()) / whole,
     )
+
+
+def pruned(
+    run: Run, world: World, display: Display, contribution_cut: float, say: Callable[[str], None]
+) -> tuple[Gaussians, Shown, Scores | None]:
+    """The scene of a run, coordinates of the fit, without what a display does not need; what was found; and scores of
+    what is left, which scores.json has too. say: is told of it. Raises InputError."""
+    trainer = run.trainer
+    gaussians, settings = trainer.fields.gaussians().detach(), trainer.settings
+    shown = shown_by(gaussians, world, display, trainer.views, contribution_cut, settings.antialiased)
+    for line in shown.lines():
+        say(line)
+    left = mapped(gaussians, lambda field: field[shown.kept])
+    scores = run.scores_of(left)
+    if scores is not None:
+        by_angle = {} if run.angles is None else {"angles": run.angles.to_dict(scores)}
+        run.write_scores(pruned={**shown.to_dict(), **scores.to_dict(), **by_angle})
+    return left, shown, scores
 
 
 def photographed(gaussians: Gaussians, views: Views, antialiased: bool = False) -> Tensor:
@@ -103,9 +135,23 @@ def photographed(gaussians: Gaussians, views: Views, antialiased: bool = False) 
     grey = mapped(gaussians, lambda field: field[None])
     grey.sh = torch.zeros_like(grey.sh[:, :, :1])
     for place in range(views.count):
-        camera = (t[place][None, None] for t in (views.world_to_camera, views.intrinsics, views.limits))
-        background = grey.means.new_zeros(1, 1, 3)
-        job = DenseJob(*grey.fields().values(), background, *camera, views.width_px, views.height_px, antialiased)
+        poses, intrinsics, limits = (
+            t[place][None, None] for t in (views.world_to_camera, views.intrinsics, views.limits)
+        )
+        job = DenseJob(
+            grey.means,
+            grey.quaternions,
+            grey.scales,
+            grey.opacities,
+            grey.sh,
+            grey.means.new_zeros(1, 1, 3),
+            poses,
+            intrinsics,
+            limits,
+            views.width_px,
+            views.height_px,
+            antialiased,
+        )
         images = job.draw()
         counts = views.counts(place)[None, None, ..., None].expand_as(images.image)
         gradients = job.backward(images, DenseImages(counts.contiguous(), None, None), Wanted(cameras=False))
@@ -113,7 +159,7 @@ def photographed(gaussians: Gaussians, views: Views, antialiased: bool = False) 
     return total
 
 
-def _depths(gaussians: Gaussians, pose) -> Tensor:
+def _depths(gaussians: Gaussians, pose: np.ndarray) -> Tensor:
     """[N] float64: depths in all cameras of a rig, which stand on one line across its axis."""
     row = torch.from_numpy(pose[2]).to(gaussians.means.device)
     return gaussians.means.double() @ row[:3] + row[3]
