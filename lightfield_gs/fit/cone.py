@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fit.angles import Angles
@@ -50,7 +51,12 @@ class Cone:
         return self.angles_deg <= self.cone_deg / 2
 
     def angles(self, indices: Sequence[int]) -> Angles:
-        """Of photographs at these indices of the capture, to score them by."""
+        """Of photographs at these indices of the capture, to score them by; says so where few of them are inside."""
+        if (inside := int(self.inside[list(indices)].sum())) < _FEWEST:
+            assume(
+                f"cone: {inside} of {len(indices)} held-out photographs are inside, whose mean says little; hold out "
+                "more of them (--test-every 3, or --test-list)"
+            )
         return Angles(self.name, self.cone_deg, self.angles_deg[list(indices)].tolist())
 
     def weights(self) -> np.ndarray:
