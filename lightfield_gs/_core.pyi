@@ -1,5 +1,5 @@
 """The native module, for editors and type checkers. Its functions are bound in csrc/bind; what they do with buffers is
-said in csrc/stages/stages.h and, for CUDA, in csrc/cuda. Python owns every buffer and checks every argument before it
+said in csrc/stages and, for CUDA, in csrc/cuda. Python owns every buffer and checks every argument before it
 hands an address over; errors of the module are ValueErrors. In truth float32, float64 and cuda are submodules: here
 they are classes, which a stub in one file can name.
 """

@@ -27,6 +27,7 @@ COMMANDS = {
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",
 }
+_REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
 _VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up")  # may begin with a minus sign
 
 
@@ -56,7 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (Exception, KeyboardInterrupt) as error:
-        return complain("lightfield-gs", error, "use a smaller scene or panel")
+        remedy = _REMEDIES.get(next(iter(arguments), ""), "use a smaller scene or panel")
+        return complain("lightfield-gs", error, remedy)
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:

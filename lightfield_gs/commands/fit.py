@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.device import choose_device
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.commands.options.cone import add_cone, cone_given
 from lightfield_gs.commands.options.fit import add_capture, add_optimisation, add_run, names_in, settings_given
 from lightfield_gs.commands.options.interrupts import Interrupts
@@ -44,16 +44,19 @@ def run(args: argparse.Namespace) -> int:
     check_scene_path(args.output)
     folder = check_folder(args.output.with_suffix(".fit") if args.run is None else args.run)
     choose_device(args.device)
-    names = names_in(args.test_list)
+    held = names_in(args.test_list)
 
     from lightfield_gs.fit.fit import fit
 
     with Interrupts() as interrupts:
         capture = _capture(args, folder)
+        if held is not None:
+            with named(args.test_list):
+                capture.split(None, held)
         result = fit(
             capture,
             test_every=args.test_every,
-            test_names=names,
+            test_names=held,
             device=args.device,
             folder=folder,
             fresh=args.fresh,

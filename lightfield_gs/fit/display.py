@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -56,14 +56,10 @@ def rig_path(scene: Path) -> Path:
 
 
 def placed(
-    capture: Capture,
-    cone: Panel | str | Path | float | None,
-    centre: str | None,
-    score_cone: float | None,
-    say: Callable[[str], None],
-) -> tuple[Display | None, Cone | None]:
+    capture: Capture, cone: Panel | str | Path | float | None, centre: str | None, score_cone: float | None
+) -> tuple[Display | None, Cone | None, tuple[str, ...]]:
     """What a fit is for, and the cone that it is judged in: that of the display, or of score_cone degrees round the
-    same photograph. None: neither was asked for. say: is told what was chosen. Raises InputError."""
+    same photograph; None: not asked for. And what was chosen, in lines. Raises InputError."""
     if centre is not None and cone is None and score_cone is None:
         raise InputError(
             f"centre: {centre} is the middle of a cone, and there is none: give cone or score_cone as well"
@@ -72,9 +68,9 @@ def placed(
     judged = None if display is None else display.cone
     if score_cone is not None:
         judged = place_cone(capture, score_cone, centre if display is None else display.cone.name)
-    for line in display.said if display is not None else () if judged is None else judged.said:
-        say(line)
-    return display, judged
+    if display is not None:
+        return display, judged, display.said
+    return None, judged, () if judged is None else judged.said
 
 
 def panel_of(cone: Panel | str | Path | float) -> tuple[Panel, str]:

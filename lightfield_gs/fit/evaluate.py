@@ -75,10 +75,15 @@ def compared(
     and weights [H,W] in 0..1."""
     width, height = views.sizes[index]
     chosen = torch.tensor([index], device=views.photos.device)
-    cameras = (t.index_select(0, chosen)[None] for t in (views.world_to_camera, views.intrinsics, views.limits))
+    poses, intrinsics, limits = (
+        t.index_select(0, chosen)[None] for t in (views.world_to_camera, views.intrinsics, views.limits)
+    )
     behind = torch.tensor([[background]], device=views.photos.device)
-    fields = [field[None] for field in gaussians.fields().values()]
-    image = DenseJob(*fields, behind, *cameras, width, height, antialiased).draw().image[0, 0]
+    means, quaternions, scales, opacities, sh = (field[None] for field in gaussians.fields().values())
+    job = DenseJob(
+        means, quaternions, scales, opacities, sh, behind, poses, intrinsics, limits, width, height, antialiased
+    )
+    image = job.draw().image[0, 0]
     photos, weights = views.chosen(chosen)
     weight = torch.ones_like(image[..., 0]) if weights is None else weights[0, :height, :width]
     return image.clamp(0, 1), photos[0, :height, :width].float() / 255, weight

@@ -5,14 +5,19 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.checks import expect
+import numpy as np
+import torch
+
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import Device
+from lightfield_gs.base.options import DEVICES, Device
+from lightfield_gs.base.paths import checked_path
+from lightfield_gs.fit import checkpoint, memory
 from lightfield_gs.fit.angles import Angles
 from lightfield_gs.fit.checkpoint import Origin
 from lightfield_gs.fit.display import Display, placed, rig_path
@@ -28,8 +33,11 @@ from lightfield_gs.fit.views import Views
 from lightfield_gs.fit.world import World
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.capture import Capture, read_capture
+from lightfield_gs.io.scenes.doubts import float_step, usual_size
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.gaussians import Gaussians
+
+_ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: rounding to float32 may move one by so much
 
 
 @dataclass(frozen=True)
@@ -39,9 +47,8 @@ class FitResult:
     gaussians: the scene in the capture's coordinates, float32 on the CPU. settings: as it was fitted. steps: how many
     were done, fewer than settings.steps where it was stopped. scores: of the photographs held out; None: none were.
     history: of all evaluations: step, psnr_db, ssim, gaussians. stopped: whether it was asked to end before its time.
-    angles: of the photographs held out, where they are scored by these. display: what the scene was fitted for. shown:
-    what of it that shows, None where the fit was stopped; then all Gaussians are there. pruned_scores: as scores, of
-    what is left.
+    display: what the scene was fitted for. angles: of the photographs held out, where they are scored by these. shown:
+    what was left out for the display; None: nothing, or the fit was stopped. pruned_scores: as scores, of what is left.
     """
 
     gaussians: Gaussians
@@ -50,18 +57,17 @@ class FitResult:
     scores: Scores | None
     history: list[dict[str, Any]]
     stopped: bool
-    angles: Angles | None = None
     display: Display | None = None
+    angles: Angles | None = None
     shown: Shown | None = None
     pruned_scores: Scores | None = None
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
         """Writes the scene as a standard 3DGS .ply, the settings in a line of its header; see Gaussians.save. That of a
         display has its framing there too, and its rig beside it: scene.rig.yaml for scene.ply."""
-        path = Path(path)
         if self.display is not None:
             comments = [*comments, *self.display.comments()]
-            self.display.rig.to_yaml(rig_path(path))
+            self.display.rig.to_yaml(rig_path(Path(path)))
         said = {**asdict(self.settings), "steps_done": self.steps}
         self.gaussians.save(path, [f"lightfield-gs fit: {json.dumps(said)}", *comments])
 
@@ -107,57 +113,88 @@ def fit(
     cannot be, a folder of another fit.
     """
     chosen = settings_of(steps=steps, gaussians=gaussians, density=density, **settings)
-    where = None if folder is None else make_folder(folder)
+    where = None if folder is None else checked_path(folder)
     habits = Habits(
         where, fresh, checkpoint_every, evaluate_every, picture_every, stop_early, tensorboard, progress, stop
     )
+    if device not in DEVICES:
+        raise InputError(f"device: expected {', '.join(DEVICES)}, got {shown(device)}")
+    if test_names is not None and not is_row(test_names):
+        raise InputError(f"test_names: expected names of photographs, got {shown(test_names)}")
     on = choose_device(device)
     expect("capture", capture, str, Path, Capture)
     read = capture if isinstance(capture, Capture) else read_capture(capture)
     train, test = read.split(test_every, None if test_names is None else list(test_names))
-    if tensorboard and where is None:
-        raise InputError("tensorboard: expected a folder for it as well")
-    teller = Progress(progress, where / "tensorboard" if tensorboard and where is not None else None)
-    display, judged = placed(read, cone, centre, score_cone, teller.say)
-    shares = None if display is None else display.shares(train)
-    world = World.of(read.world_to_camera, read.extent)
-    trainer = _begun(read, train, world, chosen, on, shares)
-    held = Views.load(read, test, world, on, test) if test else None
-    views = trainer.views
-    teller.say(
-        f"fits {len(train)} photographs of {views.width_px} x {views.height_px} pixels, {len(test)} held out, on {on}: "
-        f"{chosen.steps} steps, {trainer.fields.count} Gaussians to begin with, {chosen.gaussians} at most"
-    )
-    angles = None if judged is None or not test else judged.angles(test)
-    run = Run(trainer, held, Origin.of(chosen, read, train, shares), habits, teller, angles)
+    cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
+    run, world, display = _prepared(read, train, test, chosen, habits, on, (cone, centre, score_cone))
     run.go()
-    scene, shown, pruned_scores = trainer.fields.gaussians(), None, None
+    scene, found, pruned_scores = run.trainer.fields.gaussians().detach(), None, None
     if display is not None and not run.stopped:
-        scene, shown, pruned_scores = pruned(run, world, display, contribution_cut, teller.say)
+        scene, found, pruned_scores = pruned(run, world, display, cut)
     return FitResult(
-        world.back(scene.detach().to("cpu")),
+        _without_origin(world.back(scene.to("cpu"))),
         chosen,
-        trainer.done,
+        run.trainer.done,
         run.scores,
         run.history,
         run.stopped,
-        angles,
         display,
-        shown,
+        run.angles,
+        found,
         pruned_scores,
     )
 
 
+def _prepared(
+    capture: Capture,
+    train: list[int],
+    test: list[int],
+    settings: FitSettings,
+    habits: Habits,
+    device: str,
+    asked: tuple[Panel | str | Path | float | None, str | None, float | None],
+) -> tuple[Run, World, Display | None]:
+    """The run before its first step, the coordinates that it is in, and what it is for; says what was chosen. asked:
+    cone, centre and score_cone."""
+    display, judged, said = placed(capture, *asked)
+    shares = None if display is None else display.shares(train)
+    angles = None if judged is None or not test else judged.angles(test)
+    origin = Origin.of(settings, capture, train, {"cone": shares})
+    progress = Progress(habits.progress, habits.folder if habits.tensorboard else None)
+    if habits.folder is not None:
+        make_folder(habits.folder)
+        origin.check_file(habits.folder / checkpoint.FILE, habits.fresh)
+    width, height = map(int, capture.sizes_px.max(0))
+    need = memory.needed(settings, len(capture.names), width, height, masked=True)
+    progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
+    world = World.of(capture.world_to_camera, capture.extent)
+    trainer = _begun(capture, train, world, settings, device, shares)
+    held = Views.load(capture, test, world, device, test) if test else None
+    progress.say(
+        f"fits {len(train)} photographs of {width} x {height} pixels, {len(test)} held out, on {device}: "
+        f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
+    )
+    for line in said:
+        progress.say(line)
+    return Run(trainer, held, origin, habits, progress, angles), world, display
+
+
 def settings_of(**given: Any) -> FitSettings:
-    """FitSettings of these fields. Raises InputError for names that it does not have."""
-    known = [field.name for field in fields(FitSettings)]
-    for name in given:
+    """FitSettings of these fields. Raises InputError for names that it does not have, and values of another kind."""
+    known = {field.name: field.default for field in fields(FitSettings)}
+    for name, value in given.items():
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
-            raise InputError(
-                f"fit: there is no setting {name}; "
-                + (f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}")
-            )
+            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
+            raise InputError(f"fit: there is no setting {name}; {hint}")
+        if isinstance(known[name], bool):
+            expect(name, value, bool)
+        elif isinstance(known[name], float):
+            given[name] = real_number(name, value, 0.0, 1e9)
+    if given.get("background") is not None:
+        if not is_row(given["background"], 3):
+            raise InputError(f"background: expected red, green and blue, or none, got {shown(given['background'])}")
+        given["background"] = tuple(real_number("background", value, 0.0, 1.0) for value in given["background"])
     return FitSettings(**given)
 
 
@@ -169,4 +206,12 @@ def _begun(
     gaussians = initial_gaussians(
         world.points(capture.points), capture.colours, world.points(capture.centres), settings
     )
-    return Trainer(Fields.of(gaussians.to(device)), views, settings, shares)
+    return Trainer(Fields.of(gaussians.to(device)), views, settings, shares=shares)
+
+
+def _without_origin(gaussians: Gaussians) -> Gaussians:
+    """The same from an origin of zero, where float32 is fine enough for that: not every program reads doubles."""
+    exact = gaussians.means.double().numpy() + gaussians.origin
+    if float_step(np.median(exact, 0)) > _ORIGIN_STEP * usual_size(gaussians.scales.numpy()):
+        return gaussians
+    return replace(gaussians, means=torch.from_numpy(exact.astype(np.float32)), origin=(0.0, 0.0, 0.0))

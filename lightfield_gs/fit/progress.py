@@ -14,17 +14,19 @@ _BOARD_EVERY_S = 1.0  # scalars cost more time than a quick step has
 
 
 class Progress:
-    """Of a fit of so many steps, `views` photographs each. shown: whether anything is printed; board: the folder for
-    TensorBoard, or None. Raises InputError where TensorBoard is asked for and not installed."""
+    """shown: whether anything is printed; folder: TensorBoard's files go below it, None: there are none. Raises
+    InputError where TensorBoard is asked for and not installed."""
 
-    def __init__(self, shown: bool, board: Path | None = None):
-        self._shown, self._bar, self._noted = shown, None, 0.0
+    def __init__(self, shown: bool, folder: Path | None = None):
+        self._shown, self._bar, self._board, self._noted = shown, None, None, 0.0
         self._psnr: float | None = None
-        self._board = None if board is None else _summary_writer(board)
+        self._folder, self._writer = folder, None if folder is None else _summary_writer()
 
     def begin(self, done: int, steps: int, views: int) -> None:
-        """The bar, where there is a terminal, and the clock."""
+        """The clock, and the bar where there is a terminal, of a fit of so many steps with `views` photographs each."""
         self._views, self._first, self._began = views, done, time.monotonic()
+        if self._folder is not None and self._writer is not None:
+            self._board = self._writer(self._folder / "tensorboard", purge_step=done)
         self._bar = tqdm(
             total=steps, initial=done, unit="step", dynamic_ncols=True, disable=None if self._shown else True
         )
@@ -60,11 +62,12 @@ class Progress:
                 part.close()
 
 
-def _summary_writer(folder: Path) -> Any:
+def _summary_writer() -> Any:
+    """TensorBoard's class of that name; it needs no more of torch than is there."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         raise InputError(
             "--tensorboard needs tensorboard, which is not installed: pip install 'lightfield-gs[fit]'"
         ) from None
-    return SummaryWriter(folder)
+    return SummaryWriter

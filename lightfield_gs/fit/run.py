@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lightfield_gs.base.checks import whole_number
+from lightfield_gs.base.checks import expect, shown, whole_number
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.fit import checkpoint
 from lightfield_gs.fit.angles import Angles
 from lightfield_gs.fit.checkpoint import Origin
@@ -18,7 +19,7 @@ from lightfield_gs.fit.pictures import write_pictures
 from lightfield_gs.fit.progress import Progress
 from lightfield_gs.fit.trainer import Trainer
 from lightfield_gs.fit.views import Views
-from lightfield_gs.io.atomic import atomic_path, remove_file
+from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.scene.gaussians import Gaussians
 
 _CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # how long steps go on before the loop looks whether it is to stop
@@ -50,6 +51,12 @@ class Habits:
         for name in ("checkpoint_every", "evaluate_every", "picture_every"):
             if getattr(self, name) is not None:
                 whole_number(name, getattr(self, name), 1, 10_000_000)
+        for name in ("fresh", "stop_early", "tensorboard", "progress"):
+            expect(name, getattr(self, name), bool)
+        if not callable(self.stop):
+            raise InputError(f"stop: expected a function without arguments, got {shown(self.stop)}")
+        if self.tensorboard and self.folder is None:
+            raise InputError("tensorboard: expected a folder for its files too")
 
 
 class Run:
@@ -83,8 +90,7 @@ class Run:
                 began = time.monotonic()
                 before = trainer.done
                 trainer.advance(min(self._next_stop(), before + chunk))
-                if time.monotonic() - began < _CHUNK_S / 2 and trainer.done == before + chunk:
-                    chunk = min(2 * chunk, _LONGEST_CHUNK)
+                chunk = _next_chunk(trainer.done - before, time.monotonic() - began)
                 self._between()
             self._end()
         finally:
@@ -120,6 +126,10 @@ class Run:
         self._save()
         self._picture()
 
+    def say(self, line: str) -> None:
+        """Tells it, unless progress is not to be shown."""
+        self._progress.say(line)
+
     # --- Scores
 
     def scores_of(self, gaussians: Gaussians) -> Scores | None:
@@ -154,8 +164,9 @@ class Run:
                 temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
 
     def _is_no_better(self) -> bool:
-        """Whether the last evaluations say that going on gains nothing, and the fit may end of that."""
-        scores = [row["psnr_db"] for row in self.history]
+        """Whether the last evaluations say that going on gains nothing, and the fit may end of that. Evaluations at
+        other steps, of a fit that was stopped there, have no say: it ends where it would have without."""
+        scores = [row["psnr_db"] for row in self.history if row["step"] % self._evaluate_every == 0]
         if not self.habits.stop_early or len(scores) <= _PATIENCE:
             return False
         return max(scores[-_PATIENCE:]) <= max(scores[:-_PATIENCE])
@@ -170,8 +181,6 @@ class Run:
         if self.habits.folder is None:
             return
         path = self.habits.folder / checkpoint.FILE
-        if self.habits.fresh:
-            remove_file(path)
         if path.exists():
             self.history = checkpoint.restore(path, self.trainer, self._origin)
             self._progress.say(f"goes on from {path}, {self.trainer.done} of {self.trainer.settings.steps} steps done")
@@ -189,3 +198,8 @@ class Run:
         checkpoint.save(self.habits.folder / checkpoint.FILE, self.trainer, self._origin, self.history)
         self._saved_at = time.monotonic()
         self._saving_s = self._saved_at - began
+
+
+def _next_chunk(steps: int, seconds: float) -> int:
+    """How many steps to do next, after so many in so many seconds: as many as take _CHUNK_S."""
+    return max(1, min(int(_CHUNK_S * steps / max(seconds, 1e-9)), 2 * steps, _LONGEST_CHUNK))

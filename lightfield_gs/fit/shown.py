@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,16 +108,14 @@ def shown_by(
     )
 
 
-def pruned(
-    run: Run, world: World, display: Display, contribution_cut: float, say: Callable[[str], None]
-) -> tuple[Gaussians, Shown, Scores | None]:
+def pruned(run: Run, world: World, display: Display, contribution_cut: float) -> tuple[Gaussians, Shown, Scores | None]:
     """The scene of a run, coordinates of the fit, without what a display does not need; what was found; and scores of
-    what is left, which scores.json has too. say: is told of it. Raises InputError."""
+    what is left, which scores.json has too. Raises InputError."""
     trainer = run.trainer
     gaussians, settings = trainer.fields.gaussians().detach(), trainer.settings
     shown = shown_by(gaussians, world, display, trainer.views, contribution_cut, settings.antialiased)
     for line in shown.lines():
-        say(line)
+        run.say(line)
     left = mapped(gaussians, lambda field: field[shown.kept])
     scores = run.scores_of(left)
     if scores is not None:

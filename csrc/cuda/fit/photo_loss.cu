@@ -4,10 +4,10 @@
 //
 // Floors at 1008 x 756 pixels (2.29 million samples) on an H100 (3.35 TB/s, 132 x 128 multiply-adds at 1.7 GHz):
 //   bytes: the first kernel reads 9 MB of image and 2 MB of photo and writes 27 MB, the second reads these and writes
-//     9 MB: 87 MB, 0.026 ms, of which the cache of 50 MB spares the derivatives part.
-//   arithmetic: 11 x (5 + 5) multiply-adds and about 60 more for each row of 42 (of 32 that are written), then
-//     11 x (3 + 3) and about 20: 250 x 1.3 instructions a sample, 0.033 ms; and 55 x 1.3 reads of shared memory, 32 a
-//     clock and multiprocessor, 0.022 ms beside them.
+//     9 MB: 87 MB, 0.026 ms, less what the cache of 50 MB keeps of the derivatives.
+//   arithmetic: 11 x (5 + 5) multiply-adds and about 60 more for each of 42 rows, of which 32 are written, then
+//     11 x (3 + 3) and about 20: 340 instructions a sample, 0.027 ms; beside them 55 x 1.3 reads of shared memory, 32 a
+//     clock and multiprocessor, 0.023 ms.
 #include "cuda/common/check.h"
 #include "cuda/fit/fit.h"
 #include "cuda/fit/strip.cuh"

@@ -18,11 +18,14 @@ struct AdamDecay {
 // -(rate / c1) m / (sqrt(v / c2) + epsilon).
 template <class R>
 struct AdamStep {
-  R keep_first, keep_second, epsilon, inverse_root_correction, inverse_correction;
+  R keep_first, take_first, keep_second, take_second;  // beta1, 1 - beta1, beta2, 1 - beta2
+  R epsilon, inverse_root_correction, inverse_correction;
 
   LFGS_HD AdamStep(const AdamDecay& decay, R first_correction, R second_correction)
       : keep_first(R(decay.first)),
+        take_first(R(1 - decay.first)),
         keep_second(R(decay.second)),
+        take_second(R(1 - decay.second)),
         epsilon(R(decay.epsilon)),
         inverse_root_correction(1 / std::sqrt(second_correction)),
         inverse_correction(1 / first_correction) {}
@@ -30,8 +33,8 @@ struct AdamStep {
   // Moves a number against its gradient, and renews its moments. rate_over_c1: the rate of its field times
   // inverse_correction.
   LFGS_HD R moved(R value, R gradient, R rate_over_c1, R& first, R& second) const {
-    first = keep_first * first + (1 - keep_first) * gradient;
-    second = keep_second * second + (1 - keep_second) * gradient * gradient;
+    first = keep_first * first + take_first * gradient;
+    second = keep_second * second + take_second * gradient * gradient;
     return value - rate_over_c1 * first / (std::sqrt(second) * inverse_root_correction + epsilon);
   }
 };

@@ -52,9 +52,8 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
     size = parser.add_argument_group("size").add_mutually_exclusive_group().add_argument
     size("--scale", type=within(1e-3, 1), metavar="SHARE", help="0..1, shrinks the photographs in memory")
     size("--longest-px", type=whole(16, 1 << 20), metavar="PIXELS", help="shrinks photographs with a longer side")
-    test = add_test = parser.add_argument_group("held-out photographs").add_mutually_exclusive_group()
-    add_test = test.add_argument
-    add_test(
+    test = parser.add_argument_group("held-out photographs").add_mutually_exclusive_group().add_argument
+    test(
         "--test-every",
         type=every_or_none,
         default=8,
@@ -62,9 +61,7 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
         help="holds out the middle one of every N photographs, in the order of their names, to score by; or none "
         "(default 8)",
     )
-    add_test(
-        "--test-list", type=Path, metavar="FILE", help="holds out the photographs named in a text file, one a line"
-    )
+    test("--test-list", type=Path, metavar="FILE", help="holds out the photographs named in a text file, one a line")
     add(
         "--sfm",
         action="store_true",
@@ -113,10 +110,12 @@ def add_run(parser: argparse.ArgumentParser) -> None:
         "was stopped goes on from there",
     )
     add("--fresh", action="store_true", help="starts over, whatever the folder of the run holds")
-    every = dict(type=whole(1, _MOST), metavar="N")
-    add("--checkpoint-every", **every, help="steps (default: so that checkpoints take 2 %% of the time)")
-    add("--evaluate-every", **every, help="steps between scores of the held-out photographs (default: a tenth of all)")
-    add("--picture-every", **every, help="steps between pictures of a held-out view beside its photograph")
+    for name, words in (
+        ("checkpoint", "checkpoints (default: so that they take 2 %% of the time)"),
+        ("evaluate", "scores of the held-out photographs (default: a tenth of all)"),
+        ("picture", "pictures of a held-out view beside its photograph"),
+    ):
+        add(f"--{name}-every", type=whole(1, _MOST), metavar="N", help=f"steps between {words}")
     add(
         "--stop-early",
         action="store_true",
