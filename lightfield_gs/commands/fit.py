@@ -93,7 +93,8 @@ def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
     if result.scores is not None:
         print(f"{result.scores.table()}\n{PROTOCOL}")
     print(f"{args.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
-    print(f"{folder}: checkpoint" + (", scores.json and last.png" if result.scores is not None else ""))
+    scores = ", scores.json" if result.scores is not None else ""
+    print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
     if result.stopped:
         print("stopped: the same command goes on from the checkpoint")
     if result.settings.antialiased:

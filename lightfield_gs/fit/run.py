@@ -144,8 +144,8 @@ class Run:
         return max(scores[-_PATIENCE:]) <= max(scores[:-_PATIENCE])
 
     def _picture(self) -> None:
-        if self.habits.folder is not None and self.held is not None:
-            write_pictures(self.habits.folder, self.trainer, self.held)
+        if self.habits.folder is not None:
+            write_pictures(self.habits.folder, self.trainer, self.held or self.trainer.views)
 
     # --- Checkpoints
 

@@ -128,9 +128,9 @@ def test_a_file_that_is_no_checkpoint_is_refused(capture, tmp_path):
     other = torch.zeros(1)
     for data in (
         b"nonsense",
-        save({"a": other}, {"lightfield_gs.fit": "{}"}),
-        save({"a": other}, {"lightfield_gs.fit": '{"version": 1, "settings": [], "capture": {}}'}),
-        save({"a": other}, {"lightfield_gs.fit": '{"version": 9}'}),
+        save({"a": other}, {"lightfield-gs fit": "{}"}),
+        save({"a": other}, {"lightfield-gs fit": '{"version": 1, "settings": [], "capture": {}}'}),
+        save({"a": other}, {"lightfield-gs fit": '{"version": 9}'}),
     ):
         path.write_bytes(data)
         with pytest.raises(InputError, match="expected a checkpoint"):
