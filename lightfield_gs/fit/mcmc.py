@@ -30,12 +30,19 @@ def change(fields: Fields, settings: FitSettings, step: int) -> Fields:
         sources = sampled(weights, len(dead), settings.seed, 2 * step)
         _share(fields, sources, settings.min_opacity)
         _copy(fields, sources, dead)
-    wanted = max(fields.count, min(settings.gaussians, int(fields.count * settings.growth)))
+    wanted = _wanted(fields.count, settings, step)
     if wanted == fields.count:
         return fields
     sources = sampled(fields.opacities, wanted - fields.count, settings.seed, 2 * step + 1)
     _share(fields, sources, settings.min_opacity)
     return _appended(fields, sources)
+
+
+def _wanted(count: int, settings: FitSettings, step: int) -> int:
+    """How many there are after the round at `step`: more by settings.growth, or by as much as it takes to reach
+    settings.gaussians in the rounds that are left, where these are few."""
+    needed = count * (settings.gaussians / count) ** (1 / max(1, settings.rounds_from(step)))
+    return max(count, min(settings.gaussians, max(int(count * settings.growth), math.ceil(needed))))
 
 
 def sampled(weights: Tensor, count: int, seed: int, draw: int) -> Tensor:
@@ -44,8 +51,9 @@ def sampled(weights: Tensor, count: int, seed: int, draw: int) -> Tensor:
     The same on any device: weights are rounded to whole numbers before they are summed up.
     """
     ends = (weights.double() * _WEIGHT_STEPS).long().cumsum(0)
-    places = uniforms(seed, draw, Purpose.DENSITY, count, weights.device) * ends[-1]
-    return torch.searchsorted(ends, places.long(), right=True).clamp_max_(len(weights) - 1)
+    places = (uniforms(seed, draw, Purpose.DENSITY, count, weights.device) * ends[-1]).long()
+    # A product that was rounded up to the end would be nobody's place
+    return torch.searchsorted(ends, torch.minimum(places, ends[-1] - 1), right=True)
 
 
 def shared(opacities: Tensor, scales: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor]:
@@ -57,7 +65,7 @@ def shared(opacities: Tensor, scales: Tensor, numbers: Tensor) -> tuple[Tensor, 
     n = numbers.clamp(1, _MOST_SHARED)
     opacity = -torch.expm1(torch.log1p(-opacities) / n)
     # The sum over i of binomial(i-1, k) for i = 1..n is binomial(n, k+1): one sum in place of two. Its terms alternate,
-    # but opacity_n falls with n, so that they stay small.
+    # but opacity_n falls with n, so that they stay small: the sum is good to 1e-11 up to the largest opacity there is.
     k = torch.arange(_MOST_SHARED, device=n.device, dtype=torch.float64)
     binomials = _binomials(n.device)[n]  # [P, k] of (n, k + 1)
     terms = binomials * (-1) ** k / torch.sqrt(k + 1) * opacity[:, None] ** (k + 1)

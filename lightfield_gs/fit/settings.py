@@ -14,6 +14,7 @@ Masks = Literal["ignore", "alpha"]
 DENSITIES: tuple[Density, ...] = get_args(Density)
 MASKS: tuple[Masks, ...] = get_args(Masks)
 RECIPE_STEPS = 30_000  # of the recipes that the schedules are from; those of other lengths are scaled
+_RECOVERY = 1000  # recipe steps that opacities need after a reset
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class FitSettings:
     rate_logits: float = 5e-2
     rate_sh_dc: float = 2.5e-3
     rate_sh_rest: float = 2.5e-3 / 20
-    rate_exposure: float = 1e-3
-    rate_poses: float = 1e-5
+    rate_exposure: float = 1e-2  # falls to a tenth
+    rate_poses: float = 1e-5  # extents and radians; falls to a hundredth
 
     # How it begins: opacity, and scales by the distance to neighbours; None: that of the strategy for density
     initial_opacity: float | None = None
@@ -100,12 +101,26 @@ class FitSettings:
 
     def refines_after(self, step: int) -> bool:
         """Whether the density changes once `step` steps are done."""
-        until = self.refine_until or (25_000 if self.density == "mcmc" else 15_000)
-        return step % self.scaled(self.refine_every) == 0 and self.scaled(self.refine_from) < step < self.scaled(until)
+        return step % self.scaled(self.refine_every) == 0 and self.scaled(self.refine_from) < step < self.refine_end
 
-    def refine_rounds(self) -> int:
-        """How often the density changes in the whole fit."""
-        return sum(map(self.refines_after, range(1, self.steps + 1)))
+    @property
+    def refine_end(self) -> int:
+        """The step from which on the density stays as it is."""
+        return self.scaled(self.refine_until or (25_000 if self.density == "mcmc" else 15_000))
+
+    def rounds_from(self, step: int) -> int:
+        """How often the density changes from a step on, that step counted."""
+        every, first = self.scaled(self.refine_every), max(step, self.scaled(self.refine_from) + 1)
+        return max(0, min(self.steps, self.refine_end - 1) // every - (first - 1) // every)
+
+    def resets_after(self, step: int) -> bool:
+        """Whether opacities are reset once `step` steps are done; never so late that they stay faint to the end."""
+        due = step % self.scaled(self.reset_every) == 0 and step <= self.refine_end - self.scaled(_RECOVERY)
+        return self.density == "adaptive" and due
+
+    def sorts_after(self, step: int) -> bool:
+        """Whether Gaussians are sorted once `step` steps are done: now and then, and when their number is final."""
+        return step == self.refine_end or (step < self.refine_end and step % self.scaled(self.morton_every) == 0)
 
     def rate_means_at(self, step: int) -> float:
         """The rate of positions at a step, in units of the extent: from rate_means down, exponentially."""

@@ -5,10 +5,13 @@ from __future__ import annotations
 import torch
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fit import adaptive, mcmc
+from lightfield_gs.fit import adaptive, mcmc, morton
+from lightfield_gs.fit.exposure import Exposure
 from lightfield_gs.fit.fields import Fields
+from lightfield_gs.fit.poses import Poses
 from lightfield_gs.fit.schedule import Schedule
 from lightfield_gs.fit.settings import FitSettings
+from lightfield_gs.fit.several import ALONE, Group
 from lightfield_gs.fit.step import Counters, Step
 from lightfield_gs.fit.tally import Tally
 from lightfield_gs.fit.views import Views
@@ -24,17 +27,43 @@ class Trainer:
     of stops and checkpoints between: nothing depends on time, and random numbers only on the seed and the step.
     """
 
-    def __init__(self, gaussians_or_fields: Fields, views: Views, settings: FitSettings):
-        self.fields, self.views, self.settings = gaussians_or_fields, views, settings
+    def __init__(self, gaussians_or_fields: Fields, views: Views, settings: FitSettings, group: Group = ALONE):
+        """group: the processes that fit together; settings.views are those of a step in all of them.
+
+        Raises InputError where they cannot be shared out, or the processes were not given the same.
+        """
+        self.fields, self.views, self.settings, self.group = gaussians_or_fields, views, settings, group
         self.device = views.photos.device
         self.schedule = Schedule.of(settings, views.count, self.device)
         self.counters = Counters.start(settings.steps, self.device)
         self.tally = Tally(self.fields.count, settings, self.device)
-        self.extra: dict[str, torch.Tensor] = {}  # what else is optimised, by name: a checkpoint keeps it too
+        self.exposure = Exposure(views.count, settings, self.device) if settings.exposure else None
+        self.poses = Poses(views.world_to_camera, settings.steps, settings.rate_poses) if settings.poses else None
+        self._own_order = group.share(self.schedule.order)
+        self._check_same()
         self.done = 0
         self._room: int | None = None
         self._graph: torch.cuda.CUDAGraph | None = None
         self._graph_key: tuple | None = None
+
+    @property
+    def extra(self) -> dict[str, torch.Tensor]:
+        """What else is optimised, by name, and its moments: a checkpoint keeps it, and writes to it to restore it."""
+        named = {"exposure": self.exposure, "poses": self.poses}
+        return {
+            f"{name}.{part}": tensor
+            for name, own in named.items()
+            if own is not None
+            for part, tensor in own.tensors().items()
+        }
+
+    def _check_same(self) -> None:
+        """Whether all processes begin with the same; raises InputError."""
+        if self.group.size > 1:
+            device = self.device
+            self.group.check_same("settings", repr(self.settings).encode(), device)
+            self.group.check_same("photographs", repr((self.views.names, self.views.sizes)).encode(), device)
+            self.group.check_same("Gaussians", self.fields.values.means.cpu().numpy().tobytes(), device)
 
     def advance(self, until: int) -> None:
         """Does the steps up to `until`, with all that is due between them."""
@@ -53,7 +82,8 @@ class Trainer:
 
     def _something_due(self, step: int) -> bool:
         settings = self.settings
-        return settings.refines_after(step) or settings.degree_at(step) != settings.degree_at(step - 1)
+        density = settings.refines_after(step) or settings.resets_after(step) or settings.sorts_after(step)
+        return density or settings.degree_at(step) != settings.degree_at(step - 1)
 
     def _begin_segment(self) -> None:
         degree = self.settings.degree_at(self.done)
@@ -61,9 +91,19 @@ class Trainer:
             self.fields.raise_degree(degree)
 
     def _end_segment(self) -> None:
-        """Changes the density, if that is due."""
-        if not self.settings.refines_after(self.done):
-            return
+        """Does what is due: changes the density, resets opacities, sorts."""
+        settings = self.settings
+        if settings.refines_after(self.done):
+            self._refine()
+        if settings.resets_after(self.done):
+            adaptive.reset(self.fields, settings)
+        if settings.sorts_after(self.done):
+            order = morton.order_of(self.fields.values.means)
+            self.fields = self.fields.changed(lambda tensor: tensor[order])
+            self.tally.sort(order)
+
+    def _refine(self) -> None:
+        """Changes the density, and begins another tally."""
         before = self.fields
         if self.settings.density == "mcmc":
             self.fields = mcmc.change(self.fields, self.settings, self.done)
@@ -88,14 +128,27 @@ class Trainer:
             self._look()
 
     def _step(self, room: int | None) -> Step:
-        return Step(self.fields, self.views, self.schedule, self.settings, self.counters, self.tally, room)
+        return Step(
+            self.fields,
+            self.views,
+            self.schedule,
+            self.settings,
+            self.counters,
+            self.tally,
+            room,
+            order=self._own_order,
+            exposure=self.exposure,
+            poses=self.poses,
+            group=self.group,
+        )
 
     def _run_cuda(self, count: int) -> None:
         if self._room is None:  # the first steps of all find out how many pairs there are
             self._step(None).run()
             self._look()
             count -= 1
-        key = (*(t.data_ptr() for t in self.fields.tensors().values()), self.tally.seen.data_ptr(), self._room)
+        tensors = [*self.fields.tensors().values(), *self.tally.tensors().values()]
+        key = (self.fields.count, self._room, *(t.data_ptr() for t in tensors))
         if key != self._graph_key and count:
             self._graph = None  # its memory is free for the next before that is made
             self._step(self._room).run()

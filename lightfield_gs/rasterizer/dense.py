@@ -25,6 +25,19 @@ def dense_forward(*arguments: Any, stats: Stats | None = None, threads: int | No
     return cast(_Images, tuple(DenseJob(*arguments, stats=stats, threads=threads).draw()))
 
 
+def dense_forward_with_splats(*arguments: Any) -> tuple[Tensor, ...]:
+    """dense_forward, and behind its images the splats that they consist of, [B * V, N, SPLAT_FIELDS]."""
+    job = DenseJob(*arguments)
+    return (*cast(_Images, job.draw()), job.splats)
+
+
+def dense_with_splats(*arguments: Any) -> tuple[Tensor, ...]:
+    """render_dense, and behind its images the splats that they consist of, [B * V, N, SPLAT_FIELDS], which have no
+    gradients."""
+    arguments = tuple(a.contiguous() if isinstance(a, Tensor) else a for a in arguments)
+    return torch.ops.lightfield_gs.render_dense_with_state(*arguments)[:4]
+
+
 def render_dense(
     means: Tensor,
     quaternions: Tensor,

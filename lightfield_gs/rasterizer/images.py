@@ -1,19 +1,19 @@
-"""Ordinary images of Gaussians, and what they are drawn over."""
+"""Ordinary images of Gaussians."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
-from typing import Literal, overload
+from collections.abc import Callable
+from typing import Any, Literal, overload
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, dense_tensor
-from lightfield_gs.base.checks import expect, shown
+from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.dense import dense_forward
+from lightfield_gs.rasterizer.background import background_tensor
+from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_splats, dense_with_splats
+from lightfield_gs.rasterizer.screen import radii_px
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -27,6 +27,8 @@ def render(
     alpha: Literal[False] = ...,
     depth: Literal[False] = ...,
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[False] = ...,
 ) -> Tensor: ...
 @overload
 def render(
@@ -37,6 +39,8 @@ def render(
     alpha: Literal[True],
     depth: Literal[False] = ...,
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[False] = ...,
 ) -> tuple[Tensor, Tensor]: ...
 @overload
 def render(
@@ -47,6 +51,8 @@ def render(
     alpha: Literal[False] = ...,
     depth: Literal[True],
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[False] = ...,
 ) -> tuple[Tensor, Tensor]: ...
 @overload
 def render(
@@ -57,7 +63,57 @@ def render(
     alpha: Literal[True],
     depth: Literal[True],
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[False] = ...,
 ) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[False] = ...,
+    depth: Literal[False] = ...,
+    antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[True],
+) -> tuple[Tensor, Tensor]: ...
+@overload
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[True],
+    depth: Literal[False] = ...,
+    antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[True],
+) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[False] = ...,
+    depth: Literal[True],
+    antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[True],
+) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[True],
+    depth: Literal[True],
+    antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[True],
+) -> tuple[Tensor, Tensor, Tensor, Tensor]: ...
 @overload
 def render(
     gaussians: Gaussians,
@@ -67,6 +123,8 @@ def render(
     alpha: bool = ...,
     depth: bool = ...,
     antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: bool = ...,
 ) -> Tensor | tuple[Tensor, ...]: ...
 def render(
     gaussians: Gaussians,
@@ -76,6 +134,8 @@ def render(
     alpha: bool = False,
     depth: bool = False,
     antialiased: bool = False,
+    screen: Tensor | None = None,
+    radii: bool = False,
 ) -> Tensor | tuple[Tensor, ...]:
     """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
 
@@ -86,11 +146,16 @@ def render(
     [..., C, H, W]), depth being the expected view-space z of what is covered, 0 where nothing is.
     antialiased: for scenes that were trained so (Yu et al., Mip-Splatting, 2024; gsplat's rasterize_mode of that name):
     a Gaussian that 0.3 px^2 of blur spread out becomes fainter by as much, by the root of the ratio of the determinants
-    of its projected covariance. Raises InputError.
+    of its projected covariance.
+    screen: zeros [..., C, N, 2] that ask for gradients. The image does not depend on them, but their .grad is that of
+    the loss by the projected means (x right, y down), in 1 / pixels. [..., C, N, 4]: the last two are then sums over
+    pixels of the absolute values of what each adds to it (Ye et al., "AbsGS", 2024).
+    radii: returns, as the last of the tuple, [..., C, N] in pixels, without gradients: half the longest extent of where
+    a Gaussian's alpha is 1/255 or more; 0 where it is not drawn. Raises InputError.
     """
     expect("gaussians", gaussians, Gaussians)
     expect("cameras", cameras, Cameras)
-    for name, value in (("alpha", alpha), ("depth", depth), ("antialiased", antialiased)):
+    for name, value in (("alpha", alpha), ("depth", depth), ("antialiased", antialiased), ("radii", radii)):
         expect(name, value, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
@@ -106,63 +171,37 @@ def render(
         )
     tensors = [t if batched else t.unsqueeze(0) for t in gaussians.fields().values()]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
-    draw: Callable[..., tuple[Tensor, Tensor, Tensor]] = torch.ops.lightfield_gs.render_dense
-    if not (torch.is_grad_enabled() and any(t.requires_grad for t in (*tensors, colour, *views))):
-        draw = dense_forward  # at the first call of an operator with a reverse torch spends a second on imports
-    image, coverage, weighted_depth = draw(*tensors, colour, *views, cameras.width_px, cameras.height_px, antialiased)
+    inputs: list[Tensor] = [*tensors, colour, *views]
+    options: list[Any] = [cameras.width_px, cameras.height_px, antialiased]
+    if screen is not None:
+        screen = _checked_screen(screen, gaussians, cameras.count)
+    draw: Callable[..., tuple[Tensor, ...]]
+    if torch.is_grad_enabled() and (screen is not None or any(t.requires_grad for t in inputs)):
+        draw, options = dense_with_splats if radii else torch.ops.lightfield_gs.render_dense, [*options, screen]
+    else:  # at the first call of an operator with a reverse torch spends a second on imports
+        draw = dense_forward_with_splats if radii else dense_forward
+    image, coverage, weighted_depth, *splats = draw(*inputs, *options)
     out = [image]
     if alpha:
         out.append(coverage)
     if depth:
         out.append(weighted_depth / coverage.clamp_min(1e-10))
+    if radii:
+        out.append(radii_px(splats[0]).view(*coverage.shape[:2], gaussians.count))
     out = [t if batched else t.squeeze(0) for t in out]
     return tuple(out) if len(out) > 1 else out[0]
 
 
-def background_tensor(background: Colour, like: Tensor) -> Tensor:
-    """A background as a tensor [..., 3] of the dtype and on the device of `like`. Raises InputError."""
-    if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
-        if like.is_cuda and torch.cuda.is_current_stream_capturing():
-            return _captured_background(background, like)
-        return _constant_background(tuple(background), like.dtype, like.device)
-    return _checked_background(background, like.dtype, like.device)
-
-
-def _captured_background(background: Sequence[float], like: Tensor) -> Tensor:
-    """A background that a graph under capture makes itself, in its own memory.
-
-    Of a tensor from outside it would keep nothing but the address, where something else may lie at a replay.
-    """
-    numbers = _checked_background(background, like.dtype, torch.device("cpu")).tolist()
-    return torch.stack([like.new_full((), number) for number in numbers])
-
-
-@lru_cache(maxsize=64)
-def _constant_background(background: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """A background of plain numbers. It is made once, for copying it to a device waits for that every time."""
-    with torch.inference_mode(False):  # it may be part of a graph of gradients later
-        return _checked_background(background, dtype, device)
-
-
-def _checked_background(background: Colour, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """A background of any kind as a tensor. One on a GPU is not searched for NaN, which would wait for the GPU.
-
-    Tensors and arrays may hold values beyond 0..1, as optimizers make them; plain numbers beyond it are mistakes.
-    """
-    plain = True
-    if isinstance(background, (Tensor, np.ndarray)):
-        plain, background = False, dense_tensor("background", background)
-    there = isinstance(background, Tensor) and background.is_cuda
-    try:
-        colour = torch.as_tensor(background, dtype=dtype, device=device)
-    except (TypeError, ValueError, RuntimeError, OverflowError):
+def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tensor:
+    """The argument `screen` of render, [B, C, N, 2 or 4]. Raises InputError."""
+    expect("screen", screen, Tensor)
+    shape = [*gaussians.means.shape[:-2], cameras, gaussians.count]
+    if list(screen.shape[:-1]) != shape or screen.shape[-1] not in (2, 4):
+        raise InputError(f"screen: expected {shape} of 2 or 4 numbers, got {list(screen.shape)}")
+    if screen.dtype != gaussians.dtype or screen.device != gaussians.device:
         raise InputError(
-            f"background must be three finite numbers R, G, B in 0..1, got {type(background).__name__}"
-        ) from None
-    if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
-        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {shown(background)}")
-    if plain and not bool(((colour >= 0) & (colour <= 1)).all()):
-        raise InputError(
-            f"background must be three numbers R, G, B in 0..1, got {shown(background)}; divide bytes by 255"
+            f"screen: expected {gaussians.dtype} on {gaussians.device} as means, got {screen.dtype} on {screen.device}"
         )
-    return colour
+    if not screen.requires_grad:
+        raise InputError("screen: nothing but its gradient means anything; make it with requires_grad=True")
+    return screen if gaussians.is_batched else screen.unsqueeze(0)

@@ -49,6 +49,14 @@ class Capture:
         mask's file, its alpha, and what lies within the distorted frame. Raises InputError."""
         return self.photographs[index].mask()
 
+    def opacity(self, index: int) -> np.ndarray | None:
+        """As mask, of the mask's file and the alpha alone: where they are the target of the scene's alpha."""
+        return self.photographs[index].opacity()
+
+    def frame(self, index: int) -> np.ndarray | None:
+        """As mask, of the distorted frame alone: nothing is known beyond it."""
+        return self.photographs[index].frame()
+
     @property
     def centres(self) -> np.ndarray:
         """Where the cameras stand, [C,3] float64."""
