@@ -62,6 +62,7 @@ def start(processes: int, program: str, *arguments: str) -> subprocess.Popen:
     return subprocess.Popen([*command, program, *arguments], env=environment, **streams)
 
 
+
 @pytest.mark.parametrize("density", ["mcmc", "adaptive"])
 def test_two_processes_fit_as_one(tmp_path, density):
     """The same sums in another order: rounding at first, and what comes of it at the end."""
