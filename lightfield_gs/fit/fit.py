@@ -25,6 +25,7 @@ from lightfield_gs.fit.initial import initial_gaussians
 from lightfield_gs.fit.progress import Progress
 from lightfield_gs.fit.run import Habits, Run
 from lightfield_gs.fit.settings import Density, FitSettings
+from lightfield_gs.fit.several import Group, joined
 from lightfield_gs.fit.trainer import Trainer
 from lightfield_gs.fit.views import Views
 from lightfield_gs.fit.world import World
@@ -86,6 +87,9 @@ def fit(
     those held out instead. device: "auto", "cpu" or "cuda". folder: where checkpoints, scores.json and pictures go; a
     fit that was stopped goes on from there, to the same bits, unless `fresh`. The other arguments: see Habits.
 
+    Where torchrun starts several processes that all call it alike, they share out the photographs of a step
+    (settings.views), one GPU each; the first one writes and talks, and all return the result.
+
     The same capture, settings and device give the same bits. Raises InputError: what is no capture, settings that
     cannot be, a folder of another fit.
     """
@@ -98,21 +102,30 @@ def fit(
         raise InputError(f"device: expected {', '.join(DEVICES)}, got {shown(device)}")
     if test_names is not None and not is_row(test_names):
         raise InputError(f"test_names: expected names of photographs, got {shown(test_names)}")
-    on = choose_device(device)
     expect("capture", capture, str, Path, Capture)
     read = capture if isinstance(capture, Capture) else read_capture(capture)
     train, test = read.split(test_every, None if test_names is None else list(test_names))
-    run, world = _prepared(read, train, test, chosen, habits, on)
-    run.go()
-    return FitResult(_finished(run.trainer, world), chosen, run.trainer.done, run.scores, run.history, run.stopped)
+    with joined(choose_device(device)) as (group, own):
+        run, world = _prepared(read, train, test, chosen, habits, own, group)
+        run.go()
+        scene = _finished(run.trainer, world)
+    return FitResult(scene, chosen, run.trainer.done, run.scores, run.history, run.stopped)
 
 
 def _prepared(
-    capture: Capture, train: list[int], test: list[int], settings: FitSettings, habits: Habits, device: str
+    capture: Capture,
+    train: list[int],
+    test: list[int],
+    settings: FitSettings,
+    habits: Habits,
+    device: str,
+    group: Group,
 ) -> tuple[Run, World]:
     """The run before its first step, and the coordinates that it is in; says what was chosen."""
     origin = Origin.of(settings, capture, train)
-    progress = Progress(habits.progress, habits.folder if habits.tensorboard else None)
+    progress = Progress(
+        habits.progress and group.is_first, habits.folder if habits.tensorboard and group.is_first else None
+    )
     if habits.folder is not None:
         make_folder(habits.folder)
         origin.check_file(habits.folder / checkpoint.FILE, habits.fresh)
@@ -120,8 +133,8 @@ def _prepared(
     need = memory.needed(settings, len(capture.names), width, height, masked=True)
     progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
     world = World.of(capture.world_to_camera, capture.extent)
-    trainer = _begun(capture, train, world, settings, device)
-    held = Views.load(capture, test, world, device, test) if test else None
+    trainer = _begun(capture, train, world, settings, device, group)
+    held = Views.load(capture, test, world, device, test, settings.masks) if test else None
     progress.say(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(test)} held out, on {device}: "
         f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
@@ -148,13 +161,15 @@ def settings_of(**given: Any) -> FitSettings:
     return FitSettings(**given)
 
 
-def _begun(capture: Capture, train: list[int], world: World, settings: FitSettings, device: str) -> Trainer:
+def _begun(
+    capture: Capture, train: list[int], world: World, settings: FitSettings, device: str, group: Group
+) -> Trainer:
     """The trainer before its first step. What weighs photographs against each other has its place here."""
-    views = Views.load(capture, train, world, device, train)
+    views = Views.load(capture, train, world, device, train, settings.masks)
     gaussians = initial_gaussians(
         world.points(capture.points), capture.colours, world.points(capture.centres), settings
     )
-    return Trainer(Fields.of(gaussians.to(device)), views, settings)
+    return Trainer(Fields.of(gaussians.to(device)), views, settings, group)
 
 
 def _finished(trainer: Trainer, world: World) -> Gaussians:

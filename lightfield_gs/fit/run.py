@@ -12,8 +12,9 @@ from typing import Any
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fit import checkpoint
+from lightfield_gs.fit.align import aligned
 from lightfield_gs.fit.checkpoint import Origin
-from lightfield_gs.fit.evaluate import PROTOCOL, Scores, evaluated
+from lightfield_gs.fit.evaluate import Scores, evaluated, protocol
 from lightfield_gs.fit.pictures import write_pictures
 from lightfield_gs.fit.progress import Progress
 from lightfield_gs.fit.trainer import Trainer
@@ -78,7 +79,7 @@ class Run:
                 began = time.monotonic()
                 before = trainer.done
                 trainer.advance(min(self._next_stop(), before + chunk))
-                chunk = _next_chunk(trainer.done - before, time.monotonic() - began)
+                chunk = self._agreed(_next_chunk(trainer.done - before, time.monotonic() - began))
                 self._between()
             self._end()
         finally:
@@ -105,7 +106,16 @@ class Run:
             self._picture()
         if self._checkpoint_is_due():
             self._save()
-        self.stopped = habits.stop()
+        self.stopped = bool(self._agreed(int(habits.stop())))
+
+    def _agreed(self, number: int) -> int:
+        """The largest of the processes' numbers: all stop at the same step."""
+        return self.trainer.group.largest(number, self.trainer.device)
+
+    @property
+    def _folder(self) -> Path | None:
+        """Where this process writes."""
+        return self.habits.folder if self.trainer.group.is_first else None
 
     def _end(self) -> None:
         """What is left for the scene as it is now."""
@@ -121,18 +131,26 @@ class Run:
             return
         trainer, settings = self.trainer, self.trainer.settings
         background = settings.background or (0.0, 0.0, 0.0)
-        scores = self.scores = evaluated(trainer.fields.gaussians(), self.held, background, settings.antialiased)
+        scene, held = trainer.fields.gaussians(), self.held
+        if settings.poses:
+            held = aligned(held, scene, settings)
+        scores = self.scores = evaluated(scene, held, background, settings.antialiased)
         row = {"step": trainer.done, **scores.to_dict(), "gaussians": trainer.fields.count}
         del row["views"]
         self.history = [*(old for old in self.history if old["step"] < trainer.done), row]
         self._progress.scores(trainer.done, scores.mean_psnr_db, scores.mean_ssim)
         self._progress.say(
             f"step {trainer.done}: held-out PSNR {scores.mean_psnr_db:.2f} dB, SSIM {scores.mean_ssim:.4f}, "
-            f"{trainer.fields.count} Gaussians"
+            f"{trainer.fields.count} Gaussians" + (", held-out poses aligned" if settings.poses else "")
         )
-        if self.habits.folder is not None:
-            said = {"protocol": PROTOCOL, "step": trainer.done, **scores.to_dict(), "history": self.history}
-            with atomic_path(self.habits.folder / "scores.json") as temporary:
+        if self._folder is not None:
+            said = {
+                "protocol": protocol(settings.poses),
+                "step": trainer.done,
+                **scores.to_dict(),
+                "history": self.history,
+            }
+            with atomic_path(self._folder / "scores.json") as temporary:
                 temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
 
     def _is_no_better(self) -> bool:
@@ -144,8 +162,8 @@ class Run:
         return max(scores[-_PATIENCE:]) <= max(scores[:-_PATIENCE])
 
     def _picture(self) -> None:
-        if self.habits.folder is not None:
-            write_pictures(self.habits.folder, self.trainer, self.held or self.trainer.views)
+        if self._folder is not None:
+            write_pictures(self._folder, self.trainer, self.held or self.trainer.views)
 
     # --- Checkpoints
 
@@ -164,10 +182,10 @@ class Run:
         return time.monotonic() - self._saved_at > max(_LEAST_REST_S, self._saving_s / _CHECKPOINT_SHARE)
 
     def _save(self) -> None:
-        if self.habits.folder is None:
+        if self._folder is None:
             return
         began = time.monotonic()
-        checkpoint.save(self.habits.folder / checkpoint.FILE, self.trainer, self._origin, self.history)
+        checkpoint.save(self._folder / checkpoint.FILE, self.trainer, self._origin, self.history)
         self._saved_at = time.monotonic()
         self._saving_s = self._saved_at - began
 
