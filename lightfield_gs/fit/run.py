@@ -13,6 +13,7 @@ from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fit import checkpoint
 from lightfield_gs.fit.align import aligned
+from lightfield_gs.fit.angles import Angles
 from lightfield_gs.fit.checkpoint import Origin
 from lightfield_gs.fit.evaluate import Scores, evaluated, protocol
 from lightfield_gs.fit.pictures import write_pictures
@@ -20,6 +21,7 @@ from lightfield_gs.fit.progress import Progress
 from lightfield_gs.fit.trainer import Trainer
 from lightfield_gs.fit.views import Views
 from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.scene.gaussians import Gaussians
 
 _CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # how long steps go on before the loop looks whether it is to stop
 _LEAST_REST_S, _CHECKPOINT_SHARE = 30.0, 0.02  # seconds between checkpoints, and their share of the time
@@ -61,7 +63,17 @@ class Habits:
 class Run:
     """A trainer on its way, with the views that are held out from it, if any."""
 
-    def __init__(self, trainer: Trainer, held: Views | None, origin: Origin, habits: Habits, progress: Progress):
+    def __init__(
+        self,
+        trainer: Trainer,
+        held: Views | None,
+        origin: Origin,
+        habits: Habits,
+        progress: Progress,
+        angles: Angles | None = None,
+    ):
+        """angles: of the views held out, where they are scored by these as well."""
+        self.angles = angles
         self.trainer, self.held, self.habits, self._progress = trainer, held, habits, progress
         self._origin = origin
         self.history: list[dict[str, Any]] = []  # of evaluations: step, psnr_db, ssim, gaussians
@@ -124,17 +136,25 @@ class Run:
         self._save()
         self._picture()
 
+    def say(self, line: str) -> None:
+        """Tells it, unless progress is not to be shown."""
+        self._progress.say(line)
+
     # --- Scores
 
-    def _evaluate(self) -> None:
+    def scores_of(self, gaussians: Gaussians) -> Scores | None:
+        """Of a scene, coordinates of the fit, by the views held out; None where there are none."""
         if self.held is None:
+            return None
+        settings = self.trainer.settings
+        held = aligned(self.held, gaussians, settings) if settings.poses else self.held
+        return evaluated(gaussians, held, settings.background or (0.0, 0.0, 0.0), settings.antialiased)
+
+    def _evaluate(self) -> None:
+        trainer = self.trainer
+        if (scores := self.scores_of(trainer.fields.gaussians())) is None:
             return
-        trainer, settings = self.trainer, self.trainer.settings
-        background = settings.background or (0.0, 0.0, 0.0)
-        scene, held = trainer.fields.gaussians(), self.held
-        if settings.poses:
-            held = aligned(held, scene, settings)
-        scores = self.scores = evaluated(scene, held, background, settings.antialiased)
+        self.scores, settings = scores, trainer.settings
         row = {"step": trainer.done, **scores.to_dict(), "gaussians": trainer.fields.count}
         del row["views"]
         self.history = [*(old for old in self.history if old["step"] < trainer.done), row]
@@ -143,13 +163,15 @@ class Run:
             f"step {trainer.done}: held-out PSNR {scores.mean_psnr_db:.2f} dB, SSIM {scores.mean_ssim:.4f}, "
             f"{trainer.fields.count} Gaussians" + (", held-out poses aligned" if settings.poses else "")
         )
-        if self._folder is not None:
-            said = {
-                "protocol": protocol(settings.poses),
-                "step": trainer.done,
-                **scores.to_dict(),
-                "history": self.history,
-            }
+        self.write_scores()
+
+    def write_scores(self, **more: Any) -> None:
+        """Writes scores.json in the folder, if there is one, and scores; with what else is to be said."""
+        if self._folder is not None and (scores := self.scores) is not None:
+            by_angle = {} if self.angles is None else {"angles": self.angles.to_dict(scores)}
+            words = protocol(self.trainer.settings.poses)
+            said = {"protocol": words, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
+            said["history"] = self.history
             with atomic_path(self._folder / "scores.json") as temporary:
                 temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 
 from lightfield_gs.base.errors import InputError
@@ -27,14 +29,22 @@ class Trainer:
     of stops and checkpoints between: nothing depends on time, and random numbers only on the seed and the step.
     """
 
-    def __init__(self, gaussians_or_fields: Fields, views: Views, settings: FitSettings, group: Group = ALONE):
-        """group: the processes that fit together; settings.views are those of a step in all of them.
+    def __init__(
+        self,
+        gaussians_or_fields: Fields,
+        views: Views,
+        settings: FitSettings,
+        group: Group = ALONE,
+        shares: Sequence[float] | None = None,
+    ):
+        """group: the processes that fit together; settings.views are those of a step in all of them. shares: in how
+        many of the epochs each of the views is, see Schedule.of; None: in all.
 
         Raises InputError where they cannot be shared out, or the processes were not given the same.
         """
         self.fields, self.views, self.settings, self.group = gaussians_or_fields, views, settings, group
         self.device = views.photos.device
-        self.schedule = Schedule.of(settings, views.count, self.device)
+        self.schedule = Schedule.of(settings, views.count, self.device, shares)
         self.counters = Counters.start(settings.steps, self.device)
         self.tally = Tally(self.fields.count, settings, self.device)
         self.exposure = Exposure(views.count, settings, self.device) if settings.exposure else None
@@ -63,6 +73,7 @@ class Trainer:
             device = self.device
             self.group.check_same("settings", repr(self.settings).encode(), device)
             self.group.check_same("photographs", repr((self.views.names, self.views.sizes)).encode(), device)
+            self.group.check_same("order", self.schedule.order.cpu().numpy().tobytes(), device)
             self.group.check_same("Gaussians", self.fields.values.means.cpu().numpy().tobytes(), device)
 
     def advance(self, until: int) -> None:

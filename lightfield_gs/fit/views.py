@@ -101,6 +101,12 @@ class Views:
         weights = None if self.weights is None else self.weights.index_select(0, indices) / 255
         return self.photos.index_select(0, indices), weights
 
+    def counts(self, place: int) -> Tensor:
+        """[H,W] float32: how much each pixel of a photograph counts, 0..1."""
+        if self.weights is None:
+            return torch.ones(self.height_px, self.width_px, device=self.photos.device)
+        return self.weights[place] / 255
+
     @property
     def count(self) -> int:
         """C."""

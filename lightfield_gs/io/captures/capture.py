@@ -76,7 +76,7 @@ class Capture:
         InputError for names that there are not, and where nothing is left to fit to.
         """
         if names is not None:
-            test = sorted({self._index_of(name) for name in names})
+            test = sorted({self.index_of(name, "test photograph") for name in names})
         elif test_every is None:
             test = []
         else:
@@ -87,13 +87,14 @@ class Capture:
             raise InputError(f"expected photographs to fit to, but all {len(self.names)} are held out to test")
         return train, test
 
-    def _index_of(self, name: str) -> int:
+    def index_of(self, name: str, what: str = "photograph") -> int:
+        """The index of a photograph by its name, or the last part of it; `what` it is for. Raises InputError."""
         if name in self.names:
             return self.names.index(name)
         found = [index for index, known in enumerate(self.names) if known.rsplit("/", 1)[-1] == name]
         if len(found) != 1:
             raise InputError(
-                f"test photograph {name}: expected the name of one of the {len(self.names)} photographs, as "
+                f"{what} {name}: expected the name of one of the {len(self.names)} photographs, as "
                 f"{self.names[0]}, got one that {len(found) or 'none'} of them has"
             )
         return found[0]
