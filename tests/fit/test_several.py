@@ -16,6 +16,7 @@ from lightfield_gs.fit.several import ALONE, Group, is_first, joined
 
 pytestmark = [pytest.mark.long_file, pytest.mark.not_sanitized]  # torchrun, which imports torch once more
 TESTS = Path(__file__).resolve().parents[1]
+TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
 FITTING = f"""
 import sys, torch
 sys.path.insert(0, {str(TESTS)!r})
@@ -24,17 +25,17 @@ from lightfield_gs.fit.settings import FitSettings
 from lightfield_gs.fit.several import joined
 from lightfield_gs.fit.trainer import Trainer
 torch.set_num_threads(1)
-with joined("cpu") as (group, device):
+with joined(sys.argv[3]) as (group, device):
     options = dict(exposure=True, poses=True, density=sys.argv[2])
     settings = FitSettings(steps=120, gaussians=200, views=2, sh_degree=1, **options)
     scene = known_scene()
-    views = views_of(scene)
-    trainer = Trainer(first_fields(scene, settings), views, settings, group)
+    views = views_of(scene, device=device)
+    trainer = Trainer(first_fields(scene, settings, device=device), views, settings, group)
     trainer.advance(1)
     first = [tensor.clone() for tensor in trainer.fields.values]
     trainer.advance(120)
-    group.check_same("results", b"".join(t.numpy().tobytes() for t in trainer.fields.values))
-    group.check_same("tallies", trainer.tally.seen.numpy().tobytes())
+    group.check_same("results", b"".join(t.cpu().numpy().tobytes() for t in trainer.fields.values), device)
+    group.check_same("tallies", trainer.tally.seen.cpu().numpy().tobytes(), device)
     if group.is_first:
         values = first, psnr_db(trainer.fields, views), trainer.counters.losses, trainer.fields.count, trainer.extra
         torch.save(values, sys.argv[1])
@@ -61,17 +62,18 @@ def start(processes: int, program: str, *arguments: str) -> subprocess.Popen:
     return subprocess.Popen([*command, program, *arguments], env=environment, **streams)
 
 
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=TWO_GPUS)])
 @pytest.mark.parametrize("density", ["mcmc", "adaptive"])
-def test_two_processes_fit_as_one(tmp_path, density):
+def test_two_processes_fit_as_one(tmp_path, density, device):
     """The same sums in another order: rounding at first, and what comes of it at the end."""
     program = tmp_path / "fitting.py"
     program.write_text(FITTING)
     results = [tmp_path / f"{processes}.pt" for processes in (1, 2)]
-    running = [start(processes, str(program), str(path), density) for processes, path in enumerate(results, 1)]
+    running = [start(processes, str(program), str(path), density, device) for processes, path in enumerate(results, 1)]
     for process in running:
         printed = process.communicate(timeout=120)[0]
         assert process.returncode == 0, printed
-    one, two = (torch.load(path) for path in results)
+    one, two = (torch.load(path, map_location="cpu") for path in results)
     for alone, together in zip(one[0], two[0]):
         torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(two[2][:3], one[2][:3], atol=1e-5, rtol=1e-4)
