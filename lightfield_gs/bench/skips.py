@@ -23,8 +23,8 @@ from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.pruning import prune
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.frame_cuda import Frames
-from lightfield_gs.rasterizer.images import background_tensor
 from lightfield_gs.rasterizer.lens import draw_lens
 from lightfield_gs.rasterizer.lens_job import COLOUR_ORDERS, LensJob
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality

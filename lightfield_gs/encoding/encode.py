@@ -21,7 +21,7 @@ from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer import skips
-from lightfield_gs.rasterizer.images import background_tensor
+from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.cameras import Cameras

@@ -18,7 +18,7 @@ from lightfield_gs.encoding.encoder_cuda import CudaFrames
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.images import background_tensor
+from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.gaussians import Gaussians
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
-from lightfield_gs.rasterizer.images import background_tensor
+from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.lens_view import LensView
 from lightfield_gs.rasterizer.quality import Quality

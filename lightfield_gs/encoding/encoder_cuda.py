@@ -12,8 +12,8 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.encoding.encoder_cpu import STAGES
+from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.frame_cuda import Frame, Frames, frames_of
-from lightfield_gs.rasterizer.images import background_tensor
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.lens_view import LensView
 from lightfield_gs.rasterizer.quality import Quality

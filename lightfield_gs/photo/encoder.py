@@ -22,8 +22,8 @@ from lightfield_gs.panels import framing
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.frame_cuda import Frames
-from lightfield_gs.rasterizer.images import background_tensor
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats

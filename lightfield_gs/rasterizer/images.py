@@ -1,18 +1,17 @@
-"""Ordinary images of Gaussians, and what they are drawn over."""
+"""Ordinary images of Gaussians."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Callable
 from typing import Any, Literal, overload
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, dense_tensor
-from lightfield_gs.base.checks import expect, shown
+from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_splats, dense_with_splats
 from lightfield_gs.rasterizer.screen import radii_px
 from lightfield_gs.scene.cameras import Cameras
@@ -85,12 +84,36 @@ def render(
     cameras: Cameras,
     *,
     background: Colour = ...,
-    alpha: bool = ...,
-    depth: bool = ...,
+    alpha: Literal[True],
+    depth: Literal[False] = ...,
     antialiased: bool = ...,
     screen: Tensor | None = ...,
     radii: Literal[True],
-) -> tuple[Tensor, ...]: ...
+) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[False] = ...,
+    depth: Literal[True],
+    antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[True],
+) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = ...,
+    alpha: Literal[True],
+    depth: Literal[True],
+    antialiased: bool = ...,
+    screen: Tensor | None = ...,
+    radii: Literal[True],
+) -> tuple[Tensor, Tensor, Tensor, Tensor]: ...
 @overload
 def render(
     gaussians: Gaussians,
@@ -182,52 +205,3 @@ def _checked_screen(screen: Tensor, gaussians: Gaussians, cameras: int) -> Tenso
     if not screen.requires_grad:
         raise InputError("screen: nothing but its gradient means anything; make it with requires_grad=True")
     return screen if gaussians.is_batched else screen.unsqueeze(0)
-
-
-def background_tensor(background: Colour, like: Tensor) -> Tensor:
-    """A background as a tensor [..., 3] of the dtype and on the device of `like`. Raises InputError."""
-    if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
-        if like.is_cuda and torch.cuda.is_current_stream_capturing():
-            return _captured_background(background, like)
-        return _constant_background(tuple(background), like.dtype, like.device)
-    return _checked_background(background, like.dtype, like.device)
-
-
-def _captured_background(background: Sequence[float], like: Tensor) -> Tensor:
-    """A background that a graph under capture makes itself, in its own memory.
-
-    Of a tensor from outside it would keep nothing but the address, where something else may lie at a replay.
-    """
-    numbers = _checked_background(background, like.dtype, torch.device("cpu")).tolist()
-    return torch.stack([like.new_full((), number) for number in numbers])
-
-
-@lru_cache(maxsize=64)
-def _constant_background(background: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """A background of plain numbers. It is made once, for copying it to a device waits for that every time."""
-    with torch.inference_mode(False):  # it may be part of a graph of gradients later
-        return _checked_background(background, dtype, device)
-
-
-def _checked_background(background: Colour, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """A background of any kind as a tensor. One on a GPU is not searched for NaN, which would wait for the GPU.
-
-    Tensors and arrays may hold values beyond 0..1, as optimizers make them; plain numbers beyond it are mistakes.
-    """
-    plain = True
-    if isinstance(background, (Tensor, np.ndarray)):
-        plain, background = False, dense_tensor("background", background)
-    there = isinstance(background, Tensor) and background.is_cuda
-    try:
-        colour = torch.as_tensor(background, dtype=dtype, device=device)
-    except (TypeError, ValueError, RuntimeError, OverflowError):
-        raise InputError(
-            f"background must be three finite numbers R, G, B in 0..1, got {type(background).__name__}"
-        ) from None
-    if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
-        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {shown(background)}")
-    if plain and not bool(((colour >= 0) & (colour <= 1)).all()):
-        raise InputError(
-            f"background must be three numbers R, G, B in 0..1, got {shown(background)}; divide bytes by 255"
-        )
-    return colour

@@ -1,5 +1,6 @@
 """The surface of the package as editors and type checkers see it, and what it says of itself."""
 
+import itertools
 import subprocess
 import sys
 import typing
@@ -86,15 +87,14 @@ def test_what_render_returns_is_known_before_it_runs():
     declared = {}
     for overload in typing.get_overloads(render):
         hints = typing.get_type_hints(overload)
-        declared[hints["alpha"], hints["depth"]] = hints["return"]
+        declared[hints["alpha"], hints["depth"], hints["radii"]] = hints["return"]
     scene = Gaussians(**fields())
     cameras = Cameras(torch.eye(4)[None], torch.ones(1, 2), torch.ones(1, 2), 2, 2)
-    for alpha in (False, True):
-        for depth in (False, True):
-            made = render(scene, cameras, alpha=alpha, depth=depth)
-            kinds = type(made) if isinstance(made, Tensor) else tuple[tuple(map(type, made))]
-            assert declared.pop((typing.Literal[alpha], typing.Literal[depth])) == kinds
-    assert declared == {(bool, bool): Tensor | tuple[Tensor, ...]}
+    for alpha, depth, radii in itertools.product((False, True), repeat=3):
+        made = render(scene, cameras, alpha=alpha, depth=depth, radii=radii)
+        kinds = type(made) if isinstance(made, Tensor) else tuple[tuple(map(type, made))]
+        assert declared.pop(tuple(typing.Literal[choice] for choice in (alpha, depth, radii))) == kinds
+    assert declared == {(bool, bool, bool): Tensor | tuple[Tensor, ...]}
 
 
 def test_gaussians_are_shown_in_one_line():
