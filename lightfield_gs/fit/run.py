@@ -118,7 +118,7 @@ class Run:
             self._picture()
         if self._checkpoint_is_due():
             self._save()
-        self.stopped = bool(self._agreed(int(habits.stop())))
+        self.stopped = bool(self._agreed(1 if habits.stop() else 0))
 
     def _agreed(self, number: int) -> int:
         """The largest of the processes' numbers: all stop at the same step."""
