@@ -50,23 +50,19 @@ class Trainer:
         self.tally = Tally(self.fields.count, settings, self.device)
         self.exposure = Exposure(views.count, settings, self.device) if settings.exposure else None
         self.poses = Poses(views.world_to_camera, settings.steps, settings.rate_poses) if settings.poses else None
+        # What else is optimised, by name: a checkpoint keeps it too, and writes to these tensors to restore it
+        self.extra: dict[str, torch.Tensor] = {
+            f"{name}.{part}": tensor
+            for name, own in (("exposure", self.exposure), ("poses", self.poses))
+            if own is not None
+            for part, tensor in own.tensors().items()
+        }
         self._own_order = group.share(self.schedule.order)
         self._check_same()
         self.done = 0
         self._room: int | None = None
         self._graph: torch.cuda.CUDAGraph | None = None
         self._graph_key: tuple | None = None
-
-    @property
-    def extra(self) -> dict[str, torch.Tensor]:
-        """What else is optimised, by name, and its moments: a checkpoint keeps it, and writes to it to restore it."""
-        named = {"exposure": self.exposure, "poses": self.poses}
-        return {
-            f"{name}.{part}": tensor
-            for name, own in named.items()
-            if own is not None
-            for part, tensor in own.tensors().items()
-        }
 
     def _check_same(self) -> None:
         """Whether all processes begin with the same; raises InputError."""
