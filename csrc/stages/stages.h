@@ -28,8 +28,8 @@ inline int64_t band_count(int64_t height_px) { return (height_px + kBandRows - 1
 inline int pair_gradient_size(int colour_order, bool compensated = false) {
   return kSplatFields + 3 * (colour_order + 1) + (compensated ? kCompensationFields : 0);
 }
-// The same for ordinary images; absolute: with the sums over samples of |gradient| of u0 and of v0 behind the others (Ye
-// et al., "AbsGS", 2024).
+// The same for ordinary images; absolute: with the sums over samples of |gradient| of u0 and of v0 behind the others
+// (Ye et al., "AbsGS", 2024).
 inline int dense_pair_gradient_size(bool absolute) { return pair_gradient_size(0) + (absolute ? 2 : 0); }
 
 // The gradient of a pair, or a sum over pairs: what the samples of a band add to the gradients of a splat's fields, of
@@ -129,8 +129,8 @@ template <class T>
 double project_lens(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                     const Quality& quality, double tolerance, const Splats<T>& out, int threads);
 
-// screen [I, N, 2], or null, receives the gradients of the splats' places, u0 and v0 in pixels, 0 where nothing is drawn;
-// if the pairs have absolute ones, [I, N, 4], with these behind.
+// screen [I, N, 2], or null, receives the gradients of the splats' places, u0 and v0 in pixels, 0 where nothing is
+// drawn; if the pairs have absolute ones, [I, N, 4], with these behind.
 template <class T>
 void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
                             const int64_t* first_pair, const T* pair_gradients, const Gaussians<T>& out, T* screen,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.commands.options.cone import add_cone, cone_given
 from lightfield_gs.commands.options.fit import add_capture, add_optimisation, add_run, names_in, settings_given
 from lightfield_gs.commands.options.interrupts import Interrupts
 from lightfield_gs.commands.options.scene import check_scene_path
@@ -34,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene, a standard 3DGS .ply")
     add_capture(parser)
     add_optimisation(parser)
+    add_cone(parser)
     add_run(parser)
 
 
@@ -45,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     held = names_in(args.test_list)
 
     from lightfield_gs.fit.fit import fit
+    from lightfield_gs.fit.several import is_first
 
     with Interrupts() as interrupts:
         capture = _capture(args, folder)
@@ -64,10 +68,13 @@ def run(args: argparse.Namespace) -> int:
             stop_early=args.stop_early,
             tensorboard=args.tensorboard,
             stop=lambda: interrupts.number is not None,
+            **cone_given(args),
             **settings_given(args),
         )
-        result.save(args.output)
-    _say(args, result, folder)
+        if is_first():
+            result.save(args.output)
+    if is_first():
+        _say(args, result, folder)
     return 128 + interrupts.number if result.stopped and interrupts.number is not None else 0
 
 
@@ -82,19 +89,49 @@ def _capture(args: argparse.Namespace, folder: Path) -> Capture:
             raise InputError("--sfm: CAPTURE itself is the folder of photographs; leave out --images")
         where, images = folder / "sfm", args.input.absolute()
         if not (where / "sparse/0").exists():
+            if "RANK" in os.environ:
+                raise InputError("--sfm: find the cameras in one process first: leave torchrun out, or use pycolmap")
             structure_from_motion(images, make_folder(where), lambda words: print(words, flush=True))
     return read_capture(where, images=images, masks=args.mask_folder, scale=args.scale, longest_px=args.longest_px)
 
 
 def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
     """What came out, how well, and how to go on."""
-    from lightfield_gs.fit.evaluate import PROTOCOL
+    from lightfield_gs.fit.evaluate import protocol
 
     if result.scores is not None:
-        print(f"{result.scores.table()}\n{PROTOCOL}")
+        print(f"{result.scores.table()}\n{protocol(result.settings.poses)}")
+        _say_angles(result)
     print(f"{args.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
-    print(f"{folder}: checkpoint" + (", scores.json and last.png" if result.scores is not None else ""))
+    scores = ", scores.json" if result.scores is not None else ""
+    print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
+    if result.display is not None:
+        from lightfield_gs.fit.display import rig_path
+
+        rig = rig_path(args.output)
+        print(f"{rig}: the rig in the capture's coordinates: encode {args.output} --rig {rig} --panel {_panel(args)}")
+        if result.shown is None:
+            print("stopped: nothing was left out yet of what the panel does not show")
     if result.stopped:
         print("stopped: the same command goes on from the checkpoint")
     if result.settings.antialiased:
         print("fitted with anti-aliasing: give --antialiased to encode and prune as well")
+
+
+def _say_angles(result: FitResult) -> None:
+    """Scores by angle, where there is a cone, before and after what the panel does not show was left out."""
+    if result.angles is None or result.scores is None:
+        return
+    print(f"from {result.angles.centre}, cone of {result.angles.cone_deg:g} degrees:")
+    print(result.angles.table(result.scores))
+    if result.pruned_scores is not None:
+        print(f"with the {result.gaussians.count} Gaussians that the panel shows:")
+        print(result.angles.table(result.pruned_scores))
+
+
+def _panel(args: argparse.Namespace) -> str:
+    """What encode is given as --panel to show what --cone names."""
+    from lightfield_gs.fit.display import is_angle
+    from lightfield_gs.panels.panel import DEFAULT_PANEL
+
+    return DEFAULT_PANEL if is_angle(args.cone) else args.cone

@@ -35,10 +35,15 @@ def prune(
     """
     contribution_cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
     weights = contributions(gaussians, panel, rig, antialiased)
-    ascending = weights.sort()
-    left_out = ascending.values.cumsum(0) <= contribution_cut * 3 * panel.width_px * panel.height_px
-    kept = ascending.indices[~left_out].sort().values
+    kept = ~left_out(weights, panel, contribution_cut)
     return mapped(gaussians, lambda field: field[kept])
+
+
+def left_out(weights: Tensor, panel: Panel, contribution_cut: float) -> Tensor:
+    """[N] bool: which Gaussians `prune` leaves out, by what they contribute [N]: the least, within the cut."""
+    ascending = weights.sort(stable=True)
+    fits = ascending.values.cumsum(0) <= contribution_cut * 3 * panel.width_px * panel.height_px
+    return torch.zeros_like(fits).index_copy_(0, ascending.indices, fits)
 
 
 def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: bool = False) -> Tensor:

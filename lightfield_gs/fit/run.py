@@ -12,13 +12,16 @@ from typing import Any
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fit import checkpoint
+from lightfield_gs.fit.align import aligned
+from lightfield_gs.fit.angles import Angles
 from lightfield_gs.fit.checkpoint import Origin
-from lightfield_gs.fit.evaluate import PROTOCOL, Scores, evaluated
+from lightfield_gs.fit.evaluate import Scores, evaluated, protocol
 from lightfield_gs.fit.pictures import write_pictures
 from lightfield_gs.fit.progress import Progress
 from lightfield_gs.fit.trainer import Trainer
 from lightfield_gs.fit.views import Views
 from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.scene.gaussians import Gaussians
 
 _CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # how long steps go on before the loop looks whether it is to stop
 _LEAST_REST_S, _CHECKPOINT_SHARE = 30.0, 0.02  # seconds between checkpoints, and their share of the time
@@ -60,7 +63,17 @@ class Habits:
 class Run:
     """A trainer on its way, with the views that are held out from it, if any."""
 
-    def __init__(self, trainer: Trainer, held: Views | None, origin: Origin, habits: Habits, progress: Progress):
+    def __init__(
+        self,
+        trainer: Trainer,
+        held: Views | None,
+        origin: Origin,
+        habits: Habits,
+        progress: Progress,
+        angles: Angles | None = None,
+    ):
+        """angles: of the views held out, where they are scored by these as well."""
+        self.angles = angles
         self.trainer, self.held, self.habits, self._progress = trainer, held, habits, progress
         self._origin = origin
         self.history: list[dict[str, Any]] = []  # of evaluations: step, psnr_db, ssim, gaussians
@@ -78,7 +91,7 @@ class Run:
                 began = time.monotonic()
                 before = trainer.done
                 trainer.advance(min(self._next_stop(), before + chunk))
-                chunk = _next_chunk(trainer.done - before, time.monotonic() - began)
+                chunk = self._agreed(_next_chunk(trainer.done - before, time.monotonic() - began))
                 self._between()
             self._end()
         finally:
@@ -105,7 +118,16 @@ class Run:
             self._picture()
         if self._checkpoint_is_due():
             self._save()
-        self.stopped = habits.stop()
+        self.stopped = bool(self._agreed(1 if habits.stop() else 0))
+
+    def _agreed(self, number: int) -> int:
+        """The largest of the processes' numbers: all stop at the same step."""
+        return self.trainer.group.largest(number, self.trainer.device)
+
+    @property
+    def _folder(self) -> Path | None:
+        """Where this process writes."""
+        return self.habits.folder if self.trainer.group.is_first else None
 
     def _end(self) -> None:
         """What is left for the scene as it is now."""
@@ -114,25 +136,43 @@ class Run:
         self._save()
         self._picture()
 
+    def say(self, line: str) -> None:
+        """Tells it, unless progress is not to be shown."""
+        self._progress.say(line)
+
     # --- Scores
 
-    def _evaluate(self) -> None:
+    def scores_of(self, gaussians: Gaussians) -> Scores | None:
+        """Of a scene, coordinates of the fit, by the views held out; None where there are none."""
         if self.held is None:
+            return None
+        settings = self.trainer.settings
+        held = aligned(self.held, gaussians, settings) if settings.poses else self.held
+        return evaluated(gaussians, held, settings.background or (0.0, 0.0, 0.0), settings.antialiased)
+
+    def _evaluate(self) -> None:
+        trainer = self.trainer
+        if (scores := self.scores_of(trainer.fields.gaussians())) is None:
             return
-        trainer, settings = self.trainer, self.trainer.settings
-        background = settings.background or (0.0, 0.0, 0.0)
-        scores = self.scores = evaluated(trainer.fields.gaussians(), self.held, background, settings.antialiased)
+        self.scores, settings = scores, trainer.settings
         row = {"step": trainer.done, **scores.to_dict(), "gaussians": trainer.fields.count}
         del row["views"]
         self.history = [*(old for old in self.history if old["step"] < trainer.done), row]
         self._progress.scores(trainer.done, scores.mean_psnr_db, scores.mean_ssim)
         self._progress.say(
             f"step {trainer.done}: held-out PSNR {scores.mean_psnr_db:.2f} dB, SSIM {scores.mean_ssim:.4f}, "
-            f"{trainer.fields.count} Gaussians"
+            f"{trainer.fields.count} Gaussians" + (", held-out poses aligned" if settings.poses else "")
         )
-        if self.habits.folder is not None:
-            said = {"protocol": PROTOCOL, "step": trainer.done, **scores.to_dict(), "history": self.history}
-            with atomic_path(self.habits.folder / "scores.json") as temporary:
+        self.write_scores()
+
+    def write_scores(self, **more: Any) -> None:
+        """Writes scores.json in the folder, if there is one, and scores; with what else is to be said."""
+        if self._folder is not None and (scores := self.scores) is not None:
+            by_angle = {} if self.angles is None else {"angles": self.angles.to_dict(scores)}
+            words = protocol(self.trainer.settings.poses)
+            said = {"protocol": words, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
+            said["history"] = self.history
+            with atomic_path(self._folder / "scores.json") as temporary:
                 temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
 
     def _is_no_better(self) -> bool:
@@ -144,8 +184,8 @@ class Run:
         return max(scores[-_PATIENCE:]) <= max(scores[:-_PATIENCE])
 
     def _picture(self) -> None:
-        if self.habits.folder is not None and self.held is not None:
-            write_pictures(self.habits.folder, self.trainer, self.held)
+        if self._folder is not None:
+            write_pictures(self._folder, self.trainer, self.held or self.trainer.views)
 
     # --- Checkpoints
 
@@ -164,10 +204,10 @@ class Run:
         return time.monotonic() - self._saved_at > max(_LEAST_REST_S, self._saving_s / _CHECKPOINT_SHARE)
 
     def _save(self) -> None:
-        if self.habits.folder is None:
+        if self._folder is None:
             return
         began = time.monotonic()
-        checkpoint.save(self.habits.folder / checkpoint.FILE, self.trainer, self._origin, self.history)
+        checkpoint.save(self._folder / checkpoint.FILE, self.trainer, self._origin, self.history)
         self._saved_at = time.monotonic()
         self._saving_s = self._saved_at - began
 

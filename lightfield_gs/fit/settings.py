@@ -47,8 +47,8 @@ class FitSettings:
     rate_logits: float = 5e-2
     rate_sh_dc: float = 2.5e-3
     rate_sh_rest: float = 2.5e-3 / 20
-    rate_exposure: float = 1e-3
-    rate_poses: float = 1e-5
+    rate_exposure: float = 1e-2  # falls to a tenth
+    rate_poses: float = 1e-5  # extents and radians; falls to a hundredth
 
     # How it begins: opacity, and scales by the distance to neighbours; None: that of the strategy for density
     initial_opacity: float | None = None

@@ -9,14 +9,19 @@ has looked and made room.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from lightfield_gs.fit.drawing import view_job
+from lightfield_gs.fit.exposure import Exposure
 from lightfield_gs.fit.fields import Fields
 from lightfield_gs.fit.photo_loss import photo_loss_and_gradient
+from lightfield_gs.fit.poses import Poses
 from lightfield_gs.fit.schedule import Schedule
 from lightfield_gs.fit.settings import FitSettings
+from lightfield_gs.fit.several import ALONE, Group
 from lightfield_gs.fit.tally import Tally
 from lightfield_gs.fit.update import Gradients, update
 from lightfield_gs.fit.views import Views
@@ -56,44 +61,32 @@ class Step:
         counters: Counters,
         tally: Tally,
         room: int | None,
+        *,
+        order: Tensor,
+        exposure: Exposure | None = None,
+        poses: Poses | None = None,
+        group: Group = ALONE,
     ):
-        """room: for how many (tile, splat) pairs, on CUDA; None: the host waits for their number."""
+        """room: for how many (tile, splat) pairs, on CUDA; None: the host waits for their number. order: the columns of
+        schedule.order that this process of the group draws. exposure, poses: of all views, where they are optimised."""
         self.fields, self.views, self.schedule, self.settings = fields, views, schedule, settings
         self.counters, self.tally, self.room = counters, tally, room
+        self.order, self.exposure, self.poses, self.group = order, exposure, poses, group
 
     def run(self) -> None:
         """Does the step that is next."""
-        views, counters = self.views, self.counters
-        chosen = self.schedule.order.index_select(0, counters.step)[0]
-        poses, intrinsics, limits = (
-            t.index_select(0, chosen)[None] for t in (views.world_to_camera, views.intrinsics, views.limits)
-        )
-        background = self.schedule.backgrounds.index_select(0, counters.step).expand(len(chosen), 3).contiguous()
-        drawn = [field[None] for field in self.fields.gaussians().fields().values()]
-        job = DenseJob(
-            *drawn,
-            background[None],
-            poses,
-            intrinsics,
-            limits,
-            views.width_px,
-            views.height_px,
-            self.settings.antialiased,
-            room=self.room,
-        )
-        images = job.draw()
-        photos, weights = views.chosen(chosen)
-        loss, g_image = photo_loss_and_gradient(images.image[0], photos, weights, self.settings.ssim_share)
-        wanted = Wanted(self.tally.screen_numbers, cameras=False)
-        gradients = job.backward(images, DenseImages(g_image[None] / len(chosen), None, None), wanted)
-        self._note(job, loss / len(chosen))
+        counters = self.counters
+        chosen = self.order.index_select(0, counters.step)[0]
+        found = self._gradients(chosen)
+        self.group.sum_([*found.fields, *found[1:]])
+        counters.losses.index_copy_(0, counters.step, found.loss)
         kept = 1 - counters.lost
-        self.tally.add(job.splats, gradients.screen, kept, views)
+        self.tally.add(found.sums, kept)
         update(
             self.fields.values,
             self.fields.first,
             self.fields.second,
-            Gradients(*(g[0] for g in gradients.fields)),
+            found.fields,
             self.fields.scales,
             self.fields.opacities,
             table=self.schedule.numbers,
@@ -102,12 +95,65 @@ class Step:
             seed=self.settings.seed,
             seen=self.tally.seen,
         )
+        if self.exposure is not None:
+            self.exposure.update(found.exposure, counters.step, kept)
+        if self.poses is not None:
+            self.poses.update(found.poses, counters.step, kept)
         counters.step += kept
 
-    def _note(self, job: DenseJob, loss: Tensor) -> None:
-        """Notes how many pairs there were, whether that were too many, and the loss."""
-        counters = self.counters
-        torch.maximum(counters.pairs, job.pairs_on_device, out=counters.pairs)
+    def _gradients(self, chosen: Tensor) -> _Found:
+        """What the views `chosen` [V] say: their part of the sums over all views of the step."""
+        views, poses = self.views, self.poses
+        background = self.schedule.backgrounds.index_select(0, self.counters.step).expand(len(chosen), 3).contiguous()
+        from_where = views.world_to_camera if poses is None else poses.world_to_camera
+        gaussians, antialiased = self.fields.gaussians(), self.settings.antialiased
+        job = view_job(gaussians, views, chosen, from_where, background, antialiased, self.room)
+        images = job.draw()
+        loss, g_image, g_exposure = self._compared(images.image[0], chosen, background)
+        wanted = Wanted(self.tally.screen_numbers, cameras=poses is not None)
+        gradients = job.backward(images, DenseImages(g_image[None], None, None), wanted)
+        self._note(job)
+        return _Found(
+            Gradients(*(g[0] for g in gradients.fields)),
+            self.tally.measured(job.splats, gradients.screen, views),
+            loss[None],
+            g_exposure,
+            loss.new_zeros(0) if poses is None else poses.gathered(gradients.cameras, chosen).to(loss.dtype),
+        )
+
+    def _compared(self, image: Tensor, chosen: Tensor, background: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The loss of images [V,H,W,3], over the number of views of the step; its gradients with respect to them, and
+        to the exposure of all photographs.
+
+        A photograph over the background is over that as exposed: exposure is that of the camera, and what is
+        transparent is to say nothing of it.
+        """
+        exposure, views = self.exposure, self.settings.views
+        behind = background if exposure is None else exposure.exposed(background, chosen)
+        exposed = image if exposure is None else exposure.exposed(image, chosen)
+        photos, weights = self.views.targets(chosen, behind)
+        loss, gradient = photo_loss_and_gradient(exposed, photos, weights, self.settings.ssim_share)
+        loss, gradient = loss / views, gradient / views
+        if exposure is None:
+            return loss, gradient, loss.new_zeros(0)
+        return loss, *exposure.reverse(image, gradient, chosen)
+
+    def _note(self, job: DenseJob) -> None:
+        """Notes how many pairs there were in the process that had most, and whether that were too many for it: there is
+        as much room in all, and all stop together."""
+        counters, pairs = self.counters, job.pairs_on_device
+        self.group.max_(pairs)
+        torch.maximum(counters.pairs, pairs, out=counters.pairs)
         if self.room is not None:
-            counters.lost |= job.pairs_on_device > self.room
-        counters.losses.index_copy_(0, counters.step, loss[None])
+            counters.lost |= pairs > self.room
+
+
+class _Found(NamedTuple):
+    """What some views of a step say, float32: gradients of the fields; sums of the tally; loss [1]; gradients of the
+    exposure and of the poses of all photographs, empty where these are not optimised."""
+
+    fields: Gradients
+    sums: Tensor
+    loss: Tensor
+    exposure: Tensor
+    poses: Tensor

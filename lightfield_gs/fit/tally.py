@@ -22,23 +22,31 @@ class Tally:
     def __init__(self, count: int, settings: FitSettings, device: torch.device | str):
         adaptive = settings.density == "adaptive"
         self.screen_numbers = (4 if settings.absolute_gradients else 2) if adaptive else 0
+        self._views = settings.views
         self.seen, self._seen_now = (torch.ones(count, dtype=torch.uint8, device=device) for _ in range(2))
         size = count if adaptive else 0
         self.gradients, self.drawn = (torch.zeros(size, device=device) for _ in range(2))
 
-    def add(self, splats: Tensor, screen: Tensor, kept: Tensor, views: Views) -> None:
-        """Adds a step of splats [V,N,...] and gradients screen [V,N,2|4] of the mean loss of V views.
+    def measured(self, splats: Tensor, screen: Tensor, views: Views) -> Tensor:
+        """What there is to add of a step: float32 [1,N], in how many views a Gaussian was drawn, and for adaptive
+        density [2,N], the sum of the norms as well; sums over the views, which may be shared out.
 
-        kept [1]: 1, or 0 where the step is void.
+        splats [V,N,...]; screen [V,N,2|4]: gradients of the mean loss of all views of the step.
         """
         drawn = splats[..., _core.SPLAT_REACH_INDEX] >= 0
-        self._seen_now |= drawn.any(0) & (kept > 0)
-        self.seen |= self._seen_now
         if not self.screen_numbers:
-            return
+            return drawn.sum(0, dtype=torch.float32)[None]
         norms = torch.hypot(screen[..., -2] * (views.width_px / 2), screen[..., -1] * (views.height_px / 2)) * drawn
-        self.gradients += norms.sum(0) * len(screen) * kept
-        self.drawn += drawn.sum(0) * kept
+        return torch.stack([drawn.sum(0, dtype=torch.float32), norms.sum(0) * self._views])
+
+    def add(self, sums: Tensor, kept: Tensor) -> None:
+        """Adds what measured() gave. kept [1]: 1, or 0 where the step is void."""
+        sums = torch.where(kept > 0, sums, 0)
+        self._seen_now |= sums[0] > 0
+        self.seen |= self._seen_now
+        if self.screen_numbers:
+            self.drawn += sums[0]
+            self.gradients += sums[1]
 
     def next_round(self) -> None:
         """Begins another round, for as many Gaussians as before."""

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.assumptions import assume
+from lightfield_gs.fit.settings import Masks
 from lightfield_gs.fit.world import World
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.scene.cameras import Cameras
@@ -20,7 +21,8 @@ class Views:
     """C photographs of one size. Smaller ones stand in the upper left of it, and count nowhere else.
 
     photos [C,H,W,3] uint8; weights [C,H,W] uint8, 255 where a photograph counts, or None where all do; world_to_camera
-    [C,4,4], intrinsics [C,4] and limits [C,5] float32 in coordinates of the fit; sizes [C,2], width and height.
+    [C,4,4], intrinsics [C,4] and limits [C,5] float32 in coordinates of the fit; sizes [C,2], width and height. opacity
+    [C,H,W] uint8: how opaque the scene is to be, by masks that are the target of its alpha; None: no mask is.
     """
 
     names: list[str]
@@ -30,10 +32,23 @@ class Views:
     intrinsics: Tensor
     limits: Tensor
     sizes: list[tuple[int, int]]
+    opacity: Tensor | None = None
 
     @classmethod
-    def load(cls, capture: Capture, indices: Sequence[int], world: World, device: str, ticks: Iterable[int]) -> Views:
-        """Those of a capture, on a device. ticks: `indices` once more, to show how far the reading is."""
+    def load(
+        cls,
+        capture: Capture,
+        indices: Sequence[int],
+        world: World,
+        device: str,
+        ticks: Iterable[int],
+        masks: Masks = "ignore",
+    ) -> Views:
+        """Those of a capture, on a device. ticks: `indices` once more, to show how far the reading is.
+
+        masks: what they and the photographs' alpha leave out counts nowhere ("ignore"), or is transparent ("alpha").
+        What lies beyond a distorted photograph's frame counts nowhere in either case.
+        """
         sizes = [(int(w), int(h)) for w, h in capture.sizes_px[list(indices)]]
         width, height = (max(side) for side in zip(*sizes))
         if len(set(sizes)) > 1:
@@ -43,10 +58,14 @@ class Views:
             )
         photos = np.zeros((len(sizes), height, width, 3), np.uint8)
         weights = np.zeros((len(sizes), height, width), np.uint8)
+        opacity = np.full_like(weights if masks == "alpha" else weights[:0], 255)
         for place, (index, (w, h)) in enumerate(zip(ticks, sizes)):
             photos[place, :h, :w] = capture.image(index)
-            mask = capture.mask(index)
-            weights[place, :h, :w] = 255 if mask is None else mask
+            counts = capture.frame(index) if masks == "alpha" else capture.mask(index)
+            weights[place, :h, :w] = 255 if counts is None else counts
+            opaque = capture.opacity(index) if masks == "alpha" else None
+            if opaque is not None:
+                opacity[place, :h, :w] = opaque
         cameras = Cameras(
             torch.from_numpy(world.poses(capture.world_to_camera[list(indices)])),
             *torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1),
@@ -57,14 +76,36 @@ class Views:
             [capture.names[index] for index in indices],
             torch.from_numpy(photos).to(device),
             None if weights.all() else torch.from_numpy(weights).to(device),
-            *(t.float().to(device) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())),
+            cameras.world_to_camera.float().to(device),
+            cameras.intrinsics().float().to(device),
+            cameras.limits().float().to(device),
             sizes,
+            None if opacity.all() else torch.from_numpy(opacity).to(device),
         )
+
+    def targets(self, indices: Tensor, behind: Tensor) -> tuple[Tensor, Tensor | None]:
+        """What the views `indices` [V] over a background `behind` [V,3] are to look like, [V,H,W,3], uint8 or float32;
+        and weights [V,H,W] in 0..1 where there are any.
+
+        A photograph whose masks are the target of alpha stands over the background: so an alpha below the mask's shows
+        in the loss, whatever the background, and more so with another one at each step.
+        """
+        photos, weights = self.chosen(indices)
+        if self.opacity is None:
+            return photos, weights
+        alpha = self.opacity.index_select(0, indices)[..., None] / 255
+        return photos / 255 * alpha + (1 - alpha) * behind[:, None, None], weights
 
     def chosen(self, indices: Tensor) -> tuple[Tensor, Tensor | None]:
         """The photographs at `indices` [V], and weights 0..1 where there are any."""
         weights = None if self.weights is None else self.weights.index_select(0, indices) / 255
         return self.photos.index_select(0, indices), weights
+
+    def counts(self, place: int) -> Tensor:
+        """[H,W] float32: how much each pixel of a photograph counts, 0..1."""
+        if self.weights is None:
+            return torch.ones(self.height_px, self.width_px, device=self.photos.device)
+        return self.weights[place] / 255
 
     @property
     def count(self) -> int:

@@ -83,7 +83,7 @@ class Scene:
         return make(shape, dtype=dtype or self.tensors[0].dtype, device=self.tensors[0].device)
 
     def gradients(self, zero: bool) -> tuple[list[Tensor], _core._Stages.Gaussians]:
-        """Tensors for the gradients of the five fields, without values or all zero, and their addresses for the core."""
+        """Tensors for the gradients of the five fields, all zero or without values, and the core's view of them."""
         grads = [torch.zeros_like(t) if zero else torch.empty_like(t) for t in self.tensors]
         return grads, self.core.Gaussians(self.count, self.degree, *(g.data_ptr() for g in grads))
 

@@ -110,6 +110,17 @@ def test_what_no_lens_showed_is_masked(tmp_path):
     assert 0 < (mask == 0).mean() < 0.5
 
 
+def test_what_is_transparent_is_told_from_what_no_lens_showed(tmp_path):
+    alpha = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    alpha[:, 60:] = 0
+    write_capture(tmp_path, "RADIAL", picture=np.dstack([dots([(20, 20)]), alpha]))
+    capture = said(tmp_path)[0]
+    frame, opacity = capture.frame(0), capture.opacity(0)
+    np.testing.assert_array_equal(capture.mask(0), np.minimum(frame, opacity))
+    assert frame[0, 0] == 0 and frame[HEIGHT // 2, 70] == 255  # no lens showed the corner; column 70 is seen, and is
+    assert opacity[HEIGHT // 2, 70] == 0 and opacity[HEIGHT // 2, 30] == 255  # transparent
+
+
 def test_a_lens_that_folds_most_of_the_picture_is_refused(tmp_path):
     write_capture(tmp_path, "SIMPLE_RADIAL", cameras=[(7, "SIMPLE_RADIAL", WIDTH, HEIGHT, [70, *CENTRE, -5.0])])
     with pytest.raises(InputError, match="the lens SIMPLE_RADIAL k -5 folds .*% of the picture"):

@@ -308,9 +308,9 @@ Counters composite_dense_backward(const Splats<T>& splats, Bins bins, const Came
   return dispatch(job);
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                    \
-  template Counters composite_dense(const Splats<T>&, Bins, const Cameras<T>&, const T*, DenseImages<T>, int); \
-  template Counters composite_dense_backward(const Splats<T>&, Bins, const Cameras<T>&, const T*,              \
+#define LFGS_INSTANTIATE(T)                                                                                            \
+  template Counters composite_dense(const Splats<T>&, Bins, const Cameras<T>&, const T*, DenseImages<T>, int);         \
+  template Counters composite_dense_backward(const Splats<T>&, Bins, const Cameras<T>&, const T*,                      \
                                              DenseImages<const T>, DenseImages<const T>, bool, const int64_t*, T*, T*, \
                                              int);
 LFGS_INSTANTIATE(float)

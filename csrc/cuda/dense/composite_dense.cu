@@ -135,7 +135,7 @@ __global__ void __launch_bounds__(kThreads)
 
 template <int kSums>
 constexpr int kBatchOf = kSums == kDenseSums ? 64 : 60;  // splats staged at a time: 48 KiB hold no more with all sums
-constexpr int kHits = 8;    // with the four rows of a patch, a sum for every lane
+constexpr int kHits = 8;                                 // with the four rows of a patch, a sum for every lane
 static_assert(kHits * kPatchHeight == 32);
 
 // A sample in the reverse. `behind` is what all that is behind the splat at hand adds to the loss; at the start, which
@@ -318,8 +318,8 @@ void composite_dense_backward(const Splats<float>& splats, const Image& image, c
                               bool absolute, float* slot_gradients, float* tile_background, Stream stream) {
   const int64_t tiles = image.count * tile_count(image.tile, image.width_px, image.height_px);
   if (tiles == 0) return;
-  const auto kernel = absolute ? composite_dense_backward_kernel<kAbsoluteDenseSums>
-                               : composite_dense_backward_kernel<kDenseSums>;
+  const auto kernel =
+      absolute ? composite_dense_backward_kernel<kAbsoluteDenseSums> : composite_dense_backward_kernel<kDenseSums>;
   kernel<<<unsigned(tiles), kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, pairs, images, gradients,
                                                                  slot_gradients, tile_background);
   check_launch("composite_dense_backward");

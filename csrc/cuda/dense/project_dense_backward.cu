@@ -1,9 +1,10 @@
 // Reverse of stage project for ordinary images on the device: reads the sums of all slots, writes the gradients of the
 // Gaussians, of the cameras and, where they are asked for, of the splats' places on the screen. A thread has a Gaussian
-// of a scene, and goes through the cameras of the scene in order; a block adds up what its Gaussians say of each camera.
+// of a scene, and goes through the cameras of the scene in order; a block adds up what its Gaussians say of each
+// camera.
 //
-// Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp moves
-// those of its 32 Gaussians together, through shared memory.
+// Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp
+// moves those of its 32 Gaussians together, through shared memory.
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
@@ -26,32 +27,52 @@ struct Slots {
   int size;
 };
 
-// Adds up the slots of a splat, and turns the sums into the gradients of the splat and of its colour.
-template <class R>
-__device__ Splat<R> splat_gradient(const Splat<float>& s, const Slots& slots, SlotRange range, vec3& colour) {
-  static_assert(kDenseSums % 2 == 0 && kAbsoluteDenseSums % 2 == 0);
-  R sum[kDenseSums] = {};
-  for (uint32_t slot = range.first; slot < range.last; ++slot) {
+// The numbers of a splat's slots, added up in double, which needles need; the absolute ones are zero where slots have
+// none.
+struct SlotSums {
+  double numbers[kAbsoluteDenseSums] = {};
+
+  __device__ void add(const Slots& slots, uint32_t slot) {
+    static_assert(kDenseSums % 2 == 0 && kAbsoluteDenseSums == kDenseSums + 2);
     const float2* own = reinterpret_cast<const float2*>(slots.sums + int64_t(slot) * slots.size);
-    for (int f = 0; f < kDenseSums / 2; ++f) {
-      const float2 two = own[f];
-      sum[2 * f] += two.x, sum[2 * f + 1] += two.y;
+#pragma unroll
+    for (int f = 0; f < kAbsoluteDenseSums / 2; ++f) {
+      const float2 two = 2 * f < slots.size ? own[f] : make_float2(0, 0);
+      numbers[2 * f] += two.x, numbers[2 * f + 1] += two.y;
     }
   }
+};
+
+// Adds up the slots of each lane's splat. Most have a few, and a large one has thousands: the warp shares these, each
+// lane taking every 32nd slot, always in the same order.
+__device__ SlotSums sum_slots(const Slots& slots, SlotRange range) {
+  constexpr uint32_t kFew = 16;
+  const int lane = threadIdx.x % 32;
+  const bool many = range.last - range.first > kFew;
+  SlotSums sums;
+  for (uint32_t slot = range.first; !many && slot < range.last; ++slot) sums.add(slots, slot);
+  for (unsigned todo = __ballot_sync(~0u, many); todo; todo &= todo - 1) {
+    const int owner = __ffs(int(todo)) - 1;
+    const uint32_t first = __shfl_sync(~0u, range.first, owner), last = __shfl_sync(~0u, range.last, owner);
+    SlotSums share;
+#pragma unroll 2
+    for (uint32_t slot = first + lane; slot < last; slot += 32) share.add(slots, slot);
+    for (double& number : share.numbers)
+      for (int step = 16; step > 0; step /= 2) number += __shfl_xor_sync(~0u, number, step);
+    if (lane == owner) sums = share;
+  }
+  return sums;
+}
+
+// Turns the sums of a splat's slots into the gradients of the splat and of its colour.
+template <class R>
+__device__ Splat<R> splat_gradient(const Splat<float>& s, const SlotSums& sums, vec3& colour) {
+  R sum[kDenseSums];
+  for (int f = 0; f < kDenseSums; ++f) sum[f] = R(sums.numbers[f]);
   Splat<R> g = dense_gradient_of(s, sum);
   g.depth = sum[kDepthSum];
   colour = vec3(sum[kColourSum], sum[kColourSum + 1], sum[kColourSum + 2]);
   return g;
-}
-
-// The sums of the absolute gradients of a splat's place, which follow the others in its slots.
-__device__ float2 absolute_gradient(const Slots& slots, SlotRange range) {
-  float2 sum = make_float2(0, 0);
-  for (uint32_t slot = range.first; slot < range.last; ++slot) {
-    const float* own = slots.sums + int64_t(slot) * slots.size + kDenseSums;
-    sum.x += own[0], sum.y += own[1];
-  }
-  return sum;
 }
 
 // Whether a splat is so long and thin that its covariance has few digits left in float. The measure is
@@ -61,15 +82,15 @@ __device__ bool is_needle(const Splat<float>& s) {
   return !(s.c0 * s.c0 <= kLong * s.tau * s.S0);
 }
 
-// Adds the adjoint of the projection, from the sums over slots on, computed in double and then rounded. Returns the
-// gradient of the splat's place on the screen. It is not inlined, since it is rarely called and takes many registers.
+// Adds the adjoint of the projection, computed in double and then rounded. Returns the gradient of the splat's place on
+// the screen. It is not inlined, since it is rarely called and takes many registers.
 template <bool kAntialiased>
 __device__ __noinline__ float2 add_exact_adjoint(const View<float>& view, const Shape<float>& shape,
-                                                 const Splat<float>& splat, const Slots& slots, SlotRange range,
-                                                 Shape<float>& g, ViewAdjoint<float>& g_view, vec3& g_colour) {
+                                                 const Splat<float>& splat, const SlotSums& sums, Shape<float>& g,
+                                                 ViewAdjoint<float>& g_view, vec3& g_colour) {
   const View<double> exact = widened(view);
   const Shape<double> wide = widened(shape);
-  Splat<double> gradient = splat_gradient<double>(splat, slots, range, g_colour);
+  Splat<double> gradient = splat_gradient<double>(splat, sums, g_colour);
   const float2 g_place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> of_view;
@@ -154,12 +175,13 @@ __device__ bool is_drawn(const Slots& slots, const Cameras<float>& cameras, int6
 }
 
 // Writes the gradient of a splat's place, and where slots have them the absolute ones behind it.
-__device__ void store_place(float2 gradient, const Slots& slots, SlotRange range, float* screen, int64_t index) {
+__device__ void store_place(float2 gradient, const Slots& slots, const SlotSums& sums, float* screen, int64_t index) {
   if (slots.size == kDenseSums) {
     reinterpret_cast<float2*>(screen)[index] = gradient;
   } else {
-    const float2 absolute = absolute_gradient(slots, range);
-    reinterpret_cast<float4*>(screen)[index] = make_float4(gradient.x, gradient.y, absolute.x, absolute.y);
+    const double* absolute = sums.numbers + kAbsoluteSum;
+    reinterpret_cast<float4*>(screen)[index] =
+        make_float4(gradient.x, gradient.y, float(absolute[0]), float(absolute[1]));
   }
 }
 
@@ -193,15 +215,16 @@ __global__ void __launch_bounds__(kThreads, 3)
     const View<float> view = cameras.view<float>(image);
     const int64_t index = image * n + i;
     const SlotRange range = real ? slots.ranges[index] : SlotRange{0, 0};
+    const SlotSums sums = sum_slots(slots, range);
     ViewAdjoint<float> g_view;
     float2 g_place = make_float2(0, 0);
     if (range.first < range.last) {
       vec3 g_colour;
       const Splat<float> splat = read_splat(splats.splats + index);
       if (kAntialiased || is_needle(splat)) {
-        g_place = add_exact_adjoint<kAntialiased>(view, shape, splat, slots, range, g, g_view, g_colour);
+        g_place = add_exact_adjoint<kAntialiased>(view, shape, splat, sums, g, g_view, g_colour);
       } else {
-        const Splat<float> g_splat = splat_gradient<float>(splat, slots, range, g_colour);
+        const Splat<float> g_splat = splat_gradient<float>(splat, sums, g_colour);
         Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
         g_place = make_float2(g_splat.u0, g_splat.v0);
       }
@@ -209,13 +232,13 @@ __global__ void __launch_bounds__(kThreads, 3)
       // The colours, through their clamp at zero; they also depend on the eye, which is -R^T t
       const float* colour = splats.colours + index * kColourStride;
       for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_colour[c] : 0.f;
-      const vec3 g_mean = sh_colour_adjoint<!kOneView>(own.sh_degree, rows.own(), shape.mean, view.centre(), g_colour,
-                                                       g_rows.own());
+      const vec3 g_mean =
+          sh_colour_adjoint<!kOneView>(own.sh_degree, rows.own(), shape.mean, view.centre(), g_colour, g_rows.own());
       g.mean += g_mean;
       g_view.rotation += glm::outerProduct(-view.translation, -g_mean);
       g_view.translation += view.rotation * g_mean;
     }
-    if (screen && real) store_place(g_place, slots, range, screen, index);
+    if (screen && real) store_place(g_place, slots, sums, screen, index);
     if (view_partials) store_view(g_view, partial, view_partials + (image * gridDim.x + blockIdx.x) * kViewNumbers);
   }
   if (real) store_gradient(shape, g, g_own, i);
@@ -234,9 +257,11 @@ void project_dense_backward(const Gaussians<const float>& gaussians, const Camer
   const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
   const bool one = cameras.per_scene == 1;
   const auto kernel =
-      cameras.antialiased ? (one ? project_dense_backward_kernel<true, true> : project_dense_backward_kernel<true, false>)
-                          : (one ? project_dense_backward_kernel<false, true> : project_dense_backward_kernel<false, false>);
-  const size_t bytes = size_t(one ? 1 : 2) * kThreads * HarmonicRows::stride_of(3 * gaussians.sh_count()) * sizeof(float);
+      cameras.antialiased
+          ? (one ? project_dense_backward_kernel<true, true> : project_dense_backward_kernel<true, false>)
+          : (one ? project_dense_backward_kernel<false, true> : project_dense_backward_kernel<false, false>);
+  const size_t bytes =
+      size_t(one ? 1 : 2) * kThreads * HarmonicRows::stride_of(3 * gaussians.sh_count()) * sizeof(float);
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
         "project_dense_backward: shared memory");
   const Slots slots{slot_ranges, slot_gradients, absolute ? kAbsoluteDenseSums : kDenseSums};

@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <bit>
 
+#include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/stages/stages.h"
@@ -21,29 +22,40 @@ namespace {
 constexpr int kThreads = 128;
 constexpr uint32_t kNoTile = ~0u;  // of the room that no pair took; sorts behind all tiles
 
-// Calls visit(first, last) for each row of tiles of its image that a splat may touch: first to last of them.
-template <class Visit>
-__device__ void for_each_tile_row(const Splat<float>& splat, const Image& image, const Visit& visit) {
-  const Range rows = rows_of(splat, image.height_px);
-  if (rows.last < rows.first) return;
-  const int width = image.tile.width_px, height = image.tile.height_px;
-  const int across = (int(image.width_px) + width - 1) / width, bottom = int(rows.last) / height;
-  for (int down = int(rows.first) / height; down <= bottom; ++down) {
-    const float top = float(down * height) + 0.5f;
-    float low, high;
-    if (!columns_of(splat, top, top + float(height - 1), 0.f, low, high)) continue;
-    const Range columns = pixels_within(low, high, image.width_px);
-    if (columns.last < columns.first) continue;
-    visit(down * across + int(columns.first) / width, down * across + int(columns.last) / width);
+// The rows of tiles of its image that a splat may touch, and the tiles in each of them.
+struct TileRows {
+  const Splat<float>& splat;
+  const Image& image;
+  int first = 0, last = -1;
+
+  __device__ TileRows(const Splat<float>& splat, const Image& image) : splat(splat), image(image) {
+    const Range rows = rows_of(splat, image.height_px);
+    if (rows.last < rows.first) return;
+    first = int(rows.first) / image.tile.height_px, last = int(rows.last) / image.tile.height_px;
   }
-}
+
+  // The number of tiles that it may touch in a row, of which `tile` receives the first.
+  __device__ int tiles_of(int row, int& tile) const {
+    const int width = image.tile.width_px, height = image.tile.height_px;
+    const float top = float(row * height) + 0.5f;
+    float low, high;
+    if (!columns_of(splat, top, top + float(height - 1), 0.f, low, high)) return 0;
+    const Range columns = pixels_within(low, high, image.width_px);
+    if (columns.last < columns.first) return 0;
+    tile = row * ((int(image.width_px) + width - 1) / width) + int(columns.first) / width;
+    return int(columns.last) / width - int(columns.first) / width + 1;
+  }
+};
 
 // Counts the tiles that each splat touches. A thread has a splat.
 __global__ void count_kernel(Splats<float> splats, Image image, uint32_t* counts) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   if (i >= splats.images * splats.count) return;
+  const Splat<float> splat = read_splat(splats.splats + i);
+  const TileRows rows(splat, image);
   uint32_t count = 0;
-  for_each_tile_row(read_splat(splats.splats + i), image, [&](int first, int last) { count += last - first + 1; });
+  int tile;
+  for (int row = rows.first; row <= rows.last; ++row) count += rows.tiles_of(row, tile);
   counts[i] = count;
 }
 
@@ -58,25 +70,60 @@ auto each_count(const uint32_t* counts, const uint32_t* indices = nullptr) {
   return thrust::make_transform_iterator(thrust::counting_iterator<int64_t>(0), Count{counts, indices});
 }
 
-// Writes the pairs in splat-major order, and where the slots of each splat are. A thread has a splat, by depth.
+// Writes pairs of one splat with `count` tiles from `tile` on, to the slots from `at` on that there is room for.
+__device__ void write_pairs(const Pairs& pairs, uint32_t index, uint32_t tile, int count, uint32_t at) {
+  for (int k = 0; k < count && at < pairs.count; ++k, ++at) {
+    pairs.tiles[at] = tile + k;
+    pairs.slots[at] = at;
+    pairs.slot_splats[at] = index;
+  }
+}
+
+// Writes the pairs of one splat, whose slots begin at `at`, by all lanes of a warp: a lane has a row of tiles.
+__device__ void fill_together(const Splats<float>& splats, const Image& image, const Pairs& pairs, uint32_t index,
+                              uint32_t first_tile, uint32_t at) {
+  const Splat<float> splat = read_splat(splats.splats + index);
+  const TileRows rows(splat, image);
+  for (int begin = rows.first; begin <= rows.last; begin += 32) {
+    const int row = begin + int(threadIdx.x % 32);
+    int tile = 0;
+    const int count = row <= rows.last ? rows.tiles_of(row, tile) : 0;
+    const uint32_t end = sum_to_lane(uint32_t(count));
+    write_pairs(pairs, index, first_tile + tile, count, at + end - count);
+    at += __shfl_sync(~0u, end, 31);
+  }
+}
+
+// Writes the pairs in splat-major order, and where the slots of each splat are. A thread has a splat, by depth; a warp
+// shares the work for a large one.
 __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* indices, const int64_t* ends,
                             Pairs pairs, SlotRange* slot_ranges) {
+  constexpr uint32_t kFew = 64;
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
-  if (i >= splats.images * splats.count) return;
-  const uint32_t index = indices[i];
-  const uint32_t begin = uint32_t(i ? min(ends[i - 1], pairs.count) : 0), end = uint32_t(min(ends[i], pairs.count));
-  slot_ranges[index] = {begin, end};
-  if (begin == end) return;
+  const bool real = i < splats.images * splats.count;
+  const uint32_t index = real ? indices[i] : 0;
+  const uint32_t begin = real && i ? uint32_t(min(ends[i - 1], pairs.count)) : 0;
+  const uint32_t end = real ? uint32_t(min(ends[i], pairs.count)) : 0;
+  if (real) slot_ranges[index] = {begin, end};
   const uint32_t tiles = uint32_t(tile_count(image.tile, image.width_px, image.height_px));
   const uint32_t first_tile = index / uint32_t(splats.count) * tiles;
-  uint32_t at = begin;
-  for_each_tile_row(read_splat(splats.splats + index), image, [&](int first, int last) {
-    for (int tile = first; tile <= last && at < end; ++tile, ++at) {
-      pairs.tiles[at] = first_tile + tile;
-      pairs.slots[at] = at;
-      pairs.slot_splats[at] = index;
+
+  if (begin < end && end - begin <= kFew) {
+    const Splat<float> splat = read_splat(splats.splats + index);
+    const TileRows rows(splat, image);
+    uint32_t at = begin;
+    for (int row = rows.first; row <= rows.last; ++row) {
+      int tile;
+      const int count = rows.tiles_of(row, tile);
+      write_pairs(pairs, index, first_tile + tile, count, at);
+      at += count;
     }
-  });
+  }
+  for (unsigned todo = __ballot_sync(~0u, end - begin > kFew); todo; todo &= todo - 1) {
+    const int owner = __ffs(int(todo)) - 1;
+    fill_together(splats, image, pairs, __shfl_sync(~0u, index, owner), __shfl_sync(~0u, first_tile, owner),
+                  __shfl_sync(~0u, begin, owner));
+  }
 }
 
 // Writes where each tile's pairs begin and end among the sorted ones, and the splat of each pair. A thread has a pair.
@@ -131,7 +178,8 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
 
   // Where the slots of each splat end, then the pairs
   if (pairs.total)
-    check(cudaMemsetAsync(pairs.tiles, 0xff, size_t(pairs.count) * sizeof(kNoTile), cudaStream_t(stream)), "bin: tiles");
+    check(cudaMemsetAsync(pairs.tiles, 0xff, size_t(pairs.count) * sizeof(kNoTile), cudaStream_t(stream)),
+          "bin: tiles");
   check(cub::DeviceScan::InclusiveSum(temporary, temporary_bytes, each_count(counts, indices), ends, items,
                                       cudaStream_t(stream)),
         "bin: scan");
@@ -142,9 +190,8 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
   // Sort them by tile, and find the tiles' ranges. The bits of kNoTile are those of no tile
   if (pairs.count == 0) return;
   const int tile_bits = std::max(1, int(std::bit_width(uint64_t(pairs.total ? all_tiles : all_tiles - 1))));
-  check(cub::DeviceRadixSort::SortPairs(
-            temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots, pairs.sorted_slots, pairs.count,
-            0, tile_bits, cudaStream_t(stream)),
+  check(cub::DeviceRadixSort::SortPairs(temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots,
+                                        pairs.sorted_slots, pairs.count, 0, tile_bits, cudaStream_t(stream)),
         "bin: sort");
   ranges_kernel<<<unsigned(blocks_for(pairs.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(pairs, ranges);
   check_launch("bin: ranges");

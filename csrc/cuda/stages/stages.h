@@ -91,8 +91,8 @@ void composite_sorted(const Splats<float>& splats, const Image& image, const int
 //
 // The numbers of a slot are, for ordinary images, the first kDenseFootprintSums of FootprintSum, then the gradients of
 // depth, r, g and b; where absolute gradients are asked for, then the sums of |gradient| of u0 and of v0 over the
-// samples (Ye et al., "AbsGS", 2024). For the lens they are all of FootprintSum, the gradients of r, g, b for each power of s, and in an
-// anti-aliased scene those of D.
+// samples (Ye et al., "AbsGS", 2024). For the lens they are all of FootprintSum, the gradients of r, g, b for each
+// power of s, and in an anti-aliased scene those of D.
 constexpr int kDepthSum = kDenseFootprintSums, kColourSum = kDepthSum + 1, kDenseSums = kColourSum + 3;
 constexpr int kAbsoluteSum = kDenseSums, kAbsoluteDenseSums = kAbsoluteSum + 2;
 constexpr int kLensSums = kLensFootprintSums;
@@ -101,8 +101,8 @@ void composite_dense_backward(const Splats<float>& splats, const Image& image, c
                               const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
                               bool absolute, float* slot_gradients, float* tile_background, Stream stream);
 // All of out is overwritten. screen [I, N, 2], or null, receives the gradients of the splats' places, u0 and v0 in
-// pixels; if the slots are `absolute` [I, N, 4], with the absolute ones behind. view_partials [I, view_blocks(N), 12], or
-// null, receives those of the rows of [R|t], which the caller sums over the blocks.
+// pixels; if the slots are `absolute` [I, N, 4], with the absolute ones behind. view_partials [I, view_blocks(N), 12],
+// or null, receives those of the rows of [R|t], which the caller sums over the blocks.
 int64_t view_blocks(int64_t gaussians);
 void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
                             const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,

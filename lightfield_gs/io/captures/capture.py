@@ -49,6 +49,14 @@ class Capture:
         mask's file, its alpha, and what lies within the distorted frame. Raises InputError."""
         return self.photographs[index].mask()
 
+    def opacity(self, index: int) -> np.ndarray | None:
+        """As mask, of the mask's file and the alpha alone: where they are the target of the scene's alpha."""
+        return self.photographs[index].opacity()
+
+    def frame(self, index: int) -> np.ndarray | None:
+        """As mask, of the distorted frame alone: nothing is known beyond it."""
+        return self.photographs[index].frame()
+
     @property
     def centres(self) -> np.ndarray:
         """Where the cameras stand, [C,3] float64."""
@@ -68,7 +76,7 @@ class Capture:
         InputError for names that there are not, and where nothing is left to fit to.
         """
         if names is not None:
-            test = sorted({self._index_of(name) for name in names})
+            test = sorted({self.index_of(name, "test photograph") for name in names})
         elif test_every is None:
             test = []
         else:
@@ -79,13 +87,14 @@ class Capture:
             raise InputError(f"expected photographs to fit to, but all {len(self.names)} are held out to test")
         return train, test
 
-    def _index_of(self, name: str) -> int:
+    def index_of(self, name: str, what: str = "photograph") -> int:
+        """The index of a photograph by its name, or the last part of it; `what` it is for. Raises InputError."""
         if name in self.names:
             return self.names.index(name)
         found = [index for index, known in enumerate(self.names) if known.rsplit("/", 1)[-1] == name]
         if len(found) != 1:
             raise InputError(
-                f"test photograph {name}: expected the name of one of the {len(self.names)} photographs, as "
+                f"{what} {name}: expected the name of one of the {len(self.names)} photographs, as "
                 f"{self.names[0]}, got one that {len(found) or 'none'} of them has"
             )
         return found[0]

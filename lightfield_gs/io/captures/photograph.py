@@ -39,15 +39,33 @@ class Photograph:
     def mask(self) -> np.ndarray | None:
         """What counts, uint8 [H,W]: 255 yes, 0 no, between them at edges; None where all does. It is the least of the
         mask's file, the photograph's alpha and the frame of the distorted photograph. Raises InputError."""
+        return self._least([*self._opaque_parts(), *self._frame_parts()])
+
+    def opacity(self) -> np.ndarray | None:
+        """As mask, of the mask's file and the alpha alone. What it says beyond the frame means nothing."""
+        return self._least(self._opaque_parts())
+
+    def frame(self) -> np.ndarray | None:
+        """As mask, of the frame of the distorted photograph alone."""
+        return self._least(self._frame_parts())
+
+    def _opaque_parts(self) -> list[np.ndarray]:
+        """What the mask's file and the alpha say, undistorted."""
         parts = []
         if self.mask_path is not None:
             parts.append(read_mask(self.mask_path, *self.stored_px, any_size=True))
         if self.alpha:
             parts.append(self._pixels()[..., 3])
         lens = self._straightening()
-        if lens is not None:
-            parts = [lens(part) for part in parts]
-            parts += [] if lens.frame is None else [lens.frame]
+        return parts if lens is None else [lens(part) for part in parts]
+
+    def _frame_parts(self) -> list[np.ndarray]:
+        """Where the distorted photograph ends, if it does."""
+        lens = self._straightening()
+        return [] if lens is None or lens.frame is None else [lens.frame]
+
+    def _least(self, parts: list[np.ndarray]) -> np.ndarray | None:
+        """The least of masks [H,W] of the file's size, as small as is wanted; None where all is 255."""
         if not parts:
             return None
         mask = np.minimum.reduce(parts)
