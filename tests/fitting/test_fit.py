@@ -87,6 +87,7 @@ def test_the_same_seed_gives_the_same_file(capture, in_one_go, tmp_path):
     assert (tmp_path / "other.ply").read_bytes() != in_one_go
 
 
+@pytest.mark.not_sanitized
 def test_a_fit_that_was_killed_goes_on_to_the_same_file(capture, in_one_go, tmp_path):
     """By SIGKILL, some steps after a checkpoint."""
     program = f"""
