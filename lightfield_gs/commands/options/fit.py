@@ -10,6 +10,7 @@ from typing import Any
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.commands.options.values import background, whole, within
+from lightfield_gs.fitting.settings import DENSITIES, MASKS
 
 Add = Callable[..., argparse.Action]
 _BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
@@ -33,7 +34,7 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
     add("--mask-folder", type=Path, metavar="FOLDER", help="masks, named as the photographs (default: masks)")
     add(
         "--masks",
-        choices=("ignore", "alpha"),
+        choices=MASKS,
         default="ignore",
         help="what masks leave out says nothing (ignore), or is to be transparent (alpha); default ignore",
     )
@@ -69,7 +70,7 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="mcmc: their number at the end; adaptive: at most so many (default 300000)",
     )
-    add("--density", choices=("mcmc", "adaptive"), default="mcmc", help="where Gaussians come and go (default mcmc)")
+    add("--density", choices=DENSITIES, default="mcmc", help="where Gaussians come and go (default mcmc)")
     add("--absolute-gradients", action="store_true", help="adaptive density by absolute gradients (Ye et al. 2024)")
     add("--sh-degree", type=int, choices=range(4), default=3, help="of the harmonics, 0..3 (default 3)")
     add("--views-per-step", type=whole(1, 1024), default=1, metavar="N", help="photographs of a step (default 1)")
