@@ -18,15 +18,16 @@ def check_plot(path: Path) -> None:
     check_output_path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"--plot: expected {', '.join(SUFFIXES)}, got {path.name}")
-    _figure()
+    new_figure()
 
 
-def _figure() -> Any:
+def new_figure(**options: Any) -> Any:
+    """matplotlib's Figure with these options. Raises InputError where there is no matplotlib."""
     try:
         from matplotlib.figure import Figure  # not pyplot, which looks for a display
     except ImportError:
         raise InputError("--plot needs matplotlib: pip install 'lightfield-gs[plot]', or leave --plot out") from None
-    return Figure
+    return Figure(**options)
 
 
 def plot(found: list[dict[str, Any]], path: Path) -> None:
@@ -36,7 +37,7 @@ def plot(found: list[dict[str, Any]], path: Path) -> None:
         cases.setdefault((row["scene"], row["cone_deg"], row["device"]), []).append(row)
     columns = min(COLUMNS, len(cases))
     down = math.ceil(len(cases) / columns)
-    figure = _figure()(figsize=(3.4 * columns, 3 * down), layout="constrained")
+    figure = new_figure(figsize=(3.4 * columns, 3 * down), layout="constrained")
     axes = list(figure.subplots(down, columns, squeeze=False).flat)
     for axis, ((scene, cone, device), rows) in zip(axes, cases.items()):
         _draw(axis, rows)

@@ -106,12 +106,17 @@ def gsplat_images(gaussians: Gaussians, cameras: Cameras) -> tuple[Tensor, Tenso
     return _rasterize(gsplat().rasterization, gaussians, cameras)
 
 
+def intrinsic_matrices(cameras: Cameras) -> Tensor:
+    """[C, 3, 3], fx 0 cx over 0 fy cy over 0 0 1, as gsplat takes them."""
+    matrices = torch.zeros(cameras.count, 3, 3, dtype=cameras.focal_px.dtype, device=cameras.focal_px.device)
+    matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 0, 2], matrices[:, 1, 2] = cameras.intrinsics().unbind(-1)
+    matrices[:, 2, 2] = 1
+    return matrices
+
+
 def _rasterize(rasterization: Any, gaussians: Gaussians, cameras: Cameras) -> tuple[Tensor, Tensor]:
     """gsplat's images [..., C, H, W, 3] before white and their coverage [..., C, H, W, 1], its numerics as ours."""
     lead, count = gaussians.means.shape[:-2], cameras.count
-    intrinsics = torch.zeros(count, 3, 3, dtype=gaussians.dtype, device=gaussians.device)
-    intrinsics[:, 0, 0], intrinsics[:, 1, 1], intrinsics[:, 0, 2], intrinsics[:, 1, 2] = cameras.intrinsics().unbind(-1)
-    intrinsics[:, 2, 2] = 1
     degree = gaussians.sh_degree
     colours = gaussians.sh if degree else (0.5 + SH_CONSTANT * gaussians.sh[..., 0, :]).clamp_min(0)
     image, coverage, _ = rasterization(
@@ -121,7 +126,7 @@ def _rasterize(rasterization: Any, gaussians: Gaussians, cameras: Cameras) -> tu
         gaussians.opacities,
         colours,
         cameras.world_to_camera.expand(*lead, count, 4, 4),
-        intrinsics.expand(*lead, count, 3, 3),
+        intrinsic_matrices(cameras).to(gaussians.means).expand(*lead, count, 3, 3),
         cameras.width_px,
         cameras.height_px,
         sh_degree=degree or None,

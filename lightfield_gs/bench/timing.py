@@ -40,18 +40,51 @@ def timed_in_turn(
     what takes less than 50 ms on CUDA, 5 of all else. At least one run, and none begins after a minute.
     """
     clock = partial(_cuda_ms, ahead=ahead) if cuda else _wall_ms
+    repeats = _warmed_up(clock, calls, cuda, repeats)
+    times: list[tuple[float, ...]] = []
+    while len(times) < repeats and (not times or sum(map(sum, times)) < 1e3 * SECONDS_PER_CALL):
+        result, took = clock(calls)
+        times.append(took)
+    return result, times
+
+
+def timed_by_turns(
+    programs: Sequence[Sequence[Callable[[], Any]]], cuda: bool, repeats: int | None = None
+) -> list[list[tuple[float, ...]]]:
+    """Runs of several programs by turns, each of several calls: for each program the runs as of timed_in_turn.
+
+    So what else the machine does meets all of them. Every program has as many runs as the one that needs most of them.
+    """
+    clock = partial(_cuda_ms, ahead=True) if cuda else _wall_ms
+    repeats = max(_warmed_up(clock, calls, cuda, repeats) for calls in programs)
+    times: list[list[tuple[float, ...]]] = [[] for _ in programs]
+    began = time.perf_counter()
+    while len(times[0]) < repeats and (not times[0] or time.perf_counter() - began < SECONDS_PER_CALL):
+        for calls, taken in zip(programs, times):
+            taken.append(clock(calls)[1])
+    return times
+
+
+def ms_in_a_row(call: Callable[[], Any], cuda: bool, count: int) -> float:
+    """Wall time in ms of a call that is repeated `count` times without waiting between them, for each of them."""
+    began = time.perf_counter()
+    for _ in range(count):
+        call()
+    if cuda:
+        torch.cuda.synchronize()
+    return 1e3 * (time.perf_counter() - began) / count
+
+
+def _warmed_up(clock: Callable[..., Any], calls: Sequence[Callable[[], Any]], cuda: bool, repeats: int | None) -> int:
+    """How many runs there are to be, after those on CUDA that do not count."""
     warm: list[float] = []
     spent = 0.0
     while cuda and (len(warm) < WARM_UP or spent < WARM_UP_MS):
         warm.append(sum(clock(calls)[1]))
         spent += warm[-1]
     if repeats is None:
-        repeats = SHORT_REPEATS if cuda and warm[-1] < SHORT_MS else REPEATS
-    times: list[tuple[float, ...]] = []
-    while len(times) < repeats and (not times or sum(map(sum, times)) < 1e3 * SECONDS_PER_CALL):
-        result, took = clock(calls)
-        times.append(took)
-    return result, times
+        return SHORT_REPEATS if cuda and warm[-1] < SHORT_MS else REPEATS
+    return repeats
 
 
 def _wall_ms(calls: Sequence[Callable[[], Any]]) -> tuple[Any, tuple[float, ...]]:

@@ -58,6 +58,7 @@ class Step:
 
     def __init__(self, gaussians: Gaussians, draw: Callable[[Gaussians], Any], loss: Callable[[Any], Tensor]) -> None:
         self.gaussians, self._draw, self._loss = gaussians, draw, loss
+        self._outputs: Any = None
 
     def forward(self) -> None:
         """draw(gaussians)."""
@@ -68,6 +69,20 @@ class Step:
     def backward(self) -> None:
         """Through loss(outputs) to the fields of the Gaussians."""
         self._loss(self._outputs).backward()
+
+    def both(self) -> None:
+        """Forward and backward."""
+        self.forward()
+        self.backward()
+
+    def kept(self) -> dict[str, Tensor]:
+        """The image of the last step, and the gradient of every field."""
+        gradients = {name: cast(Tensor, field.grad) for name, field in self.gaussians.fields().items()}
+        return {"image": self._outputs.detach(), **gradients}
+
+    def release(self) -> None:
+        """Lets go of what was drawn; the gradients stay."""
+        self._outputs = None
 
     def row(self, cuda: bool, repeats: int | None) -> dict[str, Any]:
         """What was drawn, and medians of ms_forward, ms_backward and ms_total."""
@@ -94,8 +109,7 @@ def cpu_rows(threads: list[int | None], repeats: int | None) -> list[dict[str, A
     try:
         for count in threads:
             torch.set_num_threads(before if count is None else count)
-            step.forward()
-            step.backward()
+            step.both()
             found.append(
                 {"device": "cpu", "program": OURS, **step.row(False, repeats), "threads": torch.get_num_threads()}
             )

@@ -20,16 +20,20 @@ import torch
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.options import METHODS
-from lightfield_gs.bench import paper, pareto, peers, photo, skips, training
+from lightfield_gs.bench import dense, fit, fit_plot, fit_report, paper, pareto, peers, photo, skips, training
+from lightfield_gs.bench.fit_data import Photographs
 from lightfield_gs.bench.measure import measure
 from lightfield_gs.bench.oracle import ORACLE_SAMPLES, oracle_samples
 from lightfield_gs.bench.pareto_plot import check_plot, plot
 from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, check_scene, load_scene
 from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line, table
 from lightfield_gs.bench.timing import machine
+from lightfield_gs.commands.options.fits import add_fit_options
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.values import byte_size
+from lightfield_gs.fit.settings import FitSettings
 from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
+from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.photo.load import load_photo
 
@@ -56,7 +60,11 @@ OPTIONS_OF = {
     "oracle_samples": _DRAWN,
     "photo": ("photo", "pareto"),
     "model": ("photo",),
-    "plot": ("pareto",),
+    "plot": ("pareto", "fit"),
+    "repeats": (*_DRAWN, "training-step", "photo", "pareto", "skips", "dense"),
+    "gaussians": ("dense", "fit"),
+    "size": ("dense",),
+    **dict.fromkeys(("capture", "steps", "seeds", "arms", "longest_px", "test_every"), ("fit",)),
 }
 
 
@@ -173,12 +181,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="?",
         default="light-field",
-        choices=("light-field", "paper", "training-step", "photo", "pareto", "skips"),
+        choices=("light-field", "paper", "training-step", "photo", "pareto", "skips", "dense", "fit"),
         help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
         "methods), forward and backward of the rasterizer in a training step, a photo through "
-        "the network to the image, run time against error over the settings of quality, or what "
-        "each skip of what a scene does not need saves",
+        "the network to the image, run time against error over the settings of quality, what "
+        "each skip of what a scene does not need saves, forward and backward of one camera before many Gaussians, or "
+        "fits to the photographs of CAPTURE",
     )
+    add_fit_options(parser)
     parser.add_argument(
         "--scene",
         help="sheet:S, cloud:N or a .ply; several with commas (default: sheet:128; of "
@@ -233,7 +243,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threads", help="threads (default: all cores); several with commas for training-step and photo"
     )
-    parser.add_argument("--plot", type=Path, help="of pareto: a picture of the rows, .png, .svg, .pdf or .webp")
+    parser.add_argument("--plot", type=Path, help="of pareto and fit: a picture of the rows, .png, .svg, .pdf or .webp")
     parser.add_argument("--json", type=Path, help="where to write the rows, and what machine they are from")
 
 
@@ -246,11 +256,11 @@ def run(args: argparse.Namespace) -> int:
     if args.json is not None:
         check_output_path(args.json)
     named = [*(args.scene or "").split(","), *(args.photo or "").split(",")]
-    check_outputs((args.json, args.plot), (*filter(None, named), args.model, args.panel))
+    check_outputs((args.json, args.plot), (*filter(None, named), args.model, args.panel, args.capture))
     for option, kinds in OPTIONS_OF.items():
         if getattr(args, option) is not None and args.what not in kinds:
-            name = option.replace("_", "-")
-            raise InputError(f"--{name} is for `bench {'` and `bench '.join(kinds)}`; leave it out")
+            name = "CAPTURE" if option == "capture" else "--" + option.replace("_", "-")
+            raise InputError(f"{name} is for `bench {'` and `bench '.join(kinds)}`; leave it out")
     if args.what == "training-step":
         result, text = _training_step(args, threads)
     elif args.what == "photo":
@@ -259,15 +269,24 @@ def run(args: argparse.Namespace) -> int:
         result, text = _pareto(args, threads)
     elif args.what == "skips":
         result, text = _skips(args, threads)
+    elif args.what == "dense":
+        result, text = _dense(args, threads)
+    elif args.what == "fit":
+        result, text = _fit(args, threads)
     else:
         result, text = _light_field(args, threads, args.what == "paper")
     result["machine"] = machine(args.device)
     print(machine_line(result["machine"]))
     print(text)
-    if args.json is not None:
-        with atomic_path(args.json) as temporary:
-            temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    _write(result, args.json)
     return 0
+
+
+def _write(result: dict[str, Any], path: Path | None) -> None:
+    """The JSON, where one is asked for."""
+    if path is not None:
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 def _training_step(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
@@ -333,9 +352,45 @@ def _skips(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[st
     return {"rows": rows}, skips.table(rows)
 
 
+def _dense(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
+    """Rows of every number of Gaussians, gsplat's too where it can be had on CUDA, and their text."""
+    torch.set_num_threads(_one_thread_count(args, threads) or torch.get_num_threads())
+    counts, size = args.gaussians or dense.COUNTS[args.device], args.size or dense.SIZES_PX[args.device]
+    rows = dense.rows(counts, size, args.device, args.repeats, _progress)
+    return {"rows": rows}, dense.table(rows)
+
+
+def _fit(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
+    """Rows of every seed, arm and mark, each in the JSON as soon as it is known, and their text; draws the plot."""
+    if args.plot is not None:
+        check_plot(args.plot)
+    if args.capture is None:
+        raise InputError("`bench fit` needs the folder of a capture: lightfield-gs bench fit CAPTURE")
+    torch.set_num_threads(_one_thread_count(args, threads) or torch.get_num_threads())
+    arms = fit.usual_arms(args.device, _progress) if args.arms is None else args.arms.split(",")
+    fit.check_arms(arms)
+    (gaussians, *more) = args.gaussians or (fit.GAUSSIANS[args.device],)
+    if more:
+        raise InputError(f"--gaussians: expected one number for a fit, got {len(more) + 1}")
+    settings = FitSettings(steps=args.steps or fit.STEPS[args.device], gaussians=gaussians)
+    capture = read_capture(args.capture, longest_px=args.longest_px or fit.LONGEST_PX[args.device])
+    _progress(f"{args.capture}: reading {len(capture.names)} photographs")
+    photographs = Photographs.load(capture, args.test_every or 8, args.device)
+    result: dict[str, Any] = {"protocol": fit.protocol(photographs, settings, arms, args.capture)}
+    result |= {"machine": machine(args.device), "rows": []}
+    for row in fit.rows(photographs, arms, settings, args.seeds or 1):
+        _progress(fit_report.line(row))
+        result["rows"].append(row)
+        result["summary"] = fit_report.summary(result["rows"])
+        _write(result, args.json)
+    if args.plot is not None:
+        fit_plot.plot(result["rows"], result["protocol"], args.plot)
+    return result, fit_report.table(result["rows"], result["protocol"])
+
+
 def _one_thread_count(args: argparse.Namespace, threads: list[int | None]) -> int | None:
     if len(threads) > 1:
-        raise InputError(f"--threads: expected one number for a light-field image, got {args.threads}")
+        raise InputError(f"--threads: expected one number for `bench {args.what}`, got {args.threads}")
     return threads[0]
 
 

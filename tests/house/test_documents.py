@@ -125,6 +125,8 @@ def _small_bench(words: list[str]) -> list[str]:
         words += ["--oracle-samples", "20"]
     if kind in ("light-field", "paper", "pareto", "skips") and "--scene" not in words:
         words += ["--scene", "sheet:8"]
+    if kind == "dense":
+        words += ["--gaussians", "100", "--size", "60x40"]
     return [*words, "--cone", "40"] if kind == "pareto" else words
 
 

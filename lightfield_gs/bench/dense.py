@@ -1,0 +1,208 @@
+"""What an ordinary image costs: forward and backward of one camera, ours and gsplat's by turns.
+
+The scene is synthetic, so that other programs can draw the same one: see `frustum`.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.bench import peers
+from lightfield_gs.bench.tables import aligned, in_ms, megabytes, or_dash
+from lightfield_gs.bench.timing import ms_in_a_row, timed_by_turns
+from lightfield_gs.bench.training import OURS, Step
+from lightfield_gs.rasterizer.images import render
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+
+COUNTS = {"cpu": (10_000,), "cuda": (100_000, 500_000, 1_000_000, 3_000_000)}
+SIZES_PX = {"cpu": (400, 266), "cuda": (1600, 1066)}
+SH_DEGREE = 3
+RUNS_IN_A_ROW = {"cpu": 3, "cuda": 30}
+_STD_PX, _STD_COUNT, _STD_PIXELS = 1.2, 1_000_000, 1600 * 1066  # a median of 1.2 px for a million before so many pixels
+_FOCAL_WIDTHS = 0.75  # the focal length in widths of the image
+_HARMONIC_DEVIATIONS = (0.5, 0.1)  # of the coefficients of degree 0, and of the others
+
+Program = Callable[[Cameras], Callable[[Gaussians], Tensor]]  # what draws images [1, H, W, 3] before black
+
+
+def frustum(count: int, width_px: int, height_px: int, seed: int = 0) -> Gaussians:
+    """`count` Gaussians of SH degree 3 before a camera at the origin that looks along +z, float32.
+
+    Depths are log-uniform in 2..10, places on the image uniform over 1.2 times its width and height. Standard
+    deviations are log-normal (0.6) in each of three axes of any rotation, with a median on the image of 1.2 px for a
+    million Gaussians before 1600 x 1066 px, more for fewer so that they cover as much. Opacities are the sigmoid of
+    normal numbers times 2, at least 0.01.
+    """
+    random = np.random.default_rng(seed)
+    # The draws follow each other in this order, and none may be left out: it is part of what the scene is.
+    depth = 2 * 5 ** random.random(count)
+    x, y = ((1.2 * random.random(count) - 0.1) * side for side in (width_px, height_px))
+    focal = _FOCAL_WIDTHS * width_px
+    means = np.stack([(x - width_px / 2) / focal * depth, (y - height_px / 2) / focal * depth, depth], axis=1)
+    std_px = _STD_PX * math.sqrt(_STD_COUNT / count * (width_px * height_px / _STD_PIXELS))
+    scales = (std_px / focal * depth)[:, None] * np.exp(0.6 * random.normal(size=(count, 3)))
+    quaternions = random.normal(size=(count, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    opacities = np.maximum(1 / (1 + np.exp(-2 * random.normal(size=count))), 0.01)
+    base, others = _HARMONIC_DEVIATIONS
+    sh = np.concatenate([base * random.normal(size=(count, 1, 3)), others * random.normal(size=(count, 15, 3))], axis=1)
+    fields = (means, quaternions, scales, opacities, sh)
+    return of_tensors(torch.from_numpy(np.ascontiguousarray(field, np.float32)) for field in fields)
+
+
+def camera(width_px: int, height_px: int, device: str) -> Cameras:
+    """The camera before which `frustum` puts its Gaussians."""
+    focal, centre = (
+        torch.tensor([pair], device=device) for pair in ([_FOCAL_WIDTHS * width_px] * 2, [width_px / 2, height_px / 2])
+    )
+    return Cameras(torch.eye(4, device=device)[None], focal, centre, width_px, height_px)
+
+
+def rows(
+    counts: Sequence[int], size_px: tuple[int, int], device: str, repeats: int | None, complain: Callable[[str], None]
+) -> list[dict[str, Any]]:
+    """A row for each number of Gaussians and program.
+
+    gsplat's are there where it can be had on CUDA; else `complain`, which also hears how far it is, is told why not.
+    """
+    programs: dict[str, Program] = {OURS: _ours}
+    if device == "cuda":
+        try:
+            programs[f"gsplat {peers.gsplat().__version__}"] = _gsplats
+        except InputError as error:
+            complain(f"no rows of gsplat: {error}")
+    found = []
+    for count in counts:
+        found += _rows_of(frustum(count, *size_px), camera(*size_px, device), programs, repeats)
+        taken = (f"{row['program']} {in_ms(row['ms_total'])} ms" for row in found[-len(programs) :])
+        complain(f"{count} Gaussians: {', '.join(taken)}")
+    return found
+
+
+def _ours(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
+    return lambda gaussians: render(gaussians, cameras, background=(0.0, 0.0, 0.0))
+
+
+def _gsplats(cameras: Cameras) -> Callable[[Gaussians], Tensor]:
+    rasterization, matrices = peers.gsplat().rasterization, peers.intrinsic_matrices(cameras)
+    view, black = cameras.world_to_camera, torch.zeros(1, 3, device=cameras.world_to_camera.device)
+
+    def draw(gaussians: Gaussians) -> Tensor:
+        fields, size = gaussians.fields().values(), (cameras.width_px, cameras.height_px)
+        options = {**peers.GSPLAT_OPTIONS, "sh_degree": gaussians.sh_degree, "backgrounds": black}
+        return rasterization(*fields, view, matrices, *size, **options)[0]
+
+    return draw
+
+
+def _rows_of(
+    gaussians: Gaussians, cameras: Cameras, programs: dict[str, Program], repeats: int | None
+) -> list[dict[str, Any]]:
+    """The rows of one scene. Every program has Gaussians of its own, whose gradients are held."""
+    device, cuda = cameras.world_to_camera.device, cameras.world_to_camera.is_cuda
+    width, height = cast(int, cameras.width_px), cast(int, cameras.height_px)
+    gradient = np.random.default_rng(1).normal(size=(1, height, width, 3)).astype(np.float32)
+    weights, steps = torch.from_numpy(gradient).to(device), []
+    for draw in programs.values():
+        own = of_tensors(field.to(device, copy=True).requires_grad_() for field in gaussians.fields().values())
+        steps.append(Step(own, draw(cameras), lambda image: (image * weights).sum()))
+    peaks = [_peak_bytes(step, cuda) for step in steps]
+    first = steps[0].kept()
+    differences = [{}, *(_differences(first, step.kept()) for step in steps[1:])]
+    for step in steps:
+        step.release()
+    del first
+    times = timed_by_turns([(step.forward, step.backward) for step in steps], cuda, repeats)
+    in_a_row = [ms_in_a_row(step.both, cuda, RUNS_IN_A_ROW[device.type]) for step in steps]
+    what = {"device": device.type, "gaussians": gaussians.count, "sh_degree": gaussians.sh_degree}
+    what |= {"width_px": width, "height_px": height}
+    if cuda:
+        what["card"] = torch.cuda.get_device_name()
+    return [
+        {**what, "program": program, **_medians(taken), "ms_in_a_row": ms, "peak_bytes": peak, "differences": other}
+        for program, taken, ms, peak, other in zip(programs, times, in_a_row, peaks, differences)
+    ]
+
+
+def _medians(times: list[tuple[float, ...]]) -> dict[str, float]:
+    """Of the runs of a program: of forward, backward and both."""
+    forward, backward, both = map(statistics.median, (*zip(*times), map(sum, times)))
+    return {"ms_forward": forward, "ms_backward": backward, "ms_total": both, "runs": len(times)}
+
+
+def _peak_bytes(step: Step, cuda: bool) -> int | None:
+    """The most that a step holds on the device beyond the Gaussians and their gradients; it is left with both."""
+    step.both()
+    if not cuda:
+        return None
+    step.both()  # what is made only once has been made
+    step.release()
+    gc.collect()
+    torch.cuda.synchronize()
+    before = torch.cuda.memory_allocated()
+    torch.cuda.reset_peak_memory_stats()
+    step.both()
+    torch.cuda.synchronize()
+    return torch.cuda.max_memory_allocated() - before
+
+
+def _differences(ours: dict[str, Tensor], theirs: dict[str, Tensor]) -> dict[str, float]:
+    """Norms of the differences of image and gradients in terms of those of ours, and the largest of the image."""
+    found = {name: float((ours[name] - theirs[name]).norm() / ours[name].norm()) for name in ours}
+    return {**found, "image_largest": float((ours["image"] - theirs["image"]).abs().max())}
+
+
+def table(found: list[dict[str, Any]]) -> str:
+    """The rows as text, a line each, and how ours compares with the other program's."""
+    head = (
+        "Gaussians",
+        "program",
+        "forward ms",
+        "backward ms",
+        "both ms",
+        "in a row ms",
+        "peak MB",
+        "image",
+        "gradients",
+    )
+    lines = [
+        (
+            str(row["gaussians"]),
+            row["program"],
+            *(in_ms(row[f"ms_{part}"]) for part in ("forward", "backward", "total", "in_a_row")),
+            megabytes(row["peak_bytes"]),
+            or_dash(row["differences"].get("image"), ".1e"),
+            or_dash(max((d for name, d in row["differences"].items() if "image" not in name), default=None), ".1e"),
+        )
+        for row in found
+    ]
+    first = found[0]
+    title = f"{first['width_px']} x {first['height_px']} px, SH {first['sh_degree']}, {first.get('card', 'CPU')}"
+    return "\n".join([title, *aligned([head, *lines]), *_comparisons(found)])
+
+
+def _comparisons(found: list[dict[str, Any]]) -> list[str]:
+    lines, ours = [], found[0]
+    for row in found:
+        if row["program"] == OURS:
+            ours = row
+            continue
+        both, backward = (row[key] / ours[key] for key in ("ms_total", "ms_backward"))
+        memory = (
+            "" if not row["peak_bytes"] else f", with {ours['peak_bytes'] / row['peak_bytes']:.2f} times its memory"
+        )
+        lines.append(
+            f"{row['gaussians']} Gaussians: ours is {both:.2f} times as fast as {row['program']}, backward "
+            f"{backward:.2f} times{memory}"
+        )
+    return lines

@@ -1,0 +1,91 @@
+"""The photographs that the fits of a benchmark are made of, and how good what they drew is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.fit.evaluate import compared, weighted_psnr_db
+from lightfield_gs.fit.initial import initial_gaussians
+from lightfield_gs.fit.settings import FitSettings
+from lightfield_gs.fit.views import Views
+from lightfield_gs.fit.world import World
+from lightfield_gs.io.captures.capture import Capture
+from lightfield_gs.reference.metrics import ssim
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.gaussians import Gaussians
+
+BLACK = (0.0, 0.0, 0.0)
+
+
+class Fit(Protocol):
+    """A fit under way."""
+
+    def advance(self, until: int) -> None:
+        """Does the steps up to `until`."""
+
+    def gaussians(self) -> Gaussians:
+        """The scene as it is now."""
+
+    def draw(self, cameras: Cameras) -> Tensor:
+        """It before a camera, by the rasterizer that it is fitted with: [1, H, W, 3]."""
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """A capture on its device, in coordinates of the fit: views to fit to, those held out, and where points [P,3] of
+    colours [P,3] uint8 and the centres of all cameras [C,3] are."""
+
+    name: str
+    train: Views
+    test: Views
+    points: np.ndarray
+    colours: np.ndarray
+    centres: np.ndarray
+
+    @classmethod
+    def load(cls, capture: Capture, test_every: int, device: str) -> Photographs:
+        """Those of a capture. Raises InputError."""
+        world = World.of(capture.world_to_camera, capture.extent)
+        train, test = capture.split(test_every)
+        if not test:
+            raise InputError(
+                f"{capture.folder}: {len(capture.names)} photographs are too few to hold out one of {test_every}; "
+                "give a smaller --test-every"
+            )
+        fitted, held = (Views.load(capture, some, world, device, some) for some in (train, test))
+        points, centres = (world.points(places) for places in (capture.points, capture.centres))
+        return cls(capture.folder.resolve().name, fitted, held, points, capture.colours, centres)
+
+    def start(self, settings: FitSettings) -> Gaussians:
+        """What a fit begins with, on the device."""
+        return initial_gaussians(self.points, self.colours, self.centres, settings).to(self.train.photos.device)
+
+
+@torch.no_grad()
+def scores(fit: Fit, views: Views) -> dict[str, float]:
+    """Means over views of PSNR in dB and SSIM by the protocol of fit/evaluate.py, drawn by the fit's own rasterizer;
+    and of the PSNR of the same scene drawn by ours."""
+    scene, found = fit.gaussians(), []
+    for place, (width, height) in enumerate(views.sizes):
+        by_ours, photo, weights = compared(scene, views, place, BLACK)
+        image = fit.draw(view_cameras(views, place))[0, :height, :width].clamp(0, 1)
+        counts = (weights > 0)[..., None]
+        structure = ssim(*(picture.mul(counts).permute(2, 0, 1) for picture in (image, photo)))
+        psnr, psnr_by_ours = (weighted_psnr_db(picture, photo, weights) for picture in (image, by_ours))
+        found.append((psnr, float(structure), psnr_by_ours))
+    return dict(zip(("psnr_db", "ssim", "psnr_db_by_ours"), np.mean(found, 0).tolist()))
+
+
+def view_cameras(views: Views, place: int) -> Cameras:
+    """The camera of one of them, as large as all."""
+    one = slice(place, place + 1)
+    focal, centre = views.intrinsics[one].split(2, -1)
+    return Cameras(
+        views.world_to_camera[one], focal, centre, views.width_px, views.height_px, jacobian_limits=views.limits[one]
+    )
