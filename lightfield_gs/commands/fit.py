@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     held = names_in(args.test_list)
 
     from lightfield_gs.fit.fit import fit
+    from lightfield_gs.fit.several import is_first
 
     with Interrupts() as interrupts:
         capture = _capture(args, folder)
@@ -69,8 +71,10 @@ def run(args: argparse.Namespace) -> int:
             **cone_given(args),
             **settings_given(args),
         )
-        result.save(args.output)
-    _say(args, result, folder)
+        if is_first():
+            result.save(args.output)
+    if is_first():
+        _say(args, result, folder)
     return 128 + interrupts.number if result.stopped and interrupts.number is not None else 0
 
 
@@ -85,19 +89,22 @@ def _capture(args: argparse.Namespace, folder: Path) -> Capture:
             raise InputError("--sfm: CAPTURE itself is the folder of photographs; leave out --images")
         where, images = folder / "sfm", args.input.absolute()
         if not (where / "sparse/0").exists():
+            if "RANK" in os.environ:
+                raise InputError("--sfm: find the cameras in one process first: leave torchrun out, or use pycolmap")
             structure_from_motion(images, make_folder(where), lambda words: print(words, flush=True))
     return read_capture(where, images=images, masks=args.mask_folder, scale=args.scale, longest_px=args.longest_px)
 
 
 def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
     """What came out, how well, and how to go on."""
-    from lightfield_gs.fit.evaluate import PROTOCOL
+    from lightfield_gs.fit.evaluate import protocol
 
     if result.scores is not None:
-        print(f"{result.scores.table()}\n{PROTOCOL}")
+        print(f"{result.scores.table()}\n{protocol(result.settings.poses)}")
         _say_angles(result)
     print(f"{args.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
-    print(f"{folder}: checkpoint" + (", scores.json and last.png" if result.scores is not None else ""))
+    scores = ", scores.json" if result.scores is not None else ""
+    print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
     if result.display is not None:
         from lightfield_gs.fit.display import rig_path
 

@@ -29,7 +29,7 @@ from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.io.json_file import parse_json
 
 FILE = "checkpoint.safetensors"
-_KEY, _VERSION = "lightfield_gs.fit", 1
+_KEY, _VERSION = "lightfield-gs fit", 1
 _WAY_OUT = "give the same again, another --run folder, or --fresh to start over"
 
 

@@ -14,12 +14,21 @@ from lightfield_gs.rasterizer.dense_job import DenseJob
 from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.gaussians import Gaussians
 
-PROTOCOL = (
+_PROTOCOL = (
     "PSNR and SSIM of each held-out photograph, then their means: floats of the render, cut to 0..1, against the "
     "photograph / 255; SSIM by 11 x 11 windows of sigma 1.5 with zeros beyond the image; pixels that a mask leaves out "
     "are in no PSNR, and black in both for SSIM"
 )
+_ALIGNED = (
+    "poses were refined in the fit, so those of the held-out photographs were moved to where each fits best, with the "
+    "scene as it is, before they were scored"
+)
 _LEAST_ERROR = 1e-10  # mean squared: equal images have 100 dB
+
+
+def protocol(aligned: bool) -> str:
+    """How scores are made, in words. aligned: whether the views' poses were moved before, see align.aligned."""
+    return f"{_PROTOCOL}; {_ALIGNED}" if aligned else _PROTOCOL
 
 
 @dataclass(frozen=True)
@@ -58,7 +67,7 @@ class Scores:
 def evaluated(
     gaussians: Gaussians, views: Views, background: tuple[float, float, float], antialiased: bool = False
 ) -> Scores:
-    """Scores of a scene, in coordinates of the fit, by the PROTOCOL; one photograph after the other."""
+    """Scores of a scene, in coordinates of the fit, by the protocol(); one photograph after the other."""
     psnr, structure = [], []
     for index in range(views.count):
         image, photo, weights = compared(gaussians, views, index, background, antialiased)
@@ -71,8 +80,8 @@ def evaluated(
 def compared(
     gaussians: Gaussians, views: Views, index: int, background: tuple[float, float, float], antialiased: bool = False
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """View `index` as it is drawn, cut to 0..1, and its photograph, both [H,W,3] float32 of the photograph's own size;
-    and weights [H,W] in 0..1."""
+    """View `index` as it is drawn, cut to 0..1, and its photograph, both [H,W,3] float32 of the photograph's own size,
+    over the background too where masks are the target of alpha; and weights [H,W] in 0..1."""
     width, height = views.sizes[index]
     chosen = torch.tensor([index], device=views.photos.device)
     poses, intrinsics, limits = (
@@ -84,9 +93,10 @@ def compared(
         means, quaternions, scales, opacities, sh, behind, poses, intrinsics, limits, width, height, antialiased
     )
     image = job.draw().image[0, 0]
-    photos, weights = views.chosen(chosen)
+    photos, weights = views.targets(chosen, behind[0])
     weight = torch.ones_like(image[..., 0]) if weights is None else weights[0, :height, :width]
-    return image.clamp(0, 1), photos[0, :height, :width].float() / 255, weight
+    photo = photos[0, :height, :width]
+    return image.clamp(0, 1), photo / 255 if photo.dtype == torch.uint8 else photo, weight
 
 
 def weighted_psnr_db(image: Tensor, photo: Tensor, weights: Tensor) -> float:

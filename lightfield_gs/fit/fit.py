@@ -27,6 +27,7 @@ from lightfield_gs.fit.initial import initial_gaussians
 from lightfield_gs.fit.progress import Progress
 from lightfield_gs.fit.run import Habits, Run
 from lightfield_gs.fit.settings import Density, FitSettings
+from lightfield_gs.fit.several import Group, joined
 from lightfield_gs.fit.shown import CONTRIBUTION_CUT, Shown, pruned
 from lightfield_gs.fit.trainer import Trainer
 from lightfield_gs.fit.views import Views
@@ -104,6 +105,9 @@ def fit(
     those held out instead. device: "auto", "cpu" or "cuda". folder: where checkpoints, scores.json and pictures go; a
     fit that was stopped goes on from there, to the same bits, unless `fresh`. The other arguments: see Habits.
 
+    Where torchrun starts several processes that all call it alike, they share out the photographs of a step
+    (settings.views), one GPU each; the first one writes and talks, and all return the result.
+
     cone: a panel, its name or file, or degrees, 1..179, in place of the default panel's: the fit is for what that
     shows, see Display, and leaves out what it does not, within contribution_cut (0..1), see shown_by. centre: the name
     of the photograph in the middle of the cone; None: the most central one. score_cone: photographs held out are scored
@@ -121,27 +125,19 @@ def fit(
         raise InputError(f"device: expected {', '.join(DEVICES)}, got {shown(device)}")
     if test_names is not None and not is_row(test_names):
         raise InputError(f"test_names: expected names of photographs, got {shown(test_names)}")
-    on = choose_device(device)
     expect("capture", capture, str, Path, Capture)
     read = capture if isinstance(capture, Capture) else read_capture(capture)
     train, test = read.split(test_every, None if test_names is None else list(test_names))
     cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
-    run, world, display = _prepared(read, train, test, chosen, habits, on, (cone, centre, score_cone))
-    run.go()
-    scene, found, pruned_scores = run.trainer.fields.gaussians().detach(), None, None
-    if display is not None and not run.stopped:
-        scene, found, pruned_scores = pruned(run, world, display, cut)
+    with joined(choose_device(device)) as (group, own):
+        run, world, display = _prepared(read, train, test, chosen, habits, own, group, (cone, centre, score_cone))
+        run.go()
+        scene, found, pruned_scores = run.trainer.fields.gaussians().detach(), None, None
+        if display is not None and not run.stopped:
+            scene, found, pruned_scores = pruned(run, world, display, cut)
+        scene = _without_origin(world.back(scene.to("cpu")))
     return FitResult(
-        _without_origin(world.back(scene.to("cpu"))),
-        chosen,
-        run.trainer.done,
-        run.scores,
-        run.history,
-        run.stopped,
-        display,
-        run.angles,
-        found,
-        pruned_scores,
+        scene, chosen, run.trainer.done, run.scores, run.history, run.stopped, display, run.angles, found, pruned_scores
     )
 
 
@@ -152,6 +148,7 @@ def _prepared(
     settings: FitSettings,
     habits: Habits,
     device: str,
+    group: Group,
     asked: tuple[Panel | str | Path | float | None, str | None, float | None],
 ) -> tuple[Run, World, Display | None]:
     """The run before its first step, the coordinates that it is in, and what it is for; says what was chosen. asked:
@@ -160,7 +157,9 @@ def _prepared(
     shares = None if display is None else display.shares(train)
     angles = None if judged is None or not test else judged.angles(test)
     origin = Origin.of(settings, capture, train, {"cone": shares})
-    progress = Progress(habits.progress, habits.folder if habits.tensorboard else None)
+    progress = Progress(
+        habits.progress and group.is_first, habits.folder if habits.tensorboard and group.is_first else None
+    )
     if habits.folder is not None:
         make_folder(habits.folder)
         origin.check_file(habits.folder / checkpoint.FILE, habits.fresh)
@@ -168,8 +167,8 @@ def _prepared(
     need = memory.needed(settings, len(capture.names), width, height, masked=True)
     progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
     world = World.of(capture.world_to_camera, capture.extent)
-    trainer = _begun(capture, train, world, settings, device, shares)
-    held = Views.load(capture, test, world, device, test) if test else None
+    trainer = _begun(capture, train, world, settings, device, group, shares)
+    held = Views.load(capture, test, world, device, test, settings.masks) if test else None
     progress.say(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(test)} held out, on {device}: "
         f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
@@ -199,14 +198,20 @@ def settings_of(**given: Any) -> FitSettings:
 
 
 def _begun(
-    capture: Capture, train: list[int], world: World, settings: FitSettings, device: str, shares: Sequence[float] | None
+    capture: Capture,
+    train: list[int],
+    world: World,
+    settings: FitSettings,
+    device: str,
+    group: Group,
+    shares: Sequence[float] | None,
 ) -> Trainer:
     """The trainer before its first step."""
-    views = Views.load(capture, train, world, device, train)
+    views = Views.load(capture, train, world, device, train, settings.masks)
     gaussians = initial_gaussians(
         world.points(capture.points), capture.colours, world.points(capture.centres), settings
     )
-    return Trainer(Fields.of(gaussians.to(device)), views, settings, shares=shares)
+    return Trainer(Fields.of(gaussians.to(device)), views, settings, group, shares)
 
 
 def _without_origin(gaussians: Gaussians) -> Gaussians:

@@ -1,4 +1,4 @@
-"""Pictures of a fit under way: a held-out view, its photograph beside it, and four times their difference."""
+"""Pictures of a fit under way: a view, its photograph beside it, and four times their difference."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from lightfield_gs.io.images import write_image
 _DIFFERENCE = 4.0
 
 
-def write_pictures(folder: Path, trainer: Trainer, held: Views) -> None:
-    """Writes folder/pictures/<step>.png and folder/last.png, of the middle one of the held-out views."""
+def write_pictures(folder: Path, trainer: Trainer, views: Views) -> None:
+    """Writes folder/pictures/<step>.png and folder/last.png, of the middle one of `views`."""
     settings = trainer.settings
     background = settings.background or (0.0, 0.0, 0.0)
     gaussians = trainer.fields.gaussians()
-    image, photo, weights = compared(gaussians, held, held.count // 2, background, settings.antialiased)
+    image, photo, weights = compared(gaussians, views, views.count // 2, background, settings.antialiased)
     pixels = bytes_of(beside(image, photo, weights)).cpu().numpy()
     for path in (make_folder(folder / "pictures") / f"{trainer.done:07d}.png", folder / "last.png"):
         write_image(path, pixels)

@@ -12,9 +12,10 @@ from typing import Any
 from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.fit import checkpoint
+from lightfield_gs.fit.align import aligned
 from lightfield_gs.fit.angles import Angles
 from lightfield_gs.fit.checkpoint import Origin
-from lightfield_gs.fit.evaluate import PROTOCOL, Scores, evaluated
+from lightfield_gs.fit.evaluate import Scores, evaluated, protocol
 from lightfield_gs.fit.pictures import write_pictures
 from lightfield_gs.fit.progress import Progress
 from lightfield_gs.fit.trainer import Trainer
@@ -90,7 +91,7 @@ class Run:
                 began = time.monotonic()
                 before = trainer.done
                 trainer.advance(min(self._next_stop(), before + chunk))
-                chunk = _next_chunk(trainer.done - before, time.monotonic() - began)
+                chunk = self._agreed(_next_chunk(trainer.done - before, time.monotonic() - began))
                 self._between()
             self._end()
         finally:
@@ -117,7 +118,16 @@ class Run:
             self._picture()
         if self._checkpoint_is_due():
             self._save()
-        self.stopped = habits.stop()
+        self.stopped = bool(self._agreed(1 if habits.stop() else 0))
+
+    def _agreed(self, number: int) -> int:
+        """The largest of the processes' numbers: all stop at the same step."""
+        return self.trainer.group.largest(number, self.trainer.device)
+
+    @property
+    def _folder(self) -> Path | None:
+        """Where this process writes."""
+        return self.habits.folder if self.trainer.group.is_first else None
 
     def _end(self) -> None:
         """What is left for the scene as it is now."""
@@ -137,30 +147,32 @@ class Run:
         if self.held is None:
             return None
         settings = self.trainer.settings
-        return evaluated(gaussians, self.held, settings.background or (0.0, 0.0, 0.0), settings.antialiased)
+        held = aligned(self.held, gaussians, settings) if settings.poses else self.held
+        return evaluated(gaussians, held, settings.background or (0.0, 0.0, 0.0), settings.antialiased)
 
     def _evaluate(self) -> None:
         trainer = self.trainer
         if (scores := self.scores_of(trainer.fields.gaussians())) is None:
             return
-        self.scores = scores
+        self.scores, settings = scores, trainer.settings
         row = {"step": trainer.done, **scores.to_dict(), "gaussians": trainer.fields.count}
         del row["views"]
         self.history = [*(old for old in self.history if old["step"] < trainer.done), row]
         self._progress.scores(trainer.done, scores.mean_psnr_db, scores.mean_ssim)
         self._progress.say(
             f"step {trainer.done}: held-out PSNR {scores.mean_psnr_db:.2f} dB, SSIM {scores.mean_ssim:.4f}, "
-            f"{trainer.fields.count} Gaussians"
+            f"{trainer.fields.count} Gaussians" + (", held-out poses aligned" if settings.poses else "")
         )
         self.write_scores()
 
     def write_scores(self, **more: Any) -> None:
         """Writes scores.json in the folder, if there is one, and scores; with what else is to be said."""
-        if self.habits.folder is not None and (scores := self.scores) is not None:
+        if self._folder is not None and (scores := self.scores) is not None:
             by_angle = {} if self.angles is None else {"angles": self.angles.to_dict(scores)}
-            said = {"protocol": PROTOCOL, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
+            words = protocol(self.trainer.settings.poses)
+            said = {"protocol": words, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
             said["history"] = self.history
-            with atomic_path(self.habits.folder / "scores.json") as temporary:
+            with atomic_path(self._folder / "scores.json") as temporary:
                 temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
 
     def _is_no_better(self) -> bool:
@@ -172,8 +184,8 @@ class Run:
         return max(scores[-_PATIENCE:]) <= max(scores[:-_PATIENCE])
 
     def _picture(self) -> None:
-        if self.habits.folder is not None and self.held is not None:
-            write_pictures(self.habits.folder, self.trainer, self.held)
+        if self._folder is not None:
+            write_pictures(self._folder, self.trainer, self.held or self.trainer.views)
 
     # --- Checkpoints
 
@@ -192,10 +204,10 @@ class Run:
         return time.monotonic() - self._saved_at > max(_LEAST_REST_S, self._saving_s / _CHECKPOINT_SHARE)
 
     def _save(self) -> None:
-        if self.habits.folder is None:
+        if self._folder is None:
             return
         began = time.monotonic()
-        checkpoint.save(self.habits.folder / checkpoint.FILE, self.trainer, self._origin, self.history)
+        checkpoint.save(self._folder / checkpoint.FILE, self.trainer, self._origin, self.history)
         self._saved_at = time.monotonic()
         self._saving_s = self._saved_at - began
 

@@ -10,7 +10,7 @@ import gc
 import hashlib
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import timedelta
 
 import torch
@@ -82,34 +82,19 @@ class Group:
             with self._answers():
                 dist.all_reduce(tensor, dist.ReduceOp.MAX)
 
-    def any(self, flag: bool, device: torch.device | str = "cpu") -> bool:
-        """Whether a flag is set in some process; the same answer in all. It waits for them. device: the group's own."""
+    def largest(self, number: int, device: torch.device | str = "cpu") -> int:
+        """The largest of a number that each process has; it waits for them. device: the group's own."""
         if self.size == 1:
-            return flag
-        flags = torch.full((1,), int(flag), device=device)
-        self.max_(flags)
-        return bool(flags)
+            return number
+        numbers = torch.full((1,), number, dtype=torch.int64, device=device)
+        self.max_(numbers)
+        return int(numbers)
 
     def barrier(self) -> None:
         """Waits for the others."""
         if self.size > 1:
             with self._answers():
                 dist.barrier()
-
-    @contextmanager
-    def all_or_none(self, what: str, device: torch.device | str = "cpu") -> Iterator[None]:
-        """Lets no process go on from the block unless all do: where one raises, the others raise InputError.
-
-        what: the block does, for their message; it sends nothing to the others itself. device: the group's own.
-        """
-        try:
-            yield
-        except BaseException:
-            with suppress(InputError):  # its own reason is the one to tell
-                self.any(True, device)
-            raise
-        if self.any(False, device):
-            raise InputError(f"process {self.rank} of {self.size}: another process failed to {what}; see its message")
 
     def check_same(self, what: str, value: bytes, device: torch.device | str = "cpu") -> None:
         """Raises InputError in all processes unless all have the same value."""

@@ -103,7 +103,7 @@ class Step:
 
     def _gradients(self, chosen: Tensor) -> _Found:
         """What the views `chosen` [V] say: their part of the sums over all views of the step."""
-        views, exposure, poses = self.views, self.exposure, self.poses
+        views, poses = self.views, self.poses
         background = self.schedule.backgrounds.index_select(0, self.counters.step).expand(len(chosen), 3).contiguous()
         from_where = views.world_to_camera if poses is None else poses.world_to_camera
         gaussians, antialiased = self.fields.gaussians(), self.settings.antialiased

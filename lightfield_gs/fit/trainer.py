@@ -19,7 +19,8 @@ from lightfield_gs.fit.tally import Tally
 from lightfield_gs.fit.views import Views
 
 _LOOK_EVERY = 100  # steps after which the host looks where the device is
-_SLACK, _LEAST_ROOM = 1.25, 1 << 16  # of the room for pairs beyond what the steps so far needed
+# Of the room for pairs, beyond what the steps so far needed: what is made, and with how little there is made more
+_SLACK, _LEAST_SLACK, _LEAST_ROOM = 1.25, 1.1, 1 << 16
 
 
 class Trainer:
@@ -49,23 +50,19 @@ class Trainer:
         self.tally = Tally(self.fields.count, settings, self.device)
         self.exposure = Exposure(views.count, settings, self.device) if settings.exposure else None
         self.poses = Poses(views.world_to_camera, settings.steps, settings.rate_poses) if settings.poses else None
+        # What else is optimised, by name: a checkpoint keeps it too, and writes to these tensors to restore it
+        self.extra: dict[str, torch.Tensor] = {
+            f"{name}.{part}": tensor
+            for name, own in (("exposure", self.exposure), ("poses", self.poses))
+            if own is not None
+            for part, tensor in own.tensors().items()
+        }
         self._own_order = group.share(self.schedule.order)
         self._check_same()
         self.done = 0
         self._room: int | None = None
         self._graph: torch.cuda.CUDAGraph | None = None
         self._graph_key: tuple | None = None
-
-    @property
-    def extra(self) -> dict[str, torch.Tensor]:
-        """What else is optimised, by name, and its moments: a checkpoint keeps it, and writes to it to restore it."""
-        named = {"exposure": self.exposure, "poses": self.poses}
-        return {
-            f"{name}.{part}": tensor
-            for name, own in named.items()
-            if own is not None
-            for part, tensor in own.tensors().items()
-        }
 
     def _check_same(self) -> None:
         """Whether all processes begin with the same; raises InputError."""
@@ -132,11 +129,12 @@ class Trainer:
         while self.done < until:
             count = min(until - self.done, _LOOK_EVERY)
             if self.device.type == "cuda":
+                count = 1 if self._room is None else count
                 self._run_cuda(count)
             else:
                 for _ in range(count):
                     self._step(None).run()
-            self._look()
+            self._look(count)
 
     def _step(self, room: int | None) -> Step:
         return Step(
@@ -154,10 +152,9 @@ class Trainer:
         )
 
     def _run_cuda(self, count: int) -> None:
-        if self._room is None:  # the first steps of all find out how many pairs there are
+        if self._room is None:  # the first step of all finds out how many pairs there are
             self._step(None).run()
-            self._look()
-            count -= 1
+            return
         tensors = [*self.fields.tensors().values(), *self.tally.tensors().values()]
         key = (self.fields.count, self._room, *(t.data_ptr() for t in tensors))
         if key != self._graph_key and count:
@@ -176,14 +173,16 @@ class Trainer:
             step.run()
         return graph
 
-    def _look(self) -> None:
-        """Waits for the device, and learns from it how many steps are done, and whether they need more room."""
-        counters = self.counters
+    def _look(self, begun: int) -> None:
+        """Waits for the device, and learns from it how many of the steps that were begun are done, and whether they
+        need more room. Steps without room count all their Gaussians as skipped, which is taken back."""
+        counters, before = self.counters, self.done
         self.done, pairs, lost = torch.cat([counters.step, counters.pairs, counters.lost]).tolist()
-        if self._room is None or lost:
+        if self._room is None or lost or pairs * _LEAST_SLACK > self._room:
             self._room = int(pairs * _SLACK) + _LEAST_ROOM
         if lost:
             counters.lost.zero_()
+            counters.skipped -= self.fields.count * (begun - (self.done - before))
         if not torch.isfinite(counters.losses[self.done - 1]):
             raise InputError(
                 f"step {self.done}: the loss is no number any more; a lower rate or other photographs may help"

@@ -76,7 +76,9 @@ class Views:
             [capture.names[index] for index in indices],
             torch.from_numpy(photos).to(device),
             None if weights.all() else torch.from_numpy(weights).to(device),
-            *(t.float().to(device) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())),
+            cameras.world_to_camera.float().to(device),
+            cameras.intrinsics().float().to(device),
+            cameras.limits().float().to(device),
             sizes,
             None if opacity.all() else torch.from_numpy(opacity).to(device),
         )

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor
+from torch.nn import Parameter
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
@@ -77,8 +78,7 @@ _library.define("render_dense" + torch.library.infer_schema(render_dense, mutate
 _library.impl("render_dense", render_dense, "CompositeImplicitAutograd")
 
 
-@torch.library.custom_op("lightfield_gs::render_dense_with_state", mutates_args=(), device_types=("cpu", "cuda"))
-def render_dense_with_state(
+def _with_state(
     means: Tensor,
     quaternions: Tensor,
     scales: Tensor,
@@ -112,6 +112,11 @@ def render_dense_with_state(
     return image, alpha, depth, *job.work.state()
 
 
+render_dense_with_state = torch.library.custom_op(
+    "lightfield_gs::render_dense_with_state", _with_state, mutates_args=(), device_types=("cpu", "cuda")
+)
+
+
 @render_dense_with_state.register_fake
 def _(
     means,
@@ -135,8 +140,7 @@ def _(
     return means.new_empty((*size, 3)), means.new_empty(size), means.new_empty(size), *state, lists
 
 
-@torch.library.custom_op("lightfield_gs::render_dense_backward", mutates_args=(), device_types=("cpu", "cuda"))
-def render_dense_backward(
+def _of_state(
     means: Tensor,
     quaternions: Tensor,
     scales: Tensor,
@@ -185,6 +189,11 @@ def render_dense_backward(
     return (*found.fields, g_background, found.cameras.view(*job.lead, 4, 4), g_screen)
 
 
+render_dense_backward = torch.library.custom_op(
+    "lightfield_gs::render_dense_backward", _of_state, mutates_args=(), device_types=("cpu", "cuda")
+)
+
+
 @render_dense_backward.register_fake
 def _(
     means, quaternions, scales, opacities, sh, background, world_to_camera, *rest, antialiased=False, screen_numbers=0
@@ -192,6 +201,13 @@ def _(
     inputs = (means, quaternions, scales, opacities, sh, background, world_to_camera)
     screen = means.new_empty(*world_to_camera.shape[:2], means.shape[1], screen_numbers)
     return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in inputs), screen)
+
+
+def _is_plain(inputs: tuple) -> bool:
+    """Whether these are tensors with memory of their own, so that operators need not be called as such: recording them
+    for a trace or a compiler takes the host 0.1 ms each time, while the device waits."""
+    plain = all(type(t) in (Tensor, Parameter) for t in inputs if isinstance(t, Tensor))
+    return plain and not torch.compiler.is_compiling()
 
 
 def _dense_setup(ctx, inputs, output):
@@ -205,7 +221,8 @@ def _dense_setup(ctx, inputs, output):
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
     g_image = torch.zeros_like(saved[9]) if grads[0] is None else grads[0]
-    *out, g_screen = torch.ops.lightfield_gs.render_dense_backward(
+    reverse = _of_state if _is_plain(saved) else torch.ops.lightfield_gs.render_dense_backward
+    *out, g_screen = reverse(
         *saved[:9],
         ctx.width,
         ctx.height,
@@ -230,7 +247,8 @@ class _RenderDense(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, *inputs):
-        outputs = torch.ops.lightfield_gs.render_dense_with_state(*inputs)
+        forward = _with_state if _is_plain(inputs) else torch.ops.lightfield_gs.render_dense_with_state
+        outputs = forward(*inputs)
         _dense_setup(ctx, inputs, outputs)
         return outputs
 

@@ -15,6 +15,8 @@ from lightfield_gs.rasterizer.scene import Scene, State
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import DenseGradients, Splats, Wanted
 
+_ALIGNMENT = 256  # bytes, that of memory from CUDA
+
 
 class CudaWorkspace:
     """Splats, keys and tile lists of one render; every buffer from torch's allocator, all work on its stream."""
@@ -46,18 +48,18 @@ class CudaWorkspace:
             self._use_lists(state.lists)
         self.splats = Splats(scene, images, colour_order, lens, compensated, state)
 
-    def _use_lists(self, lists: Tensor, unsorted: Tensor | None = None) -> None:
+    def _use_lists(self, lists: Tensor, unsorted: int | None = None) -> None:
         """Takes over lists, a tensor of bytes: the range of pairs of each tile [tiles, 2] int64, the range of slots of
         each splat [I, N, 2] int32, then slots and splats of the sorted pairs, int32.
 
-        unsorted: [4, pairs] int32, tiles, sorted tiles, slots and their splats, which only the filling needs. All are
-        kept as addresses: to make tensors of the parts takes the host longer, and here the device waits for it.
+        unsorted: where [4, pairs] int32 are, tiles, sorted tiles, slots and their splats, which only the filling needs.
+        All are kept as addresses: to make tensors of the parts takes the host longer, and here the device waits for it.
         """
         self.lists, self.pair_count = lists, (lists.numel() - self.lists_bytes) // 8
         self.ranges, sorted_slots = lists.data_ptr(), lists.data_ptr() + self.lists_bytes
         self.slot_ranges = self.ranges + self.ranges_bytes
         tiles, sorted_tiles, slots, slot_splats = (
-            0 if unsorted is None else unsorted.data_ptr() + 4 * self.pair_count * row for row in range(4)
+            0 if unsorted is None else unsorted + 4 * self.pair_count * row for row in range(4)
         )
         self.pair_lists = _core.cuda.Pairs(
             self.pair_count,
@@ -94,39 +96,32 @@ class CudaWorkspace:
         )
         return float(error) if self.scene.degree > 0 else 0.0
 
+    def _work(self, *sizes: int) -> tuple[Tensor, list[int]]:
+        """Memory for buffers of so many bytes that are of use to one stage, and their addresses: one tensor, for making
+        several takes the host longer."""
+        starts = [0]
+        for size in sizes:
+            starts.append(starts[-1] + (size + _ALIGNMENT - 1) // _ALIGNMENT * _ALIGNMENT)
+        work = self.scene.new(starts[-1], dtype=torch.uint8)
+        return work, [work.data_ptr() + start for start in starts[:-1]]
+
     def order_and_bin(self, admit: Callable[[], bool] = lambda: True) -> bool:
         """The pairs are counted first: the host learns their number while the device sorts, unless it needs not know it
         because there is `room` for so many."""
         scene, cuda, items = self.scene, _core.cuda, self.items
+        pairs = self.pairs_on_device = scene.new(1, dtype=torch.int64, zero=True)
+        total_bytes, order_bytes = cuda.count_bytes(items), cuda.order_bytes(items)
+        work, (counts, total, sorted_keys, indices, temporary, ends) = self._work(
+            4 * items, total_bytes, 8 * items, 4 * items, order_bytes, 8 * items
+        )
         with self.stats.stage("bin"):
-            counts = scene.new(items, dtype=torch.int32)
-            pairs = self.pairs_on_device = scene.new(1, dtype=torch.int64, zero=True)
-            total = scene.new(cuda.count_bytes(items), dtype=torch.uint8)
-            cuda.bin_count(
-                self.splats.native,
-                self.image,
-                counts.data_ptr(),
-                pairs.data_ptr(),
-                total.data_ptr(),
-                total.numel(),
-                self.stream,
-            )
+            cuda.bin_count(self.splats.native, self.image, counts, pairs.data_ptr(), total, total_bytes, self.stream)
             if self.room is None:
                 pairs, counted = pairs.to("cpu", non_blocking=True), torch.cuda.Event()
                 counted.record()
         with self.stats.stage("order"):
-            sorted_keys, indices = (scene.new(items, dtype=t) for t in (torch.int64, torch.int32))
-            temporary = scene.new(cuda.order_bytes(items), dtype=torch.uint8)
-            cuda.order(
-                items,
-                self.images,
-                self.keys.data_ptr(),
-                sorted_keys.data_ptr(),
-                indices.data_ptr(),
-                temporary.data_ptr(),
-                temporary.numel(),
-                self.stream,
-            )
+            keys = self.keys.data_ptr()
+            cuda.order(items, self.images, keys, sorted_keys, indices, temporary, order_bytes, self.stream)
         with self.stats.stage("bin"):
             if self.room is None:
                 counted.synchronize()
@@ -134,41 +129,28 @@ class CudaWorkspace:
             if not admit():
                 return False
             # fill_bytes raises where there are more pairs than can be numbered, and so it comes before other memory
-            scratch = scene.new(cuda.fill_bytes(items, count), dtype=torch.uint8)
-            ends = scene.new(items, dtype=torch.int64)
-            unsorted = scene.new(4, count, dtype=torch.int32)
+            scratch_bytes = cuda.fill_bytes(items, count)
+            more_work, (scratch, unsorted) = self._work(scratch_bytes, 16 * count)
             self._use_lists(scene.new(self.lists_bytes + 8 * count, dtype=torch.uint8), unsorted)
             self.lists[: self.ranges_bytes].zero_()
             cuda.bin_fill(
                 self.splats.native,
                 self.image,
-                indices.data_ptr(),
-                counts.data_ptr(),
-                ends.data_ptr(),
+                indices,
+                counts,
+                ends,
                 self.pair_lists,
                 self.ranges,
                 self.slot_ranges,
-                scratch.data_ptr(),
-                scratch.numel(),
+                scratch,
+                scratch_bytes,
                 self.stream,
             )
         self.stats.pairs += count
         if self.stats.device is not None:  # only then, for reading the count back waits for the device
             self.stats.images += self.images
             self.stats.gaussians_drawn += int((self.keys != -1).sum())
-        self.stats.add_buffers(
-            *self.splats.buffers(),
-            self.keys,
-            sorted_keys,
-            indices,
-            temporary,
-            counts,
-            ends,
-            total,
-            unsorted,
-            self.lists,
-            scratch,
-        )
+        self.stats.add_buffers(*self.splats.buffers(), self.keys, work, more_work, self.lists)
         return True
 
     def composite_dense(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
+from torch.nn import functional
 
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.errors import InputError
@@ -107,11 +109,10 @@ class Cameras:
         """jacobian_limits, or the default ones, [..., C, 5]."""
         if self.jacobian_limits is not None:
             return self.jacobian_limits
-        edges = []
-        for axis, size in enumerate(self._size()):
-            centre, focal = self._centres()[..., axis], self.focal_px[..., axis]
-            edges += [-(centre + 0.15 * size) / focal, (1.15 * size - centre) / focal]
-        return torch.stack([*edges, torch.zeros_like(edges[0])], -1)
+        centre, focal = self._centres(), self.focal_px
+        before, beyond = _edges(*self._size(), centre.dtype, centre.device)
+        edges = torch.stack([-(centre + before) / focal, (beyond - centre) / focal], -1)
+        return functional.pad(edges.flatten(-2), (0, 1))
 
     def select(self, views: slice | list[int] | torch.Tensor) -> Cameras:
         """The cameras at these places along C."""
@@ -150,6 +151,19 @@ class Cameras:
             self.height_px,
             limits,
         )
+
+
+@lru_cache(maxsize=64)
+def _edges(
+    width_px: int, height_px: int, dtype: torch.dtype, device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """How far the Jacobian's limits lie before the image and where they end beyond it, [2] each, pixels. They are made
+    once, for copying numbers to a device waits for that every time."""
+    with torch.inference_mode(False):  # they may be part of a graph of gradients later
+        before, beyond = (
+            torch.tensor([share * width_px, share * height_px], dtype=dtype, device=device) for share in (0.15, 1.15)
+        )
+    return before, beyond
 
 
 def _of_matrices(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -26,6 +26,11 @@ from lightfield_gs.io.captures.capture import read_capture
 QUICK = dict(steps=60, gaussians=200, device="cpu", progress=False, test_every=8)
 # Density changes every 2 steps from step 10 on, harmonics every 20: something is due at many of the first 60
 SETTINGS = FitSettings(steps=600, gaussians=220)
+KINDS = {
+    "mcmc": SETTINGS,
+    "adaptive": replace(SETTINGS, density="adaptive", grow_gradient=1e-5),
+    "all": replace(SETTINGS, exposure=True, poses=True, views=2, background=None, antialiased=True),
+}
 
 
 @pytest.fixture(scope="module")
@@ -47,31 +52,32 @@ def trainer(settings: FitSettings = SETTINGS) -> Trainer:
 
 def bits(trainer: Trainer) -> dict[str, bytes]:
     counters = {f"counters.{name}": t for name, t in vars(trainer.counters).items() if name != "pairs"}
-    tensors = {**trainer.fields.tensors(), **trainer.tally.tensors(), **counters}
+    tensors = {**trainer.fields.tensors(), **trainer.tally.tensors(), **counters, **trainer.extra}
     return {name: tensor.numpy().tobytes() for name, tensor in tensors.items()}
 
 
-def test_steps_do_not_depend_on_how_they_are_cut():
-    whole, cut = trainer(), trainer()
+@pytest.mark.parametrize("kind", KINDS)
+def test_steps_do_not_depend_on_how_they_are_cut(kind):
+    whole, cut = trainer(KINDS[kind]), trainer(KINDS[kind])
     whole.advance(60)
     for until in (1, 9, 10, 11, 12, 13, 20, 21, 40, 59, 60):
         cut.advance(until)
-    assert whole.fields.count == 220 and whole.fields.degree == 2
+    assert whole.fields.count > 150 and whole.fields.degree == 2
     assert bits(cut) == bits(whole)
 
 
-@pytest.mark.parametrize("step", [9, 10, 20, 31])
-def test_a_checkpoint_goes_on_to_the_same_bits(step, capture, tmp_path):
+@pytest.mark.parametrize("kind, step", [("mcmc", 9), ("mcmc", 20), ("adaptive", 12), ("adaptive", 31), ("all", 31)])
+def test_a_checkpoint_goes_on_to_the_same_bits(kind, step, capture, tmp_path):
     """Also at steps after which the density changes or harmonics are added, which must happen once."""
-    origin = Origin.of(SETTINGS, read_capture(capture), [0])
-    whole, first, second = trainer(), trainer(), trainer()
-    whole.extra["x"], first.extra["x"], second.extra["x"] = torch.ones(2), torch.ones(2), torch.zeros(2)
+    settings = KINDS[kind]
+    origin = Origin.of(settings, read_capture(capture), [0])
+    whole, first, second = (trainer(settings) for _ in range(3))
     whole.advance(45)
     first.advance(step)
     checkpoint.save(tmp_path / "c", first, origin, [{"step": 3}])
     assert checkpoint.restore(tmp_path / "c", second, origin) == [{"step": 3}] and second.done == step
     second.advance(45)
-    assert bits(second) == bits(whole) and second.extra["x"].tolist() == [1, 1]
+    assert bits(second) == bits(whole)
 
 
 def test_the_same_seed_gives_the_same_file(capture, in_one_go, tmp_path):
@@ -128,9 +134,9 @@ def test_a_file_that_is_no_checkpoint_is_refused(capture, tmp_path):
     other = torch.zeros(1)
     for data in (
         b"nonsense",
-        save({"a": other}, {"lightfield_gs.fit": "{}"}),
-        save({"a": other}, {"lightfield_gs.fit": '{"version": 1, "settings": [], "capture": {}}'}),
-        save({"a": other}, {"lightfield_gs.fit": '{"version": 9}'}),
+        save({"a": other}, {"lightfield-gs fit": "{}"}),
+        save({"a": other}, {"lightfield-gs fit": '{"version": 1, "settings": [], "capture": {}}'}),
+        save({"a": other}, {"lightfield-gs fit": '{"version": 9}'}),
     ):
         path.write_bytes(data)
         with pytest.raises(InputError, match="expected a checkpoint"):

@@ -20,7 +20,7 @@ def cut_out(views: Views, scene: lf.Gaussians) -> tuple[Views, torch.Tensor]:
     """Views whose masks are the alpha of the scene, their photographs of straight colours; and that alpha."""
     fx_fy, middle = views.intrinsics.split(2, -1)
     cameras = Cameras(views.world_to_camera, fx_fy, middle, views.width_px, views.height_px, views.limits)
-    image, alpha, _ = lf.render(scene, cameras, background=(0.0, 0.0, 0.0), return_alpha_depth=True)
+    image, alpha = lf.render(scene, cameras, background=(0.0, 0.0, 0.0), alpha=True)
     straight = image / alpha.clamp_min(1e-3)[..., None]
     views.photos = straight.clamp(0, 1).mul(255).round().to(torch.uint8)
     views.opacity = alpha.mul(255).round().to(torch.uint8)

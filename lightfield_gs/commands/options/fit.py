@@ -113,7 +113,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     for name, words in (
         ("checkpoint", "checkpoints (default: so that they take 2 %% of the time)"),
         ("evaluate", "scores of the held-out photographs (default: a tenth of all)"),
-        ("picture", "pictures of a held-out view beside its photograph"),
+        ("picture", "pictures of a view beside its photograph, held out if any is"),
     ):
         add(f"--{name}-every", type=whole(1, _MOST), metavar="N", help=f"steps between {words}")
     add(
