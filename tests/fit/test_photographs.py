@@ -8,7 +8,7 @@ from pathlib import Path
 import lightfield_gs as lf
 from lightfield_gs.io.captures.capture import read_capture
 
-BANANA = Path(lf.__file__).parent / "data" / "banana"
+BANANA = Path(__file__).resolve().parents[2] / "lightfield_gs/data/banana"
 
 
 def test_a_fit_of_real_photographs_shows_others_better_and_better():

@@ -10,12 +10,11 @@ import pytest
 from fit_capture import write_capture
 from PIL import Image
 
-import lightfield_gs
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.capture import read_capture
 from training.data.reduce_capture import main, reduce_capture
 
-BANANA = Path(lightfield_gs.__file__).parent / "data" / "banana"
+BANANA = Path(__file__).resolve().parents[2] / "lightfield_gs/data/banana"
 LONGEST_PX = 94
 
 
