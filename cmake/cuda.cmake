@@ -40,6 +40,7 @@ target_sources(_core PRIVATE
   csrc/cuda/dense/composite_dense.cu
   csrc/cuda/dense/project_dense.cu
   csrc/cuda/dense/project_dense_backward.cu
+  csrc/cuda/dense/sum_slots.cu
   csrc/cuda/fit/photo_loss.cu
   csrc/cuda/fit/random.cu
   csrc/cuda/fit/update.cu

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.encoder import Encoder
     from lightfield_gs.encoding.pruning import prune
     from lightfield_gs.encoding.sorted_plan import SortedPlan
-    from lightfield_gs.fit.fit import FitResult, fit
+    from lightfield_gs.fitting.fit import FitResult, fit
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Cameras": "scene.cameras",
     "Encoder": "encoding.encoder",
-    "FitResult": "fit.fit",
+    "FitResult": "fitting.fit",
     "Gaussians": "scene.gaussians",
     "InputError": "base.errors",
     "Panel": "panels.panel",
@@ -37,7 +37,7 @@ _HOMES = {
     "SortedPlan": "encoding.sorted_plan",
     "SplatterNet": "models",
     "encode": "encoding.encode",
-    "fit": "fit.fit",
+    "fit": "fitting.fit",
     "from_depth": "photo.rgbd",
     "interlace": "encoding.encode",
     "load_photo": "photo.load",

@@ -8,11 +8,11 @@ import torch
 from rasterizer_cases import random_scene, turned_pose
 
 import lightfield_gs as lf
-from lightfield_gs.fit.fields import Fields
-from lightfield_gs.fit.initial import initial_gaussians
-from lightfield_gs.fit.settings import FitSettings
-from lightfield_gs.fit.views import Views
-from lightfield_gs.fit.world import centres_of
+from lightfield_gs.fitting.fields import Fields
+from lightfield_gs.fitting.initial import initial_gaussians
+from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.views import Views
+from lightfield_gs.fitting.world import centres_of
 
 WIDTH, HEIGHT, VIEWS = 48, 32, 6
 

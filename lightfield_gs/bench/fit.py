@@ -21,9 +21,9 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import peers
 from lightfield_gs.bench.fit_data import BLACK, Fit, Photographs, scores
 from lightfield_gs.bench.fit_peer import PeerFit, Recipe
-from lightfield_gs.fit.fields import Fields
-from lightfield_gs.fit.settings import Density, FitSettings
-from lightfield_gs.fit.trainer import Trainer
+from lightfield_gs.fitting.fields import Fields
+from lightfield_gs.fitting.settings import Density, FitSettings
+from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fit.evaluate import compared, weighted_psnr_db
-from lightfield_gs.fit.initial import initial_gaussians
-from lightfield_gs.fit.settings import FitSettings
-from lightfield_gs.fit.views import Views
-from lightfield_gs.fit.world import World
+from lightfield_gs.fitting.evaluate import compared, weighted_psnr_db
+from lightfield_gs.fitting.initial import initial_gaussians
+from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.views import Views
+from lightfield_gs.fitting.world import World
 from lightfield_gs.io.captures.capture import Capture
 from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.cameras import Cameras

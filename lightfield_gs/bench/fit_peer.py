@@ -16,10 +16,10 @@ from torch import Tensor
 
 from lightfield_gs.bench import peers
 from lightfield_gs.bench.fit_data import BLACK, view_cameras
-from lightfield_gs.fit.photo_loss import photo_loss
-from lightfield_gs.fit.schedule import Schedule
-from lightfield_gs.fit.settings import RECIPE_STEPS, FitSettings
-from lightfield_gs.fit.views import Views
+from lightfield_gs.fitting.photo_loss import photo_loss
+from lightfield_gs.fitting.schedule import Schedule
+from lightfield_gs.fitting.settings import RECIPE_STEPS, FitSettings
+from lightfield_gs.fitting.views import Views
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.cameras import Cameras

@@ -31,7 +31,7 @@ from lightfield_gs.bench.timing import machine
 from lightfield_gs.commands.options.fits import add_fit_options
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.values import byte_size
-from lightfield_gs.fit.settings import FitSettings
+from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.io.atomic import atomic_path, check_output_path, check_outputs
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel

@@ -16,7 +16,7 @@ from lightfield_gs.commands.options.scene import check_scene_path
 from lightfield_gs.io.atomic import check_folder, make_folder
 
 if TYPE_CHECKING:
-    from lightfield_gs.fit.fit import FitResult
+    from lightfield_gs.fitting.fit import FitResult
     from lightfield_gs.io.captures.capture import Capture
 
 
@@ -47,8 +47,8 @@ def run(args: argparse.Namespace) -> int:
     choose_device(args.device)
     held = names_in(args.test_list)
 
-    from lightfield_gs.fit.fit import fit
-    from lightfield_gs.fit.several import is_first
+    from lightfield_gs.fitting.fit import fit
+    from lightfield_gs.fitting.several import is_first
 
     with Interrupts() as interrupts:
         capture = _capture(args, folder)
@@ -97,7 +97,7 @@ def _capture(args: argparse.Namespace, folder: Path) -> Capture:
 
 def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
     """What came out, how well, and how to go on."""
-    from lightfield_gs.fit.evaluate import protocol
+    from lightfield_gs.fitting.evaluate import protocol
 
     if result.scores is not None:
         print(f"{result.scores.table()}\n{protocol(result.settings.poses)}")
@@ -106,7 +106,7 @@ def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
     scores = ", scores.json" if result.scores is not None else ""
     print(f"{folder}: checkpoint{scores} and last.png, a view beside its photograph")
     if result.display is not None:
-        from lightfield_gs.fit.display import rig_path
+        from lightfield_gs.fitting.display import rig_path
 
         rig = rig_path(args.output)
         print(f"{rig}: the rig in the capture's coordinates: encode {args.output} --rig {rig} --panel {_panel(args)}")
@@ -131,7 +131,7 @@ def _say_angles(result: FitResult) -> None:
 
 def _panel(args: argparse.Namespace) -> str:
     """What encode is given as --panel to show what --cone names."""
-    from lightfield_gs.fit.display import is_angle
+    from lightfield_gs.fitting.display import is_angle
     from lightfield_gs.panels.panel import DEFAULT_PANEL
 
     return DEFAULT_PANEL if is_angle(args.cone) else args.cone

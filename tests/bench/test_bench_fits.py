@@ -15,9 +15,9 @@ from lightfield_gs.bench import dense, fit, fit_report, peers, timing
 from lightfield_gs.bench.fit_data import Photographs
 from lightfield_gs.bench.fit_peer import RATES
 from lightfield_gs.commands import bench as command
-from lightfield_gs.fit.evaluate import evaluated
-from lightfield_gs.fit.schedule import Schedule
-from lightfield_gs.fit.settings import FitSettings
+from lightfield_gs.fitting.evaluate import evaluated
+from lightfield_gs.fitting.schedule import Schedule
+from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras

@@ -18,7 +18,7 @@ from PIL import Image
 
 from lightfield_gs import Gaussians, cli
 from lightfield_gs.commands.options.interrupts import Interrupts
-from lightfield_gs.fit.trainer import Trainer
+from lightfield_gs.fitting.trainer import Trainer
 
 QUICK = "--steps 40 --gaussians 180 --device cpu"
 

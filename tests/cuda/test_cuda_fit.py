@@ -8,8 +8,8 @@ from cuda_on_cpu import fit_cases
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fit.photo_loss import photo_loss, photo_loss_and_gradient
-from lightfield_gs.fit.update import Gradients, RawFields, activated, update, update_table
+from lightfield_gs.fitting.photo_loss import photo_loss, photo_loss_and_gradient
+from lightfield_gs.fitting.update import Gradients, RawFields, activated, update, update_table
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)

@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs.fit.photo_loss import photo_loss_and_gradient
-from lightfield_gs.fit.random import normals, uniforms
-from lightfield_gs.fit.update import Gradients, RawFields, activated, update, update_table
+from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
+from lightfield_gs.fitting.random import normals, uniforms
+from lightfield_gs.fitting.update import Gradients, RawFields, activated, update, update_table
 
 # Views, height, width, share of SSIM, photos of bytes, weights; more and less than a strip of the kernels
 LOSSES = [

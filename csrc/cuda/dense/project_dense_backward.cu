@@ -1,7 +1,7 @@
-// Reverse of stage project for ordinary images on the device: reads the sums of all slots, writes the gradients of the
-// Gaussians, of the cameras and, where they are asked for, of the splats' places on the screen. A thread has a Gaussian
-// of a scene, and goes through the cameras of the scene in order; a block adds up what its Gaussians say of each
-// camera.
+// Reverse of stage project for ordinary images on the device: reads the sums of all splats' slots, writes the gradients
+// of the Gaussians, of the cameras and, where they are asked for, of the splats' places on the screen. A thread has a
+// Gaussian of a scene, and goes through the cameras of the scene in order; a block adds up what its Gaussians say of
+// each camera.
 //
 // Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp
 // moves those of its 32 Gaussians together, through shared memory.
@@ -20,49 +20,29 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128, kWarps = kThreads / 32, kViewNumbers = 12;
 
-// What the composite's reverse left of all splats: the sums of their slots, `size` numbers each.
+// The numbers of a splat's slots, added up.
+struct SlotSums {
+  float numbers[kAbsoluteDenseSums];  // the last two only where there are absolute ones
+};
+
+// What is left of all splats once sum_slots_kernel has run: the sums of each in its first slot, `size` numbers.
 struct Slots {
   const SlotRange* ranges;
   const float* sums;
   int size;
-};
 
-// The numbers of a splat's slots, added up in double, which needles need; the absolute ones are zero where slots have
-// none.
-struct SlotSums {
-  double numbers[kAbsoluteDenseSums] = {};
-
-  __device__ void add(const Slots& slots, uint32_t slot) {
+  __device__ SlotSums of(SlotRange range) const {
     static_assert(kDenseSums % 2 == 0 && kAbsoluteDenseSums == kDenseSums + 2);
-    const float2* own = reinterpret_cast<const float2*>(slots.sums + int64_t(slot) * slots.size);
+    const float2* own = reinterpret_cast<const float2*>(sums + int64_t(range.first) * size);
+    SlotSums out;
 #pragma unroll
     for (int f = 0; f < kAbsoluteDenseSums / 2; ++f) {
-      const float2 two = 2 * f < slots.size ? own[f] : make_float2(0, 0);
-      numbers[2 * f] += two.x, numbers[2 * f + 1] += two.y;
+      const float2 two = 2 * f < size ? own[f] : make_float2(0, 0);
+      out.numbers[2 * f] = two.x, out.numbers[2 * f + 1] = two.y;
     }
+    return out;
   }
 };
-
-// Adds up the slots of each lane's splat. Most have a few, and a large one has thousands: the warp shares these, each
-// lane taking every 32nd slot, always in the same order.
-__device__ SlotSums sum_slots(const Slots& slots, SlotRange range) {
-  constexpr uint32_t kFew = 16;
-  const int lane = threadIdx.x % 32;
-  const bool many = range.last - range.first > kFew;
-  SlotSums sums;
-  for (uint32_t slot = range.first; !many && slot < range.last; ++slot) sums.add(slots, slot);
-  for (unsigned todo = __ballot_sync(~0u, many); todo; todo &= todo - 1) {
-    const int owner = __ffs(int(todo)) - 1;
-    const uint32_t first = __shfl_sync(~0u, range.first, owner), last = __shfl_sync(~0u, range.last, owner);
-    SlotSums share;
-#pragma unroll 2
-    for (uint32_t slot = first + lane; slot < last; slot += 32) share.add(slots, slot);
-    for (double& number : share.numbers)
-      for (int step = 16; step > 0; step /= 2) number += __shfl_xor_sync(~0u, number, step);
-    if (lane == owner) sums = share;
-  }
-  return sums;
-}
 
 // Turns the sums of a splat's slots into the gradients of the splat and of its colour.
 template <class R>
@@ -179,9 +159,8 @@ __device__ void store_place(float2 gradient, const Slots& slots, const SlotSums&
   if (slots.size == kDenseSums) {
     reinterpret_cast<float2*>(screen)[index] = gradient;
   } else {
-    const double* absolute = sums.numbers + kAbsoluteSum;
-    reinterpret_cast<float4*>(screen)[index] =
-        make_float4(gradient.x, gradient.y, float(absolute[0]), float(absolute[1]));
+    const float* absolute = sums.numbers + kAbsoluteSum;
+    reinterpret_cast<float4*>(screen)[index] = make_float4(gradient.x, gradient.y, absolute[0], absolute[1]);
   }
 }
 
@@ -215,11 +194,12 @@ __global__ void __launch_bounds__(kThreads, 3)
     const View<float> view = cameras.view<float>(image);
     const int64_t index = image * n + i;
     const SlotRange range = real ? slots.ranges[index] : SlotRange{0, 0};
-    const SlotSums sums = sum_slots(slots, range);
     ViewAdjoint<float> g_view;
+    SlotSums sums{};
     float2 g_place = make_float2(0, 0);
     if (range.first < range.last) {
       vec3 g_colour;
+      sums = slots.of(range);
       const Splat<float> splat = read_splat(splats.splats + index);
       if (kAntialiased || is_needle(splat)) {
         g_place = add_exact_adjoint<kAntialiased>(view, shape, splat, sums, g, g_view, g_colour);
@@ -250,10 +230,11 @@ __global__ void __launch_bounds__(kThreads, 3)
 int64_t view_blocks(int64_t gaussians) { return blocks_for(gaussians, kThreads); }
 
 void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
-                            const Splats<float>& splats, const SlotRange* slot_ranges, const float* slot_gradients,
+                            const Splats<float>& splats, const SlotRange* slot_ranges, float* slot_gradients,
                             const Gaussians<float>& out, float* screen, bool absolute, float* view_partials,
                             Stream stream) {
   if (gaussians.count == 0 || cameras.scenes == 0) return;
+  sum_slots(splats.images * splats.count, slot_ranges, absolute, slot_gradients, stream);
   const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
   const bool one = cameras.per_scene == 1;
   const auto kernel =

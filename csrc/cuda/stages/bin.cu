@@ -70,11 +70,16 @@ auto each_count(const uint32_t* counts, const uint32_t* indices = nullptr) {
   return thrust::make_transform_iterator(thrust::counting_iterator<int64_t>(0), Count{counts, indices});
 }
 
+// Numbers the slots: a thread has one. Neighbours write side by side, unlike those of write_pairs.
+__global__ void number_slots(Pairs pairs) {
+  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
+  if (i < pairs.count) pairs.slots[i] = uint32_t(i);
+}
+
 // Writes pairs of one splat with `count` tiles from `tile` on, to the slots from `at` on that there is room for.
 __device__ void write_pairs(const Pairs& pairs, uint32_t index, uint32_t tile, int count, uint32_t at) {
   for (int k = 0; k < count && at < pairs.count; ++k, ++at) {
     pairs.tiles[at] = tile + k;
-    pairs.slots[at] = at;
     pairs.slot_splats[at] = index;
   }
 }
@@ -98,7 +103,7 @@ __device__ void fill_together(const Splats<float>& splats, const Image& image, c
 // shares the work for a large one.
 __global__ void fill_kernel(Splats<float> splats, Image image, const uint32_t* indices, const int64_t* ends,
                             Pairs pairs, SlotRange* slot_ranges) {
-  constexpr uint32_t kFew = 64;
+  constexpr uint32_t kFew = 32;
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   const bool real = i < splats.images * splats.count;
   const uint32_t index = real ? indices[i] : 0;
@@ -189,6 +194,8 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
 
   // Sort them by tile, and find the tiles' ranges. The bits of kNoTile are those of no tile
   if (pairs.count == 0) return;
+  number_slots<<<unsigned(blocks_for(pairs.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(pairs);
+  check_launch("bin: slots");
   const int tile_bits = std::max(1, int(std::bit_width(uint64_t(pairs.total ? all_tiles : all_tiles - 1))));
   check(cub::DeviceRadixSort::SortPairs(temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots,
                                         pairs.sorted_slots, pairs.count, 0, tile_bits, cudaStream_t(stream)),

@@ -1,0 +1,44 @@
+"""How the views of a fit are drawn: without autograd, and with nothing to wait for."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from lightfield_gs.fitting.views import Views
+from lightfield_gs.rasterizer.dense_job import DenseJob
+from lightfield_gs.scene.gaussians import Gaussians
+
+
+def view_job(
+    gaussians: Gaussians,
+    views: Views,
+    chosen: Tensor,
+    world_to_camera: Tensor,
+    background: Tensor,
+    antialiased: bool,
+    room: int | None = None,
+) -> DenseJob:
+    """The job that draws the views `chosen` [V] of C, from the poses world_to_camera [C,4,4], over background [V,3].
+
+    room: for how many (tile, splat) pairs, on CUDA; None: the host waits for their number.
+    """
+    fields = (field[None] for field in gaussians.fields().values())
+    poses, intrinsics, limits = (
+        tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, views.intrinsics, views.limits)
+    )
+    means, quaternions, scales, opacities, sh = fields
+    return DenseJob(
+        means,
+        quaternions,
+        scales,
+        opacities,
+        sh,
+        background[None],
+        poses,
+        intrinsics,
+        limits,
+        views.width_px,
+        views.height_px,
+        antialiased,
+        room=room,
+    )

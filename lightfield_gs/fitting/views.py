@@ -1,0 +1,121 @@
+"""The photographs of a fit and their cameras, in tensors that a step can take any of without waiting."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.assumptions import assume
+from lightfield_gs.fitting.settings import Masks
+from lightfield_gs.fitting.world import World
+from lightfield_gs.io.captures.capture import Capture
+from lightfield_gs.scene.cameras import Cameras
+
+
+@dataclass
+class Views:
+    """C photographs of one size. Smaller ones stand in the upper left of it, and count nowhere else.
+
+    photos [C,H,W,3] uint8; weights [C,H,W] uint8, 255 where a photograph counts, or None where all do; world_to_camera
+    [C,4,4], intrinsics [C,4] and limits [C,5] float32 in coordinates of the fit; sizes [C,2], width and height. opacity
+    [C,H,W] uint8: how opaque the scene is to be, by masks that are the target of its alpha; None: no mask is.
+    """
+
+    names: list[str]
+    photos: Tensor
+    weights: Tensor | None
+    world_to_camera: Tensor
+    intrinsics: Tensor
+    limits: Tensor
+    sizes: list[tuple[int, int]]
+    opacity: Tensor | None = None
+
+    @classmethod
+    def load(
+        cls,
+        capture: Capture,
+        indices: Sequence[int],
+        world: World,
+        device: str,
+        ticks: Iterable[int],
+        masks: Masks = "ignore",
+    ) -> Views:
+        """Those of a capture, on a device. ticks: `indices` once more, to show how far the reading is.
+
+        masks: what they and the photographs' alpha leave out counts nowhere ("ignore"), or is transparent ("alpha").
+        What lies beyond a distorted photograph's frame counts nowhere in either case.
+        """
+        sizes = [(int(w), int(h)) for w, h in capture.sizes_px[list(indices)]]
+        width, height = (max(side) for side in zip(*sizes))
+        if len(set(sizes)) > 1:
+            wasted = 1 - sum(w * h for w, h in sizes) / (len(sizes) * width * height)
+            assume(
+                f"photographs are of {len(set(sizes))} sizes: all are drawn as {width} x {height}, {wasted:.0%} more"
+            )
+        photos = np.zeros((len(sizes), height, width, 3), np.uint8)
+        weights = np.zeros((len(sizes), height, width), np.uint8)
+        opacity = np.full_like(weights if masks == "alpha" else weights[:0], 255)
+        for place, (index, (w, h)) in enumerate(zip(ticks, sizes)):
+            photos[place, :h, :w] = capture.image(index)
+            counts = capture.frame(index) if masks == "alpha" else capture.mask(index)
+            weights[place, :h, :w] = 255 if counts is None else counts
+            opaque = capture.opacity(index) if masks == "alpha" else None
+            if opaque is not None:
+                opacity[place, :h, :w] = opaque
+        cameras = Cameras(
+            torch.from_numpy(world.poses(capture.world_to_camera[list(indices)])),
+            *torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1),
+            width,
+            height,
+        )
+        return cls(
+            [capture.names[index] for index in indices],
+            torch.from_numpy(photos).to(device),
+            None if weights.all() else torch.from_numpy(weights).to(device),
+            cameras.world_to_camera.float().to(device),
+            cameras.intrinsics().float().to(device),
+            cameras.limits().float().to(device),
+            sizes,
+            None if opacity.all() else torch.from_numpy(opacity).to(device),
+        )
+
+    def targets(self, indices: Tensor, behind: Tensor) -> tuple[Tensor, Tensor | None]:
+        """What the views `indices` [V] over a background `behind` [V,3] are to look like, [V,H,W,3], uint8 or float32;
+        and weights [V,H,W] in 0..1 where there are any.
+
+        A photograph whose masks are the target of alpha stands over the background: so an alpha below the mask's shows
+        in the loss, whatever the background, and more so with another one at each step.
+        """
+        photos, weights = self.chosen(indices)
+        if self.opacity is None:
+            return photos, weights
+        alpha = self.opacity.index_select(0, indices)[..., None] / 255
+        return photos / 255 * alpha + (1 - alpha) * behind[:, None, None], weights
+
+    def chosen(self, indices: Tensor) -> tuple[Tensor, Tensor | None]:
+        """The photographs at `indices` [V], and weights 0..1 where there are any."""
+        weights = None if self.weights is None else self.weights.index_select(0, indices) / 255
+        return self.photos.index_select(0, indices), weights
+
+    def counts(self, place: int) -> Tensor:
+        """[H,W] float32: how much each pixel of a photograph counts, 0..1."""
+        if self.weights is None:
+            return torch.ones(self.height_px, self.width_px, device=self.photos.device)
+        return self.weights[place] / 255
+
+    @property
+    def count(self) -> int:
+        """C."""
+        return len(self.names)
+
+    @property
+    def height_px(self) -> int:
+        return self.photos.shape[1]
+
+    @property
+    def width_px(self) -> int:
+        return self.photos.shape[2]

@@ -1,0 +1,33 @@
+"""A fit with anti-aliasing: the whole step draws so, and its gradients are those of what it draws."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from fit_scene import first_fields, known_cameras, known_scene, views_of
+
+import lightfield_gs as lf
+from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.trainer import Trainer
+
+
+def test_a_fit_draws_as_its_settings_say():
+    """Small Gaussians, which without anti-aliasing are drawn larger: the fit that draws as the photographs were drawn
+    comes nearer to them, by pictures with anti-aliasing."""
+    scene = known_scene()
+    scene.scales = scene.scales * 0.4
+    cameras = known_cameras()
+    pictures = lf.render(scene, cameras, background=(0.0, 0.0, 0.0), antialiased=True).clamp(0, 1)
+    views = views_of(scene)
+    views.photos = pictures.mul(255).round().to(torch.uint8)
+    scores = {}
+    for antialiased in (False, True):
+        settings = FitSettings(steps=200, gaussians=300, sh_degree=0, antialiased=antialiased)
+        trainer = Trainer(first_fields(scene, settings, 300), views, settings)
+        for done in (0, settings.steps):
+            trainer.advance(done)
+            image = lf.render(trainer.fields.gaussians(), cameras, background=(0.0, 0.0, 0.0), antialiased=True)
+            scores[antialiased, done] = -10 * math.log10(float((image - pictures).square().mean()))
+    assert scores[True, 200] > scores[True, 0] + 3
+    assert scores[True, 200] > scores[False, 200] + 0.5

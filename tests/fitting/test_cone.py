@@ -1,0 +1,273 @@
+"""Fits for a panel: where its cone lies in a capture, who counts in it, what it shows; against closed forms."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from fit_scene import known_cameras, known_scene, views_of
+from rasterizer_cases import panel, random_scene
+
+import lightfield_gs as lf
+from lightfield_gs import InputError, Panel, Rig, cli, encode
+from lightfield_gs.fitting.angles import by_angle
+from lightfield_gs.fitting.cone import FALL_DEG, FLOOR, MARGIN_DEG, place_cone, weights_at
+from lightfield_gs.fitting.display import Display, panel_of
+from lightfield_gs.fitting.schedule import Schedule
+from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.shown import NEAR_SHARE, photographed, shown_by
+from lightfield_gs.fitting.world import World
+from lightfield_gs.io.captures.capture import Capture
+from lightfield_gs.scene.files import read_scene
+
+MIDDLE = np.array([3.0, -2.0, 7.0])  # what the cameras of a ring look at
+RADIUS = 4.0
+
+
+def ring(angles_deg, points: np.ndarray | None = None) -> Capture:
+    """Photographs from a ring about MIDDLE, upright, named by their places; points of the scene, or none."""
+    poses = []
+    for angle in np.radians(angles_deg):
+        pose = np.eye(4)
+        pose[:3, :3] = [[math.cos(angle), 0, -math.sin(angle)], [0, 1, 0], [math.sin(angle), 0, math.cos(angle)]]
+        pose[:3, 3] = np.array([0, 0, RADIUS]) - pose[:3, :3] @ MIDDLE
+        poses.append(pose)
+    count = len(poses)
+    points = np.empty((0, 3)) if points is None else points
+    sizes, intrinsics = np.tile([64, 48], (count, 1)), np.tile([70.0, 71.0, 33.0, 23.0], (count, 1))
+    names, colours = [f"{index:02d}.png" for index in range(count)], np.zeros((len(points), 3), np.uint8)
+    return Capture(Path(), names, np.stack(poses), intrinsics, sizes, points, colours, [])
+
+
+# --- Geometry
+
+
+def test_the_cone_of_a_ring_is_that_of_its_angles():
+    angles = np.array([-60, -18, -9, 0, 9.5, 18, 30, 90, 170.0])
+    capture = ring(angles)
+    cone = place_cone(capture, 30)  # those within 15 + 5 degrees count fully
+    assert cone.name == "03.png" and cone.zero_depth == pytest.approx(RADIUS)
+    np.testing.assert_allclose(cone.pivot, MIDDLE, atol=1e-9)
+    np.testing.assert_allclose(cone.angles_deg, abs(angles), atol=1e-9)
+    assert cone.inside.tolist() == [False, False, True, True, True] + 4 * [False]
+    assert place_cone(capture, 30, "06.png").angles_deg[1] == pytest.approx(48)
+    beyond = (30 - 15 - MARGIN_DEG) / FALL_DEG
+    expected = FLOOR + (1 - FLOOR) * math.cos(math.pi / 2 * beyond) ** 2
+    np.testing.assert_allclose(cone.weights(), [FLOOR, 1, 1, 1, 1, 1, expected, FLOOR, FLOOR])
+    assert weights_at(np.array([20.0, 20 + FALL_DEG / 2]), 30).tolist() == pytest.approx([1, (1 + FLOOR) / 2])
+
+
+def test_the_zero_plane_is_in_the_surface_that_the_centre_photograph_shows():
+    flat = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3)) * [1, 1, 0]
+    capture = ring([-5, 0, 5], MIDDLE + flat - [0, 0, 0.5])
+    cone = place_cone(capture, 30, "01.png")
+    assert cone.zero_depth == pytest.approx(RADIUS - 0.5)
+    np.testing.assert_allclose(cone.pivot, MIDDLE - [0, 0, 0.5], atol=1e-9)
+    aside = math.atan2(RADIUS * math.sin(math.radians(5)), RADIUS * math.cos(math.radians(5)) - 0.5)
+    assert cone.angles_deg[2] == pytest.approx(math.degrees(aside))
+
+
+def test_captures_without_a_middle_are_refused():
+    parallel = replace(ring([0, 0, 0]), world_to_camera=np.stack([np.eye(4)] * 3))
+    with pytest.raises(InputError, match="axes of 3 cameras meet nowhere"):
+        place_cone(parallel, 30)
+    with pytest.raises(InputError, match="centre photograph x.png: expected the name of one of the 3"):
+        place_cone(ring([0, 20, 40]), 30, "x.png")
+    with pytest.raises(InputError, match="cone must be 1..179"):
+        place_cone(ring([0, 20, 40]), 180)
+    with pytest.raises(InputError, match="centre: 00.png is the middle of a cone, and there is none"):
+        lf.fit(ring([0, 20, 40]), centre="00.png", progress=False)
+
+
+def test_the_rig_sees_the_pivot_from_half_the_cone_to_either_side():
+    capture, shown = ring([-20, -9, 0, 9, 20]), panel(width_px=300, height_px=100, cone_deg=34.0)
+    display = Display.of(capture, shown, "02.png")
+    rig = display.rig
+    cameras = rig.cameras_at(shown, [0.0, shown.views / 2, float(shown.views)])
+    poses = cameras.world_to_camera.numpy()
+    places = poses[:, :3, :3] @ MIDDLE + poses[:, :3, 3]
+    assert cameras.principal_point_px is not None
+    pixels = cameras.focal_px.numpy() * places[:, :2] / places[:, 2:] + cameras.principal_point_px.numpy()
+    scale = 100 / 48  # the whole photograph, in the middle of the panel
+    np.testing.assert_allclose(pixels, np.tile([150 + scale * 1, 50 - scale * 1], (3, 1)), atol=1e-9)
+    assert rig.focal_px == pytest.approx((70 * scale, 71 * scale))
+    centres = -np.einsum("cij,ci->cj", poses[:, :3, :3], poses[:, :3, 3])
+    right, middle, left = (centre - MIDDLE for centre in centres)
+    np.testing.assert_allclose(centres[1], capture.centres[2], atol=1e-12)
+    for end in (right, left):
+        angle = math.degrees(math.acos(end @ middle / np.linalg.norm(end) / np.linalg.norm(middle)))
+        assert angle == pytest.approx(34 / 2)
+
+
+def test_a_cone_is_a_panel_or_an_angle():
+    assert panel_of("25")[0] == replace(Panel.load("65in-8k-96v"), cone_deg=25.0) == panel_of(25)[0]
+    assert panel_of("toy-8v")[0] == Panel.load("toy-8v")
+    for wrong in ("0.5", 200.0, "nan", "no-such-panel"):
+        with pytest.raises(InputError):
+            panel_of(wrong)
+
+
+# --- Weights
+
+
+def test_photographs_come_as_often_as_their_weights_say():
+    shares, epochs = [1.0, 0.05, 0.5, 1.0, 0.3, 0.05], 1000
+    steps = int(epochs * sum(shares))
+    order = Schedule.of(FitSettings(steps=steps, seed=3), len(shares), "cpu", shares).order[:, 0]
+    counts = torch.bincount(order, minlength=len(shares)).double()
+    assert abs(counts[0] - epochs) < 15 and abs(counts[3] - counts[0]) <= 1  # in every epoch, of 2 or 3 photographs
+    deviation = torch.tensor([math.sqrt(epochs * s * (1 - s)) for s in shares])
+    assert ((counts - counts[0] * torch.tensor(shares)).abs() <= 4 * deviation + 2).all()
+    assert (order == 0).nonzero()[:, 0].diff().max() <= 5
+    again = Schedule.of(FitSettings(steps=steps, seed=3), len(shares), "cpu", shares).order[:, 0]
+    assert torch.equal(order, again)
+
+
+def test_equal_weights_change_nothing():
+    settings = FitSettings(steps=100, views=2)
+    plain, equal = (Schedule.of(settings, 7, "cpu", shares).order for shares in (None, [1.0] * 7))
+    assert torch.equal(plain, equal)
+    epochs = plain.flatten()[:196].view(28, 7)
+    assert torch.equal(epochs.sort(1).values, torch.arange(7).expand(28, 7))
+    with pytest.raises(InputError, match="the largest of them 1"):
+        Schedule.of(settings, 2, "cpu", [0.5, 0.5])
+
+
+# --- What a panel shows
+
+
+def small_display(distance: float = 2.0) -> Display:
+    """A panel before the scenes of random_scene, its centre camera at the origin of a capture that is its world."""
+    shown = panel(width_px=96, height_px=48, cone_deg=30.0)
+    capture = replace(ring([-9, 0, 9]), world_to_camera=known_cameras(3).world_to_camera.double().numpy())
+    display = Display.of(capture, shown, "01.png")
+    return replace(display, rig=Rig(np.eye(4), (60.0, 60.0), (48.0, 24.0), distance, 30.0))
+
+
+def at(scene: lf.Gaussians, place: list[float], size: float) -> lf.Gaussians:
+    """The scene and a round Gaussian at this place."""
+    one = {"means": place, "quaternions": [1.0, 0, 0, 0], "scales": [size] * 3}
+    fields = scene.fields()
+    added = {name: torch.tensor([value]) for name, value in one.items()}
+    added |= {"opacities": torch.tensor([0.9]), "sh": torch.full_like(fields["sh"][:1], 0.3)}
+    return lf.Gaussians(**{name: torch.cat([field, added[name]]) for name, field in fields.items()})
+
+
+@pytest.mark.parametrize("cut", [0.0, 1e-3, 0.05])
+def test_pruning_keeps_the_light_field_within_what_it_says(cut):
+    scene = random_scene(200, extent=1.4, size=0.1, dtype=torch.float32)
+    display, world = small_display(), World((0.5, 0.0, -1.0), 1.0)
+    moved = replace(scene, means=scene.means - torch.tensor(world.centre))  # coordinates of the fit
+    found = shown_by(moved, world, display, views_of(known_scene()), cut)
+    assert found.unseen > 10 and found.share <= cut and (cut == 0) == (found.faint == 0)
+    left = lf.Gaussians(*(field[found.kept] for field in scene.fields().values()))
+    assert left.count == found.count == 200 - found.unseen - found.faint
+    for background in ((0.0, 0.0, 0.0), (1.0, 0.5, 1.0)):
+        whole, fewer = (
+            encode(s, display.panel, display.rig, background=background, output="float32") for s in (scene, left)
+        )
+        error = float((whole - fewer).abs().mean())
+        assert error <= found.share + 1e-4 and (cut > 0 or error < 1e-6)
+
+
+def test_what_floats_before_the_eyes_goes_if_no_photograph_shows_it():
+    display, views = small_display(), views_of(known_scene())
+    near = 0.9 * NEAR_SHARE * display.rig.zero_depth
+    rotation, shift = views.world_to_camera[2, :3, :3], views.world_to_camera[2, :3, 3]
+    ahead = rotation.T @ (torch.tensor([0.0, 0.0, 0.4]) - shift)  # of the only photograph that is fitted to
+    scene = at(at(known_scene(), [0.3, 0.0, near], 0.02), ahead.tolist(), 0.02)
+    found = shown_by(scene, World((0.0, 0.0, 0.0), 1.0), display, only(views, 2), 0.0)
+    assert photographed(scene, only(views, 2))[-2:].gt(1).tolist() == [False, True]
+    assert found.floating == 2 and found.unfounded == 1 and found.kept[-2:].tolist() == [False, True]
+    assert found.share > 0
+
+
+def only(views, place: int):
+    """One of the views."""
+    tensors = (views.photos, views.world_to_camera, views.intrinsics, views.limits)
+    photos, *cameras = (t[place : place + 1] for t in tensors)
+    return type(views)([views.names[place]], photos, None, *cameras, [views.sizes[place]])
+
+
+def test_weights_in_photographs_are_those_of_the_pictures():
+    views, scene = views_of(known_scene(40)), known_scene(40)
+    white = replace(scene, sh=torch.zeros_like(scene.sh))  # colours of 0.5: the picture is half of all weights
+    cameras = known_cameras()
+    picture = lf.render(white, cameras, background=(0.0, 0.0, 0.0))
+    assert float(photographed(scene, views).sum()) == pytest.approx(float(picture.sum()) / 3 / 0.5, rel=1e-4)
+
+
+# --- Scores
+
+
+def test_scores_are_parted_by_angle():
+    rows = by_angle([0.0, 5.0, 12.6, 90.0, 180.0], [10, 20, 30, 40, 50], [0.1, 0.2, 0.3, 0.4, 0.5], 25.0)
+    assert [(row["views"], row["photographs"], row["psnr_db"]) for row in rows] == [
+        ("inside the cone", 2, 15),
+        ("outside", 3, 40),
+        ("0-5 degrees", 1, 10),
+        ("5-10 degrees", 1, 20),
+        ("10-15 degrees", 1, 30),
+        ("90-180 degrees", 2, 45),
+    ]
+    assert rows[1]["ssim"] == pytest.approx(0.4)
+
+
+# --- All of it
+
+
+@dataclass
+class Photo:
+    """A photograph in memory."""
+
+    pixels: np.ndarray
+
+    def image(self) -> np.ndarray:
+        return self.pixels
+
+    def mask(self) -> None:
+        return None
+
+
+def known_capture(count: int = 7) -> Capture:
+    cameras, views = known_cameras(count), views_of(known_scene(), known_cameras(count))
+    photos = [Photo(pixels) for pixels in views.photos.numpy()]
+    points = known_scene().means[:150].double().numpy()
+    poses, sizes = cameras.world_to_camera.double().numpy(), np.array(views.sizes)
+    intrinsics, colours = cameras.intrinsics().double().numpy(), np.zeros((150, 3), np.uint8)
+    return Capture(Path(), views.names, poses, intrinsics, sizes, points, colours, photos)
+
+
+def test_a_fit_for_a_panel_leaves_a_scene_that_encode_shows(tmp_path, capsys):
+    file, scene = tmp_path / "panel.yaml", tmp_path / "scene.ply"
+    panel(width_px=96, height_px=64, cone_deg=30.0).to_yaml(file)
+    options = dict(steps=60, gaussians=400, test_every=3, cone=file, progress=False, folder=tmp_path / "run")
+    result = lf.fit(known_capture(), **options)
+    result.save(scene)
+    assert (
+        result.shown is not None and result.gaussians.count == result.shown.count == read_scene(scene).gaussians.count
+    )
+    said = json.loads((tmp_path / "run/scores.json").read_text())
+    assert said["pruned"]["gaussians"] == result.shown.count and said["angles"]["cone_deg"] == 30
+    assert said["angles"]["rows"][0]["views"] == said["pruned"]["angles"]["rows"][0]["views"] == "inside the cone"
+    pictures = []
+    for options in (["--rig", str(tmp_path / "scene.rig.yaml")], []):  # the rig beside it, and the framing within
+        out = tmp_path / f"{len(pictures)}.png"
+        assert cli.main(["encode", str(scene), "-o", str(out), "--panel", str(file), *options]) == 0
+        pictures.append(out)
+    from lightfield_gs.io.images import read_picture
+
+    first, second = (read_picture(path).pixels for path in pictures)
+    assert np.array_equal(first, second) and first.std() > 0.02
+
+
+def test_a_fit_for_all_is_judged_in_the_same_cone():
+    options, shown = dict(steps=3, gaussians=200, test_every=3, progress=False), panel(cone_deg=20.0)
+    cone, whole = (lf.fit(known_capture(), **options, **how) for how in ({"cone": shown}, {"score_cone": 20.0}))
+    assert cone.angles == whole.angles and whole.display is None and whole.shown is None
+    assert whole.angles is not None and len(whole.angles.angles_deg) == 2

@@ -1,0 +1,72 @@
+"""Scores of held-out photographs against their definition, written out here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from fit_scene import known_cameras, known_scene, views_of
+
+import lightfield_gs as lf
+from lightfield_gs.fitting.evaluate import Scores, evaluated, weighted_psnr_db
+from lightfield_gs.fitting.pictures import beside
+from lightfield_gs.reference.metrics import ssim
+
+BLACK = (0.0, 0.0, 0.0)
+
+
+def test_scores_are_those_of_the_definition():
+    other, views = known_scene(seed=1), views_of(known_scene())
+    scores = evaluated(other, views, BLACK)
+    drawn = lf.render(other, known_cameras(), background=BLACK).clamp(0, 1)
+    photos = views.photos / 255
+    psnr = [-10 * math.log10(float((d - p).double().square().mean())) for d, p in zip(drawn, photos)]
+    assert scores.psnr_db == pytest.approx(psnr, abs=1e-4)
+    assert scores.ssim == pytest.approx(ssim(drawn.permute(0, 3, 1, 2), photos.permute(0, 3, 1, 2)).tolist(), abs=1e-5)
+    assert scores.names == views.names and scores.mean_psnr_db == pytest.approx(sum(psnr) / len(psnr), abs=1e-4)
+
+
+def test_what_a_mask_leaves_out_says_nothing():
+    other, views = known_scene(seed=1), views_of(known_scene())
+    weights = torch.full(views.photos.shape[:3], 255, dtype=torch.uint8)
+    weights[:, :, :16] = 0
+    spoiled = views.photos.clone()
+    spoiled[:, :, :16] = 200
+    one, two = (evaluated(other, replace(views, photos=p, weights=weights), BLACK) for p in (views.photos, spoiled))
+    assert one == two != evaluated(other, views, BLACK)
+
+
+def test_a_plain_error_has_its_psnr():
+    image = torch.full((4, 5, 3), 0.6)
+    assert weighted_psnr_db(image, image - 0.1, torch.ones(4, 5)) == pytest.approx(20, abs=1e-4)
+    assert weighted_psnr_db(image, image, torch.ones(4, 5)) == 100
+
+
+def test_a_smaller_photograph_is_judged_in_its_own_frame():
+    """It stands in the upper left of the size that all have."""
+    views = views_of(known_scene())
+    small = replace(views, sizes=[(30, 20)] * views.count)
+    edge = views.photos.clone()
+    edge[:, 20:], edge[:, :, 30:] = 255, 255
+    assert evaluated(known_scene(seed=1), replace(small, photos=edge), BLACK) == evaluated(
+        known_scene(seed=1), small, BLACK
+    )
+
+
+def test_a_table_has_a_row_for_each_and_one_of_means():
+    rows = Scores(["a/1.png", "b.png"], [20.0, 30.0], [0.5, 0.7]).table().splitlines()
+    assert [row.split() for row in rows[1:]] == [
+        ["a/1.png", "20.00", "0.5000"],
+        ["b.png", "30.00", "0.7000"],
+        ["mean", "25.00", "0.6000"],
+    ]
+
+
+def test_a_picture_shows_view_photograph_and_four_times_their_difference():
+    image, photo, weights = torch.full((2, 3, 3), 0.5), torch.full((2, 3, 3), 0.4), torch.ones(2, 3)
+    weights[:, 0] = 0
+    found = beside(image, photo, weights)
+    assert found.shape == (2, 9, 3)
+    assert found[0, :, 0].tolist() == pytest.approx([0.5] * 3 + [0.4] * 3 + [0, 0.4, 0.4], abs=1e-6)

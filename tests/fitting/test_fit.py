@@ -1,0 +1,197 @@
+"""A fit from a capture on disk: the same bits whatever happens on the way, and what it says and refuses."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from fit_capture import write_capture
+from fit_scene import first_fields, known_scene, views_of
+from safetensors.torch import save
+
+import lightfield_gs as lf
+from lightfield_gs import InputError
+from lightfield_gs.fitting import checkpoint, memory
+from lightfield_gs.fitting.checkpoint import Origin
+from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.trainer import Trainer
+from lightfield_gs.io.captures.capture import read_capture
+
+QUICK = dict(steps=60, gaussians=200, device="cpu", progress=False, test_every=8)
+# Density changes every 2 steps from step 10 on, harmonics every 20: something is due at many of the first 60
+SETTINGS = FitSettings(steps=600, gaussians=220)
+KINDS = {
+    "mcmc": SETTINGS,
+    "adaptive": replace(SETTINGS, density="adaptive", grow_gradient=1e-5),
+    "all": replace(SETTINGS, exposure=True, poses=True, views=2, background=None, antialiased=True),
+}
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory) -> Path:
+    return write_capture(tmp_path_factory.mktemp("fit") / "capture")
+
+
+@pytest.fixture(scope="module")
+def in_one_go(capture, tmp_path_factory) -> bytes:
+    """The scene's file of a fit that nothing came between."""
+    path = tmp_path_factory.mktemp("fit") / "scene.ply"
+    lf.fit(capture, **QUICK).save(path)
+    return path.read_bytes()
+
+
+def trainer(settings: FitSettings = SETTINGS) -> Trainer:
+    return Trainer(first_fields(known_scene(), settings), views_of(known_scene()), settings)
+
+
+def bits(trainer: Trainer) -> dict[str, bytes]:
+    counters = {f"counters.{name}": t for name, t in vars(trainer.counters).items() if name != "pairs"}
+    tensors = {**trainer.fields.tensors(), **trainer.tally.tensors(), **counters, **trainer.extra}
+    return {name: tensor.numpy().tobytes() for name, tensor in tensors.items()}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_steps_do_not_depend_on_how_they_are_cut(kind):
+    whole, cut = trainer(KINDS[kind]), trainer(KINDS[kind])
+    whole.advance(60)
+    for until in (1, 9, 10, 11, 12, 13, 20, 21, 40, 59, 60):
+        cut.advance(until)
+    assert whole.fields.count > 150 and whole.fields.degree == 2
+    assert bits(cut) == bits(whole)
+
+
+@pytest.mark.parametrize("kind, step", [("mcmc", 9), ("mcmc", 20), ("adaptive", 12), ("adaptive", 31), ("all", 31)])
+def test_a_checkpoint_goes_on_to_the_same_bits(kind, step, capture, tmp_path):
+    """Also at steps after which the density changes or harmonics are added, which must happen once."""
+    settings = KINDS[kind]
+    origin = Origin.of(settings, read_capture(capture), [0])
+    whole, first, second = (trainer(settings) for _ in range(3))
+    whole.advance(45)
+    first.advance(step)
+    checkpoint.save(tmp_path / "c", first, origin, [{"step": 3}])
+    assert checkpoint.restore(tmp_path / "c", second, origin) == [{"step": 3}] and second.done == step
+    second.advance(45)
+    assert bits(second) == bits(whole)
+
+
+def test_the_same_seed_gives_the_same_file(capture, in_one_go, tmp_path):
+    lf.fit(capture, **QUICK).save(tmp_path / "again.ply")
+    lf.fit(capture, **{**QUICK, "seed": 1}).save(tmp_path / "other.ply")
+    assert (tmp_path / "again.ply").read_bytes() == in_one_go
+    assert (tmp_path / "other.ply").read_bytes() != in_one_go
+
+
+def test_a_fit_that_was_killed_goes_on_to_the_same_file(capture, in_one_go, tmp_path):
+    """By SIGKILL, some steps after a checkpoint."""
+    program = f"""
+import os, pathlib, lightfield_gs as lf
+left = 3
+def stop():
+    global left
+    left -= pathlib.Path({str(tmp_path / "run" / checkpoint.FILE)!r}).exists()
+    left or os.kill(os.getpid(), 9)
+lf.fit({str(capture)!r}, folder={str(tmp_path / "run")!r}, checkpoint_every=7, stop=stop, **{QUICK!r})
+"""
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -9
+    said = checkpoint._read(tmp_path / "run" / checkpoint.FILE)[0]
+    assert 7 <= said["step"] < 60 and said["step"] % 7 == 0
+    lf.fit(capture, folder=tmp_path / "run", checkpoint_every=11, **QUICK).save(tmp_path / "scene.ply")
+    assert (tmp_path / "scene.ply").read_bytes() == in_one_go
+
+
+def test_a_fit_that_was_stopped_leaves_a_scene_and_goes_on(capture, in_one_go, tmp_path):
+    calls = iter([False, False, True])
+    begun = lf.fit(capture, folder=tmp_path / "run", stop=lambda: next(calls), **QUICK)
+    assert begun.stopped and 3 <= begun.steps < 60 and begun.scores is not None
+    done = lf.fit(capture, folder=tmp_path / "run", **QUICK)
+    done.save(tmp_path / "scene.ply")
+    assert not done.stopped and (tmp_path / "scene.ply").read_bytes() == in_one_go
+    assert json.loads((tmp_path / "run/scores.json").read_text())["step"] == 60
+
+
+def test_a_run_of_other_settings_or_of_another_capture_is_refused(capture, tmp_path):
+    folder = tmp_path / "run"
+    lf.fit(capture, folder=folder, **{**QUICK, "steps": 4})
+    with pytest.raises(InputError, match=r"steps was 4 and is 5; .*--fresh"):
+        lf.fit(capture, folder=folder, **{**QUICK, "steps": 5})
+    with pytest.raises(InputError, match="other photographs held out"):
+        lf.fit(capture, folder=folder, **{**QUICK, "steps": 4, "test_every": 4})
+    moved = read_capture(capture)
+    moved = replace(moved, intrinsics=moved.intrinsics * 1.01)
+    with pytest.raises(InputError, match="other cameras"):
+        lf.fit(moved, folder=folder, **{**QUICK, "steps": 4})
+    assert lf.fit(capture, folder=folder, fresh=True, **{**QUICK, "steps": 5}).steps == 5
+
+
+def test_a_file_that_is_no_checkpoint_is_refused(capture, tmp_path):
+    path = tmp_path / checkpoint.FILE
+    other = torch.zeros(1)
+    for data in (
+        b"nonsense",
+        save({"a": other}, {"lightfield-gs fit": "{}"}),
+        save({"a": other}, {"lightfield-gs fit": '{"version": 1, "settings": [], "capture": {}}'}),
+        save({"a": other}, {"lightfield-gs fit": '{"version": 9}'}),
+    ):
+        path.write_bytes(data)
+        with pytest.raises(InputError, match="expected a checkpoint"):
+            lf.fit(capture, folder=tmp_path, **QUICK)
+
+
+def test_a_fit_that_gains_nothing_ends_early_where_asked(capture):
+    still = {f"rate_{name}": 0.0 for name in ("means", "log_scales", "quaternions", "logits", "sh_dc", "sh_rest")}
+    given = {**QUICK, **still, "gaussians": 150, "noise_rate": 0.0, "evaluate_every": 5}
+    result = lf.fit(capture, stop_early=True, **given)
+    assert result.steps == 20 and not result.stopped  # the best was the first: three after it were no better
+    assert lf.fit(capture, **given).steps == 60
+
+
+def test_the_scene_is_in_the_coordinates_of_the_capture(capture, tmp_path):
+    result = lf.fit(capture, **{**QUICK, "steps": 2, "gaussians": 150})
+    points = read_capture(capture).points
+    assert np.abs(np.median(result.gaussians.means.numpy(), 0) - np.median(points, 0)).max() < 0.01
+    result.save(tmp_path / "s.ply")
+    header = (tmp_path / "s.ply").read_bytes()[:4000].decode(errors="replace")
+    assert "property float x" in header and '"steps": 2' in header
+
+
+def test_scalars_for_tensorboard_are_written_where_asked(capture, tmp_path, monkeypatch):
+    given = {**QUICK, "folder": tmp_path, "steps": 3, "tensorboard": True}
+    lf.fit(capture, **given)
+    assert list((tmp_path / "tensorboard").glob("events.*"))
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with pytest.raises(InputError, match=r"pip install 'lightfield-gs\[fit\]'"):
+        lf.fit(capture, **given)
+
+
+def test_without_memory_for_it_a_fit_does_not_begin(capture, monkeypatch):
+    monkeypatch.setattr(memory, "free_bytes", lambda device: 1_000_000_000)
+    with pytest.raises(InputError, match="--gaussians.*--scale.*--sh-degree"):
+        lf.fit(capture, **{**QUICK, "gaussians": 1_000_000})
+
+
+def test_memory_is_that_of_the_formula():
+    need = memory.needed(FitSettings(gaussians=1000, sh_degree=1, views=2), 10, 40, 30, masked=False)
+    assert need == (10 * 40 * 30 * 3, 6 * 4 * 1000 * 23, 4 * 1000 * 23, 2 * (450 * 1000 + 90 * 1200))
+
+
+@pytest.mark.parametrize(
+    "wrong, words",
+    [
+        ({"step": 3}, "did you mean steps"),
+        ({"antialiased": 1}, "antialiased: expected bool"),
+        ({"rate_means": "fast"}, "rate_means"),
+        ({"background": 1}, "background"),
+        ({"device": "tpu"}, "device"),
+        ({"test_names": "a.png"}, "test_names"),
+        ({"checkpoint_every": 0}, "checkpoint_every"),
+    ],
+)
+def test_what_cannot_be_is_refused(wrong, words):
+    with pytest.raises(InputError, match=words):
+        lf.fit("/nowhere", **wrong)

@@ -1,0 +1,69 @@
+"""Masks as the target of alpha, over any background; and what a background has no say in."""
+
+from __future__ import annotations
+
+import torch
+from fit_capture import write_capture
+from fit_scene import first_fields, known_scene, views_of
+
+import lightfield_gs as lf
+from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
+from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.trainer import Trainer
+from lightfield_gs.fitting.views import Views
+from lightfield_gs.fitting.world import World
+from lightfield_gs.io.captures.capture import read_capture
+from lightfield_gs.scene.cameras import Cameras
+
+
+def cut_out(views: Views, scene: lf.Gaussians) -> tuple[Views, torch.Tensor]:
+    """Views whose masks are the alpha of the scene, their photographs of straight colours; and that alpha."""
+    fx_fy, middle = views.intrinsics.split(2, -1)
+    cameras = Cameras(views.world_to_camera, fx_fy, middle, views.width_px, views.height_px, views.limits)
+    image, alpha = lf.render(scene, cameras, background=(0.0, 0.0, 0.0), alpha=True)
+    straight = image / alpha.clamp_min(1e-3)[..., None]
+    views.photos = straight.clamp(0, 1).mul(255).round().to(torch.uint8)
+    views.opacity = alpha.mul(255).round().to(torch.uint8)
+    return views, alpha
+
+
+def test_the_scene_itself_is_the_target_over_any_background():
+    scene = known_scene()
+    scene.sh = scene.sh.clamp(-1.5, 1.5)  # colours that a photograph can show
+    views, _ = cut_out(views_of(scene), scene)
+    everything = torch.arange(views.count)
+    fx_fy, middle = views.intrinsics.split(2, -1)
+    cameras = Cameras(views.world_to_camera, fx_fy, middle, views.width_px, views.height_px, views.limits)
+    for background in ((0.0, 0.0, 0.0), (1.0, 0.2, 0.6)):
+        target, weights = views.targets(everything, torch.tensor([background]).expand(6, 3))
+        image = lf.render(scene, cameras, background=background)
+        assert weights is None and (image - target).abs().max() < 0.006
+        assert photo_loss_and_gradient(image, target)[0] / views.count < 0.002
+
+
+def test_a_random_background_empties_what_masks_leave_out():
+    """Black photographs with a hole: over black nothing is wrong with opaque black, over others it is."""
+    scene = known_scene()
+    views = views_of(scene)
+    views.photos = views.photos.clone()
+    views.photos[:, :, :24] = 0
+    views.opacity = torch.full_like(views.photos[..., 0], 255)
+    views.opacity[:, :, :24] = 0
+    settings = FitSettings(steps=250, gaussians=300, sh_degree=0, masks="alpha", background=None)
+    trainer = Trainer(first_fields(scene, settings, 300), views, settings)
+    alpha = [cut_out(views_of(scene), gaussians)[1] for gaussians in (scene, trainer.fields.gaussians())]
+    trainer.advance(settings.steps)
+    alpha.append(cut_out(views_of(scene), trainer.fields.gaussians())[1])
+    assert alpha[2][:, :, :20].mean() < 0.4 * alpha[1][:, :, :20].mean()
+    assert alpha[2][:, :, 28:].mean() > 0.8 * alpha[0][:, :, 28:].mean()
+
+
+def test_masks_are_read_as_what_they_are_to_be(tmp_path):
+    capture = read_capture(write_capture(tmp_path / "capture", masked=True))
+    world, some = World.of(capture.world_to_camera, capture.extent), [0, 3]
+    ignored, alpha = (Views.load(capture, some, world, "cpu", some, masks) for masks in ("ignore", "alpha"))
+    assert ignored.opacity is None and alpha.weights is None
+    assert ignored.weights.equal(alpha.opacity) and (alpha.opacity[:, :, :16] == 0).all()
+    target, weights = alpha.targets(torch.tensor([1]), torch.tensor([[0.25, 0.5, 0.75]]))
+    assert weights is None and target[0, 5, 3].tolist() == [0.25, 0.5, 0.75]
+    torch.testing.assert_close(target[0, :, 20:], alpha.photos[1, :, 20:] / 255)

@@ -1,0 +1,123 @@
+"""Poses: the gradient of a motion against differences, and cameras that are off come back."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from fit_scene import known_cameras, known_scene, psnr_db, views_of
+from torch import Tensor
+
+from lightfield_gs.fitting.align import aligned
+from lightfield_gs.fitting.fields import Fields
+from lightfield_gs.fitting.poses import Poses, moved, rotations, twist_gradients, without_common
+from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.trainer import Trainer
+from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
+from lightfield_gs.rasterizer.workspace import Wanted
+
+DOUBLE = torch.float64
+
+
+def random(*shape: int, seed: int = 0) -> Tensor:
+    return torch.randn(shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(seed))
+
+
+def shaken(poses: Tensor, size: float) -> Tensor:
+    """Poses after random motions, none of which is common to all."""
+    twists = without_common(poses.double(), size * random(len(poses), 6, seed=3))
+    return moved(poses.double(), twists).to(poses)
+
+
+def test_rotations_are_exponentials():
+    turns = torch.cat([random(20, 3), torch.zeros(1, 3, dtype=DOUBLE), 1e-9 * random(1, 3)])
+    x, y, z = turns.unbind(-1)
+    cross = torch.stack([0 * x, -z, y, z, 0 * x, -x, -y, x, 0 * x], -1).view(-1, 3, 3)
+    torch.testing.assert_close(rotations(turns), torch.linalg.matrix_exp(cross))
+
+
+def test_the_gradient_of_a_motion_is_that_of_autograd():
+    poses, weights = known_cameras().world_to_camera.double(), random(6, 4, 4)
+    weights[:, 3] = 0
+    at_rest = 1e-9 * torch.ones(6, 6, dtype=DOUBLE)  # the norm has no derivative at none at all
+    twists = at_rest.requires_grad_()
+    (moved(poses, twists) * weights).sum().backward()
+    torch.testing.assert_close(twist_gradients(poses, weights), twists.grad, atol=1e-7, rtol=1e-7)
+
+
+def test_the_gradient_of_a_motion_is_that_of_the_image():
+    """Through the rasterizer in double, against central differences."""
+    scene, cameras, background = known_scene(60, 1), known_cameras(2, 24, 16), torch.zeros(1, 2, 3, dtype=DOUBLE)
+    poses, weights = cameras.world_to_camera.double(), random(1, 2, 16, 24, 3)
+    fields = [field.double()[None] for field in scene.fields().values()]
+    optics = [tensor.double()[None] for tensor in (cameras.intrinsics(), cameras.limits())]
+
+    def drawn(twists: Tensor) -> tuple[DenseJob, DenseImages]:
+        job = DenseJob(*fields, background, moved(poses, twists)[None], *optics, 24, 16)
+        return job, job.draw()
+
+    job, images = drawn(torch.zeros(2, 6, dtype=DOUBLE))
+    gradients = job.backward(images, DenseImages(weights, None, None), Wanted(cameras=True))
+    found = twist_gradients(poses, gradients.cameras)
+    for view in range(2):
+        for number in range(6):
+            step = torch.zeros(2, 6, dtype=DOUBLE)
+            step[view, number] = 1e-6
+            difference = sum(sign * float((drawn(sign * step)[1].image * weights).sum()) for sign in (1, -1)) / 2e-6
+            assert found[view, number] == pytest.approx(difference, rel=1e-3, abs=1e-3)
+
+
+def test_what_cameras_have_in_common_is_no_motion_of_theirs():
+    """All of a rigid motion of the world is removed, and what is left has none of it."""
+    poses = known_cameras().world_to_camera.double()
+    world = 1e-4 * random(6)
+    carried = poses @ moved(torch.eye(4, dtype=DOUBLE), world)
+    shift, turn = carried[:, :3, 3], carried[:, :3, :3] @ poses[:, :3, :3].transpose(1, 2)
+    skew = (turn - turn.transpose(1, 2)) / 2
+    turns = torch.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], -1)
+    common = torch.cat([shift - (turn @ poses[:, :3, 3:])[..., 0], turns], -1)
+    assert without_common(poses, common).abs().max() < 2e-3 * common.abs().max()
+    rest = without_common(poses, random(6, 6))
+    torch.testing.assert_close(without_common(poses, rest), rest)
+
+
+def test_a_void_step_moves_nothing():
+    poses = Poses(known_cameras().world_to_camera, 10, 1e-3)
+    before = {name: tensor.clone() for name, tensor in poses.tensors().items()}
+    poses.update(random(6, 6) * torch.nan, torch.tensor([3]), torch.tensor([0]))
+    assert all(tensor.equal(before[name]) for name, tensor in poses.tensors().items())
+
+
+def off(poses: Tensor, right: Tensor) -> float:
+    """How far cameras are from where they should be, root mean square, extents and radians together."""
+    return float((poses - right)[:, :3].double().square().sum((1, 2)).mean().sqrt())
+
+
+def test_cameras_that_are_off_come_back():
+    """The scene is known, but for its colours: only the poses can explain the photographs."""
+    scene = known_scene()
+    views = views_of(scene)
+    right = views.world_to_camera
+    views.world_to_camera = shaken(right, 0.004)
+    settings = FitSettings(steps=150, gaussians=scene.count, sh_degree=0, refine_from=30_000, poses=True)
+    still = dict(rate_means=0.0, rate_log_scales=0.0, rate_quaternions=0.0, rate_logits=0.0, noise_rate=0.0)
+    settings = FitSettings(**vars(settings) | still | dict(rate_poses=1e-3, opacity_share=0.0, scale_share=0.0))
+    trainer = Trainer(Fields.of(scene), views, settings)
+    trainer.advance(settings.steps)
+    assert trainer.poses is not None and not trainer.poses.world_to_camera.equal(views.world_to_camera)
+    assert off(trainer.poses.world_to_camera, right) < 0.4 * off(views.world_to_camera, right)
+    rotation = trainer.poses.world_to_camera[:, :3, :3]
+    torch.testing.assert_close(rotation @ rotation.transpose(1, 2), torch.eye(3).expand(6, 3, 3), atol=1e-6, rtol=0)
+
+
+def test_held_out_cameras_are_aligned():
+    scene = known_scene()
+    views = views_of(scene)
+    right = views.world_to_camera
+    views.world_to_camera = moved(right.double(), 0.004 * random(6, 6, seed=3)).float()
+    before = psnr_db(Fields.of(scene), views)
+    found = aligned(views, scene, FitSettings(), steps=60)
+    # What is left is mostly a turn that undoes a shift
+    assert off(found.world_to_camera, right) < 0.45 * off(views.world_to_camera, right)
+    assert psnr_db(Fields.of(scene), found) > before + 10
+    at_once = aligned(views_of(scene), scene, FitSettings(), steps=3)
+    assert at_once.world_to_camera.equal(right)
