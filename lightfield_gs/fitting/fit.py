@@ -164,9 +164,9 @@ def _prepared(
         make_folder(habits.folder)
         origin.check_file(habits.folder / checkpoint.FILE, habits.fresh)
     width, height = map(int, capture.sizes_px.max(0))
-    need = memory.needed(settings, len(capture.names), width, height, masked=True)
+    need = memory.needed(settings, len(capture.names), width, height)
     progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
-    world = World.of(capture.world_to_camera, capture.extent)
+    world = World.of(capture.centres, capture.extent)
     trainer = _begun(capture, train, world, settings, device, group, shares)
     held = Views.load(capture, test, world, device, test, settings.masks) if test else None
     progress.say(
@@ -179,21 +179,13 @@ def _prepared(
 
 
 def settings_of(**given: Any) -> FitSettings:
-    """FitSettings of these fields. Raises InputError for names that it does not have, and values of another kind."""
-    known = {field.name: field.default for field in fields(FitSettings)}
-    for name, value in given.items():
+    """FitSettings of these fields. Raises InputError for names that it does not have, and for values that cannot be."""
+    known = [field.name for field in fields(FitSettings)]
+    for name in given:
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
             hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
             raise InputError(f"fit: there is no setting {name}; {hint}")
-        if isinstance(known[name], bool):
-            expect(name, value, bool)
-        elif isinstance(known[name], float):
-            given[name] = real_number(name, value, 0.0, 1e9)
-    if given.get("background") is not None:
-        if not is_row(given["background"], 3):
-            raise InputError(f"background: expected red, green and blue, or none, got {shown(given['background'])}")
-        given["background"] = tuple(real_number("background", value, 0.0, 1.0) for value in given["background"])
     return FitSettings(**given)
 
 

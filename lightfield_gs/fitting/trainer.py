@@ -32,7 +32,7 @@ class Trainer:
 
     def __init__(
         self,
-        gaussians_or_fields: Fields,
+        fields: Fields,
         views: Views,
         settings: FitSettings,
         group: Group = ALONE,
@@ -43,7 +43,7 @@ class Trainer:
 
         Raises InputError where they cannot be shared out, or the processes were not given the same.
         """
-        self.fields, self.views, self.settings, self.group = gaussians_or_fields, views, settings, group
+        self.fields, self.views, self.settings, self.group = fields, views, settings, group
         self.device = views.photos.device
         self.schedule = Schedule.of(settings, views.count, self.device, shares)
         self.counters = Counters.start(settings.steps, self.device)
@@ -157,7 +157,7 @@ class Trainer:
             return
         tensors = [*self.fields.tensors().values(), *self.tally.tensors().values()]
         key = (self.fields.count, self._room, *(t.data_ptr() for t in tensors))
-        if key != self._graph_key and count:
+        if self._graph is None or key != self._graph_key:
             self._graph = None  # its memory is free for the next before that is made
             self._step(self._room).run()
             count -= 1

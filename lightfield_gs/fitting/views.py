@@ -66,12 +66,9 @@ class Views:
             opaque = capture.opacity(index) if masks == "alpha" else None
             if opaque is not None:
                 opacity[place, :h, :w] = opaque
-        cameras = Cameras(
-            torch.from_numpy(world.poses(capture.world_to_camera[list(indices)])),
-            *torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1),
-            width,
-            height,
-        )
+        focal, principal = torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1)
+        poses = torch.from_numpy(world.poses(capture.world_to_camera[list(indices)]))
+        cameras = Cameras(poses, focal, principal, width, height)
         return cls(
             [capture.names[index] for index in indices],
             torch.from_numpy(photos).to(device),
