@@ -6,8 +6,9 @@ BIN := $(VENV)/bin
 DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
+CAPTURE := lightfield_gs/data/banana
 
-.PHONY: setup demo test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda lint fuzz bench docs clean FORCE
+.PHONY: setup demo demo-fit test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda lint fuzz bench docs clean FORCE
 
 setup: $(VENV)/.installed
 
@@ -15,6 +16,17 @@ setup: $(VENV)/.installed
 demo: setup
 	mkdir -p demo
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
+
+# A scene fitted to 14 photographs, for what the panel shows of it, and its image: two minutes on two cores. The centre
+# camera is one with others to both sides, and a photograph between them is held out.
+demo-fit: setup
+	mkdir -p demo
+	$(BIN)/lightfield-gs fit $(CAPTURE) -o demo/banana.ply --longest-px 376 --steps 1500 --gaussians 15000 --sh-degree 2 \
+	  --cone 65in-8k-96v --centre DSC_0426.jpg --test-every 9 --device cpu
+	$(BIN)/lightfield-gs encode demo/banana.ply -o demo/banana.png --rig demo/banana.rig.yaml --background 0,0,0 \
+	  --preview demo/banana-preview
+	@echo "demo/banana.fit/last.png: a view that was held out, its photograph, and their difference; demo/banana.png: the"
+	@echo "image for the panel; demo/banana-preview/look-around.webp: what eyes see that move from left to right and back"
 
 # The suite: tests side by side, one process a core and each on one thread, for a thread that waits for another would wait
 # for the other processes as well; then, one by one, those that compare times. A file is in one process, for its tests

@@ -63,7 +63,7 @@ class Photographs:
 
     def start(self, settings: FitSettings) -> Gaussians:
         """What a fit begins with, on the device."""
-        return initial_gaussians(self.points, self.colours, self.centres, settings).to(self.train.photos.device)
+        return initial_gaussians(self.points, self.colours, self.centres, settings).to(self.train.device)
 
 
 @torch.no_grad()

@@ -37,7 +37,8 @@ def _aligned_pose(
     views: Views, gaussians: Gaussians, settings: FitSettings, index: int, steps: int, rate: float
 ) -> Tensor:
     """[1,4,4], that of one view."""
-    device = views.photos.device
+    device = views.device
+    views.stage(torch.tensor([index]))
     chosen = torch.tensor([index], device=device)
     background = torch.tensor([settings.steady_background], device=device)
     photos, weights = views.targets(chosen, background)

@@ -82,8 +82,9 @@ def compared(
     """View `index` as it is drawn, cut to 0..1, and its photograph, both [H,W,3] float32 of the photograph's own size,
     over the background too where masks are the target of alpha; and weights [H,W] in 0..1."""
     width, height = size_px = views.sizes[index]
-    chosen = torch.tensor([index], device=views.photos.device)
-    behind = torch.tensor([background], device=views.photos.device)
+    views.stage(torch.tensor([index]))
+    chosen = torch.tensor([index], device=views.device)
+    behind = torch.tensor([background], device=views.device)
     job = view_job(gaussians, views, chosen, views.world_to_camera, behind, antialiased, size_px=size_px)
     image = job.draw().image[0, 0]
     photos, weights = views.targets(chosen, behind)

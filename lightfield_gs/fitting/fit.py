@@ -6,6 +6,7 @@ import difflib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -165,10 +166,14 @@ def _prepared(
         identity.check_file(habits.folder / checkpoint.FILE, habits.fresh)
     width, height = map(int, capture.sizes_px.max(0))
     need = memory.needed(settings, len(capture.names), width, height)
+    if on_host := memory.stays_on_host(need, device):
+        progress.say(f"photographs stay in the host's memory: they take {need.photographs / 1e9:.1f} GB")
+        need = need._replace(photographs=0)
     progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
     world = World.of(capture.centres, capture.extent)
-    trainer = _begun(capture, train, world, settings, device, group, shares)
-    held = Views.load(capture, test, world, device, test, settings.masks) if test else None
+    load = partial(Views.load, capture, world=world, device=device, masks=settings.masks, on_host=on_host)
+    trainer = _begun(capture, load(train, ticks=train), world, settings, group, shares)
+    held = load(test, ticks=test) if test else None
     progress.say(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(test)} held out, on {device}: "
         f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
@@ -190,20 +195,13 @@ def settings_of(**given: Any) -> FitSettings:
 
 
 def _begun(
-    capture: Capture,
-    train: list[int],
-    world: World,
-    settings: FitSettings,
-    device: str,
-    group: Group,
-    shares: Sequence[float] | None,
+    capture: Capture, views: Views, world: World, settings: FitSettings, group: Group, shares: Sequence[float] | None
 ) -> Trainer:
     """The trainer before its first step."""
-    views = Views.load(capture, train, world, device, train, settings.masks)
     gaussians = initial_gaussians(
         world.points(capture.points), capture.colours, world.points(capture.centres), settings
     )
-    return Trainer(Fields.of(gaussians.to(device)), views, settings, group, shares)
+    return Trainer(Fields.of(gaussians.to(views.device)), views, settings, group, shares)
 
 
 def _without_origin(gaussians: Gaussians) -> Gaussians:

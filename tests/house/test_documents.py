@@ -2,8 +2,8 @@
 
 Commands run in this process, one document after the other, each in a folder of its own with stand-ins for the files
 that it names. What would take minutes is made small: the panel, the scenes and repeats of benchmarks, the steps and
-networks of training runs. Options that a document gives are kept, but for the names of panels, benchmark scenes and
-networks.
+Gaussians of fits, the steps and networks of training runs. Options that a document gives are kept, but for these, and
+for the names of panels, benchmark scenes and networks.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import torch
 import yaml
 from command_line import PANEL, scene
 from documents import DOCUMENTS, LANGUAGES, REASONS, ROOT, anchors, blocks, links, named_paths, prose, sentences
+from fit_capture import write_capture
 from PIL import Image
 from srn_scene import write_object
 
@@ -57,6 +58,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     _write_photos()
     _write_scene()
     _write_panels()
+    write_capture(Path("capture"))
     for number, folder in enumerate(("data/own/train/a", "data/own/train/b", "data/own/val/c")):
         write_object(Path(folder), seed=number)
     shutil.copytree(ROOT / "configs", "configs")
@@ -132,9 +134,12 @@ def _small_bench(words: list[str]) -> list[str]:
 
 def _run_lightfield_gs(words: list[str]) -> None:
     words = _with_small_panel(words)
+    if words[0] == "fit":
+        words = [*words, *SHORT_FIT]
     assert cli.main(_small_bench(words) if words[0] == "bench" else words) == 0, words
 
 
+SHORT_FIT = ("--steps", "4", "--gaussians", "200", "--device", "cpu")
 SHORT_RUN = "--stages [{steps:~1,~image_size_px:~32,~objects:~2}] --targets 1 --validation_objects 1 --validate_every 1"
 SHORTER = {
     "training.data.make_small": "--objects 1",
@@ -153,15 +158,17 @@ def _run_module(module: str, words: list[str]) -> None:
 
 
 def _run_make(target: str, *settings: str) -> None:
-    """That make knows the target; of the demo what it runs once all is installed. The suite does not run itself."""
+    """That make knows the target; of the demos what they run once all is installed. The suite does not run itself."""
     plan = subprocess.run(["make", "-n", target, *settings], cwd=ROOT, capture_output=True, text=True)
     assert plan.returncode == 0, plan.stderr
-    if target == "demo":
-        (line,) = (line for line in plan.stdout.splitlines() if "bin/lightfield-gs" in line)
-        words = shlex.split(line)[1:]
-        words[1] = str(ROOT / words[1])
-        Path("demo").mkdir()
-        _run_lightfield_gs(words)
+    if target in ("demo", "demo-fit"):
+        lines = [line for line in plan.stdout.replace("\\\n", "").splitlines() if "bin/lightfield-gs" in line]
+        assert lines
+        Path("demo").mkdir(exist_ok=True)
+        for line in lines:
+            words = shlex.split(line)[1:]
+            words[1] = str(ROOT / words[1]) if (ROOT / words[1]).exists() and not Path(words[1]).exists() else words[1]
+            _run_lightfield_gs(words)
 
 
 def _run_line(line: str) -> None:

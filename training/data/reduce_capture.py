@@ -1,0 +1,150 @@
+"""Make a small capture of a large one: `python -m training.data.reduce_capture --source FOLDER --output FOLDER`.
+
+Takes photographs that COLMAP posed, shrinks them by an area filter to JPEG without metadata, and writes the model as
+text, its cameras scaled to the smaller photographs and lenses as they are, without observations. Made so, the one in
+lightfield_gs/data/banana has less than a megabyte: it is what `make demo-fit` fits, and what tests take for real
+photographs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import secrets
+import shutil
+import sys
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from PIL import Image
+
+from lightfield_gs.base.checks import whole_number
+from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.captures.camera_models import COLMAP_MODELS
+from lightfield_gs.io.captures.capture import Capture, read_capture
+from lightfield_gs.io.captures.colmap import ColmapModel, read_model
+from lightfield_gs.io.captures.colmap_capture import model_folder
+from lightfield_gs.io.captures.colmap_records import ColmapCamera
+from training.command import with_line_errors
+
+LONGEST_PX, QUALITY = 564, 88
+
+
+def reduce_capture(source: Path, output: Path, longest_px: int = LONGEST_PX, quality: int = QUALITY) -> None:
+    """Makes the folder `output` of a capture with a COLMAP model; complete or not at all.
+
+    longest_px: of a photograph's longer side. quality: of JPEG, 1..95. Raises InputError where `output` exists and is
+    not empty, where `source` is no such capture, or where a file cannot be read or written.
+    """
+    output = Path(output)
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise InputError(f"{output} exists: remove it, or name another folder")
+    capture, folder = read_capture(source), model_folder(Path(source))
+    if folder is None:
+        raise InputError(f"{source}: expected a capture with a COLMAP model in sparse/0, sparse or the folder itself")
+    model = read_model(folder)
+    temporary = make_folder(output.parent) / f".{output.name}.{secrets.token_hex(6)}"
+    try:
+        sizes = _write_photographs(temporary / "images", capture, longest_px, quality)
+        _write_model(make_folder(temporary / "sparse" / "0"), model, sizes, capture)
+        os.replace(temporary, output)
+    except OSError as error:
+        raise InputError(f"cannot write {output}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _write_photographs(folder: Path, capture: Capture, longest_px: int, quality: int) -> dict[str, tuple[int, int]]:
+    """Writes the photographs, still distorted as they are; returns width and height of each by its name."""
+    sizes = {}
+    for name, photograph in zip(capture.names, capture.photographs):
+        with reading(photograph.path), Image.open(photograph.path) as image:
+            share = min(1.0, longest_px / max(image.size))
+            width, height = (max(1, round(side * share)) for side in image.size)
+            small = image.convert("RGB").resize((width, height), Image.Resampling.BOX)
+        path = folder / _jpeg(name)
+        small.save(make_folder(path.parent) / path.name, quality=quality, optimize=True)
+        sizes[name] = width, height
+    return sizes
+
+
+def _write_model(folder: Path, model: ColmapModel, sizes: dict[str, tuple[int, int]], capture: Capture) -> None:
+    """The model's three files, as text, of the photographs that were written."""
+    images = [image for image in model.images if image.world_to_camera is not None and image.name in sizes]
+    size_of = {image.camera: sizes[image.name] for image in images}
+    cameras = [_camera_line(key, model.cameras[key], size) for key, size in sorted(size_of.items())]
+    poses = []
+    for number, image in enumerate(sorted(images, key=lambda image: image.name), 1):
+        pose = capture.world_to_camera[capture.names.index(image.name)]
+        place = _numbers([*quaternion_of(pose[:3, :3]), *pose[:3, 3]], 9)
+        poses.append(f"{number} {place} {image.camera} {_jpeg(image.name)}\n")  # and a line for its observations
+    points = [
+        f"{number} {_numbers(point, 6)} {' '.join(map(str, colour))} 0"
+        for number, (point, colour) in enumerate(zip(capture.points, capture.colours), 1)
+    ]
+    (folder / "cameras.txt").write_text("\n".join(["# number, model, width, height, parameters", *cameras, ""]))
+    (folder / "images.txt").write_text("\n".join(["# number, qw qx qy qz, tx ty tz, camera, name", *poses, ""]))
+    (folder / "points3D.txt").write_text("\n".join(["# number, x y z, r g b, error (not kept)", *points, ""]))
+
+
+def _camera_line(number: int, camera: ColmapCamera, size: tuple[int, int]) -> str:
+    """A camera for photographs of another size; those of one focal length keep one, by the mean ratio of the axes."""
+    ratio = np.array(size) / (camera.width_px, camera.height_px)
+    focal = camera.intrinsics[:2] * ratio
+    if COLMAP_MODELS[camera.model].focal_lengths == 1:
+        focal = np.array([math.sqrt(focal[0] * focal[1])])
+    parameters = [*focal, *camera.intrinsics[2:] * ratio, *camera.coefficients]
+    return f"{number} {camera.model} {size[0]} {size[1]} {_numbers(parameters, 10)}"
+
+
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """The unit quaternion [4] of a rotation [3,3], w, x, y, z with w >= 0: the eigenvector of the largest eigenvalue of
+    a symmetric matrix of its entries (Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix",
+    2000)."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    matrix = np.array(
+        [
+            [a + e + i, h - f, c - g, d - b],
+            [h - f, a - e - i, b + d, c + g],
+            [c - g, b + d, e - a - i, f + h],
+            [d - b, c + g, f + h, i - a - e],
+        ]
+    )
+    quaternion = np.linalg.eigh(matrix)[1][:, 3]
+    return quaternion if quaternion[0] >= 0 else -quaternion
+
+
+def _jpeg(name: str) -> str:
+    return PurePosixPath(name).with_suffix(".jpg").as_posix()
+
+
+def _numbers(values, digits: int) -> str:
+    return " ".join(f"{value:.{digits}g}" for value in values)
+
+
+@with_line_errors("training.data.reduce_capture")
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m training.data.reduce_capture",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--source", type=Path, required=True, help="a folder with photographs and COLMAP's sparse/0")
+    parser.add_argument("--output", type=Path, required=True, help="folder for the small capture")
+    parser.add_argument(
+        "--longest-px", type=int, default=LONGEST_PX, help=f"longer side of a photograph (default: {LONGEST_PX})"
+    )
+    parser.add_argument("--quality", type=int, default=QUALITY, help=f"of JPEG, 1..95 (default: {QUALITY})")
+    options = parser.parse_args(arguments)
+    longest_px = whole_number("--longest-px", options.longest_px, 16, 1 << 16)
+    reduce_capture(options.source, options.output, longest_px, whole_number("--quality", options.quality, 1, 95))
+    size = sum(path.stat().st_size for path in options.output.rglob("*") if path.is_file())
+    print(f"{options.output}: {size / 1e6:.2f} MB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
