@@ -6,6 +6,7 @@
 #include <thread>
 #include <vector>
 
+#include "stages/fit.h"
 #include "stages/stages.h"
 
 namespace lfgs {
@@ -131,13 +132,47 @@ struct Render {
     keep();
   }
 
+  // The loss of the last image against other numbers; a step along the last gradients, with noise; random numbers.
+  void fit() {
+    std::vector<T> photo(image.size()), weighted(image.size()), derivatives(3 * image.size()), found(1);
+    for (size_t i = 0; i < photo.size(); ++i) photo[i] = T(0.5) + gradient[i] / 2;
+    std::vector<double> partials(size_t(photo_loss_partials(1, kHeight, kWidth))), uniform(20000);
+    PhotoLoss<T> loss{1, kHeight, kWidth, image.data(), photo.data()};
+    loss.derivatives = derivatives.data(), loss.partials = partials.data();
+    loss.loss = found.data(), loss.gradient = weighted.data();
+    photo_loss<T>(loss, threads);
+
+    std::vector<T> values(23 * kCount, T(-1)), first_moments(values.size()), second_moments(values.size());
+    auto fields_in = [](std::vector<T>& of) {
+      T* at = of.data();
+      return Fields<T>{at, at + 3 * kCount, at + 6 * kCount, at + 10 * kCount, at + 11 * kCount};
+    };
+    const StepNumbers<T> row{T(0.01), T(0.01), T(0.01), T(0.01), T(0.01), T(0.01), T(0.1), T(0.001), 100, 1, 1};
+    const int64_t step = 0;
+    int64_t skipped = 0;
+    Update<T> job;
+    job.gradients = {kCount, 1, g_means.data(), g_quaternions.data(), g_scales.data(), g_opacities.data(), g_sh.data()};
+    job.fields = fields_in(values), job.first = fields_in(first_moments), job.second = fields_in(second_moments);
+    std::vector<T> drawn_scales(scales), drawn_opacities(opacities);
+    job.scales = drawn_scales.data(), job.opacities = drawn_opacities.data();
+    job.table = &row, job.rows = 1, job.step = &step, job.skipped = &skipped;
+    update<T>(job, threads);
+
+    std::vector<T> normal(20000);
+    uniforms({7, 0, 1}, int64_t(uniform.size()), uniform.data(), threads);
+    normals<T>({7, 0, 2}, int64_t(normal.size()), normal.data(), threads);
+    normal.insert(normal.end(), uniform.begin(), uniform.end());
+    for (const auto* part : {&found, &weighted, &values, &second_moments, &drawn_scales, &normal})
+      sums.insert(sums.end(), part->begin(), part->end());
+  }
+
   void keep() {
     for (const auto* part : {&image, &g_means, &g_quaternions, &g_scales, &g_opacities, &g_sh})
       sums.insert(sums.end(), part->begin(), part->end());
   }
 
   void run() {
-    lens(false, {}), lens(true, {}), dense(), by_view();
+    lens(false, {}), lens(true, {}), dense(), by_view(), fit();
     if constexpr (sizeof(T) == 4) lens(false, kLattice), lens(true, kLattice);
   }
 };
