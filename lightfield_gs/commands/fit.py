@@ -114,8 +114,6 @@ def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
             print("stopped: nothing was left out yet of what the panel does not show")
     if result.stopped:
         print("stopped: the same command goes on from the checkpoint")
-    if result.settings.antialiased:
-        print("fitted with anti-aliasing: give --antialiased to encode and prune as well")
 
 
 def _say_angles(result: FitResult) -> None:

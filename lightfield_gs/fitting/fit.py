@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -36,6 +35,7 @@ from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.capture import Capture, read_capture
 from lightfield_gs.io.scenes.doubts import float_step, usual_size
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.scene.fitted import fit_comment
 from lightfield_gs.scene.gaussians import Gaussians
 
 _ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: rounding to float32 may move one by so much
@@ -70,7 +70,7 @@ class FitResult:
             comments = [*comments, *self.display.comments()]
             self.display.rig.to_yaml(rig_path(Path(path)))
         said = {**asdict(self.settings), "steps_done": self.steps}
-        self.gaussians.save(path, [f"lightfield-gs fit: {json.dumps(said)}", *comments])
+        self.gaussians.save(path, [fit_comment(said), *comments])
 
 
 def fit(

@@ -94,7 +94,11 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
         metavar="COLOUR",
         help="black, white, random (another at each step) or R,G,B in 0..1 (default black)",
     )
-    add("--antialiased", action="store_true", help="fits for drawing with anti-aliasing: encode takes --antialiased")
+    add(
+        "--antialiased",
+        action="store_true",
+        help="fits for drawing with anti-aliasing; encode and prune draw the scene so",
+    )
     add("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N", help="of random numbers (default 0)")
     add("--device", choices=DEVICES, default="auto", help="where the scene is fitted (default auto)")
 
