@@ -12,7 +12,6 @@ from lightfield_gs.fitting.fields import Fields
 from lightfield_gs.fitting.initial import initial_gaussians
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.fitting.world import centres_of
 
 WIDTH, HEIGHT, VIEWS = 48, 32, 6
 
@@ -46,7 +45,7 @@ def first_fields(scene: lf.Gaussians, settings: FitSettings, points: int = 150, 
     shift = 0.02 * torch.randn(points, 3, generator=torch.Generator().manual_seed(1))
     places = (scene.means[:points] + shift).double().numpy()
     grey = (127 * torch.ones(points, 3, dtype=torch.uint8)).numpy()
-    centres = centres_of(known_cameras().world_to_camera.double().numpy())
+    centres = torch.linalg.inv(known_cameras().world_to_camera.double())[:, :3, 3].numpy()
     return Fields.of(initial_gaussians(places, grey, centres, settings).to(device))
 
 

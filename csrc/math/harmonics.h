@@ -73,8 +73,8 @@ LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& 
   return colour;
 }
 
-// Writes the gradients of the coefficients to g_sh, which may be sh itself, or adds them if kAdd. Returns the gradient of
-// the mean; that of the eye is minus this.
+// Writes the gradients of the coefficients to g_sh, which may be sh itself, or adds them if kAdd. Returns the gradient
+// of the mean; that of the eye is minus this.
 template <bool kAdd = true, class R, class T, class G>
 LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec<3, R>& mean, const glm::vec<3, R>& eye,
                                          const glm::vec<3, R>& g_colour, G* g_sh) {

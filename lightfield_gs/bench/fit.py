@@ -111,7 +111,7 @@ def rows(photographs: Photographs, arms: Sequence[str], settings: FitSettings, s
 
 def _rows_of(photographs: Photographs, arm: str, settings: FitSettings) -> Iterator[dict[str, Any]]:
     """The rows of one fit. Times are of its steps alone, from device to device."""
-    device = photographs.train.photos.device
+    device = photographs.train.device
     begin = partial(ARMS[arm], photographs, settings)
     if device.type == "cuda":
         begin().advance(min(WARM_UP_STEPS, settings.steps))

@@ -51,7 +51,7 @@ class Photographs:
     @classmethod
     def load(cls, capture: Capture, test_every: int, device: str) -> Photographs:
         """Those of a capture. Raises InputError."""
-        world = World.of(capture.world_to_camera, capture.extent)
+        world = World.of(capture.centres, capture.extent)
         train, test = capture.split(test_every)
         if not test:
             raise InputError(
@@ -64,7 +64,7 @@ class Photographs:
 
     def start(self, settings: FitSettings) -> Gaussians:
         """What a fit begins with, on the device."""
-        return initial_gaussians(self.points, self.colours, self.centres, settings).to(self.train.photos.device)
+        return initial_gaussians(self.points, self.colours, self.centres, settings).to(self.train.device)
 
 
 @torch.no_grad()

@@ -28,7 +28,7 @@ from lightfield_gs.bench.pareto_plot import check_plot, plot
 from lightfield_gs.bench.scenes import NAMED_CONES, benchmark_rig, check_scene, load_scene
 from lightfield_gs.bench.tables import comparison_line, cost_line, machine_line, table
 from lightfield_gs.bench.timing import machine
-from lightfield_gs.commands.options.fits import add_fit_options
+from lightfield_gs.commands.options.bench_fits import add_fit_options
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.values import byte_size
 from lightfield_gs.fitting.settings import FitSettings

@@ -37,9 +37,10 @@ def _aligned_pose(
     views: Views, gaussians: Gaussians, settings: FitSettings, index: int, steps: int, rate: float
 ) -> Tensor:
     """[1,4,4], that of one view."""
-    device = views.photos.device
+    device = views.device
+    views.stage(torch.tensor([index]))
     chosen = torch.tensor([index], device=device)
-    background = torch.tensor([settings.background or (0.0, 0.0, 0.0)], device=device)
+    background = torch.tensor([settings.steady_background], device=device)
     photos, weights = views.targets(chosen, background)
     poses = Poses(views.world_to_camera[index : index + 1], steps, rate, keeps_mean=False)
     best, least = poses.world_to_camera.clone(), torch.full((), torch.inf, device=device)

@@ -16,17 +16,20 @@ def view_job(
     world_to_camera: Tensor,
     background: Tensor,
     antialiased: bool,
+    *,
     room: int | None = None,
+    size_px: tuple[int, int] | None = None,
 ) -> DenseJob:
     """The job that draws the views `chosen` [V] of C, from the poses world_to_camera [C,4,4], over background [V,3].
 
-    room: for how many (tile, splat) pairs, on CUDA; None: the host waits for their number.
+    room: for how many (tile, splat) pairs, on CUDA; None: the host waits for their number. size_px: width and height of
+    the upper left part that is drawn; None: all.
     """
-    fields = (field[None] for field in gaussians.fields().values())
+    width, height = size_px or (views.width_px, views.height_px)
     poses, intrinsics, limits = (
         tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, views.intrinsics, views.limits)
     )
-    means, quaternions, scales, opacities, sh = fields
+    means, quaternions, scales, opacities, sh = (field[None] for field in gaussians.fields().values())
     return DenseJob(
         means,
         quaternions,
@@ -37,8 +40,8 @@ def view_job(
         poses,
         intrinsics,
         limits,
-        views.width_px,
-        views.height_px,
+        width,
+        height,
         antialiased,
         room=room,
     )

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.fitting.drawing import view_job
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.rasterizer.dense_job import DenseJob
 from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -82,18 +82,13 @@ def compared(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """View `index` as it is drawn, cut to 0..1, and its photograph, both [H,W,3] float32 of the photograph's own size,
     over the background too where masks are the target of alpha; and weights [H,W] in 0..1."""
-    width, height = views.sizes[index]
-    chosen = torch.tensor([index], device=views.photos.device)
-    poses, intrinsics, limits = (
-        t.index_select(0, chosen)[None] for t in (views.world_to_camera, views.intrinsics, views.limits)
-    )
-    behind = torch.tensor([[background]], device=views.photos.device)
-    means, quaternions, scales, opacities, sh = (field[None] for field in gaussians.fields().values())
-    job = DenseJob(
-        means, quaternions, scales, opacities, sh, behind, poses, intrinsics, limits, width, height, antialiased
-    )
+    width, height = size_px = views.sizes[index]
+    views.stage(torch.tensor([index]))
+    chosen = torch.tensor([index], device=views.device)
+    behind = torch.tensor([background], device=views.device)
+    job = view_job(gaussians, views, chosen, views.world_to_camera, behind, antialiased, size_px=size_px)
     image = job.draw().image[0, 0]
-    photos, weights = views.targets(chosen, behind[0])
+    photos, weights = views.targets(chosen, behind)
     weight = torch.ones_like(image[..., 0]) if weights is None else weights[0, :height, :width]
     photo = photos[0, :height, :width]
     return image.clamp(0, 1), photo / 255 if photo.dtype == torch.uint8 else photo, weight

@@ -64,13 +64,17 @@ class Fields:
     @classmethod
     def of_tensors(cls, tensors: dict[str, Tensor]) -> Fields:
         """What tensors() gave."""
-        raw = (RawFields(*(tensors[f"{group}.{name}"] for name in RawFields._fields)) for group in _GROUPS)
-        return cls(*raw, tensors["scales"], tensors["opacities"])
+        values, first, second = (
+            RawFields(*(tensors[f"{group}.{name}"] for name in RawFields._fields)) for group in _GROUPS
+        )
+        return cls(values, first, second, tensors["scales"], tensors["opacities"])
 
     def changed(self, change: Callable[[Tensor], Tensor]) -> Fields:
         """Every tensor changed, moments too; for changes of which Gaussians there are, and in which order."""
-        raw = (RawFields(*(change(t).contiguous() for t in group)) for group in (self.values, self.first, self.second))
-        return Fields(*raw, change(self.scales).contiguous(), change(self.opacities).contiguous())
+        values, first, second = (
+            RawFields(*(change(t).contiguous() for t in group)) for group in (self.values, self.first, self.second)
+        )
+        return Fields(values, first, second, change(self.scales).contiguous(), change(self.opacities).contiguous())
 
     def renew(self) -> None:
         """Writes scales and opacities anew, after log_scales or logits were set."""

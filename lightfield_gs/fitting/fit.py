@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -164,11 +165,15 @@ def _prepared(
         make_folder(habits.folder)
         origin.check_file(habits.folder / checkpoint.FILE, habits.fresh)
     width, height = map(int, capture.sizes_px.max(0))
-    need = memory.needed(settings, len(capture.names), width, height, masked=True)
+    need = memory.needed(settings, len(capture.names), width, height)
+    if on_host := memory.stays_on_host(need, device):
+        progress.say(f"photographs stay in the host's memory: they take {need.photographs / 1e9:.1f} GB")
+        need = need._replace(photographs=0)
     progress.say(f"needs about {memory.check(need, device, is_certain=settings.density == 'mcmc')}")
-    world = World.of(capture.world_to_camera, capture.extent)
-    trainer = _begun(capture, train, world, settings, device, group, shares)
-    held = Views.load(capture, test, world, device, test, settings.masks) if test else None
+    world = World.of(capture.centres, capture.extent)
+    load = partial(Views.load, capture, world=world, device=device, masks=settings.masks, on_host=on_host)
+    trainer = _begun(capture, load(train, ticks=train), world, settings, group, shares)
+    held = load(test, ticks=test) if test else None
     progress.say(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(test)} held out, on {device}: "
         f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
@@ -179,39 +184,24 @@ def _prepared(
 
 
 def settings_of(**given: Any) -> FitSettings:
-    """FitSettings of these fields. Raises InputError for names that it does not have, and values of another kind."""
-    known = {field.name: field.default for field in fields(FitSettings)}
-    for name, value in given.items():
+    """FitSettings of these fields. Raises InputError for names that it does not have, and for values that cannot be."""
+    known = [field.name for field in fields(FitSettings)]
+    for name in given:
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
             hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
             raise InputError(f"fit: there is no setting {name}; {hint}")
-        if isinstance(known[name], bool):
-            expect(name, value, bool)
-        elif isinstance(known[name], float):
-            given[name] = real_number(name, value, 0.0, 1e9)
-    if given.get("background") is not None:
-        if not is_row(given["background"], 3):
-            raise InputError(f"background: expected red, green and blue, or none, got {shown(given['background'])}")
-        given["background"] = tuple(real_number("background", value, 0.0, 1.0) for value in given["background"])
     return FitSettings(**given)
 
 
 def _begun(
-    capture: Capture,
-    train: list[int],
-    world: World,
-    settings: FitSettings,
-    device: str,
-    group: Group,
-    shares: Sequence[float] | None,
+    capture: Capture, views: Views, world: World, settings: FitSettings, group: Group, shares: Sequence[float] | None
 ) -> Trainer:
     """The trainer before its first step."""
-    views = Views.load(capture, train, world, device, train, settings.masks)
     gaussians = initial_gaussians(
         world.points(capture.points), capture.colours, world.points(capture.centres), settings
     )
-    return Trainer(Fields.of(gaussians.to(device)), views, settings, group, shares)
+    return Trainer(Fields.of(gaussians.to(views.device)), views, settings, group, shares)
 
 
 def _without_origin(gaussians: Gaussians) -> Gaussians:

@@ -27,8 +27,8 @@ def initial_gaussians(points: np.ndarray, colours: np.ndarray, centres: np.ndarr
     """
     if len(points) < _FEWEST_POINTS:
         assume(
-            f"{len(points)} points are too few to begin with: expected {_FEWEST_POINTS} or more, so the fit begins with "
-            "random Gaussians around the cameras, and takes longer"
+            f"{len(points)} points are too few to begin with: expected {_FEWEST_POINTS} or more, so the fit begins "
+            "with random Gaussians around the cameras, and takes longer"
         )
         points, colours = _random_points(centres, settings)
     if len(points) > settings.gaussians:
@@ -60,7 +60,7 @@ def _random_points(centres: np.ndarray, settings: FitSettings) -> tuple[np.ndarr
     count = min(settings.gaussians, 100_000)
     numbers = uniforms(settings.seed, 0, Purpose.INITIAL, 6 * count).numpy().reshape(count, 6)
     middle = np.median(centres, 0)
-    return middle + 6 * (numbers[:, :3] - 0.5), np.uint8(255 * numbers[:, 3:])
+    return middle + 6 * (numbers[:, :3] - 0.5), (255 * numbers[:, 3:]).astype(np.uint8)
 
 
 def _some(count: int, wanted: int, seed: int) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 With N Gaussians of K harmonics, V photographs of H x W pixels in a step, and C photographs in all, in bytes:
 
-    photographs    C H W (3, or 4 with masks)
+    photographs    C H W 4: colours, and masks where there are any; 5 where masks are the target of alpha;
+                   none where they stay with the host
     fields         4 N (11 + 3 K) x 3: values and two moments; twice while the density changes
     gradients      4 N (11 + 3 K)
     work           V (450 N + 90 H W)
@@ -25,6 +26,7 @@ from lightfield_gs.fitting.settings import FitSettings
 REMEDIES = "use fewer --gaussians, a smaller --scale or a lower --sh-degree"
 _NUMBER_BYTES, _SHAPE_NUMBERS, _COPIES = 4, 11, 6  # of means, scales, quaternions and opacity; see above
 _WORK_PER_GAUSSIAN, _WORK_PER_PIXEL = 450, 90
+_MOST_PHOTOGRAPHS = 0.5  # of the free memory of a GPU
 _CLEARLY = 1.1  # the estimate may be so much too high
 
 
@@ -41,13 +43,20 @@ class Need(NamedTuple):
         return sum(self)
 
 
-def needed(settings: FitSettings, photographs: int, width_px: int, height_px: int, masked: bool) -> Need:
+def needed(settings: FitSettings, photographs: int, width_px: int, height_px: int) -> Need:
     """What a fit with as many Gaussians as its settings allow needs; photographs: fitted and held out."""
     pixels = width_px * height_px
     numbers = _SHAPE_NUMBERS + 3 * SH_COEFFICIENTS[settings.sh_degree]
     field = _NUMBER_BYTES * settings.gaussians * numbers
     work = settings.views * (_WORK_PER_GAUSSIAN * settings.gaussians + _WORK_PER_PIXEL * pixels)
-    return Need(photographs * pixels * (4 if masked else 3), _COPIES * field, field, work)
+    return Need(photographs * pixels * (5 if settings.masks == "alpha" else 4), _COPIES * field, field, work)
+
+
+def stays_on_host(need: Need, device: str) -> bool:
+    """Whether the photographs would take so much of a GPU's memory that they are better kept in the host's: a step then
+    copies its own, a tenth of a millisecond for a megapixel."""
+    free = None if device == "cpu" else free_bytes(device)
+    return free is not None and need.photographs > _MOST_PHOTOGRAPHS * free
 
 
 def check(need: Need, device: str, is_certain: bool) -> str:

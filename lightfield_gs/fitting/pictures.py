@@ -20,8 +20,7 @@ _DIFFERENCE = 4.0
 def write_pictures(folder: Path, trainer: Trainer, views: Views) -> None:
     """Writes folder/pictures/<step>.png and folder/last.png, of the middle one of `views`."""
     settings = trainer.settings
-    background = settings.background or (0.0, 0.0, 0.0)
-    gaussians = trainer.fields.gaussians()
+    gaussians, background = trainer.fields.gaussians(), settings.steady_background
     image, photo, weights = compared(gaussians, views, views.count // 2, background, settings.antialiased)
     pixels = bytes_of(beside(image, photo, weights)).cpu().numpy()
     for path in (make_folder(folder / "pictures") / f"{trainer.done:07d}.png", folder / "last.png"):

@@ -21,13 +21,13 @@ _PULL = 1e-6  # half the weight in the loss of the squared motion: a camera that
 def moved(world_to_camera: Tensor, twists: Tensor) -> Tensor:
     """Poses [...,4,4] after motions [...,6], (v, w) in units of the scene and radians."""
     shift, turn = twists.split(3, -1)
-    rotation = rotations(turn)
+    rotation = rotations_about(turn)
     top = rotation @ world_to_camera[..., :3, :]
     top = torch.cat([top[..., :3], top[..., 3:] + shift[..., None]], -1)
     return torch.cat([top, world_to_camera[..., 3:, :]], -2)
 
 
-def rotations(turns: Tensor) -> Tensor:
+def rotations_about(turns: Tensor) -> Tensor:
     """Rotation matrices [...,3,3] about the axes w [...,3] by their lengths, radians (Rodrigues)."""
     x, y, z = turns.unbind(-1)
     zero = torch.zeros_like(x)

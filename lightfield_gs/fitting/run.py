@@ -148,7 +148,7 @@ class Run:
             return None
         settings = self.trainer.settings
         held = aligned(self.held, gaussians, settings) if settings.poses else self.held
-        return evaluated(gaussians, held, settings.background or (0.0, 0.0, 0.0), settings.antialiased)
+        return evaluated(gaussians, held, settings.steady_background, settings.antialiased)
 
     def _evaluate(self) -> None:
         trainer = self.trainer
@@ -168,12 +168,15 @@ class Run:
     def write_scores(self, **more: Any) -> None:
         """Writes scores.json in the folder, if there is one, and scores; with what else is to be said."""
         if self._folder is not None and (scores := self.scores) is not None:
-            by_angle = {} if self.angles is None else {"angles": self.angles.to_dict(scores)}
             words = protocol(self.trainer.settings.poses)
-            said = {"protocol": words, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
+            said = {"protocol": words, "step": self.trainer.done, **self.said_of(scores), **more}
             said["history"] = self.history
             with atomic_path(self._folder / "scores.json") as temporary:
                 temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+
+    def said_of(self, scores: Scores) -> dict[str, Any]:
+        """Scores for JSON, by angle too where there is a cone."""
+        return scores.to_dict() | ({} if self.angles is None else {"angles": self.angles.to_dict(scores)})
 
     def _is_no_better(self) -> bool:
         """Whether the last evaluations say that going on gains nothing, and the fit may end of that. Evaluations at

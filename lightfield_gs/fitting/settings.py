@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
-from lightfield_gs.base.checks import real_number, whole_number
+from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
 
 Density = Literal["mcmc", "adaptive"]
@@ -15,6 +15,20 @@ DENSITIES: tuple[Density, ...] = get_args(Density)
 MASKS: tuple[Masks, ...] = get_args(Masks)
 RECIPE_STEPS = 30_000  # of the recipes that the schedules are from; those of other lengths are scaled
 _RECOVERY = 1000  # recipe steps that opacities need after a reset
+_STEPS = (0, 10_000_000)  # least and most of what is a number of steps
+_RANGES: dict[str, tuple[Any, Any]] = {  # of the others; of numbers that are not here 0 and 1e9
+    "steps": (1, 10_000_000),
+    "gaussians": (1, 2**31 - 1),
+    "sh_degree": (0, 3),
+    "views": (1, 1024),
+    "seed": (0, 2**63 - 1),
+    "ssim_share": (0.0, 1.0),
+    "means_decay": (1e-9, 1.0),
+    "initial_opacity": (1e-6, 1.0),
+    "initial_scale": (1e-6, 1e6),
+    "min_opacity": (1e-6, 0.4),
+    "growth": (1.0, 1e3),
+}
 
 
 @dataclass(frozen=True)
@@ -75,21 +89,30 @@ class FitSettings:
     morton_every: int = 5000
 
     def __post_init__(self) -> None:
-        whole_number("steps", self.steps, 1, 10_000_000)
-        whole_number("gaussians", self.gaussians, 1, 2**31 - 1)
-        whole_number("sh_degree", self.sh_degree, 0, 3)
-        whole_number("views", self.views, 1, 1024)
-        whole_number("seed", self.seed, 0, 2**63 - 1)
+        for field in fields(self):
+            value, kind = getattr(self, field.name), str(field.type)
+            if value is None and kind.endswith(" | None"):
+                continue
+            if kind.startswith("int"):
+                whole_number(field.name, value, *_RANGES.get(field.name, _STEPS))
+            elif kind.startswith("float"):
+                number = real_number(field.name, value, *_RANGES.get(field.name, (0.0, 1e9)))
+                object.__setattr__(self, field.name, number)
+            elif kind == "bool":
+                expect(field.name, value, bool)
         for name, choices in (("density", DENSITIES), ("masks", MASKS)):
             if getattr(self, name) not in choices:
-                raise InputError(f"{name}: expected {' or '.join(choices)}, got {getattr(self, name)!r}")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, float):
-                real_number(field.name, value, 0.0, 1e9)
+                raise InputError(f"{name}: expected {' or '.join(choices)}, got {shown(getattr(self, name))}")
         if self.background is not None:
-            for value in self.background:
-                real_number("background", value, 0.0, 1.0)
+            if not is_row(self.background, 3):
+                raise InputError(f"background: expected red, green and blue, or none, got {shown(self.background)}")
+            colours = tuple(real_number("background", value, 0.0, 1.0) for value in self.background)
+            object.__setattr__(self, "background", colours)
+
+    @property
+    def steady_background(self) -> tuple[float, float, float]:
+        """What is behind a scene that is scored or shown: black where steps have random ones."""
+        return self.background or (0.0, 0.0, 0.0)
 
     def scaled(self, recipe_step: int) -> int:
         """The step of this fit at which what a recipe of 30,000 steps does at `recipe_step` is due; 1 at least."""

@@ -90,12 +90,6 @@ class Group:
         self.max_(numbers)
         return int(numbers)
 
-    def barrier(self) -> None:
-        """Waits for the others."""
-        if self.size > 1:
-            with self._answers():
-                dist.barrier()
-
     def check_same(self, what: str, value: bytes, device: torch.device | str = "cpu") -> None:
         """Raises InputError in all processes unless all have the same value."""
         if self.size == 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,11 +14,12 @@ from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.encoding.pruning import contributions, left_out
 from lightfield_gs.fitting.display import Display
+from lightfield_gs.fitting.drawing import view_job
 from lightfield_gs.fitting.evaluate import Scores
 from lightfield_gs.fitting.run import Run
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
-from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
+from lightfield_gs.rasterizer.dense_job import DenseImages
 from lightfield_gs.rasterizer.workspace import Wanted
 from lightfield_gs.scene.gaussians import Gaussians, mapped
 
@@ -119,8 +120,7 @@ def pruned(run: Run, world: World, display: Display, contribution_cut: float) ->
     left = mapped(gaussians, lambda field: field[shown.kept])
     scores = run.scores_of(left)
     if scores is not None:
-        by_angle = {} if run.angles is None else {"angles": run.angles.to_dict(scores)}
-        run.write_scores(pruned={**shown.to_dict(), **scores.to_dict(), **by_angle})
+        run.write_scores(pruned={**shown.to_dict(), **run.said_of(scores)})
     return left, shown, scores
 
 
@@ -129,26 +129,11 @@ def photographed(gaussians: Gaussians, views: Views, antialiased: bool = False) 
     count of all photographs."""
     total = gaussians.means.new_zeros(gaussians.count, dtype=torch.float64)
     # Of one grey: the derivative of an image by it is the weight, whatever the colours are
-    grey = mapped(gaussians, lambda field: field[None])
-    grey.sh = torch.zeros_like(grey.sh[:, :, :1])
+    grey = replace(gaussians, sh=torch.zeros_like(gaussians.sh[:, :1]))
+    black = gaussians.means.new_zeros(1, 3)
     for place in range(views.count):
-        poses, intrinsics, limits = (
-            t[place][None, None] for t in (views.world_to_camera, views.intrinsics, views.limits)
-        )
-        job = DenseJob(
-            grey.means,
-            grey.quaternions,
-            grey.scales,
-            grey.opacities,
-            grey.sh,
-            grey.means.new_zeros(1, 1, 3),
-            poses,
-            intrinsics,
-            limits,
-            views.width_px,
-            views.height_px,
-            antialiased,
-        )
+        chosen = torch.tensor([place], device=gaussians.means.device)
+        job = view_job(grey, views, chosen, views.world_to_camera, black, antialiased)
         images = job.draw()
         counts = views.counts(place)[None, None, ..., None].expand_as(images.image)
         gradients = job.backward(images, DenseImages(counts.contiguous(), None, None), Wanted(cameras=False))

@@ -107,7 +107,7 @@ class Step:
         background = self.schedule.backgrounds.index_select(0, self.counters.step).expand(len(chosen), 3).contiguous()
         from_where = views.world_to_camera if poses is None else poses.world_to_camera
         gaussians, antialiased = self.fields.gaussians(), self.settings.antialiased
-        job = view_job(gaussians, views, chosen, from_where, background, antialiased, self.room)
+        job = view_job(gaussians, views, chosen, from_where, background, antialiased, room=self.room)
         images = job.draw()
         loss, g_image, g_exposure = self._compared(images.image[0], chosen, background)
         wanted = Wanted(self.tally.screen_numbers, cameras=poses is not None)

@@ -32,7 +32,7 @@ class Trainer:
 
     def __init__(
         self,
-        gaussians_or_fields: Fields,
+        fields: Fields,
         views: Views,
         settings: FitSettings,
         group: Group = ALONE,
@@ -43,8 +43,8 @@ class Trainer:
 
         Raises InputError where they cannot be shared out, or the processes were not given the same.
         """
-        self.fields, self.views, self.settings, self.group = gaussians_or_fields, views, settings, group
-        self.device = views.photos.device
+        self.fields, self.views, self.settings, self.group = fields, views, settings, group
+        self.device = views.device
         self.schedule = Schedule.of(settings, views.count, self.device, shares)
         self.counters = Counters.start(settings.steps, self.device)
         self.tally = Tally(self.fields.count, settings, self.device)
@@ -58,6 +58,7 @@ class Trainer:
             for part, tensor in own.tensors().items()
         }
         self._own_order = group.share(self.schedule.order)
+        self._host_order = self._own_order.cpu()
         self._check_same()
         self.done = 0
         self._room: int | None = None
@@ -152,18 +153,26 @@ class Trainer:
         )
 
     def _run_cuda(self, count: int) -> None:
+        self._stage(0)
         if self._room is None:  # the first step of all finds out how many pairs there are
             self._step(None).run()
             return
         tensors = [*self.fields.tensors().values(), *self.tally.tensors().values()]
         key = (self.fields.count, self._room, *(t.data_ptr() for t in tensors))
-        if key != self._graph_key and count:
+        if self._graph is None or key != self._graph_key:
             self._graph = None  # its memory is free for the next before that is made
-            self._step(self._room).run()
-            count -= 1
+            self._step(self._room).run()  # what runs for the first time may not be captured
             self._graph, self._graph_key = self._captured(), key
-        for _ in range(count):
+        else:
             self._graph.replay()
+        for ahead in range(1, count):
+            self._stage(ahead)
+            self._graph.replay()
+
+    def _stage(self, ahead: int) -> None:
+        """Has the device find the photographs of the step that is `ahead` of the next one, where they are the host's."""
+        if self.views.on_host:
+            self.views.stage(self._host_order[min(self.done + ahead, self.settings.steps - 1)])
 
     def _captured(self) -> torch.cuda.CUDAGraph:
         """A step as a graph. Capturing does not run it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -33,6 +33,7 @@ class Views:
     limits: Tensor
     sizes: list[tuple[int, int]]
     opacity: Tensor | None = None
+    _staged: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def load(
@@ -43,12 +44,15 @@ class Views:
         device: str,
         ticks: Iterable[int],
         masks: Masks = "ignore",
+        on_host: bool = False,
     ) -> Views:
         """Those of a capture, on a device. ticks: `indices` once more, to show how far the reading is.
 
         masks: what they and the photographs' alpha leave out counts nowhere ("ignore"), or is transparent ("alpha").
-        What lies beyond a distorted photograph's frame counts nowhere in either case.
+        What lies beyond a distorted photograph's frame counts nowhere in either case. on_host: photographs and masks
+        stay in the host's memory, see stage.
         """
+        where = "cpu" if on_host else device
         sizes = [(int(w), int(h)) for w, h in capture.sizes_px[list(indices)]]
         width, height = (max(side) for side in zip(*sizes))
         if len(set(sizes)) > 1:
@@ -66,21 +70,18 @@ class Views:
             opaque = capture.opacity(index) if masks == "alpha" else None
             if opaque is not None:
                 opacity[place, :h, :w] = opaque
-        cameras = Cameras(
-            torch.from_numpy(world.poses(capture.world_to_camera[list(indices)])),
-            *torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1),
-            width,
-            height,
-        )
+        focal, principal = torch.from_numpy(capture.intrinsics[list(indices)]).split(2, -1)
+        poses = torch.from_numpy(world.poses(capture.world_to_camera[list(indices)]))
+        cameras = Cameras(poses, focal, principal, width, height)
         return cls(
             [capture.names[index] for index in indices],
-            torch.from_numpy(photos).to(device),
-            None if weights.all() else torch.from_numpy(weights).to(device),
+            torch.from_numpy(photos).to(where),
+            None if weights.all() else torch.from_numpy(weights).to(where),
             cameras.world_to_camera.float().to(device),
             cameras.intrinsics().float().to(device),
             cameras.limits().float().to(device),
             sizes,
-            None if opacity.all() else torch.from_numpy(opacity).to(device),
+            None if opacity.all() else torch.from_numpy(opacity).to(where),
         )
 
     def targets(self, indices: Tensor, behind: Tensor) -> tuple[Tensor, Tensor | None]:
@@ -90,22 +91,54 @@ class Views:
         A photograph whose masks are the target of alpha stands over the background: so an alpha below the mask's shows
         in the loss, whatever the background, and more so with another one at each step.
         """
-        photos, weights = self.chosen(indices)
-        if self.opacity is None:
+        photos, weights = self._chosen("photos", indices), self._chosen("weights", indices)
+        assert photos is not None
+        weights = None if weights is None else weights / 255
+        opacity = self._chosen("opacity", indices)
+        if opacity is None:
             return photos, weights
-        alpha = self.opacity.index_select(0, indices)[..., None] / 255
+        alpha = opacity[..., None] / 255
         return photos / 255 * alpha + (1 - alpha) * behind[:, None, None], weights
 
-    def chosen(self, indices: Tensor) -> tuple[Tensor, Tensor | None]:
-        """The photographs at `indices` [V], and weights 0..1 where there are any."""
-        weights = None if self.weights is None else self.weights.index_select(0, indices) / 255
-        return self.photos.index_select(0, indices), weights
+    @property
+    def on_host(self) -> bool:
+        """Whether the photographs are in the host's memory, and the fit on another device."""
+        return self.photos.device != self.device
+
+    def stage(self, indices: Tensor) -> None:
+        """Has the device copy the photographs at `indices` [V], of the host, to where the next `targets` finds them.
+
+        Does nothing where all are on the device. What is copied has its place in memory once and for all, so that a
+        CUDA graph finds it, and the copies wait in the stream until the steps before have read theirs.
+        """
+        if not self.on_host:
+            return
+        for name in ("photos", "weights", "opacity"):
+            stored = getattr(self, name)
+            if stored is None:
+                continue
+            found = stored.index_select(0, indices).pin_memory()
+            if name not in self._staged or self._staged[name].shape != found.shape:
+                self._staged[name] = torch.empty_like(found, device=self.device)
+            self._staged[name].copy_(found, non_blocking=True)
+
+    def _chosen(self, name: str, indices: Tensor) -> Tensor | None:
+        """photos, weights or opacity at `indices`, or what is staged of them."""
+        stored = getattr(self, name)
+        if stored is None:
+            return None
+        return self._staged[name] if self.on_host else stored.index_select(0, indices)
 
     def counts(self, place: int) -> Tensor:
         """[H,W] float32: how much each pixel of a photograph counts, 0..1."""
         if self.weights is None:
-            return torch.ones(self.height_px, self.width_px, device=self.photos.device)
-        return self.weights[place] / 255
+            return torch.ones(self.height_px, self.width_px, device=self.device)
+        return self.weights[place].to(self.device) / 255
+
+    @property
+    def device(self) -> torch.device:
+        """Where the fit is."""
+        return self.world_to_camera.device
 
     @property
     def count(self) -> int:

@@ -21,9 +21,9 @@ class World:
     extent: float
 
     @classmethod
-    def of(cls, world_to_camera: np.ndarray, extent: float) -> World:
-        """Of cameras [C,4,4]: their median place is the origin."""
-        x, y, z = map(float, np.median(centres_of(world_to_camera), 0))
+    def of(cls, centres: np.ndarray, extent: float) -> World:
+        """Of cameras that stand at centres [C,3]: their median is the origin."""
+        x, y, z = map(float, np.median(centres, 0))
         return cls((x, y, z), extent)
 
     def points(self, points: np.ndarray) -> np.ndarray:
@@ -41,8 +41,3 @@ class World:
         return replace(
             gaussians, means=gaussians.means * self.extent, scales=gaussians.scales * self.extent, origin=self.centre
         )
-
-
-def centres_of(world_to_camera: np.ndarray) -> np.ndarray:
-    """Where cameras [C,4,4] stand, [C,3]."""
-    return -np.einsum("crk,cr->ck", world_to_camera[:, :3, :3], world_to_camera[:, :3, 3])

@@ -186,7 +186,9 @@ def _of_state(
     )
     g_background = found.background_parts.view(*job.lead, -1, 3).sum(2)
     g_screen = found.screen.view(*job.lead, means.shape[1], screen_numbers)
-    return (*found.fields, g_background, found.cameras.view(*job.lead, 4, 4), g_screen)
+    g_means, g_quaternions, g_scales, g_opacities, g_sh = found.fields
+    g_cameras = found.cameras.view(*job.lead, 4, 4)
+    return g_means, g_quaternions, g_scales, g_opacities, g_sh, g_background, g_cameras, g_screen
 
 
 render_dense_backward = torch.library.custom_op(

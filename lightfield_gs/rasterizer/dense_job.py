@@ -103,22 +103,22 @@ class DenseJob:
     def backward(self, images: DenseImages, gradients: DenseImages, wanted: Wanted) -> DenseGradients:
         """What follows from the gradients of the images that draw() returned."""
         images, gradients = self._checked("", images), self._checked("g_", gradients)
-        native = [
+        of_images, of_gradients = (
             self.scene.core.DenseImages(*(0 if t is None else t.data_ptr() for t in group))
             for group in (images, gradients)
-        ]
+        )
         with self.scene.guard:
-            return self.work.dense_backward(self.cameras, self.background, *native, wanted)
+            return self.work.dense_backward(self.cameras, self.background, of_images, of_gradients, wanted)
 
     def _checked(self, prefix: str, images: DenseImages) -> DenseImages:
         """The same, contiguous."""
         like = self.scene.tensors[0]
-        return DenseImages(
-            *(
-                None if tensor is None else check(prefix + name, tensor, shape, like)
-                for name, tensor, shape in zip(images._fields, images, self._shapes())
-            )
+        image, alpha, depth = (
+            None if tensor is None else check(prefix + name, tensor, shape, like)
+            for name, tensor, shape in zip(images._fields, images, self._shapes())
         )
+        assert image is not None
+        return DenseImages(image, alpha, depth)
 
     def _shapes(self) -> list[tuple[int, ...]]:
         size = (*self.lead, self.height, self.width)

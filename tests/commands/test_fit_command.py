@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -82,17 +79,20 @@ def test_without_memory_there_are_three_remedies(desk, capsys, monkeypatch):
     )
 
 
-def test_ctrl_c_leaves_a_scene_and_the_way_to_go_on(desk):
-    line = "fit photos -o s.ply --steps 100000 --gaussians 150 --device cpu --checkpoint-every 5".split()
-    program = [sys.executable, "-m", "lightfield_gs", *line]
-    process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not Path("s.fit/checkpoint.safetensors").exists() and process.poll() is None:
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    out, error = process.communicate(timeout=60)
-    assert process.returncode == 130, (out, error)
-    assert "stops after this step" in error and "the same command goes on" in out
-    assert Gaussians.load("s.ply").count == 150
+def test_ctrl_c_leaves_a_scene_and_the_way_to_go_on(desk, capsys, monkeypatch):
+    advance = Trainer.advance
+
+    def interrupted(self: Trainer, until: int) -> None:
+        advance(self, until)
+        if self.done >= 12:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Trainer, "advance", interrupted)
+    line = "fit photos -o s.ply --steps 5000 --gaussians 150 --device cpu --checkpoint-every 5"
+    assert cli.main(line.split()) == 130
+    printed = capsys.readouterr()
+    assert "stops after this step" in printed.err and "the same command goes on" in printed.out
+    assert Gaussians.load("s.ply").count == 150 and Path("s.fit/checkpoint.safetensors").exists()
 
 
 def test_a_second_signal_aborts(capfd):

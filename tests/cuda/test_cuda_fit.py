@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import fit_scene
 import pytest
 import torch
 from cuda_on_cpu import fit_cases
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.fitting import trainer
+from lightfield_gs.fitting.evaluate import evaluated
 from lightfield_gs.fitting.photo_loss import photo_loss, photo_loss_and_gradient
+from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.update import Gradients, RawFields, activated, update, update_table
+from lightfield_gs.fitting.views import Views
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
@@ -82,3 +90,31 @@ def test_what_cannot_be_used_is_said():
         photo_loss(image.double(), image.double())
     with pytest.raises(InputError, match="photo must be torch.float32 on cuda:0, got torch.float32 on cpu"):
         photo_loss(image, image.cpu())
+
+
+def fitted_fields(views: Views) -> list[torch.Tensor]:
+    """What 60 steps make of a few Gaussians, with changes of density between them."""
+    settings = FitSettings(steps=60, gaussians=400, sh_degree=1)
+    fit = Trainer(fit_scene.first_fields(fit_scene.known_scene(), settings, device=CUDA), views, settings)
+    fit.advance(60)
+    assert fit.done == 60 and fit.fields.count == 400 and not int(fit.counters.skipped)
+    return list(fit.fields.tensors().values())
+
+
+def test_photographs_of_the_host_make_the_same_scene():
+    views = fit_scene.views_of(fit_scene.known_scene(), device=CUDA)
+    hosted = replace(views, photos=views.photos.cpu())
+    assert hosted.on_host and not views.on_host
+    for value, same in zip(fitted_fields(views), fitted_fields(hosted), strict=True):
+        assert torch.equal(value, same)
+    gaussians = fit_scene.known_scene().to(CUDA)
+    assert evaluated(gaussians, hosted, (0.0, 0.0, 0.0)) == evaluated(gaussians, views, (0.0, 0.0, 0.0))
+
+
+def test_too_little_room_for_pairs_changes_nothing_but_time(monkeypatch):
+    views = fit_scene.views_of(fit_scene.known_scene(), device=CUDA)
+    plenty = fitted_fields(views)
+    for name, value in (("_SLACK", 1.0), ("_LEAST_SLACK", 0.0), ("_LEAST_ROOM", 0)):  # the next image may need more
+        monkeypatch.setattr(trainer, name, value)
+    for value, same in zip(plenty, fitted_fields(views), strict=True):
+        assert torch.equal(value, same)

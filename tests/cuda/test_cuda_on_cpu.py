@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from cuda_on_cpu import cases, fit_cases
+from cuda_on_cpu import cases, fit_cases, slot_cases
 
 from lightfield_gs import Quality, encode, reference
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -52,6 +52,7 @@ DRAWN = (
     "pruned",
     "recoloured",
     "dense",
+    "rooms",
     "fit",
     "sorted",
     "gradients",
@@ -326,6 +327,18 @@ def test_images_and_gradients_are_those_of_float64(drawn):
     for name, expected in cases.dense_step(torch.float64).items():
         error = (found[name].double() - expected).norm() / expected.norm()
         assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
+
+
+def test_splats_that_fill_images_and_room_for_pairs(drawn):
+    """Slots that a block adds up together; and with too little room nothing but the images is wrong, which is said."""
+    found, expected = drawn("rooms"), slot_cases.images_and_gradients(torch.float64)[0]
+    for name, right in expected.items():
+        error = (found["waited"][name].double() - right).norm() / right.norm()
+        assert error < (1e-5 if name in ("image", "alpha", "depth") else 1e-3), name
+        assert torch.equal(found["enough"][name], found["waited"][name]), name
+    assert found["pairs"] > slot_cases.SCENES * slot_cases.VIEWS * 4 * 256
+    for short in found["short"]:
+        assert short["pairs"] == found["pairs"] and short["buffers"] > 10 and short["intact"]
 
 
 def test_sorted_in_any_chunks_is_that_of_the_cpu(drawn):

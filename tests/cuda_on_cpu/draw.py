@@ -20,6 +20,7 @@ sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 
 import cases
 import fit_cases
+import slot_cases
 import torch
 
 from lightfield_gs.models import group_norm
@@ -146,6 +147,8 @@ def main(what: str) -> object:
         ]
     if what == "fit":
         return fit_cases.fitted(torch.float32)
+    if what == "rooms":
+        return slot_cases.with_rooms()
     if what == "dense":
         return cases.dense_step(torch.float32)
     if what == "words":

@@ -176,8 +176,8 @@ def test_without_memory_for_it_a_fit_does_not_begin(capture, monkeypatch):
 
 
 def test_memory_is_that_of_the_formula():
-    need = memory.needed(FitSettings(gaussians=1000, sh_degree=1, views=2), 10, 40, 30, masked=False)
-    assert need == (10 * 40 * 30 * 3, 6 * 4 * 1000 * 23, 4 * 1000 * 23, 2 * (450 * 1000 + 90 * 1200))
+    need = memory.needed(FitSettings(gaussians=1000, sh_degree=1, views=2), 10, 40, 30)
+    assert need == (10 * 40 * 30 * 4, 6 * 4 * 1000 * 23, 4 * 1000 * 23, 2 * (450 * 1000 + 90 * 1200))
 
 
 @pytest.mark.parametrize(
@@ -186,6 +186,9 @@ def test_memory_is_that_of_the_formula():
         ({"step": 3}, "did you mean steps"),
         ({"antialiased": 1}, "antialiased: expected bool"),
         ({"rate_means": "fast"}, "rate_means"),
+        ({"refine_every": "often"}, "refine_every"),
+        ({"means_decay": 0}, "means_decay"),
+        ({"initial_scale": 0}, "initial_scale"),
         ({"background": 1}, "background"),
         ({"device": "tpu"}, "device"),
         ({"test_names": "a.png"}, "test_names"),

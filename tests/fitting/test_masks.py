@@ -60,7 +60,7 @@ def test_a_random_background_empties_what_masks_leave_out():
 
 def test_masks_are_read_as_what_they_are_to_be(tmp_path):
     capture = read_capture(write_capture(tmp_path / "capture", masked=True))
-    world, some = World.of(capture.world_to_camera, capture.extent), [0, 3]
+    world, some = World.of(capture.centres, capture.extent), [0, 3]
     ignored, alpha = (Views.load(capture, some, world, "cpu", some, masks) for masks in ("ignore", "alpha"))
     assert ignored.opacity is None and alpha.weights is None
     assert ignored.weights.equal(alpha.opacity) and (alpha.opacity[:, :, :16] == 0).all()

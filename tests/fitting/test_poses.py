@@ -9,7 +9,7 @@ from torch import Tensor
 
 from lightfield_gs.fitting.align import aligned
 from lightfield_gs.fitting.fields import Fields
-from lightfield_gs.fitting.poses import Poses, moved, rotations, twist_gradients, without_common
+from lightfield_gs.fitting.poses import Poses, moved, rotations_about, twist_gradients, without_common
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
@@ -32,7 +32,7 @@ def test_rotations_are_exponentials():
     turns = torch.cat([random(20, 3), torch.zeros(1, 3, dtype=DOUBLE), 1e-9 * random(1, 3)])
     x, y, z = turns.unbind(-1)
     cross = torch.stack([0 * x, -z, y, z, 0 * x, -x, -y, x, 0 * x], -1).view(-1, 3, 3)
-    torch.testing.assert_close(rotations(turns), torch.linalg.matrix_exp(cross))
+    torch.testing.assert_close(rotations_about(turns), torch.linalg.matrix_exp(cross))
 
 
 def test_the_gradient_of_a_motion_is_that_of_autograd():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -10,102 +11,127 @@ from pathlib import Path
 import pytest
 import torch
 from fit_capture import write_capture
+from fit_scene import first_fields, known_scene, psnr_db, views_of
 
+from lightfield_gs import cli
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.several import ALONE, Group, is_first, joined
+from lightfield_gs.fitting.trainer import Trainer
 
-pytestmark = [pytest.mark.long_file, pytest.mark.not_sanitized]  # torchrun, which imports torch once more
+# Most of the time goes to processes that import torch once more
+pytestmark = [pytest.mark.long_file, pytest.mark.not_sanitized]
 TESTS = Path(__file__).resolve().parents[1]
 TWO_GPUS = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
+DENSITIES = ("mcmc", "adaptive")
 FITTING = f"""
 import sys, torch
-sys.path.insert(0, {str(TESTS)!r})
-from fit_scene import first_fields, known_scene, psnr_db, views_of
-from lightfield_gs.fitting.settings import FitSettings
+sys.path[:0] = {[str(TESTS), str(TESTS / "fitting")]!r}
+from test_several import DENSITIES, fitted
 from lightfield_gs.fitting.several import joined
-from lightfield_gs.fitting.trainer import Trainer
 torch.set_num_threads(1)
-with joined(sys.argv[3]) as (group, device):
-    options = dict(exposure=True, poses=True, density=sys.argv[2])
-    settings = FitSettings(steps=120, gaussians=200, views=2, sh_degree=1, **options)
-    scene = known_scene()
-    views = views_of(scene, device=device)
-    trainer = Trainer(first_fields(scene, settings, device=device), views, settings, group)
-    trainer.advance(1)
-    first = [tensor.clone() for tensor in trainer.fields.values]
-    trainer.advance(120)
-    group.check_same("results", b"".join(t.cpu().numpy().tobytes() for t in trainer.fields.values), device)
-    group.check_same("tallies", trainer.tally.seen.cpu().numpy().tobytes(), device)
+with joined(sys.argv[2]) as (group, device):
+    results = [fitted(density, group, device) for density in DENSITIES]
     if group.is_first:
-        values = first, psnr_db(trainer.fields, views), trainer.counters.losses, trainer.fields.count, trainer.extra
-        torch.save(values, sys.argv[1])
+        torch.save(results, sys.argv[1])
 """
 BREAKING_OFF = """
-import sys, torch
+import torch
+from lightfield_gs import InputError
 from lightfield_gs.fitting import several
 with several.joined("cpu") as (group, device):
-    group.barrier()
-    if sys.argv[1] == "differs":
+    try:
         group.check_same("settings", bytes([group.rank]))
+    except InputError as error:
+        print(error, flush=True)
     if not group.is_first:
         raise ValueError("no photographs")
     group.sum_([torch.zeros(3)])
 """
 
 
-def start(processes: int, program: str, *arguments: str) -> subprocess.Popen:
-    command = [sys.executable]
-    if processes > 1:
-        command += ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}"]
+def fitted(density: str, group: Group, device: str) -> dict[str, object]:
+    """A fit that is the same in all processes of the group: the first step's fields, and what came of it."""
+    settings = FitSettings(steps=60, gaussians=200, views=2, sh_degree=1, density=density, exposure=True, poses=True)
+    scene = known_scene()
+    views = views_of(scene, device=device)
+    trainer = Trainer(first_fields(scene, settings, device=device), views, settings, group)
+    trainer.advance(1)
+    first = [tensor.clone() for tensor in trainer.fields.values]
+    trainer.advance(60)
+    group.check_same("results", b"".join(t.cpu().numpy().tobytes() for t in trainer.fields.values), device)
+    group.check_same("tallies", trainer.tally.seen.cpu().numpy().tobytes(), device)
+    score, losses = psnr_db(trainer.fields, views), trainer.counters.losses
+    return {"first": first, "psnr_db": score, "losses": losses, "extra": trainer.extra}
+
+
+def printed_by_two(program: Path, *arguments: str) -> list[tuple[int, str]]:
+    """Exit code and output of two processes that find each other by torchrun's environment variables."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    common = {"OMP_NUM_THREADS": "1", "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
     streams = dict(stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    return subprocess.Popen([*command, program, *arguments], env=environment, **streams)
+    running = [
+        subprocess.Popen(
+            [sys.executable, program, *arguments],
+            env=os.environ | common | {"RANK": rank, "LOCAL_RANK": rank},
+            **streams,
+        )
+        for rank in "01"
+    ]
+    printed = [process.communicate(timeout=120)[0] for process in running]
+    return [(process.returncode, words) for process, words in zip(running, printed)]
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=TWO_GPUS)])
-@pytest.mark.parametrize("density", ["mcmc", "adaptive"])
-def test_two_processes_fit_as_one(tmp_path, density, device):
+def test_two_processes_fit_as_one(tmp_path, device):
     """The same sums in another order: rounding at first, and what comes of it at the end."""
-    program = tmp_path / "fitting.py"
+    program, path = tmp_path / "fitting.py", tmp_path / "two.pt"
     program.write_text(FITTING)
-    results = [tmp_path / f"{processes}.pt" for processes in (1, 2)]
-    running = [start(processes, str(program), str(path), density, device) for processes, path in enumerate(results, 1)]
-    for process in running:
-        printed = process.communicate(timeout=120)[0]
-        assert process.returncode == 0, printed
-    one, two = (torch.load(path, map_location="cpu") for path in results)
-    for alone, together in zip(one[0], two[0]):
-        torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-5)
-    torch.testing.assert_close(two[2][:3], one[2][:3], atol=1e-5, rtol=1e-4)
-    assert two[1] == pytest.approx(one[1], abs=0.05) and one[1] > 14
-    for name, alone in one[4].items():
-        torch.testing.assert_close(two[4][name], alone, atol=0.02, rtol=0.1)
+    codes, printed = zip(*printed_by_two(program, str(path), device))
+    assert codes == (0, 0), printed
+    for density, two in zip(DENSITIES, torch.load(path, map_location=device), strict=True):
+        one = fitted(density, ALONE, device)
+        for alone, together in zip(one["first"], two["first"]):
+            torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-5)
+        torch.testing.assert_close(two["losses"][:3], one["losses"][:3], atol=1e-5, rtol=1e-4)
+        assert two["psnr_db"] == pytest.approx(one["psnr_db"], abs=0.05) and one["psnr_db"] > 14
+        for name, alone in one["extra"].items():
+            torch.testing.assert_close(two["extra"][name], alone, atol=0.02, rtol=0.1)
 
 
-def test_the_command_writes_once(tmp_path):
-    """Two processes of the command: one scene, one voice, and a checkpoint from which one process alone goes on."""
+def test_the_command_writes_once(tmp_path, capsys):
+    """Two processes of the command by torchrun: one scene, one voice, and a checkpoint from which one process alone
+    goes on."""
     capture, scene = write_capture(tmp_path / "capture"), tmp_path / "scene.ply"
-    options = [str(capture), "-o", str(scene), "--device", "cpu", "--gaussians", "200", "--sh-degree", "0"]
+    options = ["fit", str(capture), "-o", str(scene), "--device", "cpu", "--gaussians", "200", "--sh-degree", "0"]
     options += ["--steps", "20", "--views-per-step", "2"]
-    process = start(2, "-m", "lightfield_gs", "fit", *options)
-    printed = process.communicate(timeout=120)[0]
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    process = subprocess.run(
+        [*torchrun, "-m", "lightfield_gs", *options],
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=120,
+    )
+    printed = process.stdout
     assert process.returncode == 0 and printed.count("200 Gaussians after 20 of 20 steps") == 1, printed
     assert printed.count("held-out PSNR") >= 1 and printed.count("goes on from") == 0
     made = scene.read_bytes()
-    process = start(1, "-m", "lightfield_gs", "fit", *options)
-    assert "20 of 20 steps done" in process.communicate(timeout=120)[0] and scene.read_bytes() == made
+    assert cli.main(options) == 0
+    assert "20 of 20 steps done" in capsys.readouterr().out and scene.read_bytes() == made
 
 
-@pytest.mark.parametrize(
-    "how, said",
-    [("differs", "the 2 processes were given different settings"), ("raises", "process 0 of 2: the others have ended")],
-)
-def test_all_end_when_one_does(tmp_path, how, said):
+def test_all_end_when_one_does(tmp_path):
+    """Where they were given different settings; and where one of them fails, for whatever reason."""
     program = tmp_path / "breaking_off.py"
     program.write_text(BREAKING_OFF)
-    process = start(2, str(program), how)
-    printed = process.communicate(timeout=60)[0]
-    assert process.returncode != 0 and said in printed, printed
+    (first, by_first), (second, by_second) = printed_by_two(program)
+    assert first != 0 and second != 0
+    assert all("the 2 processes were given different settings" in words for words in (by_first, by_second)), by_first
+    assert "process 0 of 2: the others have ended" in by_first and "no photographs" in by_second
 
 
 def test_alone_nothing_is_reduced(monkeypatch):
@@ -114,7 +140,7 @@ def test_alone_nothing_is_reduced(monkeypatch):
     with joined("cpu") as (group, device):
         assert group is ALONE and device == "cpu" and is_first() and not torch.distributed.is_initialized()
         numbers = torch.tensor([1.0, 2.0])
-        group.sum_([numbers]), group.max_(numbers), group.barrier()
+        group.sum_([numbers]), group.max_(numbers)
         assert numbers.tolist() == [1.0, 2.0] and group.largest(7) == 7
 
 

@@ -165,10 +165,11 @@ __device__ void store_place(float2 gradient, const Slots& slots, const SlotSums&
 }
 
 // Writes all gradients. The adjoint of an ordinary splat fits the registers that three blocks on a multiprocessor
-// leave. Needles, and all splats of an anti-aliased scene (see compensated_splat()), go through add_exact_adjoint()
-// instead. kOneView: there is one camera a scene, so that the gradients of harmonics can take the place of these.
-template <bool kAntialiased, bool kOneView>
-__global__ void __launch_bounds__(kThreads, 3)
+// leave, or four without the gradients of cameras (kCameras). Needles, and all splats of an anti-aliased scene (see
+// compensated_splat()), go through add_exact_adjoint() instead. kOneView: there is one camera a scene, so that the
+// gradients of harmonics can take the place of these.
+template <bool kAntialiased, bool kOneView, bool kCameras>
+__global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
                                   Slots slots, Gaussians<float> out, float* screen, float* view_partials) {
   __shared__ float partial[kWarps][kViewNumbers];
@@ -215,14 +216,28 @@ __global__ void __launch_bounds__(kThreads, 3)
       const vec3 g_mean =
           sh_colour_adjoint<!kOneView>(own.sh_degree, rows.own(), shape.mean, view.centre(), g_colour, g_rows.own());
       g.mean += g_mean;
-      g_view.rotation += glm::outerProduct(-view.translation, -g_mean);
-      g_view.translation += view.rotation * g_mean;
+      if constexpr (kCameras) {
+        g_view.rotation += glm::outerProduct(-view.translation, -g_mean);
+        g_view.translation += view.rotation * g_mean;
+      }
     }
     if (screen && real) store_place(g_place, slots, sums, screen, index);
-    if (view_partials) store_view(g_view, partial, view_partials + (image * gridDim.x + blockIdx.x) * kViewNumbers);
+    if constexpr (kCameras)
+      store_view(g_view, partial, view_partials + (image * gridDim.x + blockIdx.x) * kViewNumbers);
   }
   if (real) store_gradient(shape, g, g_own, i);
   g_rows.store(g_own.sh + numbers * first, drawn, int(min(int64_t(32), n - first)));
+}
+
+using Kernel = decltype(&project_dense_backward_kernel<false, true, false>);
+
+template <bool kAntialiased>
+Kernel kernel_of(bool one_view, bool cameras) {
+  if (one_view)
+    return cameras ? project_dense_backward_kernel<kAntialiased, true, true>
+                   : project_dense_backward_kernel<kAntialiased, true, false>;
+  return cameras ? project_dense_backward_kernel<kAntialiased, false, true>
+                 : project_dense_backward_kernel<kAntialiased, false, false>;
 }
 
 }  // namespace
@@ -237,10 +252,7 @@ void project_dense_backward(const Gaussians<const float>& gaussians, const Camer
   sum_slots(splats.images * splats.count, slot_ranges, absolute, slot_gradients, stream);
   const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
   const bool one = cameras.per_scene == 1;
-  const auto kernel =
-      cameras.antialiased
-          ? (one ? project_dense_backward_kernel<true, true> : project_dense_backward_kernel<true, false>)
-          : (one ? project_dense_backward_kernel<false, true> : project_dense_backward_kernel<false, false>);
+  const auto kernel = cameras.antialiased ? kernel_of<true>(one, view_partials) : kernel_of<false>(one, view_partials);
   const size_t bytes =
       size_t(one ? 1 : 2) * kThreads * HarmonicRows::stride_of(3 * gaussians.sh_count()) * sizeof(float);
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),

@@ -9,23 +9,11 @@ from typing import Any
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES
-from lightfield_gs.commands.options.values import background, within
+from lightfield_gs.commands.options.values import background, whole, within
 
 Add = Callable[..., argparse.Action]
 _BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
 _MOST = 10_000_000
-
-
-def whole(low: int, high: int) -> Callable[[str], int]:
-    """Parser of a whole number in low..high."""
-
-    def parse(text: str) -> int:
-        digits = text.replace("_", "").replace(",", "")
-        if not digits.isdecimal() or not low <= int(digits[:19]) <= high:
-            raise argparse.ArgumentTypeError(f"expected a whole number in {low}..{high}, got '{text}'")
-        return int(digits)
-
-    return parse
 
 
 def every_or_none(text: str) -> int | None:

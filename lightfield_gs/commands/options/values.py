@@ -49,6 +49,30 @@ def within(low: float, high: float, unit: str = ""):
     return parse
 
 
+def whole(low: int, high: int):
+    """Parser of a whole number in low..high; "300,000" and "300_000" are 300000."""
+
+    def parse(text: str) -> int:
+        digits = text.replace("_", "").replace(",", "")
+        if not digits.isdecimal() or len(digits) > 19 or not low <= int(digits) <= high:
+            raise argparse.ArgumentTypeError(f"expected a whole number in {low}..{high}, got '{text}'")
+        return int(digits)
+
+    return parse
+
+
+def whole_numbers(low: int, high: int, separator: str = ",", count: int | None = None):
+    """Parser of whole numbers in low..high, `count` of them (None: one or more)."""
+
+    def parse(text: str) -> tuple[int, ...]:
+        words = text.split(separator)
+        if count not in (None, len(words)):
+            raise argparse.ArgumentTypeError(f"expected {count} whole numbers with {separator!r} between, got '{text}'")
+        return tuple(map(whole(low, high), words))
+
+    return parse
+
+
 def camera_choice(text: str) -> tuple[Path, int | None]:
     """ "FILE" or "FILE:INDEX" -> the file, and which of its cameras."""
     name, colon, index = text.rpartition(":")

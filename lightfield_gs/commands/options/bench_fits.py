@@ -6,27 +6,9 @@ import argparse
 from pathlib import Path
 
 from lightfield_gs.bench import dense, fit
+from lightfield_gs.commands.options.values import whole, whole_numbers
 
 _MOST_GAUSSIANS = 100_000_000
-
-
-def whole_numbers(low: int, high: int, separator: str = ",", count: int | None = None):
-    """Parser of whole numbers in low..high, `count` of them (None: one or more)."""
-
-    def parse(text: str) -> tuple[int, ...]:
-        words = text.split(separator)
-        good = all(word.isascii() and word.isdigit() and low <= int(word[:12]) <= high for word in words)
-        if not good or count not in (None, len(words)):
-            wanted = "a whole number" if count == 1 else f"whole numbers with {separator!r} between"
-            raise argparse.ArgumentTypeError(f"expected {wanted}, {low}..{high}, got {text!r}")
-        return tuple(map(int, words))
-
-    return parse
-
-
-def whole_number(low: int, high: int):
-    """Parser of a whole number in low..high."""
-    return lambda text: whole_numbers(low, high, count=1)(text)[0]
 
 
 def add_fit_options(parser: argparse.ArgumentParser) -> None:
@@ -49,10 +31,10 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--steps",
-        type=whole_number(1, 10_000_000),
+        type=whole(1, 10_000_000),
         help=f"of fit; schedules are scaled to them (default: {fit.STEPS['cuda']}, on the CPU {fit.STEPS['cpu']})",
     )
-    parser.add_argument("--seeds", type=whole_number(1, 1000), help="of fit: how many fits of each arm (default: 1)")
+    parser.add_argument("--seeds", type=whole(1, 1000), help="of fit: how many fits of each arm (default: 1)")
     parser.add_argument(
         "--arms",
         help=f"of fit: with commas, of {', '.join(fit.ARMS)} (default: {', '.join(fit.USUAL_ARMS)}, or ours alone on "
@@ -60,13 +42,13 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--longest-px",
-        type=whole_number(16, 16_384),
+        type=whole(16, 16_384),
         help="of fit: photographs are shrunk to this many pixels on their longer side (default: not at all, on the CPU "
         f"to {fit.LONGEST_PX['cpu']})",
     )
     parser.add_argument(
         "--test-every",
-        type=whole_number(2, 1_000_000),
+        type=whole(2, 1_000_000),
         metavar="K",
         help="of fit: one of K photographs is held out, the middle one (default: 8)",
     )
