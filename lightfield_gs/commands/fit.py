@@ -117,14 +117,18 @@ def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
 
 
 def _say_angles(result: FitResult) -> None:
-    """Scores by angle, where there is a cone, before and after what the panel does not show was left out."""
+    """Scores by angle, where there is a cone; by what the panel can show, before and after the rest was left out."""
     if result.angles is None or result.scores is None:
         return
     print(f"from {result.angles.centre}, cone of {result.angles.cone_deg:g} degrees:")
     print(result.angles.table(result.scores))
-    if result.pruned_scores is not None:
-        print(f"with the {result.gaussians.count} Gaussians that the panel shows:")
-        print(result.angles.table(result.pruned_scores))
+    if (framed := result.frame_scores) is not None:
+        whole, pruned, count = framed.whole, framed.pruned, len(framed.whole.names)
+        print(
+            f"in the panel's frame, {framed.share:.0%} of {count} photograph{'s' * (count > 1)} inside its cone: PSNR "
+            f"{whole.mean_psnr_db:.2f} dB, SSIM {whole.mean_ssim:.4f}; with the {result.gaussians.count} Gaussians "
+            f"that it shows {pruned.mean_psnr_db:.2f} dB, {pruned.mean_ssim:.4f}"
+        )
 
 
 def _panel(args: argparse.Namespace) -> str:
