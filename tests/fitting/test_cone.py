@@ -207,8 +207,9 @@ def test_pixels_in_the_frame_are_those_whose_rays_go_through_it():
     assert not Frame.of(display, world).pixels(flipped, views.intrinsics[2], 48, 32).any()  # it looks away
 
 
-@pytest.mark.parametrize("cut", [0.0, 1e-4])
-def test_what_is_pruned_for_a_panel_costs_photographs_nothing_in_its_frame(cut):
+# At 31 dB a change of 0.1 dB is one of 3e-4 in the root of the mean square; the mean error may be 1e-4 and the cut
+@pytest.mark.parametrize("cut, most_db", [(0.0, 0.01), (1e-4, 0.1)])
+def test_what_is_pruned_for_a_panel_costs_photographs_nothing_in_its_frame(cut, most_db):
     scene, world = random_scene(600, extent=1.4, size=0.1, dtype=torch.float32), World((0.0, 0.0, 0.0), 1.0)
     display = small_display()
     places = display.rig.cameras_at(display.panel, [0.5, 4.0, float(display.panel.views)])
@@ -223,7 +224,7 @@ def test_what_is_pruned_for_a_panel_costs_photographs_nothing_in_its_frame(cut):
     assert result is not None and result[0].names == ["00.png", "02.png"] and 0.3 < result[1] < 0.8
     black = (0.0, 0.0, 0.0)
     whole, fewer = (evaluated(s, result[0], black).mean_psnr_db for s in (other, left))
-    assert abs(whole - fewer) < 0.02
+    assert abs(whole - fewer) < most_db
     assert evaluated(other, views, black).mean_psnr_db - evaluated(left, views, black).mean_psnr_db > 1
     assert framed(views, Frame.of(display, world), [False] * 3) is None
 
