@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.commands.options.cone import add_cone, cone_given
+from lightfield_gs.commands.options.cone import add_cone, check_cone, cone_given
 from lightfield_gs.commands.options.fit import add_capture, add_optimisation, add_run, names_in, settings_given
 from lightfield_gs.commands.options.interrupts import Interrupts
 from lightfield_gs.commands.options.scene import check_scene_path
@@ -23,15 +23,17 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs fit`."""
     parser.description = (
-        "Fits Gaussians to photographs of a scene, with cameras that COLMAP or another program found. The same command "
-        "goes on where it was stopped; the same seed gives the same file."
+        "Fits Gaussians to photographs of a scene, with cameras that COLMAP or another program found. Ctrl-C stops it "
+        "and writes the scene so far; the same command goes on from there. The same capture, options and machine give "
+        "the same file."
     )
     add = parser.add_argument
     add(
         "input",
         type=Path,
         metavar="CAPTURE",
-        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json; with --sfm, photographs alone",
+        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json, or such a .json of another name; "
+        "with --sfm, a folder of photographs alone",
     )
     add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene, a standard 3DGS .ply")
     add_capture(parser)
@@ -46,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     folder = check_folder(args.output.with_suffix(".fit") if args.run is None else args.run)
     choose_device(args.device)
     held = names_in(args.test_list)
+    check_cone(args)
 
     from lightfield_gs.fitting.fit import fit
     from lightfield_gs.fitting.several import is_first
