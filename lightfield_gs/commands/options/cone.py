@@ -17,8 +17,8 @@ def add_cone(parser: argparse.ArgumentParser) -> None:
         metavar="PANEL|DEG",
         help="fits for what a panel shows, given by its name, .yaml or .json, or for the default panel with a cone of "
         "so many degrees, 1..179, from end to end. Photographs in the cone count fully, others less; Gaussians that "
-        "no view of the panel sees are left out; the rig is written beside the scene, scene.rig.yaml for scene.ply (default: "
-        "all photographs count alike)",
+        "no view of the panel sees are left out; the rig is written beside the scene, scene.rig.yaml for scene.ply "
+        "(default: all photographs count alike)",
     )
     add(
         "--centre",
