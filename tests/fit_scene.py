@@ -51,7 +51,5 @@ def first_fields(scene: lf.Gaussians, settings: FitSettings, points: int = 150, 
 
 def psnr_db(fields: Fields, views: Views) -> float:
     """Of all views together, as the fields are now."""
-    fx_fy, middle = views.intrinsics.split(2, -1)
-    cameras = lf.Cameras(views.world_to_camera, fx_fy, middle, views.width_px, views.height_px, views.limits)
-    image = lf.render(fields.gaussians(), cameras, background=(0.0, 0.0, 0.0)).clamp(0, 1)
+    image = lf.render(fields.gaussians(), views.cameras(), background=(0.0, 0.0, 0.0)).clamp(0, 1)
     return -10 * math.log10(float((image - views.photos / 255).square().mean()))

@@ -10,13 +10,12 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.evaluate import compared, weighted_psnr_db
+from lightfield_gs.fitting.evaluate import compared, weighted_psnr_db, weighted_ssim
 from lightfield_gs.fitting.initial import initial_gaussians
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
 from lightfield_gs.io.captures.capture import Capture
-from lightfield_gs.reference.metrics import ssim
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -69,23 +68,12 @@ class Photographs:
 
 @torch.no_grad()
 def scores(fit: Fit, views: Views) -> dict[str, float]:
-    """Means over views of PSNR in dB and SSIM by the protocol of fit/evaluate.py, drawn by the fit's own rasterizer;
-    and of the PSNR of the same scene drawn by ours."""
+    """Means over views of PSNR in dB and SSIM by the protocol of fitting/evaluate.py, drawn by the fit's own
+    rasterizer; and of the PSNR of the same scene drawn by ours."""
     scene, found = fit.gaussians(), []
     for place, (width, height) in enumerate(views.sizes):
         by_ours, photo, weights = compared(scene, views, place, BLACK)
-        image = fit.draw(view_cameras(views, place))[0, :height, :width].clamp(0, 1)
-        counts = (weights > 0)[..., None]
-        structure = ssim(*(picture.mul(counts).permute(2, 0, 1) for picture in (image, photo)))
+        image = fit.draw(views.cameras(place))[0, :height, :width].clamp(0, 1)
         psnr, psnr_by_ours = (weighted_psnr_db(picture, photo, weights) for picture in (image, by_ours))
-        found.append((psnr, float(structure), psnr_by_ours))
+        found.append((psnr, weighted_ssim(image, photo, weights), psnr_by_ours))
     return dict(zip(("psnr_db", "ssim", "psnr_db_by_ours"), np.mean(found, 0).tolist()))
-
-
-def view_cameras(views: Views, place: int) -> Cameras:
-    """The camera of one of them, as large as all."""
-    one = slice(place, place + 1)
-    focal, centre = views.intrinsics[one].split(2, -1)
-    return Cameras(
-        views.world_to_camera[one], focal, centre, views.width_px, views.height_px, jacobian_limits=views.limits[one]
-    )

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.bench import peers
-from lightfield_gs.bench.fit_data import BLACK, view_cameras
+from lightfield_gs.bench.fit_data import BLACK
 from lightfield_gs.fitting.photo_loss import photo_loss
 from lightfield_gs.fitting.schedule import Schedule
 from lightfield_gs.fitting.settings import RECIPE_STEPS, FitSettings
@@ -75,7 +75,7 @@ class PeerFit:
         self._recipe, self._views, self._settings = recipe, views, settings
         self._rasterization = peers.gsplat().rasterization
         self._order = Schedule.of(settings, views.count, "cpu").order[:, 0].tolist()
-        self._cameras = [view_cameras(views, place) for place in range(views.count)]
+        self._cameras = [views.cameras(place) for place in range(views.count)]
         self._matrices = [peers.intrinsic_matrices(cameras) for cameras in self._cameras]
         self._done = 0
         self.params = _parameters(start)

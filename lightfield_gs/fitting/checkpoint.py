@@ -34,7 +34,7 @@ _WAY_OUT = "give the same again, another --run folder, or --fresh to start over"
 
 
 @dataclass(frozen=True)
-class Origin:
+class Identity:
     """Which fit a checkpoint is of: its settings, and of the capture what decides the result, each as a digest."""
 
     settings: dict[str, Any]
@@ -43,7 +43,7 @@ class Origin:
     @classmethod
     def of(
         cls, settings: FitSettings, capture: Capture, train: Sequence[int], others: Mapping[str, Any] | None = None
-    ) -> Origin:
+    ) -> Identity:
         """Of a fit to the photographs `train` of a capture. others: what else decides the result, for JSON, by what a
         message calls it ("other <name>")."""
         parts = {
@@ -79,7 +79,7 @@ class Origin:
             raise InputError(f"{path}: this run was begun otherwise: {'; '.join(changed)}; {_WAY_OUT}")
 
 
-def save(path: Path, trainer: Trainer, origin: Origin, history: list[dict[str, Any]]) -> None:
+def save(path: Path, trainer: Trainer, identity: Identity, history: list[dict[str, Any]]) -> None:
     """Writes where the fit stands. history: evaluations so far, for JSON. Raises InputError where it cannot."""
     from safetensors import SafetensorError
     from safetensors.torch import save_file
@@ -95,7 +95,7 @@ def save(path: Path, trainer: Trainer, origin: Origin, history: list[dict[str, A
         for group, named_tensors in groups.items()
         for name, tensor in named_tensors.items()
     }
-    said = {"version": _VERSION, "step": trainer.done, "history": history, **asdict(origin)}
+    said = {"version": _VERSION, "step": trainer.done, "history": history, **asdict(identity)}
     with atomic_path(path) as temporary:
         try:
             save_file(tensors, temporary, {_KEY: json.dumps(said)})
@@ -103,7 +103,7 @@ def save(path: Path, trainer: Trainer, origin: Origin, history: list[dict[str, A
             raise InputError(f"cannot write {path}: {' '.join(str(error).split())[:200]}") from None
 
 
-def restore(path: Path, trainer: Trainer, origin: Origin) -> list[dict[str, Any]]:
+def restore(path: Path, trainer: Trainer, identity: Identity) -> list[dict[str, Any]]:
     """Brings a trainer to where a checkpoint stood, and returns the evaluations up to there.
 
     Raises InputError where the file is no checkpoint, and where it is of another capture or of other settings: it
@@ -111,7 +111,7 @@ def restore(path: Path, trainer: Trainer, origin: Origin) -> list[dict[str, Any]
     """
     with _a_checkpoint(path):
         said, on_host = _read(path)
-        origin.check(path, said)
+        identity.check(path, said)
         tensors = {name: tensor.to(trainer.device) for name, tensor in on_host.items()}
         trainer.fields = Fields.of_tensors(_below("fields", tensors))
         trainer.tally = Tally(trainer.fields.count, trainer.settings, trainer.device)

@@ -72,8 +72,7 @@ def evaluated(
     for index in range(views.count):
         image, photo, weights = compared(gaussians, views, index, background, antialiased)
         psnr.append(weighted_psnr_db(image, photo, weights))
-        counts = (weights > 0)[..., None].to(image)
-        structure.append(float(ssim(*(picture.mul(counts).permute(2, 0, 1) for picture in (image, photo)))))
+        structure.append(weighted_ssim(image, photo, weights))
     return Scores(list(views.names), psnr, structure)
 
 
@@ -99,3 +98,9 @@ def weighted_psnr_db(image: Tensor, photo: Tensor, weights: Tensor) -> float:
     errors = (image - photo).double().square().mean(-1)
     total = weights.double().sum().clamp_min(1e-12)
     return float(-10 * ((errors * weights).sum() / total).clamp_min(_LEAST_ERROR).log10())
+
+
+def weighted_ssim(image: Tensor, photo: Tensor, weights: Tensor) -> float:
+    """SSIM of [H,W,3] in 0..1, both black where weights [H,W] are zero."""
+    counts = (weights > 0)[..., None].to(image)
+    return float(ssim(*(picture.mul(counts).permute(2, 0, 1) for picture in (image, photo))))

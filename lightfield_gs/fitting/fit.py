@@ -19,7 +19,7 @@ from lightfield_gs.base.options import DEVICES, Device
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.fitting import checkpoint, memory
 from lightfield_gs.fitting.angles import Angles
-from lightfield_gs.fitting.checkpoint import Origin
+from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.display import Display, placed, rig_path
 from lightfield_gs.fitting.evaluate import Scores
 from lightfield_gs.fitting.fields import Fields
@@ -158,13 +158,13 @@ def _prepared(
     display, judged, said = placed(capture, *asked)
     shares = None if display is None else display.shares(train)
     angles = None if judged is None or not test else judged.angles(test)
-    origin = Origin.of(settings, capture, train, {"cone": shares})
+    identity = Identity.of(settings, capture, train, {"cone": shares})
     progress = Progress(
         habits.progress and group.is_first, habits.folder if habits.tensorboard and group.is_first else None
     )
     if habits.folder is not None:
         make_folder(habits.folder)
-        origin.check_file(habits.folder / checkpoint.FILE, habits.fresh)
+        identity.check_file(habits.folder / checkpoint.FILE, habits.fresh)
     width, height = map(int, capture.sizes_px.max(0))
     need = memory.needed(settings, len(capture.names), width, height)
     if on_host := memory.stays_on_host(need, device):
@@ -181,7 +181,7 @@ def _prepared(
     )
     for line in said:
         progress.say(line)
-    return Run(trainer, held, origin, habits, progress, angles), world, display
+    return Run(trainer, held, identity, habits, progress, angles), world, display
 
 
 def settings_of(**given: Any) -> FitSettings:

@@ -14,7 +14,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting import checkpoint
 from lightfield_gs.fitting.align import aligned
 from lightfield_gs.fitting.angles import Angles
-from lightfield_gs.fitting.checkpoint import Origin
+from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.evaluate import Scores, evaluated, protocol
 from lightfield_gs.fitting.pictures import write_pictures
 from lightfield_gs.fitting.progress import Progress
@@ -67,7 +67,7 @@ class Run:
         self,
         trainer: Trainer,
         held: Views | None,
-        origin: Origin,
+        identity: Identity,
         habits: Habits,
         progress: Progress,
         angles: Angles | None = None,
@@ -75,7 +75,7 @@ class Run:
         """angles: of the views held out, where they are scored by these as well."""
         self.angles = angles
         self.trainer, self.held, self.habits, self._progress = trainer, held, habits, progress
-        self._origin = origin
+        self._identity = identity
         self.history: list[dict[str, Any]] = []  # of evaluations: step, psnr_db, ssim, gaussians
         self.scores: Scores | None = None
         self.stopped = False  # by habits.stop
@@ -197,7 +197,7 @@ class Run:
             return
         path = self.habits.folder / checkpoint.FILE
         if path.exists():
-            self.history = checkpoint.restore(path, self.trainer, self._origin)
+            self.history = checkpoint.restore(path, self.trainer, self._identity)
             self._progress.say(f"goes on from {path}, {self.trainer.done} of {self.trainer.settings.steps} steps done")
 
     def _checkpoint_is_due(self) -> bool:
@@ -210,7 +210,7 @@ class Run:
         if self._folder is None:
             return
         began = time.monotonic()
-        checkpoint.save(self._folder / checkpoint.FILE, self.trainer, self._origin, self.history)
+        checkpoint.save(self._folder / checkpoint.FILE, self.trainer, self._identity, self.history)
         self._saved_at = time.monotonic()
         self._saving_s = self._saved_at - began
 

@@ -140,6 +140,13 @@ class Views:
         """Where the fit is."""
         return self.world_to_camera.device
 
+    def cameras(self, place: int | None = None) -> Cameras:
+        """The cameras of all, or of one of them, each as large as all photographs."""
+        some = slice(None) if place is None else slice(place, place + 1)
+        poses, intrinsics, limits = (t[some] for t in (self.world_to_camera, self.intrinsics, self.limits))
+        focal, centre = intrinsics.split(2, -1)
+        return Cameras(poses, focal, centre, self.width_px, self.height_px, jacobian_limits=limits)
+
     @property
     def count(self) -> int:
         """C."""

@@ -159,6 +159,7 @@ def test_scores_are_those_of_a_fit(photographs):
     assert found["ssim"] == pytest.approx(expected.mean_ssim, abs=1e-6)
 
 
+@pytest.mark.not_sanitized  # most of it is torch
 @pytest.mark.parametrize("arm", list(fit.RECIPES))
 def test_a_fit_in_the_peers_loop_learns(arm, photographs, gsplat):
     settings = FitSettings(steps=60, gaussians=200)

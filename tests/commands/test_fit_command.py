@@ -55,6 +55,7 @@ def test_which_photographs_are_held_out_is_a_choice(desk, capsys):
         ("fit photos -o s.png", "expected a name that ends in .ply"),
         ("fit photos -o s.ply --steps 0", "--steps: expected a whole number in 1.."),
         ("fit photos -o s.ply --density magic", "--density"),
+        ("fit photos -o s.ply --seed 12345678901234567890", "--seed"),
         ("fit photos -o s.ply --background 2,0,0", "--background"),
         ("fit photos -o s.ply --test-list photos/transforms.json", "transforms.json"),
         ("fit photos -o s.ply --test-every 1", "--test-every"),

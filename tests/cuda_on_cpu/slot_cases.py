@@ -15,7 +15,7 @@ from lightfield_gs.rasterizer.dense_job import DenseImages, DenseJob
 from lightfield_gs.rasterizer.workspace import Wanted
 from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 
-SIDE_PX = 272  # 17 x 17 tiles, more slots of a splat than the 256 that a warp adds up alone
+SIDE_PX = 272  # 17 x 17 tiles: a splat before all of them has more slots than one warp adds up
 SCENES, VIEWS = 2, 3
 _GUARD_BYTES, _GUARD = 4096, 0xA5
 

@@ -18,7 +18,7 @@ from safetensors.torch import save
 import lightfield_gs as lf
 from lightfield_gs import InputError
 from lightfield_gs.fitting import checkpoint, memory
-from lightfield_gs.fitting.checkpoint import Origin
+from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.io.captures.capture import read_capture
@@ -70,12 +70,12 @@ def test_steps_do_not_depend_on_how_they_are_cut(kind):
 def test_a_checkpoint_goes_on_to_the_same_bits(kind, step, capture, tmp_path):
     """Also at steps after which the density changes or harmonics are added, which must happen once."""
     settings = KINDS[kind]
-    origin = Origin.of(settings, read_capture(capture), [0])
+    identity = Identity.of(settings, read_capture(capture), [0])
     whole, first, second = (trainer(settings) for _ in range(3))
     whole.advance(45)
     first.advance(step)
-    checkpoint.save(tmp_path / "c", first, origin, [{"step": 3}])
-    assert checkpoint.restore(tmp_path / "c", second, origin) == [{"step": 3}] and second.done == step
+    checkpoint.save(tmp_path / "c", first, identity, [{"step": 3}])
+    assert checkpoint.restore(tmp_path / "c", second, identity) == [{"step": 3}] and second.done == step
     second.advance(45)
     assert bits(second) == bits(whole)
 
@@ -87,6 +87,7 @@ def test_the_same_seed_gives_the_same_file(capture, in_one_go, tmp_path):
     assert (tmp_path / "other.ply").read_bytes() != in_one_go
 
 
+@pytest.mark.not_sanitized
 def test_a_fit_that_was_killed_goes_on_to_the_same_file(capture, in_one_go, tmp_path):
     """By SIGKILL, some steps after a checkpoint."""
     program = f"""

@@ -13,14 +13,11 @@ from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
 from lightfield_gs.io.captures.capture import read_capture
-from lightfield_gs.scene.cameras import Cameras
 
 
 def cut_out(views: Views, scene: lf.Gaussians) -> tuple[Views, torch.Tensor]:
     """Views whose masks are the alpha of the scene, their photographs of straight colours; and that alpha."""
-    fx_fy, middle = views.intrinsics.split(2, -1)
-    cameras = Cameras(views.world_to_camera, fx_fy, middle, views.width_px, views.height_px, views.limits)
-    image, alpha = lf.render(scene, cameras, background=(0.0, 0.0, 0.0), alpha=True)
+    image, alpha = lf.render(scene, views.cameras(), background=(0.0, 0.0, 0.0), alpha=True)
     straight = image / alpha.clamp_min(1e-3)[..., None]
     views.photos = straight.clamp(0, 1).mul(255).round().to(torch.uint8)
     views.opacity = alpha.mul(255).round().to(torch.uint8)
@@ -32,11 +29,9 @@ def test_the_scene_itself_is_the_target_over_any_background():
     scene.sh = scene.sh.clamp(-1.5, 1.5)  # colours that a photograph can show
     views, _ = cut_out(views_of(scene), scene)
     everything = torch.arange(views.count)
-    fx_fy, middle = views.intrinsics.split(2, -1)
-    cameras = Cameras(views.world_to_camera, fx_fy, middle, views.width_px, views.height_px, views.limits)
     for background in ((0.0, 0.0, 0.0), (1.0, 0.2, 0.6)):
         target, weights = views.targets(everything, torch.tensor([background]).expand(6, 3))
-        image = lf.render(scene, cameras, background=background)
+        image = lf.render(scene, views.cameras(), background=background)
         assert weights is None and (image - target).abs().max() < 0.006
         assert photo_loss_and_gradient(image, target)[0] / views.count < 0.002
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+import pytest
+
 import lightfield_gs as lf
 from lightfield_gs.io.captures.capture import read_capture
 
 BANANA = Path(__file__).resolve().parents[2] / "lightfield_gs/data/banana"
 
 
+@pytest.mark.not_sanitized
 def test_a_fit_of_real_photographs_shows_others_better_and_better():
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # nothing has to be assumed of the capture

@@ -52,13 +52,13 @@ with several.joined("cpu") as (group, device):
 
 def fitted(density: str, group: Group, device: str) -> dict[str, object]:
     """A fit that is the same in all processes of the group: the first step's fields, and what came of it."""
-    settings = FitSettings(steps=60, gaussians=200, views=2, sh_degree=1, density=density, exposure=True, poses=True)
+    settings = FitSettings(steps=120, gaussians=200, views=2, sh_degree=1, density=density, exposure=True, poses=True)
     scene = known_scene()
     views = views_of(scene, device=device)
     trainer = Trainer(first_fields(scene, settings, device=device), views, settings, group)
     trainer.advance(1)
     first = [tensor.clone() for tensor in trainer.fields.values]
-    trainer.advance(60)
+    trainer.advance(120)
     group.check_same("results", b"".join(t.cpu().numpy().tobytes() for t in trainer.fields.values), device)
     group.check_same("tallies", trainer.tally.seen.cpu().numpy().tobytes(), device)
     score, losses = psnr_db(trainer.fields, views), trainer.counters.losses

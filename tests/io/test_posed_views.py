@@ -13,6 +13,7 @@ from transforms_scene import CAMERA, edit, write_transforms
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.lens import COEFFICIENTS, distorted, share_beyond
+from lightfield_gs.io.captures.masks import masks_beside
 from training.data.images import find_cutout, read_view
 from training.data.objects import read_object
 from training.data.validate import main, problems
@@ -79,6 +80,14 @@ def test_masks_are_used(tmp_path, name):
         frame, mask = read_view(views, index), _mask(index)
         np.testing.assert_array_equal(frame[..., 3], mask)
         np.testing.assert_array_equal(frame[..., :3], picture * (mask > 0)[..., None])
+
+
+def test_masks_of_images_that_are_in_no_folder(tmp_path):
+    (tmp_path / "masks").mkdir()
+    images = [tmp_path / "a.png", tmp_path / "b.png"]
+    for image in images:
+        (tmp_path / "masks" / f"{image.name}.png").touch()
+    assert masks_beside(tmp_path, images) == tuple(tmp_path / "masks" / f"{image.name}.png" for image in images)
 
 
 def test_masks_of_an_srn_object(tmp_path):

@@ -10,6 +10,7 @@ from typing import Any
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.commands.options.values import background, whole, within
+from lightfield_gs.fitting.settings import DENSITIES, MASKS
 
 Add = Callable[..., argparse.Action]
 _BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
@@ -39,7 +40,7 @@ def add_capture(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--masks",
-        choices=("ignore", "alpha"),
+        choices=MASKS,
         default="ignore",
         help="what is black in masks, or transparent in photographs: anything may be there (ignore), or the scene is "
         "to be transparent there (alpha); default ignore",
@@ -94,7 +95,7 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--density",
-        choices=("mcmc", "adaptive"),
+        choices=DENSITIES,
         default="mcmc",
         help="how Gaussians come and go: mcmc: moved to where they are needed (Kheradmand et al. 2024); adaptive: "
         "cloned, split and removed (Kerbl et al. 2023); default mcmc",

@@ -144,11 +144,6 @@ def read_capture(
     )
 
 
-def is_capture(path: Path) -> bool:
-    """Whether a folder, or a file, looks like what read_capture reads."""
-    return transforms_file(path) is not None or model_folder(path) is not None
-
-
 def _read_layout(folder: Path, images: Path | None) -> Shots:
     """What the capture says, by what is in its folder; raises InputError."""
     if not folder.exists():

@@ -7,10 +7,9 @@ from pathlib import Path, PurePosixPath
 
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.captures.masks import FOLDER
+from lightfield_gs.io.captures.masks import FOLDER, mask_named
 from lightfield_gs.io.captures.photo_files import PhotoFiles, first_names
 from lightfield_gs.io.captures.shot import Shot, Shots
-from lightfield_gs.io.captures.views import IMAGE_SUFFIXES
 
 
 def masks_for(
@@ -44,18 +43,8 @@ def _in_folders(places: Sequence[Path], images: str, shots: Sequence[Shot]) -> t
     """The masks in the first of these folders that has any, and its name."""
     for place in places:
         files = {name.lower(): path for name, path in PhotoFiles(place).paths.items()}
-        paths = [_mask_of(PurePosixPath(shot.name), images, files) for shot in shots]
+        names = [PurePosixPath(shot.name) for shot in shots]
+        paths = [mask_named((name, images / name), files) for name in names]
         if any(paths):
             return paths, str(place)
     return [None] * len(shots), ""
-
-
-def _mask_of(name: PurePosixPath, images: str, files: dict[str, Path]) -> Path | None:
-    """The mask of a photograph, by its name with .png added (COLMAP) or instead of its extension (nerfstudio), below
-    the folder or below a folder of the images' name in it."""
-    for place in (name, images / name):
-        for base in (place, place.with_suffix("")):
-            for suffix in (*IMAGE_SUFFIXES, ""):
-                if (path := files.get(f"{base.as_posix()}{suffix}".lower())) is not None:
-                    return path
-    return None

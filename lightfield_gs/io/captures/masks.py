@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Sequence
+from pathlib import Path, PurePath
 
 import numpy as np
 
@@ -39,9 +40,16 @@ def masks_beside(folder: Path, images: list[Path]) -> tuple[Path, ...] | None:
 
 
 def _mask_of(folder: Path, image: Path, known: dict[str, Path]) -> Path | None:
-    """The mask of an image, among those known by their lower-case paths below masks/."""
-    relative = image.relative_to(folder)
-    for place in (Path(*relative.parts[1:]), relative):
+    """The mask of an image below `folder`, among those known by their lower-case paths below masks/."""
+    relative = PurePath(image.relative_to(folder))
+    inner = [PurePath(*relative.parts[1:])] if len(relative.parts) > 1 else []
+    return mask_named((*inner, relative), known)
+
+
+def mask_named(places: Sequence[PurePath], known: dict[str, Path]) -> Path | None:
+    """The mask of an image at the first of these places that has one: named as the image, with .png or so added (as
+    COLMAP does) or instead of its extension (nerfstudio). known: masks by their lower-case paths below their folder."""
+    for place in places:
         for name in (place, place.with_suffix("")):
             for suffix in ("", *IMAGE_SUFFIXES):
                 if mask := known.get(f"{name.as_posix()}{suffix}".lower()):
