@@ -23,8 +23,7 @@ demo-fit: setup
 	mkdir -p demo
 	$(BIN)/lightfield-gs fit $(CAPTURE) -o demo/banana.ply --longest-px 376 --steps 1500 --gaussians 15000 --sh-degree 2 \
 	  --cone 65in-8k-96v --centre DSC_0426.jpg --test-every 9 --device cpu
-	$(BIN)/lightfield-gs encode demo/banana.ply -o demo/banana.png --rig demo/banana.rig.yaml --background 0,0,0 \
-	  --preview demo/banana-preview
+	$(BIN)/lightfield-gs encode demo/banana.ply -o demo/banana.png --rig demo/banana.rig.yaml --preview demo/banana-preview
 	@echo "demo/banana.fit/last.png: a view that was held out, its photograph, and their difference; demo/banana.png: the"
 	@echo "image for the panel; demo/banana-preview/look-around.webp: what eyes see that move from left to right and back"
 

@@ -16,17 +16,12 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS, of_other_methods
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
 from lightfield_gs.commands.options.panel import add_panel, load_panel, why_no_eye
 from lightfield_gs.commands.options.photo import add_depth
 from lightfield_gs.commands.options.rig import load_cameras
-from lightfield_gs.commands.options.scene import (
-    add_antialiased,
-    add_skip_invalid,
-    check_scene_options,
-    check_scene_path,
-    load_scene,
-)
-from lightfield_gs.commands.options.values import background, byte_size, threads
+from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_options, check_scene_path, load_scene
+from lightfield_gs.commands.options.values import byte_size, threads
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel
@@ -114,7 +109,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="less time for more error, of --method direct (default exact)",
     )
     add_antialiased(add)
-    add("--background", type=background, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="0..1 each (default 1,1,1)")
+    add_background(add)
     add(
         "--preview",
         type=Path,
@@ -146,10 +141,11 @@ def run(args: argparse.Namespace) -> None:
         _use_threads(args.threads)
     device = choose_device(args.device)
     given, views = read_given(args, panel), _views(args, panel)
-    _note_slow_ways(args, panel, device)
     watch.lap("start")
     with torch.inference_mode():
         gaussians, file = load_scene(args, device, watch)
+        drawn_so = settle_drawing(args, file)
+        _note_slow_ways(args, panel, device)
         # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
         rig: Rig | None = None
         said: list[str] = []
@@ -172,7 +168,7 @@ def run(args: argparse.Namespace) -> None:
 
             write_preview(args.preview, image, gaussians, panel, cast("Rig", rig), args.background, args.antialiased)
             watch.lap("preview")
-    _say(args, panel, gaussians.count, stats, watch.line(), said)
+    _say(args, panel, gaussians.count, stats, watch.line(), drawn_so + said)
 
 
 def _check_files(args: argparse.Namespace) -> int:

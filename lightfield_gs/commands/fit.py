@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.commands.options.cone import add_cone, cone_given
+from lightfield_gs.commands.options.cone import add_cone, check_cone, cone_given
 from lightfield_gs.commands.options.fit import add_capture, add_optimisation, add_run, names_in, settings_given
 from lightfield_gs.commands.options.interrupts import Interrupts
 from lightfield_gs.commands.options.scene import check_scene_path
@@ -23,15 +23,17 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs fit`."""
     parser.description = (
-        "Fits Gaussians to photographs of a scene, with cameras that COLMAP or another program found. The same command "
-        "goes on where it was stopped; the same seed gives the same file."
+        "Fits Gaussians to photographs of a scene, with cameras that COLMAP or another program found. Ctrl-C stops it "
+        "and writes the scene so far; the same command goes on from there. The same capture, options and machine give "
+        "the same file."
     )
     add = parser.add_argument
     add(
         "input",
         type=Path,
         metavar="CAPTURE",
-        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json; with --sfm, photographs alone",
+        help="a folder with photographs and COLMAP's sparse/0 or a transforms.json, or such a .json of another name; "
+        "with --sfm, a folder of photographs alone",
     )
     add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene, a standard 3DGS .ply")
     add_capture(parser)
@@ -46,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     folder = check_folder(args.output.with_suffix(".fit") if args.run is None else args.run)
     choose_device(args.device)
     held = names_in(args.test_list)
+    check_cone(args)
 
     from lightfield_gs.fitting.fit import fit
     from lightfield_gs.fitting.several import is_first
@@ -114,19 +117,21 @@ def _say(args: argparse.Namespace, result: FitResult, folder: Path) -> None:
             print("stopped: nothing was left out yet of what the panel does not show")
     if result.stopped:
         print("stopped: the same command goes on from the checkpoint")
-    if result.settings.antialiased:
-        print("fitted with anti-aliasing: give --antialiased to encode and prune as well")
 
 
 def _say_angles(result: FitResult) -> None:
-    """Scores by angle, where there is a cone, before and after what the panel does not show was left out."""
+    """Scores by angle, where there is a cone; by what the panel can show, before and after the rest was left out."""
     if result.angles is None or result.scores is None:
         return
     print(f"from {result.angles.centre}, cone of {result.angles.cone_deg:g} degrees:")
     print(result.angles.table(result.scores))
-    if result.pruned_scores is not None:
-        print(f"with the {result.gaussians.count} Gaussians that the panel shows:")
-        print(result.angles.table(result.pruned_scores))
+    if (framed := result.frame_scores) is not None:
+        whole, pruned, count = framed.whole, framed.pruned, len(framed.whole.names)
+        print(
+            f"in the panel's frame, {framed.share:.0%} of {count} photograph{'s' * (count > 1)} inside its cone: PSNR "
+            f"{whole.mean_psnr_db:.2f} dB, SSIM {whole.mean_ssim:.4f}; with the {result.gaussians.count} Gaussians "
+            f"that it shows {pruned.mean_psnr_db:.2f} dB, {pruned.mean_ssim:.4f}"
+        )
 
 
 def _panel(args: argparse.Namespace) -> str:

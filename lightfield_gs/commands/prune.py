@@ -10,14 +10,9 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
+from lightfield_gs.commands.options.drawn import add_antialiased, settle_drawing
 from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.scene import (
-    add_antialiased,
-    add_skip_invalid,
-    check_scene_path,
-    read_noted,
-    say_origin,
-)
+from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_path, read_noted, say_origin
 from lightfield_gs.commands.options.values import within
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 
@@ -68,6 +63,7 @@ def run(args: argparse.Namespace) -> None:
     file = read_noted(args.input, args.skip_invalid)
     scene = file.gaussians
     say_origin(args.input, scene)
+    drawn_so = settle_drawing(args, file)
     watch.lap("load")
     on_device = scene.to(device)
     rig, said = choose_rig(given, args, panel, on_device, file)
@@ -89,4 +85,4 @@ def run(args: argparse.Namespace) -> None:
     )
     print(watch.line())
     said.append(f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it")
-    print("\n".join(said))
+    print("\n".join(drawn_so + said))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
@@ -29,7 +28,7 @@ from lightfield_gs.fitting.progress import Progress
 from lightfield_gs.fitting.run import Habits, Run
 from lightfield_gs.fitting.settings import Density, FitSettings
 from lightfield_gs.fitting.several import Group, joined
-from lightfield_gs.fitting.shown import CONTRIBUTION_CUT, Shown, pruned
+from lightfield_gs.fitting.shown import CONTRIBUTION_CUT, FrameScores, Shown, pruned
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
@@ -37,6 +36,7 @@ from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.capture import Capture, read_capture
 from lightfield_gs.io.scenes.doubts import float_step, usual_size
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.scene.fitted import fit_comment
 from lightfield_gs.scene.gaussians import Gaussians
 
 _ORIGIN_STEP = 1e-3  # of the usual Gaussian's size: rounding to float32 may move one by so much
@@ -50,7 +50,8 @@ class FitResult:
     were done, fewer than settings.steps where it was stopped. scores: of the photographs held out; None: none were.
     history: of all evaluations: step, psnr_db, ssim, gaussians. stopped: whether it was asked to end before its time.
     display: what the scene was fitted for. angles: of the photographs held out, where they are scored by these. shown:
-    what was left out for the display; None: nothing, or the fit was stopped. pruned_scores: as scores, of what is left.
+    what was left out for the display; None: nothing, or the fit was stopped. frame_scores:
+    by the pixels of the photographs held out that the display can show, before and after.
     """
 
     gaussians: Gaussians
@@ -62,7 +63,7 @@ class FitResult:
     display: Display | None = None
     angles: Angles | None = None
     shown: Shown | None = None
-    pruned_scores: Scores | None = None
+    frame_scores: FrameScores | None = None
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
         """Writes the scene as a standard 3DGS .ply, the settings in a line of its header; see Gaussians.save. That of a
@@ -71,7 +72,7 @@ class FitResult:
             comments = [*comments, *self.display.comments()]
             self.display.rig.to_yaml(rig_path(Path(path)))
         said = {**asdict(self.settings), "steps_done": self.steps}
-        self.gaussians.save(path, [f"lightfield-gs fit: {json.dumps(said)}", *comments])
+        self.gaussians.save(path, [fit_comment(said), *comments])
 
 
 def fit(
@@ -133,12 +134,12 @@ def fit(
     with joined(choose_device(device)) as (group, own):
         run, world, display = _prepared(read, train, test, chosen, habits, own, group, (cone, centre, score_cone))
         run.go()
-        scene, found, pruned_scores = run.trainer.fields.gaussians().detach(), None, None
+        scene, found, in_frame = run.trainer.fields.gaussians().detach(), None, None
         if display is not None and not run.stopped:
-            scene, found, pruned_scores = pruned(run, world, display, cut)
+            scene, found, in_frame = pruned(run, world, display, cut)
         scene = _without_origin(world.back(scene.to("cpu")))
     return FitResult(
-        scene, chosen, run.trainer.done, run.scores, run.history, run.stopped, display, run.angles, found, pruned_scores
+        scene, chosen, run.trainer.done, run.scores, run.history, run.stopped, display, run.angles, found, in_frame
     )
 
 

@@ -142,19 +142,22 @@ class Run:
 
     # --- Scores
 
-    def scores_of(self, gaussians: Gaussians) -> Scores | None:
-        """Of a scene, coordinates of the fit, by the views held out; None where there are none."""
-        if self.held is None:
-            return None
+    def held_for(self, gaussians: Gaussians) -> Views | None:
+        """The views held out as a scene, coordinates of the fit, is scored by them; None where there are none."""
         settings = self.trainer.settings
-        held = aligned(self.held, gaussians, settings) if settings.poses else self.held
+        return aligned(self.held, gaussians, settings) if self.held is not None and settings.poses else self.held
+
+    def scores_of(self, gaussians: Gaussians, held: Views) -> Scores:
+        """Of a scene, coordinates of the fit, by views of held_for."""
+        settings = self.trainer.settings
         return evaluated(gaussians, held, settings.steady_background, settings.antialiased)
 
     def _evaluate(self) -> None:
-        trainer = self.trainer
-        if (scores := self.scores_of(trainer.fields.gaussians())) is None:
+        trainer, settings = self.trainer, self.trainer.settings
+        gaussians = trainer.fields.gaussians()
+        if (held := self.held_for(gaussians)) is None:
             return
-        self.scores, settings = scores, trainer.settings
+        self.scores = scores = self.scores_of(gaussians, held)
         row = {"step": trainer.done, **scores.to_dict(), "gaussians": trainer.fields.count}
         del row["views"]
         self.history = [*(old for old in self.history if old["step"] < trainer.done), row]
@@ -168,15 +171,12 @@ class Run:
     def write_scores(self, **more: Any) -> None:
         """Writes scores.json in the folder, if there is one, and scores; with what else is to be said."""
         if self._folder is not None and (scores := self.scores) is not None:
+            by_angle = {} if self.angles is None else {"angles": self.angles.to_dict(scores)}
             words = protocol(self.trainer.settings.poses)
-            said = {"protocol": words, "step": self.trainer.done, **self.said_of(scores), **more}
+            said = {"protocol": words, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
             said["history"] = self.history
             with atomic_path(self._folder / "scores.json") as temporary:
                 temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
-
-    def said_of(self, scores: Scores) -> dict[str, Any]:
-        """Scores for JSON, by angle too where there is a cone."""
-        return scores.to_dict() | ({} if self.angles is None else {"angles": self.angles.to_dict(scores)})
 
     def _is_no_better(self) -> bool:
         """Whether the last evaluations say that going on gains nothing, and the fit may end of that. Evaluations at

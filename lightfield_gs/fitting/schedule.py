@@ -35,6 +35,7 @@ class Schedule:
         steps, mcmc = settings.steps, settings.density == "mcmc"
         # More views say more surely where to go: rates grow as the root of their number (as for other batches)
         batch = settings.views**0.5
+        unsettled = (mcmc * (torch.arange(steps) < settings.scaled(settings.settle_from))).double()
         numbers = update_table(
             steps,
             means=[batch * settings.rate_means_at(step) for step in range(steps)],
@@ -43,9 +44,9 @@ class Schedule:
             logits=batch * settings.rate_logits,
             sh_dc=batch * settings.rate_sh_dc,
             sh_rest=batch * settings.rate_sh_rest,
-            noise_rate=settings.noise_rate if mcmc else 0.0,
-            opacity_share=settings.opacity_share if mcmc else 0.0,
-            scale_share=settings.scale_share if mcmc else 0.0,
+            noise_rate=unsettled * settings.noise_rate,
+            opacity_share=unsettled * settings.opacity_share,
+            scale_share=unsettled * settings.scale_share,
             device=device,
         )
         if settings.background is None:

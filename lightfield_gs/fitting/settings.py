@@ -79,6 +79,7 @@ class FitSettings:
     noise_rate: float = 5e5
     opacity_share: float = 0.01
     scale_share: float = 0.01
+    settle_from: int = 25_000  # from here on there is no noise, and the shares are zero
     # adaptive
     absolute_gradients: bool = False
     grow_gradient: float | None = None  # None: 2e-4, or 6e-4 for absolute gradients; in halves of the image

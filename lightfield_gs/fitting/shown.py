@@ -16,6 +16,7 @@ from lightfield_gs.encoding.pruning import contributions, left_out
 from lightfield_gs.fitting.display import Display
 from lightfield_gs.fitting.drawing import view_job
 from lightfield_gs.fitting.evaluate import Scores
+from lightfield_gs.fitting.frame import PROTOCOL, Frame, framed
 from lightfield_gs.fitting.run import Run
 from lightfield_gs.fitting.views import Views
 from lightfield_gs.fitting.world import World
@@ -109,19 +110,49 @@ def shown_by(
     )
 
 
-def pruned(run: Run, world: World, display: Display, contribution_cut: float) -> tuple[Gaussians, Shown, Scores | None]:
-    """The scene of a run, coordinates of the fit, without what a display does not need; what was found; and scores of
-    what is left, which scores.json has too. Raises InputError."""
+@dataclass(frozen=True)
+class FrameScores:
+    """Of the same held-out photographs inside the cone, by what the panel can show of them, see frame.PROTOCOL: whole,
+    of all Gaussians; pruned, of those that are left. share: of the photographs' pixels, 0..1, what counted."""
+
+    whole: Scores
+    pruned: Scores
+    share: float
+
+
+def pruned(
+    run: Run, world: World, display: Display, contribution_cut: float
+) -> tuple[Gaussians, Shown, FrameScores | None]:
+    """The scene of a run, coordinates of the fit, without what a display does not need; what was found; and scores
+    before and after, which scores.json has too; None where no photograph that was held out says anything of them.
+    Raises InputError."""
     trainer = run.trainer
     gaussians, settings = trainer.fields.gaussians().detach(), trainer.settings
     shown = shown_by(gaussians, world, display, trainer.views, contribution_cut, settings.antialiased)
     for line in shown.lines():
         run.say(line)
     left = mapped(gaussians, lambda field: field[shown.kept])
-    scores = run.scores_of(left)
-    if scores is not None:
-        run.write_scores(pruned={**shown.to_dict(), **run.said_of(scores)})
+    scores = _scores_in_frame(run, Frame.of(display, world), display, gaussians, left)
+    if scores is None:
+        run.write_scores(pruned=shown.to_dict())
+    else:
+        frame = {"protocol": PROTOCOL, "share": round(scores.share, 4), **scores.whole.to_dict()}
+        run.write_scores(frame=frame, pruned={**shown.to_dict(), **scores.pruned.to_dict()})
     return left, shown, scores
+
+
+def _scores_in_frame(
+    run: Run, frame: Frame, display: Display, gaussians: Gaussians, left: Gaussians
+) -> FrameScores | None:
+    """Scores before and after, by the photographs in the same poses: alignment might hide what is gone."""
+    held = run.held_for(gaussians)
+    if held is None or run.angles is None:
+        return None
+    found = framed(held, frame, [angle <= display.panel.cone_deg / 2 for angle in run.angles.angles_deg])
+    if found is None:
+        return None
+    views, share = found
+    return FrameScores(run.scores_of(gaussians, views), run.scores_of(left, views), share)
 
 
 def photographed(gaussians: Gaussians, views: Views, antialiased: bool = False) -> Tensor:

@@ -170,7 +170,7 @@ class Trainer:
             self._graph.replay()
 
     def _stage(self, ahead: int) -> None:
-        """Has the device find the photographs of the step `ahead` of the next one, where these are the host's."""
+        """Has the device find the photographs of a step, `ahead` of the next one, where they are the host's."""
         if self.views.on_host:
             self.views.stage(self._host_order[min(self.done + ahead, self.settings.steps - 1)])
 

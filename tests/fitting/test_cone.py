@@ -18,6 +18,8 @@ from lightfield_gs import InputError, Panel, Rig, cli, encode
 from lightfield_gs.fitting.angles import by_angle
 from lightfield_gs.fitting.cone import FALL_DEG, FLOOR, MARGIN_DEG, place_cone, weights_at
 from lightfield_gs.fitting.display import Display, panel_of
+from lightfield_gs.fitting.evaluate import evaluated
+from lightfield_gs.fitting.frame import Frame, framed
 from lightfield_gs.fitting.schedule import Schedule
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.shown import NEAR_SHARE, photographed, shown_by
@@ -187,6 +189,46 @@ def test_what_floats_before_the_eyes_goes_if_no_photograph_shows_it():
     assert found.share > 0
 
 
+def test_pixels_in_the_frame_are_those_whose_rays_go_through_it():
+    display, world = small_display(), World((0.5, 0.0, -1.0), 2.0)
+    views = views_of(known_scene(), known_cameras(5))
+    r = np.random.default_rng(0)
+    u, v = r.uniform((-48, -24), (144, 72), (3000, 2)).T  # the panel is 96 x 48: some beyond its edges
+    points = world.points(np.stack([(u - 48) / 60 * 2, (v - 24) / 60 * 2, np.full_like(u, 2)], -1))
+    for pose, intrinsics in zip(views.world_to_camera, views.intrinsics):
+        seen = Frame.of(display, world).pixels(pose, intrinsics, 48, 32).numpy()
+        x, y, z = pose.double().numpy()[:3] @ np.concatenate([points, np.ones((3000, 1))], 1).T
+        (fx, fy, cx, cy), edge = intrinsics.tolist(), 6  # panel pixels within which it may be either
+        column, row = np.floor(fx * x / z + cx).astype(int), np.floor(fy * y / z + cy).astype(int)
+        inside = np.minimum.reduce([u, 96 - u, v, 48 - v])
+        at = (z > 0) & (column >= 0) & (column < 48) & (row >= 0) & (row < 32) & (abs(inside) > edge)
+        assert (inside[at] > 0).any() and np.array_equal(seen[row[at], column[at]], inside[at] > 0)
+    flipped = torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0])).double() @ views.world_to_camera[2].double()
+    assert not Frame.of(display, world).pixels(flipped, views.intrinsics[2], 48, 32).any()  # it looks away
+
+
+# At 31 dB a change of 0.1 dB is one of 3e-4 in the root of the mean square; the mean error may be 1e-4 and the cut
+@pytest.mark.parametrize("cut, most_db", [(0.0, 0.01), (1e-4, 0.1)])
+def test_what_is_pruned_for_a_panel_costs_photographs_nothing_in_its_frame(cut, most_db):
+    scene, world = random_scene(600, extent=1.4, size=0.1, dtype=torch.float32), World((0.0, 0.0, 0.0), 1.0)
+    display = small_display()
+    places = display.rig.cameras_at(display.panel, [0.5, 4.0, float(display.panel.views)])
+    poses = places.world_to_camera.float()
+    middle = torch.tensor([[48.0, 32.0]]).expand(3, 2).contiguous()
+    wide = lf.Cameras(poses, torch.full((3, 2), 60.0), middle, 96, 64)  # looks past the frame
+    views = views_of(scene, wide)
+    other = replace(scene, sh=scene.sh + 0.1)
+    found = shown_by(other, world, display, views, cut)
+    left = lf.Gaussians(*(field[found.kept] for field in other.fields().values()))
+    result = framed(views, Frame.of(display, world), [True, False, True])
+    assert result is not None and result[0].names == ["00.png", "02.png"] and 0.3 < result[1] < 0.8
+    black = (0.0, 0.0, 0.0)
+    whole, fewer = (evaluated(s, result[0], black).mean_psnr_db for s in (other, left))
+    assert abs(whole - fewer) < most_db
+    assert evaluated(other, views, black).mean_psnr_db - evaluated(left, views, black).mean_psnr_db > 1
+    assert framed(views, Frame.of(display, world), [False] * 3) is None
+
+
 def only(views, place: int):
     """One of the views."""
     tensors = (views.photos, views.world_to_camera, views.intrinsics, views.limits)
@@ -254,7 +296,9 @@ def test_a_fit_for_a_panel_leaves_a_scene_that_encode_shows(tmp_path, capsys):
     )
     said = json.loads((tmp_path / "run/scores.json").read_text())
     assert said["pruned"]["gaussians"] == result.shown.count and said["angles"]["cone_deg"] == 30
-    assert said["angles"]["rows"][0]["views"] == said["pruned"]["angles"]["rows"][0]["views"] == "inside the cone"
+    assert said["angles"]["rows"][0]["views"] == "inside the cone"
+    assert 0 < said["frame"]["share"] <= 1 and "the panel's frame" in said["frame"]["protocol"]
+    assert said["frame"]["views"][0]["name"] == said["pruned"]["views"][0]["name"]
     pictures = []
     for options in (["--rig", str(tmp_path / "scene.rig.yaml")], []):  # the rig beside it, and the framing within
         out = tmp_path / f"{len(pictures)}.png"

@@ -197,6 +197,20 @@ def test_alpha_is_a_mask_too(tmp_path):
     np.testing.assert_array_equal(capture.image(0), dots([(20, 20)]))
 
 
+@pytest.mark.parametrize("model, scale", [("PINHOLE", 0.3), ("RADIAL", 1.0), ("RADIAL", 0.5)])
+def test_colours_of_transparent_pixels_bleed_into_no_edge(tmp_path, model, scale):
+    """A red disc over transparent green, with soft edges: wherever it is not all transparent, it is red."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    alpha = np.clip(20.5 - np.hypot(columns - WIDTH / 2, rows - HEIGHT / 2), 0, 1)
+    picture = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
+    picture[..., 0], picture[..., 1], picture[..., 3] = 200 * (alpha > 0), 255 * (alpha == 0), np.rint(255 * alpha)
+    write_capture(tmp_path, model, picture=picture)
+    capture = said(tmp_path, scale=scale)[0]
+    image, opacity = capture.image(0).astype(int), capture.opacity(0)
+    edge = (opacity > 0) & (opacity < 255)
+    assert edge.sum() > 20 and (abs(image[opacity > 0] - (200, 0, 0)) <= 1).all()
+
+
 def test_what_is_missing_is_named_at_once(tmp_path):
     write_capture(tmp_path, count=6)
     for index in (0, 2, 3, 5):

@@ -16,6 +16,7 @@ from lightfield_gs.commands.options.values import camera_choice
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import DEFAULT_UP, UP_AXES, Up, stated_up
+from lightfield_gs.scene.fitted import fit_comments, stated_fit
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.files import SceneFile
@@ -184,7 +185,16 @@ def axes_of(up: str | None, file: SceneFile) -> Up:
 
 
 def brought_along(file: SceneFile) -> list[tuple[str, str]]:
-    """What a scene's file says of cameras, for `info`."""
+    """What a scene's file says of its fit and of cameras, for `info`."""
+    try:
+        fitted = stated_fit(file.comments)
+        fit = [] if fitted is None else [("fitted", fitted.words())]
+    except InputError as error:
+        fit = [("fitted", str(error))]
+    return fit + _cameras_along(file)
+
+
+def _cameras_along(file: SceneFile) -> list[tuple[str, str]]:
     from lightfield_gs.panels.own_camera import photo_camera, stored_size
 
     try:
@@ -200,7 +210,7 @@ def comments_of(args: argparse.Namespace, panel: Panel, file: SceneFile | None, 
     """Lines for the header of a file of the Gaussians, so that it is seen as it was drawn; rig: in its coordinates."""
     from lightfield_gs.panels.own_camera import framing_comment
 
-    known = []
+    known = fit_comments(file.comments) if file is not None else []
     if file is not None and (args.up or stated_up(file.comments)):
         known.append(f"Vertical Axis: {axes_of(args.up, file).axis}")
     return known + ([] if rig is None else [framing_comment(rig, panel)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.values import within
 
 
@@ -14,14 +15,16 @@ def add_cone(parser: argparse.ArgumentParser) -> None:
     add(
         "--cone",
         metavar="PANEL|DEG",
-        help="fits for what a panel shows: its name, .yaml or .json, or the full angle of its cone in degrees (1..179, "
-        "then of the default panel). Photographs in the cone count fully, others less; Gaussians that no view of the "
-        "panel sees are left out; the rig is written beside the scene, scene.rig.yaml for scene.ply",
+        help="fits for what a panel shows, given by its name, .yaml or .json, or for the default panel with a cone of "
+        "so many degrees, 1..179, from end to end. Photographs in the cone count fully, others less; Gaussians that "
+        "no view of the panel sees are left out; the rig is written beside the scene, scene.rig.yaml for scene.ply "
+        "(default: all photographs count alike)",
     )
     add(
         "--centre",
         metavar="NAME",
-        help="the photograph in the middle of the cone, its centre camera (default: the one with the most others near)",
+        help="name of the photograph in the middle of the cone, taken by its centre camera (default: the one with the "
+        "most others near)",
     )
     add(
         "--score-cone",
@@ -34,8 +37,20 @@ def add_cone(parser: argparse.ArgumentParser) -> None:
         "--contribution-cut",
         type=within(0, 1),
         metavar="SHARE",
-        help="0..1, mean error that colours of 0..1 may have on the panel for what is left out (default 1e-4)",
+        help="0..1, mean error that colours of 0..1 may have on the panel for what --cone leaves out (default 1e-4)",
     )
+
+
+def check_cone(args: argparse.Namespace) -> None:
+    """Raises InputError where --cone is neither a panel nor an angle: at once, not after the capture was read."""
+    from lightfield_gs.fitting.display import panel_of
+
+    if args.cone is None:
+        return
+    try:
+        panel_of(args.cone)
+    except InputError as error:
+        raise InputError(f"--cone: expected a panel, or degrees, 1..179: {error}") from None
 
 
 def cone_given(args: argparse.Namespace) -> dict[str, Any]:

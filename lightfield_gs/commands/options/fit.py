@@ -29,63 +29,113 @@ def backdrop(text: str) -> tuple[float, ...] | None:
 
 def add_capture(parser: argparse.ArgumentParser) -> None:
     """What is read of a capture, and how."""
-    add = parser.add_argument_group("capture").add_argument
-    add("--images", type=Path, metavar="FOLDER", help="the photographs, absolute or below CAPTURE (default: images)")
-    add("--mask-folder", type=Path, metavar="FOLDER", help="masks, named as the photographs (default: masks)")
+    group = parser.add_argument_group("capture")
+    add = group.add_argument
+    add("--images", type=Path, metavar="FOLDER", help="folder of photographs, absolute or in CAPTURE (default: images)")
+    add(
+        "--mask-folder",
+        type=Path,
+        metavar="FOLDER",
+        help="of masks named as the photographs, white where these count (default: masks)",
+    )
     add(
         "--masks",
         choices=MASKS,
         default="ignore",
-        help="what masks leave out says nothing (ignore), or is to be transparent (alpha); default ignore",
+        help="what is black in masks, or transparent in photographs: anything may be there (ignore), or the scene is "
+        "to be transparent there (alpha); default ignore",
     )
-    size = parser.add_argument_group("size").add_mutually_exclusive_group().add_argument
-    size("--scale", type=within(1e-3, 1), metavar="SHARE", help="0..1, shrinks the photographs in memory")
-    size("--longest-px", type=whole(16, 1 << 20), metavar="PIXELS", help="shrinks photographs with a longer side")
+    size = group.add_mutually_exclusive_group().add_argument
+    size(
+        "--scale",
+        type=within(1e-3, 1),
+        metavar="SHARE",
+        help="0..1, shrinks photographs to this share of their width (default 1)",
+    )
+    size(
+        "--longest-px",
+        type=whole(16, 1 << 20),
+        metavar="PIXELS",
+        help="shrinks photographs whose longer side has more pixels",
+    )
     test = parser.add_argument_group("held-out photographs").add_mutually_exclusive_group().add_argument
     test(
         "--test-every",
         type=every_or_none,
         default=8,
         metavar="N",
-        help="holds out the middle one of every N photographs, in the order of their names, to score by; or none "
-        "(default 8)",
+        help="holds out the middle one of every N photographs, in the order of their names, to score the "
+        "scene by; none: fits to all (default 8)",
     )
-    test("--test-list", type=Path, metavar="FILE", help="holds out the photographs named in a text file, one a line")
+    test("--test-list", type=Path, metavar="FILE", help="holds out those that a text file names, one a line")
     add(
         "--sfm",
         action="store_true",
-        help="CAPTURE is a folder of photographs whose cameras nobody knows: pycolmap finds them first, and keeps them "
-        "in the folder of the run",
+        help="CAPTURE is a folder of photographs whose cameras are not known: pycolmap finds them first "
+        "(pip install 'lightfield-gs[sfm]'), and keeps them in the folder of the run",
     )
 
 
 def add_optimisation(parser: argparse.ArgumentParser) -> None:
     """What becomes FitSettings."""
     add = parser.add_argument_group("fit").add_argument
-    add("--steps", type=whole(1, _MOST), default=30_000, metavar="N", help="steps; schedules scale (default 30000)")
+    add(
+        "--steps",
+        type=whole(1, _MOST),
+        default=30_000,
+        metavar="N",
+        help="how many; schedules scale with them (default 30000)",
+    )
     add(
         "--gaussians",
         type=whole(1, 2**31 - 1),
         default=300_000,
         metavar="N",
-        help="mcmc: their number at the end; adaptive: at most so many (default 300000)",
+        help="how many the scene has at the end, by --density adaptive at most (default 300000)",
     )
-    add("--density", choices=DENSITIES, default="mcmc", help="where Gaussians come and go (default mcmc)")
-    add("--absolute-gradients", action="store_true", help="adaptive density by absolute gradients (Ye et al. 2024)")
-    add("--sh-degree", type=int, choices=range(4), default=3, help="of the harmonics, 0..3 (default 3)")
-    add("--views-per-step", type=whole(1, 1024), default=1, metavar="N", help="photographs of a step (default 1)")
-    add("--exposure", action="store_true", help="fits a change of colours for each photograph")
-    add("--poses", action="store_true", help="refines the cameras' poses")
+    add(
+        "--density",
+        choices=DENSITIES,
+        default="mcmc",
+        help="how Gaussians come and go: mcmc: moved to where they are needed (Kheradmand et al. 2024); adaptive: "
+        "cloned, split and removed (Kerbl et al. 2023); default mcmc",
+    )
+    add("--absolute-gradients", action="store_true", help="--density adaptive by absolute gradients (Ye et al. 2024)")
+    add(
+        "--sh-degree",
+        type=int,
+        choices=range(4),
+        default=3,
+        help="of the spherical harmonics, 0..3: how much colours may change with the direction they are seen from; "
+        "0: not at all (default 3)",
+    )
+    add("--views-per-step", type=whole(1, 1024), default=1, metavar="N", help="photographs in each step (default 1)")
+    add(
+        "--exposure",
+        action="store_true",
+        help="fits an affine change of colours for each photograph as well, where exposure or white balance differ",
+    )
+    add("--poses", action="store_true", help="refines the cameras' poses as well, where they are off by some pixels")
     add(
         "--background",
         type=backdrop,
         default=_BACKGROUNDS["black"],
         metavar="COLOUR",
-        help="black, white, random (another at each step) or R,G,B in 0..1 (default black)",
+        help="what is behind the scene in the fit, and then in encode: black, white, R,G,B in 0..1, or random, another "
+        "one at each step (default black)",
     )
-    add("--antialiased", action="store_true", help="fits for drawing with anti-aliasing: encode takes --antialiased")
-    add("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N", help="of random numbers (default 0)")
-    add("--device", choices=DEVICES, default="auto", help="where the scene is fitted (default auto)")
+    add(
+        "--antialiased",
+        action="store_true",
+        help="fits for drawing with anti-aliasing; encode and prune draw the scene so",
+    )
+    add("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N", help="of random numbers, 0 or more (default 0)")
+    add(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help="where the scene is fitted (default auto: cuda where there is a GPU and this build can use it)",
+    )
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
@@ -95,14 +145,14 @@ def add_run(parser: argparse.ArgumentParser) -> None:
         "--run",
         type=Path,
         metavar="FOLDER",
-        help="for checkpoints, scores and pictures (default: beside the output, scene.fit for scene.ply). A fit that "
-        "was stopped goes on from there",
+        help="folder of checkpoints, scores and pictures (default: beside the output, scene.fit for scene.ply); a fit "
+        "that was stopped goes on from there",
     )
-    add("--fresh", action="store_true", help="starts over, whatever the folder of the run holds")
+    add("--fresh", action="store_true", help="starts over, and removes the checkpoint in the folder of the run")
     for name, words in (
         ("checkpoint", "checkpoints (default: so that they take 2 %% of the time)"),
-        ("evaluate", "scores of the held-out photographs (default: a tenth of all)"),
-        ("picture", "pictures of a view beside its photograph, held out if any is"),
+        ("evaluate", "scores of the held-out photographs (default: a tenth of --steps)"),
+        ("picture", "pictures of a view beside its photograph, held out if any is (default: one at the end)"),
     ):
         add(f"--{name}-every", type=whole(1, _MOST), metavar="N", help=f"steps between {words}")
     add(

@@ -31,15 +31,6 @@ def add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def add_antialiased(add: Callable[..., argparse.Action]) -> None:
-    add(
-        "--antialiased",
-        action="store_true",
-        help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's "
-        "antialiased mode), which look too bright and too thick without: what a pixel blurs becomes fainter by as much",
-    )
-
-
 def check_scene_options(args: argparse.Namespace) -> None:
     """Raises InputError where options of the scene do not go together, or not with the input."""
     if _is_scene_file(args):

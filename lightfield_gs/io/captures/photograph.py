@@ -10,7 +10,7 @@ import numpy as np
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.camera_models import Lens
 from lightfield_gs.io.captures.masks import read_mask
-from lightfield_gs.io.captures.resampling import Straightening, reduced, straightening
+from lightfield_gs.io.captures.resampling import Straightening, reduced, resampled, straightening
 from lightfield_gs.io.images import read_image
 
 
@@ -31,10 +31,9 @@ class Photograph:
     alpha: bool = False
 
     def image(self) -> np.ndarray:
-        """Colours uint8 [H,W,3] as the file has them (sRGB), undistorted. Raises InputError."""
-        pixels = self._pixels()[..., :3]
-        lens = self._straightening()
-        return reduced(pixels if lens is None else lens(pixels), *self.size_px)
+        """Colours uint8 [H,W,3] as the file has them (sRGB), undistorted; those of transparent pixels bleed into no
+        edge. Raises InputError."""
+        return resampled(self._pixels(), self._straightening(), *self.size_px)
 
     def mask(self) -> np.ndarray | None:
         """What counts, uint8 [H,W]: 255 yes, 0 no, between them at edges; None where all does. It is the least of the

@@ -10,6 +10,7 @@ from lightfield_gs.io.captures.camera_models import Lens
 
 LARGEST_LOSS = 0.25  # share of a picture that a lens may fold away: more is a mistake in its numbers
 _BAND = 256  # rows at a time: in float64 a whole photograph would take 100 bytes a pixel
+_LEAST_ALPHA = 1e-3  # of 255: less, after rounding of float32, is none
 _RAYS, _STEPS = 32, 2048  # where a lens is looked at for the place from which on it folds
 
 
@@ -82,21 +83,44 @@ class Straightening:
         self.grid = torch.from_numpy(shares)
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """A photograph uint8 [H,W,C], or [H,W], without its lens, bilinearly; beyond its edges it is as these are."""
+        """A photograph [H,W,C], or [H,W], without its lens, bilinearly; beyond its edges it is as these are. uint8, or
+        float32 of any range."""
         import torch
 
         planes = torch.from_numpy(np.ascontiguousarray(image)).reshape(*image.shape[:2], -1)
         planes = planes.permute(2, 0, 1)[None].float()
         found = torch.nn.functional.grid_sample(planes, self.grid, "bilinear", "border", align_corners=False)
-        return found.round_().clamp_(0, 255).to(torch.uint8)[0].permute(1, 2, 0).reshape(image.shape).numpy()
+        if image.dtype == np.uint8:
+            found = found.round_().clamp_(0, 255).to(torch.uint8)
+        return found[0].permute(1, 2, 0).reshape(image.shape).numpy()
 
 
 def reduced(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-    """A picture uint8 [H,W,...] made as small as this: each pixel is the mean over its own area of the picture."""
+    """A picture [H,W,...], uint8 or float32, made as small as this: each pixel is the mean over its own area of it."""
+    found = image
     for axis, size in ((0, height_px), (1, width_px)):
-        if image.shape[axis] != size:
-            image = _reduced_along(image, axis, size)
-    return image if image.dtype == np.uint8 else np.rint(image).clip(0, 255).astype(np.uint8)
+        if found.shape[axis] != size:
+            found = _reduced_along(found, axis, size)
+    return found if found.dtype == image.dtype else np.rint(found).clip(0, 255).astype(np.uint8)
+
+
+def resampled(image: np.ndarray, lens: Straightening | None, width_px: int, height_px: int) -> np.ndarray:
+    """The colours uint8 [H,W,3] of a photograph uint8 [H,W,3 or 4] without its lens, as small as this.
+
+    Colours with alpha are weighed by it (Porter & Duff, "Compositing digital images", 1984): what is transparent has a
+    colour in the file that nobody is to see, and none of it gets into the edges. All transparent pixels are black.
+    """
+    size = (width_px, height_px)
+    if lens is None and image.shape[1::-1] == size:
+        return image[..., :3]
+    if image.shape[2] == 3 or image[..., 3].min() == 255:
+        colours = image[..., :3]
+        return reduced(colours if lens is None else lens(colours), *size)
+    weighed = image.astype(np.float32)
+    weighed[..., :3] *= weighed[..., 3:] / 255
+    weighed = reduced(weighed if lens is None else lens(weighed), *size)
+    colours = weighed[..., :3] * 255 / np.maximum(weighed[..., 3:], _LEAST_ALPHA)
+    return np.rint(colours).clip(0, 255).astype(np.uint8)
 
 
 def _reduced_along(image: np.ndarray, axis: int, size: int) -> np.ndarray:

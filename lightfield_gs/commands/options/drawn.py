@@ -1,0 +1,53 @@
+"""How a command draws a scene, by its options, or else by what the scene's file says of its fit."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from lightfield_gs.base.errors import named
+from lightfield_gs.commands.options.values import background
+from lightfield_gs.scene.fitted import rgb, stated_fit
+
+if TYPE_CHECKING:
+    from lightfield_gs.scene.files import SceneFile
+
+_WHITE = (1.0, 1.0, 1.0)
+
+
+def add_antialiased(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--antialiased",
+        action=argparse.BooleanOptionalAction,
+        help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's antialiased mode), which look too bright "
+        "and too thick without: what a pixel blurs becomes fainter by as much (default: as the file says that "
+        "lightfield-gs fitted it, else without)",
+    )
+
+
+def add_background(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--background",
+        type=background,
+        metavar="R,G,B",
+        help="0..1 each (default: what the file says that lightfield-gs fitted it before, else 1,1,1)",
+    )
+
+
+def settle_drawing(args: argparse.Namespace, file: SceneFile | None) -> list[str]:
+    """Sets those of args.antialiased and args.background that the command has and that nobody gave; lines on what was
+    taken from the file. file: None for a photo. Raises InputError where the file's word on its fit cannot be read."""
+    open_ones = [name for name in ("antialiased", "background") if getattr(args, name, ()) is None]
+    with named(args.input):
+        fitted = stated_fit(file.comments) if file is not None and open_ones else None
+    said = []
+    if "antialiased" in open_ones:
+        args.antialiased = fitted is not None and fitted.antialiased
+        if args.antialiased:
+            said.append("drawn with anti-aliasing: the file says that it was fitted so (without: --no-antialiased)")
+    if "background" in open_ones:
+        args.background = (fitted and fitted.background) or _WHITE
+        if fitted is not None and fitted.background is not None:
+            said.append(f"background: {rgb(fitted.background)}, which the scene was fitted before (--background)")
+    return said
