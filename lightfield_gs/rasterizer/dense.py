@@ -163,9 +163,11 @@ def _of_state(
     g_depth: Tensor | None,
     antialiased: bool = False,
     screen_numbers: int = 0,
+    cameras: bool = True,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Gradients of render_dense's first seven arguments and, of `screen_numbers` 2 or 4, of its screen, from what
-    render_dense_with_state returned and the gradients of its images."""
+    render_dense_with_state returned and the gradients of its images. cameras: whether that of world_to_camera is asked
+    for; zeros where it is not."""
     job = DenseJob(
         means,
         quaternions,
@@ -182,12 +184,12 @@ def _of_state(
         state=State(splats, colours, lists),
     )
     found = job.backward(
-        DenseImages(image, alpha, depth), DenseImages(g_image, g_alpha, g_depth), Wanted(screen_numbers, True)
+        DenseImages(image, alpha, depth), DenseImages(g_image, g_alpha, g_depth), Wanted(screen_numbers, cameras)
     )
     g_background = found.background_parts.view(*job.lead, -1, 3).sum(2)
     g_screen = found.screen.view(*job.lead, means.shape[1], screen_numbers)
     g_means, g_quaternions, g_scales, g_opacities, g_sh = found.fields
-    g_cameras = found.cameras.view(*job.lead, 4, 4)
+    g_cameras = found.cameras.view(*job.lead, 4, 4) if cameras else torch.zeros_like(world_to_camera)
     return g_means, g_quaternions, g_scales, g_opacities, g_sh, g_background, g_cameras, g_screen
 
 
@@ -198,7 +200,17 @@ render_dense_backward = torch.library.custom_op(
 
 @render_dense_backward.register_fake
 def _(
-    means, quaternions, scales, opacities, sh, background, world_to_camera, *rest, antialiased=False, screen_numbers=0
+    means,
+    quaternions,
+    scales,
+    opacities,
+    sh,
+    background,
+    world_to_camera,
+    *rest,
+    antialiased=False,
+    screen_numbers=0,
+    cameras=True,
 ):
     inputs = (means, quaternions, scales, opacities, sh, background, world_to_camera)
     screen = means.new_empty(*world_to_camera.shape[:2], means.shape[1], screen_numbers)
@@ -233,6 +245,7 @@ def _dense_backward(ctx, *grads):
         *grads[1:3],
         antialiased=ctx.antialiased,
         screen_numbers=ctx.screen_numbers,
+        cameras=ctx.needs_input_grad[6],
     )
     return (*out, None, None, None, None, None, g_screen if ctx.screen_numbers else None)
 
