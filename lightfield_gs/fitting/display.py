@@ -13,6 +13,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.fitting.cone import Cone, place_cone
 from lightfield_gs.io.captures.camera_files import FileCamera
 from lightfield_gs.io.captures.capture import Capture
+from lightfield_gs.io.captures.pinhole import nearest_rotation
 from lightfield_gs.panels.own_camera import framing_comment
 from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.panels.rig import Rig
@@ -96,15 +97,9 @@ def rig_of(capture: Capture, cone: Cone, panel: Panel) -> Rig:
     pose = capture.world_to_camera[cone.centre]
     camera = FileCamera(capture.names[cone.centre], pose, (fx, fy), (cx, cy), width, height)
     focal, principal = camera.fitted(panel.width_px, panel.height_px)
-    return Rig(_orthonormal(pose), focal, principal, cone.zero_depth, panel.cone_deg)
-
-
-def _orthonormal(pose: np.ndarray) -> np.ndarray:
-    """The pose with the rotation that is nearest to its own: models store few digits."""
-    left, _, right = np.linalg.svd(pose[:3, :3])
-    turned = pose.copy()
-    turned[:3, :3] = left @ right
-    return turned
+    pose = pose.copy()
+    pose[:3, :3] = nearest_rotation(pose[:3, :3])
+    return Rig(pose, focal, principal, cone.zero_depth, panel.cone_deg)
 
 
 def _words(panel: Panel) -> str:

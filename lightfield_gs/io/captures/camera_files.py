@@ -18,7 +18,7 @@ import numpy as np
 from lightfield_gs.base.checks import real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.captures.lens import COEFFICIENTS
-from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths
+from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths, nearest_rotation
 from lightfield_gs.io.images import read_info
 from lightfield_gs.io.json_file import read_json
 
@@ -247,8 +247,7 @@ def _rotation(what: str, matrix: np.ndarray) -> np.ndarray:
             f"{what}: expected a rotation (orthonormal, determinant +1), got {shown(matrix.tolist())}; "
             "scale, shear and mirroring are not allowed"
         )
-    left, _, right = np.linalg.svd(matrix)
-    return left @ right
+    return nearest_rotation(matrix)
 
 
 def _pose(rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -15,6 +15,12 @@ TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # axes of a camera: from x right, y
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")  # but for a known lens
 
 
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation that is nearest to a matrix [3,3] that nearly is one: files store few digits."""
+    left, _, right = np.linalg.svd(matrix)
+    return left @ right
+
+
 def focal_lengths(
     number: Callable[[str], float | None], width_px: float, height_px: float
 ) -> tuple[float, float] | None:

@@ -22,7 +22,7 @@ from lightfield_gs.io.captures.camera_models import COLMAP_MODELS, Lens, lens_of
 from lightfield_gs.io.captures.files import named_image
 from lightfield_gs.io.captures.lens import COEFFICIENTS, distorted, words
 from lightfield_gs.io.captures.photo_files import missing_photographs, photographs_in
-from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths
+from lightfield_gs.io.captures.pinhole import MODELS, TO_OPENCV, focal_lengths, nearest_rotation
 from lightfield_gs.io.captures.shot import Shot, Shots
 from lightfield_gs.io.captures.views import check_intrinsics, check_pose
 from lightfield_gs.io.images import read_info
@@ -117,8 +117,7 @@ def _world_to_camera(where: str, fields: dict[str, Any]) -> np.ndarray:
         raise InputError(f"{where}: expected 4 rows of 4 numbers, got {pose.dtype} {list(pose.shape)}")
     pose = np.concatenate([pose[:3], [[0, 0, 0, 1]]]).astype(np.float64)
     check_pose(where, pose)
-    left, _, right = np.linalg.svd((pose @ TO_OPENCV)[:3, :3])  # numbers of a few digits become a rotation again
-    rotation = (left @ right).T
+    rotation = nearest_rotation((pose @ TO_OPENCV)[:3, :3]).T
     inverse = np.eye(4)
     inverse[:3, :3], inverse[:3, 3] = rotation, -rotation @ pose[:3, 3]
     return inverse
