@@ -79,13 +79,13 @@ class Trainer:
         until = min(until, self.settings.steps)
         while self.done < until:
             self._begin_segment()
-            self._run(min(until, self._segment_end()))
+            self._run(self._segment_end(until))
             self._end_segment()
 
-    def _segment_end(self) -> int:
-        """The next step after which something else is due."""
+    def _segment_end(self, until: int) -> int:
+        """The next step after which something else is due, or `until` if that comes first."""
         step = self.done + 1
-        while step < self.settings.steps and not self._something_due(step):
+        while step < until and not self._something_due(step):
             step += 1
         return step
 
@@ -118,7 +118,7 @@ class Trainer:
             self.fields = mcmc.change(self.fields, self.settings, self.done)
         else:
             self.fields = adaptive.change(self.fields, self.tally, self.settings, self.done)
-        if self.fields is before and self.fields.count == len(self.tally.seen):
+        if self.fields is before:
             self.tally.next_round()
         else:
             self.tally = Tally(self.fields.count, self.settings, self.device)
