@@ -11,6 +11,7 @@ Address: TypeAlias = int  # of a buffer, as Tensor.data_ptr() gives it, or 0; a 
 
 version: str
 BAND_ROWS: int
+LOG2_MIN_ALPHA: float
 SPLAT_FIELDS: int
 SPLAT_REACH_INDEX: int
 SPLAT_SHAPE_INDICES: tuple[int, int, int, int]

@@ -21,6 +21,7 @@ namespace {
 
 void bind_constants(py::module_ m) {
   m.attr("BAND_ROWS") = kBandRows;
+  m.attr("LOG2_MIN_ALPHA") = kLog2MinAlpha;
   m.attr("SPLAT_FIELDS") = kSplatFields;
   static_assert(offsetof(Splat<float>, reach_y) == kSplatReachIndex * sizeof(float));
   m.attr("SPLAT_REACH_INDEX") = kSplatReachIndex;

@@ -84,8 +84,11 @@ LFGS_HD glm::vec<3, R> sh_colour_adjoint(int degree, const T* sh, const glm::vec
   bool defined = length > 0;
   glm::vec<3, R> d = defined ? to_mean / length : glm::vec<3, R>(0, 0, 1);
   sh_basis(degree, d, basis);
-  for (int k = 0; k < (degree + 1) * (degree + 1); ++k) {
-    g_basis[k] = 0;
+  // To a fixed end, so that a compiler may unroll it and keep the bases in registers
+  const int count = (degree + 1) * (degree + 1);
+  LFGS_UNROLL
+  for (int k = 0; k < kMaxShCount; ++k) {
+    if (k >= count) break;
     for (int c = 0; c < 3; ++c) {
       g_basis[k] += R(sh[3 * k + c]) * g_colour[c];
       const G gradient = G(basis[k] * g_colour[c]);

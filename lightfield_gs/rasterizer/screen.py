@@ -7,8 +7,6 @@ from torch import Tensor
 
 from lightfield_gs import _core
 
-_LOG2_MIN_ALPHA = -7.994353436858858  # log2(1/255): fainter samples are not drawn (csrc/math/constants.h)
-
 
 def radii_px(splats: Tensor) -> Tensor:
     """Half the longest extent of what each splat [..., SPLAT_FIELDS] covers, [...] in pixels; 0 where not drawn.
@@ -22,5 +20,5 @@ def radii_px(splats: Tensor) -> Tensor:
     across = square + c0 * c0 * down
     middle = (across + down) / 2
     longest = middle + torch.sqrt(((across - down) / 2).square() + (c0 * down).square())
-    radii = torch.sqrt(longest * (log2_opacity - _LOG2_MIN_ALPHA).clamp_min(0))
+    radii = torch.sqrt(longest * (log2_opacity - _core.LOG2_MIN_ALPHA).clamp_min(0))
     return torch.where(splats[..., _core.SPLAT_REACH_INDEX] >= 0, radii, torch.zeros_like(radii))

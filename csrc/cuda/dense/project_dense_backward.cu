@@ -62,16 +62,27 @@ __device__ bool is_needle(const Splat<float>& s) {
   return !(s.c0 * s.c0 <= kLong * s.tau * s.S0);
 }
 
-// Adds the adjoint of the projection, computed in double and then rounded. Returns the gradient of the splat's place on
-// the screen. It is not inlined, since it is rarely called and takes many registers.
+// The gradients of a Gaussian and of a camera so far, and those of a splat's colour and of its place on the screen.
+struct Adjoint {
+  Shape<float> shape{vec3(0), glm::vec4(0), vec3(0), 0};
+  ViewAdjoint<float> view;
+  vec3 colour;
+  float2 place;
+};
+
+// `so_far` and the adjoint of the projection of Gaussian `i` of a scene into an image, which is computed in double and
+// then rounded. It is not inlined, since it is rarely called and takes many registers. It reads everything once more,
+// and gradients go in and out by value: what is handed over by its address lies in memory for ordinary splats as well.
 template <bool kAntialiased>
-__device__ __noinline__ float2 add_exact_adjoint(const View<float>& view, const Shape<float>& shape,
-                                                 const Splat<float>& splat, const SlotSums& sums, Shape<float>& g,
-                                                 ViewAdjoint<float>& g_view, vec3& g_colour) {
-  const View<double> exact = widened(view);
-  const Shape<double> wide = widened(shape);
-  Splat<double> gradient = splat_gradient<double>(splat, sums, g_colour);
-  const float2 g_place = make_float2(float(gradient.u0), float(gradient.v0));
+__device__ __noinline__ Adjoint with_exact_adjoint(const Gaussians<const float>& gaussians,
+                                                   const Cameras<float>& cameras, const Splats<float>& splats,
+                                                   const Slots& slots, int64_t image, int64_t i, Adjoint so_far) {
+  const int64_t n = gaussians.count, index = image * n + i;
+  const View<double> exact = widened(cameras.view<float>(image));
+  const Shape<double> wide = widened(shape_of(gaussians.slice(image / cameras.per_scene * n), i));
+  Splat<double> gradient =
+      splat_gradient<double>(read_splat(splats.splats + index), slots.of(slots.ranges[index]), so_far.colour);
+  so_far.place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> of_view;
 
@@ -82,50 +93,113 @@ __device__ __noinline__ float2 add_exact_adjoint(const View<float>& view, const 
   projection.adjoint<kAntialiased>(exact, wide, gradient, sum, of_view, sharp);
 
   // Add it to what other cameras have said
+  Shape<float>& g = so_far.shape;
   auto add = [](float& to, double what) { to = saturated<float>(to + what); };
   for (int c = 0; c < 3; ++c) add(g.mean[c], sum.mean[c]), add(g.scale[c], sum.scale[c]);
   for (int c = 0; c < 4; ++c) add(g.quaternion[c], sum.quaternion[c]);
   add(g.opacity, sum.opacity);
   for (int c = 0; c < 3; ++c) {
-    add(g_view.translation[c], of_view.translation[c]);
-    for (int r = 0; r < 3; ++r) add(g_view.rotation[c][r], of_view.rotation[c][r]);
+    add(so_far.view.translation[c], of_view.translation[c]);
+    for (int r = 0; r < 3; ++r) add(so_far.view.rotation[c][r], of_view.rotation[c][r]);
   }
-  return g_place;
+  return so_far;
 }
 
 // The harmonics of a warp's Gaussians in shared memory, a row each. Rows are of odd length, so that lanes that read the
-// same column of their rows meet in no bank.
+// same column of their rows meet in no bank. kNumbers are those of a row; lanes move four at a time.
 struct HarmonicRows {
   float* rows;
-  int numbers, stride;
+  int numbers;
 
-  static __host__ __device__ int stride_of(int numbers) { return numbers | 1; }
-  __device__ HarmonicRows(float* rows, int numbers) : rows(rows), numbers(numbers), stride(stride_of(numbers)) {}
-  __device__ float* own() const { return rows + int(threadIdx.x % 32) * stride; }
+  static __host__ __device__ constexpr int stride_of(int numbers) { return numbers | 1; }
+  __device__ float* own() const { return rows + int(threadIdx.x % 32) * stride_of(numbers); }
 
-  // Reads the rows whose bits are set in `which`; `from` is the first row in memory.
+  // Reads the rows whose bits are set in `which`; `from` is the first of 32 in memory.
   __device__ void load(const float* from, unsigned which) const {
-#pragma unroll 8
+    with_numbers([&]<int kNumbers>() {
+      float4 fours[kFours<kNumbers>];
+#pragma unroll
+      for (int k = 0; k < kFours<kNumbers>; ++k)
+        if (const int at = first_of_four<kNumbers>(k); at >= 0 && any_of_four<kNumbers>(which, at))
+          fours[k] = __ldg(reinterpret_cast<const float4*>(from + at));
+#pragma unroll
+      for (int k = 0; k < kFours<kNumbers>; ++k)
+        if (const int at = first_of_four<kNumbers>(k); at >= 0)
+          for (int j = 0; j < 4; ++j) rows[place<kNumbers>(at + j)] = (&fours[k].x)[j];
+    });
+    __syncwarp();
+  }
+
+  // The same where there are fewer than 32 rows, or rows that are not aligned to four numbers.
+  __device__ void load_one_by_one(const float* from, unsigned which) const {
     for (int row = 0; row < 32; ++row)
       if (which >> row & 1)
-        for (int k = threadIdx.x % 32; k < numbers; k += 32) rows[row * stride + k] = __ldg(from + row * numbers + k);
+        for (int k = threadIdx.x % 32; k < numbers; k += 32)
+          rows[row * stride_of(numbers) + k] = from[row * numbers + k];
     __syncwarp();
   }
 
   // Sets all rows to zero.
   __device__ void clear() const {
-    for (int k = threadIdx.x % 32; k < 32 * stride; k += 32) rows[k] = 0;
+    for (int k = threadIdx.x % 32; k < 32 * stride_of(numbers); k += 32) rows[k] = 0;
     __syncwarp();
   }
 
-  // Writes `count` rows, zeros where the bit is not set.
-  __device__ void store(float* to, unsigned which, int count) const {
+  // Writes 32 rows, zeros where the bit is not set.
+  __device__ void store(float* to, unsigned which) const {
     __syncwarp();
-#pragma unroll 8
-    for (int row = 0; row < 32; ++row)
-      if (row < count)
-        for (int k = threadIdx.x % 32; k < numbers; k += 32)
-          to[row * numbers + k] = which >> row & 1 ? rows[row * stride + k] : 0.f;
+    with_numbers([&]<int kNumbers>() {
+#pragma unroll
+      for (int k = 0; k < kFours<kNumbers>; ++k)
+        if (const int at = first_of_four<kNumbers>(k); at >= 0) {
+          float4 four;
+          for (int j = 0; j < 4; ++j)
+            (&four.x)[j] = which >> ((at + j) / kNumbers) & 1 ? rows[place<kNumbers>(at + j)] : 0.f;
+          *reinterpret_cast<float4*>(to + at) = four;
+        }
+    });
+  }
+
+  // The same for `count` rows, aligned or not.
+  __device__ void store_one_by_one(float* to, unsigned which, int count) const {
+    __syncwarp();
+    for (int row = 0; row < count; ++row)
+      for (int k = threadIdx.x % 32; k < numbers; k += 32)
+        to[row * numbers + k] = which >> row & 1 ? rows[row * stride_of(numbers) + k] : 0.f;
+  }
+
+ private:
+  template <int kNumbers>
+  static constexpr int kFours = (kNumbers + 3) / 4;  // that a lane moves
+
+  // Calls with the numbers of a row as a template's argument.
+  template <class Call>
+  __device__ void with_numbers(const Call& call) const {
+    switch (numbers) {
+      case 3:
+        return call.template operator()<3>();
+      case 12:
+        return call.template operator()<12>();
+      case 27:
+        return call.template operator()<27>();
+      default:
+        return call.template operator()<48>();
+    }
+  }
+
+  // Where in memory the k-th four of this lane begins, or -1: the last lanes have none where kNumbers is odd.
+  template <int kNumbers>
+  static __device__ int first_of_four(int k) {
+    const int at = 4 * (int(threadIdx.x % 32) + 32 * k);
+    return kNumbers % 4 == 0 || at < 32 * kNumbers ? at : -1;
+  }
+  template <int kNumbers>
+  static __device__ bool any_of_four(unsigned which, int at) {
+    return (which >> (at / kNumbers) | which >> ((at + 3) / kNumbers)) & 1;
+  }
+  template <int kNumbers>
+  static __device__ int place(int at) {
+    return at / kNumbers * stride_of(kNumbers) + at % kNumbers;
   }
 };
 
@@ -166,12 +240,14 @@ __device__ void store_place(float2 gradient, const Slots& slots, const SlotSums&
 
 // Writes all gradients. The adjoint of an ordinary splat fits the registers that three blocks on a multiprocessor
 // leave, or four without the gradients of cameras (kCameras). Needles, and all splats of an anti-aliased scene (see
-// compensated_splat()), go through add_exact_adjoint() instead. kOneView: there is one camera a scene, so that the
+// compensated_splat()), go through with_exact_adjoint() instead. kOneView: there is one camera a scene, so that the
 // gradients of harmonics can take the place of these.
 template <bool kAntialiased, bool kOneView, bool kCameras>
 __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
-    project_dense_backward_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> splats,
-                                  Slots slots, Gaussians<float> out, float* screen, float* view_partials) {
+    project_dense_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
+                                  const __grid_constant__ Cameras<float> cameras,
+                                  const __grid_constant__ Splats<float> splats, const __grid_constant__ Slots slots,
+                                  Gaussians<float> out, float* screen, float* view_partials) {
   __shared__ float partial[kWarps][kViewNumbers];
   extern __shared__ float harmonics[];
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, scene = blockIdx.y, n = gaussians.count;
@@ -179,54 +255,57 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
   const Gaussians<const float> own = gaussians.slice(scene * n);
   const Gaussians<float> g_own = out.slice(scene * n);
   const Shape<float> shape = shape_of(own, real ? i : 0);
-  Shape<float> g{vec3(0), glm::vec4(0), vec3(0), 0};
+  Adjoint g;
 
   // Harmonics of those that were drawn, and room for their gradients
   const int numbers = 3 * own.sh_count(), warp_floats = 32 * HarmonicRows::stride_of(numbers);
   const int64_t first = i - threadIdx.x % 32;  // Gaussian of this warp
   const unsigned drawn = __ballot_sync(~0u, real && is_drawn(slots, cameras, scene, n, i));
-  const HarmonicRows rows(harmonics + threadIdx.x / 32 * warp_floats, numbers);
-  const HarmonicRows g_rows(kOneView ? rows.rows : rows.rows + kWarps * warp_floats, numbers);
-  rows.load(own.sh + numbers * first, drawn);
+  const HarmonicRows rows{harmonics + threadIdx.x / 32 * warp_floats, numbers};
+  const HarmonicRows g_rows{kOneView ? rows.rows : rows.rows + kWarps * warp_floats, numbers};
+  const float* sh = own.sh + numbers * first;
+  float* g_sh = g_own.sh + numbers * first;
+  const bool in_fours = first + 32 <= n && reinterpret_cast<uintptr_t>(sh) % sizeof(float4) == 0 &&
+                        reinterpret_cast<uintptr_t>(g_sh) % sizeof(float4) == 0;
+  in_fours ? rows.load(sh, drawn) : rows.load_one_by_one(sh, drawn);
   if (!kOneView) g_rows.clear();
 
-  for (int64_t v = 0; v < cameras.per_scene; ++v) {
+  const int64_t views = kOneView ? 1 : cameras.per_scene;
+  for (int64_t v = 0; v < views; ++v) {
     const int64_t image = scene * cameras.per_scene + v;
     const View<float> view = cameras.view<float>(image);
     const int64_t index = image * n + i;
     const SlotRange range = real ? slots.ranges[index] : SlotRange{0, 0};
-    ViewAdjoint<float> g_view;
     SlotSums sums{};
-    float2 g_place = make_float2(0, 0);
+    g.view = {}, g.place = make_float2(0, 0);
     if (range.first < range.last) {
-      vec3 g_colour;
       sums = slots.of(range);
       const Splat<float> splat = read_splat(splats.splats + index);
       if (kAntialiased || is_needle(splat)) {
-        g_place = add_exact_adjoint<kAntialiased>(view, shape, splat, sums, g, g_view, g_colour);
+        g = with_exact_adjoint<kAntialiased>(gaussians, cameras, splats, slots, image, i, g);
       } else {
-        const Splat<float> g_splat = splat_gradient<float>(splat, sums, g_colour);
-        Projection<float>(view, shape).adjoint(view, shape, g_splat, g, g_view);
-        g_place = make_float2(g_splat.u0, g_splat.v0);
+        const Splat<float> g_splat = splat_gradient<float>(splat, sums, g.colour);
+        Projection<float>(view, shape).adjoint(view, shape, g_splat, g.shape, g.view);
+        g.place = make_float2(g_splat.u0, g_splat.v0);
       }
 
       // The colours, through their clamp at zero; they also depend on the eye, which is -R^T t
       const float* colour = splats.colours + index * kColourStride;
-      for (int c = 0; c < 3; ++c) g_colour[c] = colour[c] > 0 ? g_colour[c] : 0.f;
+      for (int c = 0; c < 3; ++c) g.colour[c] = colour[c] > 0 ? g.colour[c] : 0.f;
       const vec3 g_mean =
-          sh_colour_adjoint<!kOneView>(own.sh_degree, rows.own(), shape.mean, view.centre(), g_colour, g_rows.own());
-      g.mean += g_mean;
+          sh_colour_adjoint<!kOneView>(own.sh_degree, rows.own(), shape.mean, view.centre(), g.colour, g_rows.own());
+      g.shape.mean += g_mean;
       if constexpr (kCameras) {
-        g_view.rotation += glm::outerProduct(-view.translation, -g_mean);
-        g_view.translation += view.rotation * g_mean;
+        g.view.rotation += glm::outerProduct(-view.translation, -g_mean);
+        g.view.translation += view.rotation * g_mean;
       }
     }
-    if (screen && real) store_place(g_place, slots, sums, screen, index);
+    if (screen && real) store_place(g.place, slots, sums, screen, index);
     if constexpr (kCameras)
-      store_view(g_view, partial, view_partials + (image * gridDim.x + blockIdx.x) * kViewNumbers);
+      store_view(g.view, partial, view_partials + (image * gridDim.x + blockIdx.x) * kViewNumbers);
   }
-  if (real) store_gradient(shape, g, g_own, i);
-  g_rows.store(g_own.sh + numbers * first, drawn, int(min(int64_t(32), n - first)));
+  if (real) store_gradient(shape, g.shape, g_own, i);
+  in_fours ? g_rows.store(g_sh, drawn) : g_rows.store_one_by_one(g_sh, drawn, int(min(int64_t(32), n - first)));
 }
 
 using Kernel = decltype(&project_dense_backward_kernel<false, true, false>);

@@ -12,6 +12,7 @@
 
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
+#include "cuda/common/count_up.cuh"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/stages/stages.h"
 #include "math/footprint.h"
@@ -68,12 +69,6 @@ struct Count {
 // The counts of all splats, for CUB to read.
 auto each_count(const uint32_t* counts, const uint32_t* indices = nullptr) {
   return thrust::make_transform_iterator(thrust::counting_iterator<int64_t>(0), Count{counts, indices});
-}
-
-// Numbers the slots: a thread has one. Neighbours write side by side, unlike those of write_pairs.
-__global__ void number_slots(Pairs pairs) {
-  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
-  if (i < pairs.count) pairs.slots[i] = uint32_t(i);
 }
 
 // Writes pairs of one splat with `count` tiles from `tile` on, to the slots from `at` on that there is room for.
@@ -194,8 +189,7 @@ void bin_fill(const Splats<float>& splats, const Image& image, const uint32_t* i
 
   // Sort them by tile, and find the tiles' ranges. The bits of kNoTile are those of no tile
   if (pairs.count == 0) return;
-  number_slots<<<unsigned(blocks_for(pairs.count, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(pairs);
-  check_launch("bin: slots");
+  count_up(pairs.count, pairs.slots, cudaStream_t(stream));
   const int tile_bits = std::max(1, int(std::bit_width(uint64_t(pairs.total ? all_tiles : all_tiles - 1))));
   check(cub::DeviceRadixSort::SortPairs(temporary, temporary_bytes, pairs.tiles, pairs.sorted_tiles, pairs.slots,
                                         pairs.sorted_slots, pairs.count, 0, tile_bits, cudaStream_t(stream)),

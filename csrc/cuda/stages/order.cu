@@ -5,21 +5,10 @@
 #include <bit>
 
 #include "cuda/common/check.h"
+#include "cuda/common/count_up.cuh"
 #include "cuda/stages/stages.h"
 
 namespace lfgs::cuda {
-namespace {
-
-constexpr int kThreads = 256;
-
-// Writes 0, 1, 2, ...: a thread has a number.
-__global__ void count_up(int64_t items, uint32_t* indices) {
-  const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
-  if (i < items) indices[i] = uint32_t(i);
-}
-
-}  // namespace
-
 // The temporary storage also holds the unsorted indices, at its end.
 size_t order_bytes(int64_t items) {
   size_t bytes = 0;
@@ -35,8 +24,7 @@ void order(int64_t items, int64_t images, const uint64_t* keys, uint64_t* sorted
   require(items < int64_t(1) << 32, "more than 2^32 Gaussians in all images: render fewer images at a time");
   size_t bytes = temporary_bytes - size_t(items) * sizeof(uint32_t);
   uint32_t* unsorted = reinterpret_cast<uint32_t*>(static_cast<char*>(temporary) + bytes);
-  count_up<<<unsigned(blocks_for(items, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(items, unsorted);
-  check_launch("order");
+  count_up(items, unsorted, cudaStream_t(stream));
   // Splats that are not drawn have all bits of their keys set. Sorting by one bit more than image numbers need puts
   // them last
   const int end_bit = kDepthBits + int(std::bit_width(uint64_t(images)));
