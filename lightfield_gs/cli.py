@@ -24,6 +24,7 @@ COMMANDS = {
     "encode": "a photo or a .ply to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
     "simulate": "what an eye sees through the lenses",
+    "calibrate": "make a profile fit its panel",
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",
 }
