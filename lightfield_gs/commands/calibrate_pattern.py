@@ -27,7 +27,7 @@ KINDS = {
     "rgb": "the same, red, green and blue shifted by 0, 1 and 2 thirds in one image",
     "pitch": "rows with the pitch changed by the percent written on them: the right one is even from left to right",
     "slope": "columns with the slope changed by the percent written on them: the right one is even from top to bottom",
-    "centre": "rows with the centre moved by the lens widths on them: the right one, from straight in front it is white",
+    "centre": "rows with the centre moved by the lens widths on them: from straight in front the right one is white",
     "depth": "stripes at depths of the disparity, in pixels over all views, written on them; positive pops out",
 }
 # The options that only some kinds take
