@@ -7,6 +7,7 @@ import importlib
 
 ACTIONS = {
     "pattern": "a native image that shows which view reaches an eye",
+    "nudge": "change the lens of a profile a little",
 }
 
 

@@ -21,8 +21,7 @@ class LensChange:
 
     pitch_percent: of the lenses per inch; slope_percent: of the slope, lenses per inch across the axis kept, as if the
     sheet of lenses were turned; centre: lens widths. line_number: sub-pixels; slant_tan; phase: sub-pixels.
-    alone: the centre and the phase are kept as numbers, so that a change of pitch or slope pivots about the corner of
-    the panel that they are measured from, instead of about its middle.
+    What the middle of the panel shows stays, unless centre or phase are changed: they follow pitch and slope.
     """
 
     pitch_percent: float = 0.0
@@ -31,7 +30,6 @@ class LensChange:
     line_number: float = 0.0
     slant_tan: float = 0.0
     phase: float = 0.0
-    alone: bool = False
 
 
 def middle_of(panel: Panel) -> float:
@@ -64,8 +62,5 @@ def changed(panel: Panel, change: LensChange) -> Panel:
         turned = replace(panel, line_number=line_number, slant_tan=slant + change.slant_tan)
     except InputError as error:
         raise InputError(f"so large a change leaves no lens: {error}") from None
-    if change.alone:
-        phase = panel.phase
-    else:
-        phase = turns_in_middle(panel) * line_number - middle_of(turned)
+    phase = turns_in_middle(panel) * line_number - middle_of(turned)
     return replace(turned, phase=phase + change.phase - change.centre * line_number)

@@ -20,7 +20,8 @@ from lightfield_gs.panels.patterns import draw, hues
 Fan = Literal["pitch", "slope", "centre"]
 _SPANS: dict[Fan, float] = {"pitch": 0.5, "slope": 2.5, "centre": 0.5}
 _MOST_BANDS = 11
-_LENSES_PER_DOT = 1.5
+_LENSES_PER_DOT = 1.5  # for which there is room in every band
+_LARGEST_DOT_LENSES = 4
 _LABEL_CHARACTERS = 6
 _MIDDLE_SHARE = 1 / 8  # of the views on either side of the middle one that are white in the fan of the centre
 _STRIPE_LENSES = 8  # period of the stripes of the depth ramp
@@ -104,7 +105,9 @@ def _band_count(panel: Panel, bands: int | None, upright: bool) -> int:
 
 
 def _label(band: np.ndarray, text: str, panel: Panel) -> None:
-    """Writes into the band's upper left corner, the same for all views, as large as fits up to 1.5 lenses a dot."""
+    """Writes into the band's upper left corner, the same for all views, as large as fits up to 4 lenses a dot."""
     room = min(band.shape[0] // HEIGHT_DOTS, band.shape[1] // width_dots(len(text)))
-    mask = text_pixels(text, max(1, min(room, _dot_px(panel))))[: band.shape[0], : band.shape[1]]
+    mask = text_pixels(text, max(1, min(room, math.ceil(_LARGEST_DOT_LENSES * panel.line_number / 3))))[
+        : band.shape[0], : band.shape[1]
+    ]
     band[: mask.shape[0], : mask.shape[1]] = 255 * mask[..., None]
