@@ -8,6 +8,7 @@ import importlib
 ACTIONS = {
     "pattern": "a native image that shows which view reaches an eye",
     "nudge": "change the lens of a profile a little",
+    "fit": "estimate the lens from photographs of a pattern",
 }
 
 

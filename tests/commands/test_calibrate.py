@@ -1,14 +1,18 @@
 """`lightfield-gs calibrate`: patterns written, profiles nudged in their own format."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import complaint, run
 
-from lightfield_gs.io.images import read_image, read_info
+from lightfield_gs.io.images import read_image, read_info, write_image
+from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.patterns import single, sweep
+from lightfield_gs.panels.patterns import bars, light_of_srgb, single, srgb_of_light, sweep
+from lightfield_gs.panels.simulate import simulate
 
 TEMPLATE = dict(pitch=42.0, slope=-6, center=0.3, DPI=136, screenW=768, screenH=432, invView=1, viewCone=40)
 
@@ -93,3 +97,42 @@ def test_what_a_nudge_refuses(capsys, tmp_path):
     flow.write_text("{width_px: 48, height_px: 24, views: 8, line_number: 10, slant_tan: 0.2}")
     assert "of this form" in complaint(capsys, f"calibrate nudge {flow} -o {new} --centre-by 0.1")
     assert not new.exists()
+
+
+def camera(start: Panel, true: Panel, eye, folder, name: str) -> list[str]:
+    """Files of photographs of the three shifts: the panel seen straight on in a dark room, a few pixels a lens."""
+    paths = []
+    for shift in range(3):
+        seen = simulate(light_of_srgb(bars(start, shift) / 255), true, eye)
+        photo = np.pad(seen.repeat(3, 0).repeat(3, 1), ((40, 50), (60, 30), (0, 0)))
+        paths.append(str(folder / f"{name}-{shift}.png"))
+        write_image(paths[-1], np.rint(255 * srgb_of_light(photo)).astype(np.uint8))
+    return paths
+
+
+def test_a_profile_is_fitted_to_photographs(capsys, tmp_path):
+    old, new = tmp_path / "visual.json", tmp_path / "new.json"
+    old.write_text(json.dumps(visual(screenW=480, screenH=270)))
+    start = replace(Panel.load(old), viewing_distance_mm=600)
+    true = changed(start, LensChange(pitch_percent=0.3, slope_percent=-1, centre=0.15))
+    eyes = (-10, 0, 600), (80, 30, 620)
+    photos = [camera(start, true, eye, tmp_path, f"p{k}") for k, eye in enumerate(eyes)]
+    line = f"calibrate fit {' '.join(sum(photos, []))} --eye -10,0,600 --eye 80,30,620 --panel {old} -o {new}"
+    assert "--viewing-distance" in complaint(capsys, line)
+    said = run(capsys, f"{line} --viewing-distance 600")
+    assert "pitch 42 -> 42.12" in said and "p1-0.png p1-1.png p1-2.png" in said
+    fitted = Panel.load(new)
+    assert fitted.line_number == pytest.approx(true.line_number, rel=1e-5)
+    assert middle(fitted) - middle(true) == pytest.approx(0, abs=2e-3)
+    listed = tmp_path / "places.yaml"
+    entries = [{"eye_mm": eye, "photos": [Path(p).name for p in paths]} for eye, paths in zip(eyes, photos)]
+    listed.write_text("places: " + json.dumps(entries))
+    again = tmp_path / "again.json"
+    run(capsys, f"calibrate fit {listed} --panel {old} -o {again} --viewing-distance 600")
+    assert again.read_text() == new.read_text()
+    few = f"calibrate fit {' '.join(photos[0])} --panel toy-8v -o {tmp_path}/x.yaml"
+    assert "3 photographs and 0 --eye" in complaint(capsys, few)
+    assert "one place" in complaint(capsys, f"{few} --eye 0,0,600")
+    listed.write_text("places: [{eye_mm: [0, 0, 1], photos: [none.png]}]")
+    assert "places[0]" in complaint(capsys, f"calibrate fit {listed} --panel toy-8v -o {tmp_path}/x.yaml")
+    assert not (tmp_path / "x.yaml").exists()
