@@ -96,8 +96,7 @@ class DepthReport:
         if self.comfortable is False:
             way = "" if self.amount is None else f", {_floored(self.amount)} of what it is at the most"
             out.append(
-                f"the depth strains the eyes: comfortable: {self._comfort()}; give a smaller --depth-amount{way}, or "
-                "another --focus"
+                f"the depth strains the eyes: {self._angles()}; give a smaller --depth-amount{way}, or another --focus"
             )
         if max(self.unseen) > _MUCH_UNSEEN:
             out.append(
@@ -107,11 +106,13 @@ class DepthReport:
         return out
 
     def _comfort(self) -> str:
-        near, far = self.near.angle_deg, self.far.angle_deg
-        if self.comfortable is None or near is None or far is None:
+        if self.comfortable is None:
             return "not known: the panel lacks viewing_distance_mm or pixel_pitch_mm (--viewing-distance MM)"
-        where = f"{near:+.2f} to {far:+.2f} degrees between the eyes"
-        return f"{'yes' if self.comfortable else 'no'}, {where}, {COMFORT_DEG:g} is the most ({_RULE})"
+        return f"{'yes' if self.comfortable else 'no'}, {self._angles()}"
+
+    def _angles(self) -> str:
+        where = f"{self.near.angle_deg:+.2f} to {self.far.angle_deg:+.2f} degrees between the eyes"
+        return f"{where}, {COMFORT_DEG:g} is the most ({_RULE})"
 
     def _sharp(self) -> str:
         first, last = self.sharp_depths
