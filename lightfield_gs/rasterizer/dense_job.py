@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -22,12 +23,23 @@ class DenseImages(NamedTuple):
     depth: Tensor | None
 
 
+class Aperture(NamedTuple):
+    """What cameras of a rig average their pictures over: offsets of this standard deviation along the camera's x-axis,
+    what lies at zero_depth staying where it is; scene units."""
+
+    deviation: float
+    zero_depth: float
+
+
+PINHOLE = Aperture(0.0, math.inf)
+
+
 class DenseJob:
     """The checked arguments of render_dense, and a workspace that is ready for the composite or its reverse.
 
     Without `state` project, order and bin run here; with it the workspace consists of what a render of the same
     arguments left. room: on CUDA, how many (tile, splat) pairs there is room for: then nothing waits for the device,
-    and `pairs_on_device` has to be looked at. Raises InputError.
+    and `pairs_on_device` has to be looked at. aperture: of all cameras. Raises InputError.
     """
 
     def __init__(
@@ -49,6 +61,7 @@ class DenseJob:
         threads: int | None = None,
         state: State | None = None,
         room: int | None = None,
+        aperture: Aperture = PINHOLE,
     ):
         self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
         if world_to_camera.dim() != 4:
@@ -64,7 +77,7 @@ class DenseJob:
             check("limits", limits, (*lead, 5), means),
         ]
         poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
-        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased)
+        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased, *aperture)
         with scene.guard:
             self.work = workspace_of(
                 scene,

@@ -1,6 +1,6 @@
 // Stage project for ordinary images on the device: reads Gaussians and cameras, writes splats with their colours and
 // the keys by which they are sorted. A thread has a Gaussian in one image. Arithmetic is in float, but in double for
-// the splats of anti-aliased scenes.
+// compensated splats.
 #include "cuda/common/check.h"
 #include "cuda/common/compensated.cuh"
 #include "cuda/common/gaussian_io.cuh"
@@ -15,10 +15,10 @@ using glm::vec3;
 constexpr int kThreads = 128;
 
 // Projects one Gaussian.
-template <bool kAntialiased>
+template <bool kCompensated>
 __device__ Splat<float> splat_of(const Cameras<float>& cameras, int64_t image, const View<float>& view,
                                  const Shape<float>& shape) {
-  if constexpr (kAntialiased) {
+  if constexpr (kCompensated) {
     Compensation<float> of_one_camera;  // not needed: with one camera it is in the opacity
     return compensated_splat(cameras.view<double>(image), shape, of_one_camera);
   } else {
@@ -37,7 +37,7 @@ __device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, i
 }
 
 // Projects all Gaussians into all images: blocks along x have the Gaussians of a scene, along y the images.
-template <bool kAntialiased>
+template <bool kCompensated>
 __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> out,
                                      uint64_t* keys) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, image = blockIdx.y, n = gaussians.count;
@@ -47,7 +47,7 @@ __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<f
   const Shape<float> shape = shape_of(scene, i);
   const int64_t index = image * n + i;
   vec3 colour(0);
-  if (store_splat(splat_of<kAntialiased>(cameras, image, view, shape), cameras, image, index, out, keys))
+  if (store_splat(splat_of<kCompensated>(cameras, image, view, shape), cameras, image, index, out, keys))
     colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
   reinterpret_cast<float4*>(out.colours)[index] =
       make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
@@ -62,7 +62,7 @@ void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>
                                                " images, and at most 65,535 are drawn "
                                                "at a time on CUDA: render fewer scenes or cameras in a call");
   const dim3 blocks(unsigned(blocks_for(gaussians.count, kThreads)), unsigned(cameras.images()));
-  const auto kernel = cameras.antialiased ? project_dense_kernel<true> : project_dense_kernel<false>;
+  const auto kernel = cameras.compensated() ? project_dense_kernel<true> : project_dense_kernel<false>;
   kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, out, keys);
   check_launch("project_dense");
 }
