@@ -20,7 +20,7 @@ import torch
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.options import METHODS
-from lightfield_gs.bench import dense, fit, fit_plot, fit_report, paper, pareto, peers, photo, skips, training
+from lightfield_gs.bench import dense, eyes, fit, fit_plot, fit_report, paper, pareto, peers, photo, skips, training
 from lightfield_gs.bench.fit_data import Photographs
 from lightfield_gs.bench.measure import measure
 from lightfield_gs.bench.oracle import ORACLE_SAMPLES, oracle_samples
@@ -52,9 +52,9 @@ DEFAULT_SCENES, DEFAULT_METHODS = ("sheet:128",), ("direct",)
 _DRAWN = ("light-field", "paper")
 # Which benchmarks take each option that not all of them take
 OPTIONS_OF = {
-    "scene": (*_DRAWN, "pareto", "skips"),
-    "cone": (*_DRAWN, "pareto", "skips"),
-    "sh_degree": (*_DRAWN, "skips"),
+    "scene": (*_DRAWN, "pareto", "skips", "eyes"),
+    "cone": (*_DRAWN, "pareto", "skips", "eyes"),
+    "sh_degree": (*_DRAWN, "skips", "eyes"),
     "methods": _DRAWN,
     "memory_budget": _DRAWN,
     "oracle_samples": _DRAWN,
@@ -181,12 +181,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="?",
         default="light-field",
-        choices=("light-field", "paper", "training-step", "photo", "pareto", "skips", "dense", "fit"),
+        choices=("light-field", "paper", "training-step", "photo", "pareto", "skips", "dense", "fit", "eyes"),
         help="a light-field image, the tables of Shi et al. (ten scenes, times and memory of three "
         "methods), forward and backward of the rasterizer in a training step, a photo through "
         "the network to the image, run time against error over the settings of quality, what "
-        "each skip of what a scene does not need saves, forward and backward of one camera before many Gaussians, or "
-        "fits to the photographs of CAPTURE",
+        "each skip of what a scene does not need saves, forward and backward of one camera before many Gaussians, "
+        "fits to the photographs of CAPTURE, or what eyes across the cone see, with and without --view-filter",
     )
     add_fit_options(parser)
     parser.add_argument(
@@ -271,6 +271,8 @@ def run(args: argparse.Namespace) -> int:
         result, text = _skips(args, threads)
     elif args.what == "dense":
         result, text = _dense(args, threads)
+    elif args.what == "eyes":
+        result, text = _eyes(args, threads)
     elif args.what == "fit":
         result, text = _fit(args, threads)
     else:
@@ -350,6 +352,23 @@ def _skips(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[st
                 _progress(f"{subject.name}, {subject.rig.cone_deg:g} degrees: with and without every skip by turns")
                 rows += skips.rows(subject, args.repeats, count)
     return {"rows": rows}, skips.table(rows)
+
+
+def _eyes(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:
+    """Rows of every width of the view filter, for every scene and cone, and their text."""
+    scenes, panel = DEFAULT_SCENES if args.scene is None else args.scene.split(","), _panel(args)
+    eyes.check_panel(panel)
+    cones, degrees, rows = _cones(args.cone), _sh_degrees(args.sh_degree), []
+    torch.set_num_threads(_one_thread_count(args, threads) or torch.get_num_threads())
+    _check_scenes(scenes, degrees)
+    for scene in scenes:
+        for degree in degrees:
+            gaussians = load_scene(scene, degree).to(args.device)
+            for cone in cones:
+                rig = benchmark_rig(scene, gaussians, panel, cone)
+                _progress(f"{Path(scene).name}, {rig.cone_deg:g} degrees: {eyes.EYES} eyes")
+                rows += eyes.rows(pareto.Subject(Path(scene).name, gaussians, panel, rig))
+    return {"rows": rows}, eyes.table(rows)
 
 
 def _dense(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str, Any], str]:

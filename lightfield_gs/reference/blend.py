@@ -151,8 +151,8 @@ class Projection:
 
     def swept(self, gaussian: Tensor) -> Tensor:
         """Variance along the row, px^2, that the aperture adds to Gaussians. Over the offsets o the column
-        fx (X - o) / Z + shift o of a point has the variance aperture^2 (shift - fx / Z)^2, whose mean over points of the
-        spread Z + z is, to first order in z, that of the mean point and aperture^2 (fx / Z^2)^2 times the variance of z.
+        fx (X - o) / Z + shift o of a point has the variance aperture^2 (shift - fx / Z)^2. Its mean over the points at
+        Z + z of the spread is, to first order in z, that at Z and aperture^2 (fx / Z^2)^2 times the variance of z.
         """
         Z, fx = self.position[gaussian, 2], self.eye.intrinsics[0]
         moved = self.eye.shift_px - fx / Z, fx / Z**2 * self.spread[2][:, gaussian]

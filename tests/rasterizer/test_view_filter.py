@@ -45,7 +45,7 @@ def oracle(scene: Gaussians, shown, fan, **options) -> tuple[np.ndarray, np.ndar
 
 
 def test_the_oracle_has_the_second_moments_of_footprints_integrated_over_the_view():
-    """Mean, variances and covariance in pixels, of footprints averaged over 4001 cameras within a box of forty views."""
+    """Mean, variance and covariance in pixels of footprints averaged over 4001 cameras within a box of forty views."""
     shown, scene = panel(cone_deg=12.0), deep_scene(30)
     fan, width = rig(shown, 0.1, -0.15), 40.0
     projection, everything = Projection(Scene.of(scene), rig_eye(shown, fan, width)), torch.arange(scene.count)

@@ -78,7 +78,7 @@ __device__ __noinline__ Adjoint with_exact_adjoint(const Gaussians<const float>&
                                                    const Cameras<float>& cameras, const Splats<float>& splats,
                                                    const Slots& slots, int64_t image, int64_t i, Adjoint so_far) {
   const int64_t n = gaussians.count, index = image * n + i;
-  const View<double> exact = widened(cameras.view<float>(image));
+  const View<double> exact = cameras.view<double>(image);
   const Shape<double> wide = widened(shape_of(gaussians.slice(image / cameras.per_scene * n), i));
   Splat<double> gradient =
       splat_gradient<double>(read_splat(splats.splats + index), slots.of(slots.ranges[index]), so_far.colour);
