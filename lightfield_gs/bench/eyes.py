@@ -32,10 +32,10 @@ def check_panel(panel: Panel) -> None:
 
 
 @torch.no_grad()
-def rows(subject: Subject, widths: Sequence[float] | None = None, count: int = EYES) -> Iterator[dict[str, Any]]:
-    """A row for each width of the view filter: mean, worst and best PSNR, and SSIM, over `count` eyes. Raises
-    InputError."""
-    panel = subject.panel
+def rows(subject: Subject, widths: Sequence[float] | None = None, count: int | None = None) -> Iterator[dict[str, Any]]:
+    """A row for each width of the view filter: mean, worst and best PSNR, and SSIM, over `count` eyes (None: EYES).
+    Raises InputError."""
+    panel, count = subject.panel, EYES if count is None else count
     reference = EyeReference(subject.gaussians, panel, subject.rig, eyes_across(panel, count))
     for width in filter_widths(panel) if widths is None else widths:
         image = encode(subject.gaussians, panel, subject.rig, output="float32", view_filter=width)

@@ -358,7 +358,8 @@ def _eyes(args: argparse.Namespace, threads: list[int | None]) -> tuple[dict[str
     """Rows of every width of the view filter, for every scene and cone, and their text."""
     scenes, panel = DEFAULT_SCENES if args.scene is None else args.scene.split(","), _panel(args)
     eyes.check_panel(panel)
-    cones, degrees, rows = _cones(args.cone), _sh_degrees(args.sh_degree), []
+    cones, degrees = _cones(args.cone), _sh_degrees(args.sh_degree)
+    rows: list[dict[str, Any]] = []
     torch.set_num_threads(_one_thread_count(args, threads) or torch.get_num_threads())
     _check_scenes(scenes, degrees)
     for scene in scenes:

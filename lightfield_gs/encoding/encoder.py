@@ -27,8 +27,8 @@ class Encoder:
     """Draws the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
 
     panel, rig, views, background, output, quality, antialiased and view_filter are those of `encode`. `rig` and
-    `background` may be set between frames, and the rig altered: a moving zero plane, another cone, another pose. The others are what kept
-    stages and graphs were made for: they can be read only. No gradients. Raises InputError.
+    `background` may be set between frames, and the rig altered: a moving zero plane, another cone, another pose. The
+    others are what kept stages and graphs were made for: they can be read only. No gradients. Raises InputError.
 
     What the frame before shows already is not drawn again, and the image is the same to the bit. `stats` tells:
     {"frames": n, "reused": {stage: frames that did without it}}.

@@ -22,8 +22,8 @@ class Psf:
     """A measured spread of light, its crosstalk included.
 
     offsets: 2..4096 places in sub-pixels along a row, ascending: how far another sub-pixel lies to the right of the one
-    that, seen by the eye, is exactly behind the lens. light: how brightly the eye sees it, >= 0, in any unit; between the
-    offsets it is interpolated linearly, and there is none beyond them. Raises InputError.
+    that, seen by the eye, is exactly behind the lens. light: how brightly the eye sees it, >= 0, in any unit; between
+    the offsets it is interpolated linearly, and there is none beyond them. Raises InputError.
     """
 
     offsets: tuple[float, ...]

@@ -43,8 +43,9 @@ def simulate(
         a = D_mid/P_e + (xi z + xi_eye L_g) / ((z + L_g) p_h),   L_g = P_e p_sub L/E,   p_h = P_e p_sub L/(L + L_g)
     E = 2 L tan(cone/2). It is lit by a Gaussian of frac(a) - 1/2, or by the psf of P_e (frac(a) - 1/2) sub-pixels, and
     what is perceived is the mean of the sub-pixels around, weighted by their light. At z = L the eye sees the view
-    N (1/2 - xi_eye/E) everywhere. On a panel with invert_views the lens plane lies behind the pixels (L_g < 0), so that right eyes still
-    see the cameras to the right. Raises InputError; also where the panel lacks viewing_distance_mm or pixel_pitch_mm.
+    N (1/2 - xi_eye/E) everywhere. On a panel with invert_views the lens plane lies behind the pixels (L_g < 0), so that
+    right eyes still see the cameras to the right. Raises InputError; also where the panel lacks viewing_distance_mm or
+    pixel_pitch_mm.
     """
     _check(image, panel)
     x, y, z = _eye(eye_mm)
@@ -148,7 +149,8 @@ def row_of_eyes(panel: Panel, from_mm: float, to_mm: float, count: int) -> np.nd
     if panel.viewing_distance_mm is None:
         raise InputError(f"panel {panel.name} lacks viewing_distance_mm; eyes cannot be placed without")
     eyes = np.zeros((count, 3))
-    eyes[:, 0], eyes[:, 2] = np.linspace(*ends, count), panel.viewing_distance_mm
+    first, last = ends
+    eyes[:, 0], eyes[:, 2] = np.linspace(first, last, count), panel.viewing_distance_mm
     return eyes
 
 

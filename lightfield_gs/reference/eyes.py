@@ -31,7 +31,7 @@ class EyeScore:
     ssim: float
 
 
-def eyes_across(panel: Panel, count: int, share: float = 0.9) -> np.ndarray:
+def eyes_across(panel: Panel, count: int, share: float = 0.75) -> np.ndarray:
     """Places [count, 3] in mm of eyes spread evenly, from left to right, over the middle `share` (0..1) of the panel's
     viewing zone: not quite to its ends, where an eye sees the first and the last view at once. Raises InputError."""
     count, share = whole_number("count", count, 1, MOST_EYES), real_number("share", share, 0.0, 1.0)
