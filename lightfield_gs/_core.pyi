@@ -62,6 +62,7 @@ class Rig:
         zero_depth: float,
         lens: Lens,
         antialiased: bool = ...,
+        aperture: float = ...,
     ) -> None: ...
 
 class Quality:
@@ -152,6 +153,8 @@ class _Stages:
             intrinsics: Address,
             limits: Address,
             antialiased: bool = ...,
+            aperture: float = ...,
+            zero_depth: float = ...,
         ) -> None: ...
 
     class Splats:

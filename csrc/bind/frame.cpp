@@ -24,8 +24,8 @@ void force(LensFrame& frame, int kernel) {
   require(kernel >= -1 && kernel < int(LensKernel::kCount), "no such kernel: " + std::to_string(kernel));
   require(kernel != int(LensKernel::kOrdinal) || frame.has_ordinal,
           "the ordinal kernel cannot draw this lens on this device");
-  require(!frame.rig.antialiased || (kernel != int(LensKernel::kPixel) && kernel != int(LensKernel::kPixelSmall)),
-          "anti-aliased frames are drawn by pixel-quadratic, pixel-quadratic-small or ordinal");
+  require(!frame.rig.compensated() || (kernel != int(LensKernel::kPixel) && kernel != int(LensKernel::kPixelSmall)),
+          "frames of compensated opacities are drawn by pixel-quadratic, pixel-quadratic-small or ordinal");
   frame.forced = kernel;
 }
 

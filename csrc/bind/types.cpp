@@ -64,12 +64,14 @@ void bind_lens(py::module_ m) {
 }
 
 View<double> rig_of(const std::vector<double>& world_to_camera, const std::vector<double>& intrinsics,
-                    const std::vector<double>& limits, double zero_depth, const Lens& lens, bool antialiased) {
+                    const std::vector<double>& limits, double zero_depth, const Lens& lens, bool antialiased,
+                    double aperture) {
   require(world_to_camera.size() == 16 && intrinsics.size() == 4 && limits.size() == 5, "a rig is 16 + 4 + 5 numbers");
   View<double> rig = make_view<double>(world_to_camera.data(), intrinsics.data(), limits.data());
   rig.sweep = lens.reach();
   rig.inverse_zero_depth = 1 / zero_depth;
   rig.antialiased = antialiased;
+  rig.aperture = aperture;
   return rig;
 }
 
@@ -82,7 +84,7 @@ Quality quality_of(double opacity_cut, double transmittance_stop, double lattice
 void bind_rig_and_quality(py::module_ m) {
   py::class_<View<double>>(m, "Rig").def(py::init(&rig_of), py::kw_only(), py::arg("world_to_camera"),
                                          py::arg("intrinsics"), py::arg("limits"), py::arg("zero_depth"),
-                                         py::arg("lens"), py::arg("antialiased") = false);
+                                         py::arg("lens"), py::arg("antialiased") = false, py::arg("aperture") = 0.0);
   py::class_<Quality>(m, "Quality")
       .def(py::init(&quality_of), py::kw_only(), py::arg("opacity_cut"), py::arg("transmittance_stop"),
            py::arg("lattice"), py::arg("contribution"), py::arg("evaluation"));
@@ -119,13 +121,14 @@ void bind_buffers(py::module_ m) {
            py::arg("opacities"), py::arg("sh"));
   py::class_<Cameras<T>>(m, "Cameras")
       .def(py::init([](int64_t scenes, int64_t per_scene, int64_t width_px, int64_t height_px, Address world_to_camera,
-                       Address intrinsics, Address limits, bool antialiased) {
+                       Address intrinsics, Address limits, bool antialiased, double aperture, double zero_depth) {
              return Cameras<T>{
-                 scenes,        per_scene,  width_px, height_px, at<T>(world_to_camera), at<T>(intrinsics),
-                 at<T>(limits), antialiased};
+                 scenes,        per_scene,   width_px, height_px,     at<T>(world_to_camera), at<T>(intrinsics),
+                 at<T>(limits), antialiased, aperture, 1 / zero_depth};
            }),
            py::arg("scenes"), py::arg("per_scene"), py::arg("width_px"), py::arg("height_px"),
-           py::arg("world_to_camera"), py::arg("intrinsics"), py::arg("limits"), py::arg("antialiased") = false);
+           py::arg("world_to_camera"), py::arg("intrinsics"), py::arg("limits"), py::arg("antialiased") = false,
+           py::arg("aperture") = 0.0, py::arg("zero_depth") = HUGE_VAL);
   py::class_<Splats<T>>(m, "Splats")
       .def(py::init([](int64_t images, int64_t count, int colour_order, Address splats, Address colours, Address orders,
                        Address compensations) {

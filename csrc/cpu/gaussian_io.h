@@ -32,12 +32,12 @@ void sum_pairs(const Splat<T>& splat, int64_t height_px, int64_t first, int size
     for (int f = 0; f < size; ++f) sum[f] += double(pairs[(first + k) * size + f]);
 }
 
-// Projects a Gaussian; sets `compensation` if the scene is anti-aliased and the splat is drawn.
+// Projects a Gaussian; sets `compensation` if its opacity is compensated and it is drawn.
 inline Splat<double> projected(const View<double>& view, const Shape<double>& shape,
                                Compensation<double>& compensation) {
   const Projection<double> projection(view, shape);
   Splat<double> splat = projection.splat(view, shape.opacity);
-  if (view.antialiased && splat.reach_y >= 0) projection.compensate(splat, compensation);
+  if (view.compensated() && splat.reach_y >= 0) projection.compensate(view, splat, compensation);
   return splat;
 }
 

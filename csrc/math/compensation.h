@@ -1,7 +1,8 @@
-// Opacity of an anti-aliased splat. The blur of kBlurVariancePx spreads a splat out; its opacity is lowered by as much,
-// so that it keeps its light (Yu et al., Mip-Splatting, 2024, the 2D filter): from camera s by the share
-//   sqrt(det V(s) / det (V(s) + blur)) = sqrt(D(s) / S(s)),   D(s) = D0 + D1 s + D2 s^2,
-// V being the projected covariance, S that of Splat and D what S is without the part that the blur adds to it.
+// Opacity of a splat that a filter spreads out: the blur of kBlurVariancePx in an anti-aliased scene (Yu et al.,
+// Mip-Splatting, 2024, the 2D filter), the aperture of a view (Projection::aperture_variance), or both. It is lowered
+// by as much, so that the splat keeps its light: from camera s by the share
+//   sqrt(det V(s) / det (V(s) + filter)) = sqrt(D(s) / S(s)),   D(s) = D0 + D1 s + D2 s^2,
+// V being the projected covariance, S that of Splat and D what S is without the part that the filters add to it.
 #pragma once
 
 #include <cmath>

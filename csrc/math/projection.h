@@ -152,13 +152,29 @@ struct Projection {
     s.S2 = (glm::dot(m.m1, m.m1) + blur * g * g * V.zz * iy) / R(kHalfLog2e);
   }
 
-  // For anti-aliased scenes: lowers the opacity of a splat to the highest that it has over the rig, so that the splat's
-  // bounds hold for all cameras, and returns the square of the share that is left. `out` is D(s) divided by it; D(s) /
-  // S(s) is then at most 1.
-  LFGS_HD R compensate(Splat<R>& s, Compensation<R>& out) const {
+  // What an aperture adds to xx(s), px^2: per unit of offset the mean moves by fx (1/Z0 - 1/Z) along its row, and what
+  // lies deeper or nearer than the mean by fx/Z^2 per unit of depth more or less. Together they are the exact second
+  // moment of the footprints that are averaged; xy and yy stay as they are (Zwicker et al., "Antialiasing for
+  // automultiscopic 3D displays", 2006).
+  LFGS_HD R aperture_variance(const View<R>& view) const {
+    const R per_offset = view.fx * view.aperture, shift = view.inverse_zero_depth - iz, shear = iz * iz;
+    return per_offset * per_offset * (shift * shift + shear * shear * V.zz);
+  }
+
+  // D(s) before it is divided: S(s) without what the blur adds to it, if it is that of an anti-aliased scene.
+  LFGS_HD Compensation<R> sharp_variance(const View<R>& view, const Splat<R>& s) const {
+    if (!view.antialiased) return {s.S0, s.S1, s.S2};
     const Minors m(*this);
-    out = {glm::dot(m.m0, m.m0) / R(kHalfLog2e), 2 * glm::dot(m.m0, m.m1) / R(kHalfLog2e),
-           glm::dot(m.m1, m.m1) / R(kHalfLog2e)};
+    return {glm::dot(m.m0, m.m0) / R(kHalfLog2e), 2 * glm::dot(m.m0, m.m1) / R(kHalfLog2e),
+            glm::dot(m.m1, m.m1) / R(kHalfLog2e)};
+  }
+
+  // For views with an aperture and for anti-aliased scenes: adds what the aperture does to S(s), lowers the opacity of
+  // a splat to the highest that it has over the rig, so that the splat's bounds hold for all cameras, and returns the
+  // square of the share that is left. `out` is D(s) divided by it; D(s) / S(s) is then at most 1.
+  LFGS_HD R compensate(const View<R>& view, Splat<R>& s, Compensation<R>& out) const {
+    out = sharp_variance(view, s);
+    if (view.aperture > 0) s.S0 += aperture_variance(view) / R(kHalfLog2e);
     const R most = largest_share(s.S0, s.S1, s.S2, out);
     if (most > 0) out = {out.D0 / most, out.D1 / most, out.D2 / most};
     s.log2_opacity += std::log2(most) / 2;
@@ -169,19 +185,19 @@ struct Projection {
 
   // The adjoint of compensate() for one camera: returns the gradient of D that follows from that of the lowered
   // opacity, and adds the gradient of S to g.S0.
-  LFGS_HD Compensation<R> compensate_adjoint(Splat<R>& g) const {
-    const Minors m(*this);
+  LFGS_HD Compensation<R> compensate_adjoint(const View<R>& view, Splat<R>& g) const {
     Splat<R> s;
     conditional_variance(s);
-    const R half = g.log2_opacity / R(2 * kLn2);
+    const R sharp = sharp_variance(view, s).D0, half = g.log2_opacity / R(2 * kLn2);
+    if (view.aperture > 0) s.S0 += aperture_variance(view) / R(kHalfLog2e);
     g.S0 -= half / s.S0;
-    return {half * R(kHalfLog2e) / glm::dot(m.m0, m.m0), 0, 0};
+    return {half / sharp, 0, 0};
   }
 
-  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat; for an anti-aliased
+  // Adds to `out` and `view_out` the gradients that follow from `s`, the gradient of the splat; for a compensated
   // splat also from `sharp`, the gradient of D before compensate() divides it. What out.quaternion gets is the gradient
   // of the unit quaternion: a sum of it over views may cancel where quaternion_gradient would be infinite.
-  template <bool kAntialiased = false>
+  template <bool kCompensated = false>
   LFGS_HD void adjoint(const View<R>& view, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
                        ViewAdjoint<R>& view_out, const Compensation<R>& sharp = {}) const {
     if (!drawn) return;
@@ -190,10 +206,12 @@ struct Projection {
     // From the conditional form to xx, xy and yy
     R gS0 = s.S0 / R(kHalfLog2e), gS1 = s.S1 / R(kHalfLog2e), gS2 = s.S2 / R(kHalfLog2e);
     R gQ0 = gS0, gQ1 = gS1, gQ2 = gS2, g_iy = 0;  // of -xy(s)^2 / yy; gS becomes that of xx(s)
-    if constexpr (kAntialiased) {
-      // D(s) = (xx(s) - blur) (1 - blur / yy) - xy(s)^2 / yy
+    [[maybe_unused]] const R g_aperture = gS0;    // of aperture_variance()
+    if constexpr (kCompensated) {
+      // D(s) = (xx(s) - blur) (1 - blur / yy) - xy(s)^2 / yy, where the blur counts
       const R gD0 = sharp.D0 / R(kHalfLog2e), gD1 = sharp.D1 / R(kHalfLog2e), gD2 = sharp.D2 / R(kHalfLog2e);
-      const R blur(kBlurVariancePx), keep = 1 - blur * iy, xx = a * (a * V.xx + b * V.xz) + b * qz;
+      const R blur(view.antialiased ? kBlurVariancePx : 0), keep = 1 - blur * iy;
+      const R xx = a * (a * V.xx + b * V.xz) + b * qz;
       gQ0 += gD0, gQ1 += gD1, gQ2 += gD2;
       gS0 += keep * gD0, gS1 += keep * gD1, gS2 += keep * gD2;
       g_iy = -blur * (gD0 * xx + gD1 * 2 * g * qz + gD2 * g * g * V.zz);
@@ -220,6 +238,12 @@ struct Projection {
     gV.xy = g_xy0 * a * c;
     gV.yz = g_yz * c + g_yy * 2 * c * e;
     gV.yy = g_yy * c * c;
+    [[maybe_unused]] R g_iz_of_aperture = 0;
+    if constexpr (kCompensated) {
+      const R square = view.fx * view.aperture * view.fx * view.aperture * g_aperture, shear = iz * iz;
+      gV.zz += square * shear * shear;
+      g_iz_of_aperture = square * (4 * iz * shear * V.zz - 2 * (view.inverse_zero_depth - iz));
+    }
     glm::mat<3, 3, R> g_turn = times_own_transpose_adjoint(factor, gV);
     for (int k = 0; k < 3; ++k) {
       out.scale[k] += glm::dot(g_turn[k], turn[k]);
@@ -234,6 +258,7 @@ struct Projection {
     R g_kx = -view.fx * iz * g_b, g_ky = -view.fy * iz * g_e;
     R g_iz = view.fx * g_a + view.fy * g_c - view.fx * (kx - 2 * view.offset * iz) * g_b - view.fy * ky * g_e +
              view.sweep * view.fx * (2 * iz * g_g - s.du) + view.fx * t.x * s.u0 + view.fy * t.y * s.v0;
+    if constexpr (kCompensated) g_iz += g_iz_of_aperture;
     glm::vec<3, R> g_t(view.fx * iz * s.u0, view.fy * iz * s.v0, s.depth);
     if (x_free) g_t.x += g_kx * iz, g_iz += g_kx * (t.x + view.offset);
     if (y_free) g_t.y += g_ky * iz, g_iz += g_ky * t.y;

@@ -18,8 +18,12 @@ struct View {
   R y_low = -1, y_high = 1;
   R offset = 0;              // where this camera stands in its rig; only the clamp needs it
   R sweep = 0;               // of a rig, the offset at s = 1; 0: one camera
-  R inverse_zero_depth = 0;  // rig only
+  R inverse_zero_depth = 0;  // of a rig, or of cameras with an aperture
+  R aperture = 0;            // standard deviation of the offsets that the picture is averaged over; 0: a pinhole
   bool antialiased = false;  // opacities compensated for the blur, see math/compensation.h
+
+  // Whether opacities are lowered for what widens footprints: the blur, the aperture, or both.
+  LFGS_HD bool compensated() const { return antialiased || aperture > 0; }
 
   LFGS_HD glm::vec<3, R> centre() const { return -(glm::transpose(rotation) * translation); }
   // Where the camera at the normalized offset s of a rig stands.

@@ -33,7 +33,7 @@ inline int pair_gradient_size(int colour_order, bool compensated = false) {
 inline int dense_pair_gradient_size(bool absolute) { return pair_gradient_size(0) + (absolute ? 2 : 0); }
 
 // The gradient of a pair, or a sum over pairs: what the samples of a band add to the gradients of a splat's fields, of
-// its colours by power of s, and, for an anti-aliased scene on a panel, of its compensation.
+// its colours by power of s, and, for a compensated splat on a panel, of its compensation.
 template <class T>
 struct PairGradient {
   T* numbers;
@@ -76,14 +76,17 @@ struct Cameras {
   const T* world_to_camera = nullptr;  // [I, 4, 4]
   const T* intrinsics = nullptr;       // [I, 4]: fx, fy, cx, cy
   const T* limits = nullptr;           // [I, 5]: x_low, x_high, y_low, y_high, offset of View
-  bool antialiased = false;            // see View
+  bool antialiased = false;            // see View, as the next two
+  double aperture = 0, inverse_zero_depth = 0;
   int64_t images() const { return scenes * per_scene; }
   template <class R = double>
   LFGS_HD View<R> view(int64_t image) const {
     View<R> view = make_view<R>(world_to_camera + 16 * image, intrinsics + 4 * image, limits + 5 * image);
     view.antialiased = antialiased;
+    view.aperture = R(aperture), view.inverse_zero_depth = R(inverse_zero_depth);
     return view;
   }
+  bool compensated() const { return antialiased || aperture > 0; }
 };
 
 // What project writes, for I images of N splats.
@@ -94,7 +97,7 @@ struct Splats {
   Splat<T>* splats = nullptr;                // [I, N]
   T* colours = nullptr;                      // [I, N, order + 1, kColourStride]
   int32_t* orders = nullptr;                 // [I, N] order that a splat needs, <= colour_order; null for dense
-  Compensation<T>* compensations = nullptr;  // [N] of an anti-aliased scene; null for others and for dense
+  Compensation<T>* compensations = nullptr;  // [N] if opacities are compensated; null else and for dense
 };
 
 // Which splats touch which band, nearest first.

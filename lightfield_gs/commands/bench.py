@@ -22,6 +22,7 @@ BENCHMARKS = {
     "pareto": "run time against error over the settings of quality",
     "skips": "what each skip of what a scene does not need saves",
     "dense": "forward and backward of one camera before many Gaussians",
+    "eyes": "what eyes across the cone see, with and without --view-filter",
     "fit": "fits to the photographs of a capture, beside gsplat's",
 }
 

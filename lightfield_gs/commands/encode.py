@@ -16,7 +16,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS, of_other_methods
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter, settle_drawing
 from lightfield_gs.commands.options.look import add_depth_report, add_look, apply_look, refuse_look, report_depth
 from lightfield_gs.commands.options.panel import add_panel, load_panel, why_no_eye
 from lightfield_gs.commands.options.photo import add_depth
@@ -112,6 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="less time for more error, of --method direct (default exact)",
     )
     add_antialiased(add)
+    add_view_filter(add)
     add_background(add)
     add(
         "--preview",
@@ -199,10 +200,10 @@ def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None
     lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
     if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
         note(why)
-    if args.antialiased and args.quality != "exact" and device == "cuda":
+    if (args.antialiased or args.view_filter) and args.quality != "exact" and device == "cuda":
         note(
-            "anti-aliased scenes are drawn neither from lattices nor in half precision on CUDA: --quality "
-            f"{args.quality} saves little time"
+            f"{'anti-aliased scenes' if args.antialiased else 'filtered views'} are drawn neither from lattices nor in "
+            f"half precision on CUDA: --quality {args.quality} saves little time"
         )
 
 
@@ -225,6 +226,7 @@ def _drawn(
         threads=args.threads,
         stats=stats,
         antialiased=args.antialiased,
+        view_filter=args.view_filter,
         **views,
     )
     return drawn.cpu().numpy(), stats
@@ -283,6 +285,7 @@ def _check_options(args: argparse.Namespace) -> None:
             )
     if args.cameras is not None:
         for option, value in (
+            ("--view-filter", args.view_filter or None),
             ("--rig", args.rig),
             ("--camera", args.camera),
             ("--up", args.up),
@@ -349,6 +352,7 @@ def _metadata(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig:
         "background": list(args.background),
         "quality": args.quality,
         **({"antialiased": True} if args.antialiased else {}),
+        **({"view_filter": args.view_filter} if args.view_filter else {}),
     }
     for name, path in (
         ("cameras", args.cameras),

@@ -10,7 +10,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, settle_drawing
+from lightfield_gs.commands.options.drawn import add_antialiased, add_view_filter, settle_drawing
 from lightfield_gs.commands.options.look import add_look, apply_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
 from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_path, read_noted, say_origin
@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="0..1, mean error that colours of 0..1 may have for it (default 3e-4: 50 dB and more)",
     )
     add_antialiased(add)
+    add_view_filter(add)
     add_panel(add, "for framing, as `encode` takes it")
     add_camera(add)
     add_look(add)
@@ -72,7 +73,7 @@ def run(args: argparse.Namespace) -> None:
     rig, looks = apply_look(args, chosen, panel, on_device)
     said += looks
     rig_of_file = rig.relative_to([-part for part in scene.origin])
-    kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased)
+    kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased, args.view_filter)
     watch.lap("prune")
     if kept.count == 0:
         raise InputError(

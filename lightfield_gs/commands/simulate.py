@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
@@ -22,7 +23,8 @@ from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.simulate import simulate
+from lightfield_gs.panels.psf import Psf
+from lightfield_gs.panels.simulate import row_of_eyes, simulate_eyes
 
 _NOT_OF_THE_LENS = ("name", "viewing_distance_mm", "pixel_pitch_mm")  # what sub-pixels show does not hang on them
 
@@ -38,16 +40,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--eye",
         type=numbers(3),
-        required=True,
         metavar="X,Y,Z",
         help="place of the eye in mm from the panel's centre: right, up, towards the viewer",
     )
     add(
+        "--eyes",
+        type=numbers(3),
+        metavar="FROM,TO,COUNT",
+        help="in place of --eye: COUNT eyes side by side at the viewing distance, from FROM to TO mm right of the "
+        "panel's middle; their pictures in rows of four",
+    )
+    add(
         "--spread",
         type=within(0.01, 1000, "sub-pixels"),
-        default=1.0,
         metavar="SUBPIXELS",
         help="width of what a lens lights, in sub-pixels; more is crosstalk (default 1)",
+    )
+    add(
+        "--psf",
+        type=Path,
+        metavar="FILE",
+        help="in place of --spread: how brightly the eye sees the sub-pixels beside the right one, as measured; a line "
+        "each: sub-pixels to the right, light (any unit)",
     )
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .tif or .exr")
 
@@ -55,28 +69,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Simulates one eye before args.image. Raises InputError."""
     from lightfield_gs.show.preview import to_integers
+    from lightfield_gs.show.sheet import in_rows
 
     watch = Stopwatch(args.began)
     path = check_image_path(args.output)
-    check_outputs((path,), (args.image, args.panel))
+    check_outputs((path,), (args.image, args.panel, args.psf))
+    _check_choices(args)
+    psf = None if args.psf is None else Psf.load(args.psf)
     watch.lap("start")
     panel = load_panel(args) if args.panel is not None else at_distance(_stored_panel(args), args.viewing_distance)
     if why := why_no_eye(panel):
         raise InputError(why)
     image = read_image(args.image, as_stored=True)
     watch.lap("load")
-    seen = simulate(image, panel, args.eye, args.spread)
+    eyes = [args.eye] if args.eyes is None else row_of_eyes(panel, *args.eyes).tolist()
+    pictures = simulate_eyes(image, panel, eyes, args.spread or 1.0, psf=psf)
+    seen = in_rows(list(pictures))
     watch.lap("simulate")
     write_image(path, seen if path.suffix.lower() == ".exr" else to_integers(seen, 8), compression="small")
     watch.lap("write")
-    print(f"{path}: {seen.shape[1]} x {seen.shape[0]}, one sample a lens, from {tuple(args.eye)} mm")
+    height, width = pictures.shape[1:3]
+    places = tuple(args.eye) if args.eyes is None else f"{len(eyes)} places, {eyes[0][0]:g} to {eyes[-1][0]:g}"
+    print(f"{path}: {width} x {height}, one sample a lens, from {places} mm")
     print(watch.line())
-    for doubt in (_doubt_of_eye(panel, args.eye), _doubt_of_panel(args, panel)):
+    doubts = {_doubt_of_eye(panel, eye): None for eye in (eyes[0], eyes[-1])}  # each once
+    for doubt in (*doubts, _doubt_of_panel(args, panel)):
         if doubt:
             note(doubt)
 
 
-def _doubt_of_eye(panel: Panel, eye_mm: tuple[float, float, float]) -> str | None:
+def _check_choices(args: argparse.Namespace) -> None:
+    """Raises InputError where not exactly one of two options that exclude each other was given, or both."""
+    if (args.eye is None) == (args.eyes is None):
+        raise InputError("simulate needs a place to look from: give --eye X,Y,Z or --eyes FROM,TO,COUNT, one of them")
+    if args.psf is not None and args.spread is not None:
+        raise InputError("--spread is for the usual spread of light, and --psf takes its place; leave out one of them")
+
+
+def _doubt_of_eye(panel: Panel, eye_mm: Sequence[float]) -> str | None:
     """Why a place (x, y, z in mm) of the eye is hardly meant, perhaps in other units; None where it may well be.
 
     Along the slant of the lenses the view stays the same, so that only the rest of the way counts for the cone.

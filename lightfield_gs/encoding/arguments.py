@@ -7,10 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.checks import expect, whole_number
+from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, Views, of_other_methods
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.scene.cameras import Cameras
@@ -88,6 +88,14 @@ def check_together(
             f"{output!r}: those are exact only"
         )
     return threads, memory_budget
+
+
+def check_view_filter(view_filter: Any, cameras: Cameras | None = None) -> float:
+    """encode's view_filter as a float. Raises InputError where it is out of range, or cameras= take the rig's place."""
+    view_filter = real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS)
+    if view_filter > 0 and cameras is not None:
+        raise InputError("view_filter= is for the views of a rig, and cameras= take its place: leave out one of them")
+    return view_filter
 
 
 def check_out(out: Tensor, output: Output, panel: Panel, device: torch.device) -> None:

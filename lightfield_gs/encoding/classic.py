@@ -13,6 +13,7 @@ from lightfield_gs.encoding.sorted_plan import views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.dense import dense_forward
+from lightfield_gs.rasterizer.dense_job import Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -30,6 +31,7 @@ def encode_classic(
     threads: int | None,
     stats: Stats,
     antialiased: bool,
+    aperture: Aperture,
 ) -> Tensor:
     """One dense image per view that the panel shows; with continuous views, one per distinct x."""
     with stats.stage("plan"):
@@ -52,6 +54,7 @@ def encode_classic(
             antialiased,
             stats=one,
             threads=threads,
+            aperture=aperture,
         )
         one.add_buffers(images, alpha, depth)
         stats.add_render(one)

@@ -12,16 +12,24 @@ from lightfield_gs.base.arrays import Colour, dense_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Method, Output, QualityName, Views
-from lightfield_gs.encoding.arguments import DTYPES, check_options, check_out, check_together, check_types
+from lightfield_gs.encoding.arguments import (
+    DTYPES,
+    check_options,
+    check_out,
+    check_together,
+    check_types,
+    check_view_filter,
+)
 from lightfield_gs.encoding.classic import encode_classic
 from lightfield_gs.encoding.direct import encode_direct
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
-from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.lens import lens_view, view_aperture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer import skips
 from lightfield_gs.rasterizer.background import background_tensor
+from lightfield_gs.rasterizer.dense_job import PINHOLE
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.cameras import Cameras
@@ -45,6 +53,7 @@ def encode(
     stats: dict[str, Any] | None = None,
     out: Tensor | None = None,
     antialiased: bool = False,
+    view_filter: float = 0.0,
 ) -> Tensor:
     """The image [H, W, 3] that the panel shows of a scene: each sub-pixel seen by the camera that it belongs to.
 
@@ -70,10 +79,16 @@ def encode(
     returned: on a CPU a new one of 88 MB costs 10 to 25 ms, for the system to find its memory.
     antialiased: for scenes that were trained so, see `render`; of any method. "direct" takes up to half as long again,
     and on CUDA draws them neither from lattices nor in half precision, whatever the quality.
+    view_filter: of any method with a rig, angular anti-aliasing: how many views wide a box of camera positions each
+    sub-pixel's picture is averaged over; 0: none, 1: as wide as a view. What moves between views by more than its own
+    size no longer shows as separate copies to an eye between them, and is blurred along the rows instead (Zwicker et
+    al., "Antialiasing for automultiscopic 3D displays", 2006); splats in the zero plane stay sharp. Each splat is
+    widened by the variance of the box and keeps its light by a lower opacity. Takes as long as antialiased.
     Raises InputError.
     """
     check_options(method, views, output)
     check_types(gaussians, panel, rig, cameras, stats, antialiased)
+    view_filter = check_view_filter(view_filter, cameras)
     quality, continuous, as_bytes = Quality.of(quality), views == "continuous", output == "uint8"
     threads, memory_budget = check_together(
         method, views, output, rig, quality, threads, memory_budget, cameras=cameras, view_map=view_map, out=out
@@ -84,17 +99,29 @@ def encode(
     colour = background_tensor(background, gaussians.means).reshape(-1)
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "direct":
-        view = lens_view(panel, cast(Rig, rig), continuous)
+        view = lens_view(panel, cast(Rig, rig), continuous, view_filter)
         counted = None if stats is None else counters
         image = encode_direct(gaussians, view, colour, output, quality, threads, counted, out, antialiased)
     elif method == "classic":
         image = encode_classic(
-            gaussians, panel, cast(Rig, rig), continuous, colour, DTYPES[output], threads, counters, antialiased
+            gaussians,
+            panel,
+            cast(Rig, rig),
+            continuous,
+            colour,
+            DTYPES[output],
+            threads,
+            counters,
+            antialiased,
+            view_aperture(panel, cast(Rig, rig), view_filter),
         )
     else:
         with counters.stage("plan"):
             seen, plan = cameras_and_plan(panel, rig, cameras, view_map, continuous, gaussians.device)
-        image = encode_sorted(gaussians, seen, plan, memory_budget, colour, as_bytes, threads, counters, antialiased)
+        aperture = PINHOLE if rig is None else view_aperture(panel, rig, view_filter)
+        image = encode_sorted(
+            gaussians, seen, plan, memory_budget, colour, as_bytes, threads, counters, antialiased, aperture
+        )
     if stats is not None:
         stats.update(counters.report(gaussians.count, image.numel()))
         if method == "direct":

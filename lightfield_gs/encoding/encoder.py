@@ -11,7 +11,7 @@ from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
-from lightfield_gs.encoding.arguments import check_options
+from lightfield_gs.encoding.arguments import check_options, check_view_filter
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoding.encoder_cuda import CudaFrames
@@ -26,9 +26,9 @@ from lightfield_gs.scene.gaussians import Gaussians
 class Encoder:
     """Draws the image of a panel again and again: animations, video, a scene under edit. Method "direct" of `encode`.
 
-    panel, rig, views, background, output, quality and antialiased are those of `encode`. `rig` and `background` may be
-    set between frames, and the rig altered: a moving zero plane, another cone, another pose. The others are what kept
-    stages and graphs were made for: they can be read only. No gradients. Raises InputError.
+    panel, rig, views, background, output, quality, antialiased and view_filter are those of `encode`. `rig` and
+    `background` may be set between frames, and the rig altered: a moving zero plane, another cone, another pose. The
+    others are what kept stages and graphs were made for: they can be read only. No gradients. Raises InputError.
 
     What the frame before shows already is not drawn again, and the image is the same to the bit. `stats` tells:
     {"frames": n, "reused": {stage: frames that did without it}}.
@@ -59,6 +59,7 @@ class Encoder:
         quality: QualityName | Quality = "exact",
         versioned: bool = False,
         antialiased: bool = False,
+        view_filter: float = 0.0,
     ):
         check_options("direct", views, output)
         expect("panel", panel, Panel)
@@ -67,6 +68,7 @@ class Encoder:
         expect("antialiased", antialiased, bool)
         background_tensor(background, torch.empty(0))
         self._panel, self._views, self._output = panel, views, output
+        self._view_filter = check_view_filter(view_filter)
         self._quality, self._versioned, self._antialiased = Quality.of(quality), versioned, antialiased
         if output == "float64" and not self.quality.is_exact:
             raise InputError("quality is for output 'uint8' or 'float32': 'float64' is exact only")
@@ -104,6 +106,11 @@ class Encoder:
         """Whether the scenes were trained with anti-aliasing."""
         return self._antialiased
 
+    @property
+    def view_filter(self) -> float:
+        """How many views wide a box of camera positions each sub-pixel's picture is averaged over."""
+        return self._view_filter
+
     def forget(self) -> None:
         """Has the next frame drawn in full, and gives back the memory that was kept for it."""
         self._frames: CpuFrames | CudaFrames | None = None
@@ -131,6 +138,7 @@ class Encoder:
                 output=self.output,
                 quality=self.quality,
                 antialiased=self.antialiased,
+                view_filter=self.view_filter,
             )
         if not isinstance(self._frames, CudaFrames if on_cuda else CpuFrames):
             precision = torch.float64 if self.output == "float64" else torch.float32
@@ -139,7 +147,7 @@ class Encoder:
                 if on_cuda
                 else CpuFrames(precision, as_bytes, self.quality, self.antialiased)
             )
-        view = lens_view(self.panel, self.rig, self.views == "continuous")
+        view = lens_view(self.panel, self.rig, self.views == "continuous", self.view_filter)
         image, kept = self._frames.draw(gaussians, self.background, view)
         self.stats["frames"] += 1
         for stage in kept:

@@ -18,7 +18,12 @@ from lightfield_gs.scene.gaussians import Gaussians, mapped, of_tensors
 
 
 def prune(
-    gaussians: Gaussians, panel: Panel, rig: Rig, contribution_cut: float, antialiased: bool = False
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    contribution_cut: float,
+    antialiased: bool = False,
+    view_filter: float = 0.0,
 ) -> Gaussians:
     """The scene without the Gaussians that contribute least to the image that the panel shows of it by this rig.
 
@@ -31,10 +36,10 @@ def prune(
 
     Takes time and memory like a training step on one image of the panel, once for a scene. Other viewpoints than the
     rig's may show what was left out. gaussians: [N, ...], float32, or float64 on the CPU. antialiased: they are of a
-    scene that was trained so, see `render`. Raises InputError.
+    scene that was trained so, see `render`; view_filter: of the image, see `encode`. Raises InputError.
     """
     contribution_cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
-    weights = contributions(gaussians, panel, rig, antialiased)
+    weights = contributions(gaussians, panel, rig, antialiased, view_filter)
     kept = ~left_out(weights, panel, contribution_cut)
     return mapped(gaussians, lambda field: field[kept])
 
@@ -46,7 +51,9 @@ def left_out(weights: Tensor, panel: Panel, contribution_cut: float) -> Tensor:
     return torch.zeros_like(fits).index_copy_(0, ascending.indices, fits)
 
 
-def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: bool = False) -> Tensor:
+def contributions(
+    gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: bool = False, view_filter: float = 0.0
+) -> Tensor:
     """[N] float64: what each Gaussian contributes to the image of a panel, its weights summed over all sub-pixels.
 
     That is the derivative of the sum of the image by its colour. Raises InputError.
@@ -67,6 +74,6 @@ def contributions(gaussians: Gaussians, panel: Panel, rig: Rig, antialiased: boo
         means, *shape, grey = (t.clone() if t.is_inference() else t for t in (means, *shape, grey))
         scene = of_tensors((means, *shape, grey.requires_grad_()))
         output = cast(Output, str(means.dtype).removeprefix("torch."))
-        image = encode(scene, panel, rig, output=output, antialiased=antialiased)
+        image = encode(scene, panel, rig, output=output, antialiased=antialiased, view_filter=view_filter)
         (gradient,) = torch.autograd.grad(image, grey, torch.ones_like(image))
     return gradient.double().sum((1, 2)) / SH_CONSTANT

@@ -19,6 +19,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture
 from lightfield_gs.rasterizer.scene import Scene, check, floats_or_bytes
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace_cpu import CpuWorkspace
@@ -198,6 +199,7 @@ def encode_sorted(
     threads: int | None,
     stats: Stats,
     antialiased: bool = False,
+    aperture: Aperture = PINHOLE,
 ) -> Tensor:
     """The image [H, W, 3] of N Gaussians (five fields, float32 or float64), view n of the plan seen by camera n.
 
@@ -205,7 +207,7 @@ def encode_sorted(
     and default_work, or what one view takes where that is more. stats receives, beside the counters, memory_bytes
     {geometry, image, binning} of the largest chunk and memory_bytes_unchunked, what all views at once would take:
     the states of Table 3 of the paper, image being the sorted sub-pixels. Raises InputError when not even one
-    view fits the budget.
+    view fits the budget. aperture: of all cameras.
     """
     scene = Scene(*(field.unsqueeze(0) for field in gaussians.fields().values()))
     device = scene.tensors[0].device
@@ -219,9 +221,8 @@ def encode_sorted(
     if plan.hidden:
         out[:] = bytes_of(background.clone()) if as_bytes else background
     with scene.guard:
-        _Encoding(scene, cameras, plan, budget, background, threads or torch.get_num_threads(), stats, antialiased).run(
-            out
-        )
+        threads = threads or torch.get_num_threads()
+        _Encoding(scene, cameras, plan, budget, background, threads, stats, antialiased, aperture).run(out)
     return out
 
 
@@ -238,9 +239,11 @@ class _Encoding:
         threads: int,
         stats: Stats,
         antialiased: bool,
+        aperture: Aperture,
     ):
         self.scene, self.cameras, self.plan, self.budget = scene, cameras, plan, budget
-        self.background, self.threads, self.stats, self.antialiased = background, threads, stats, antialiased
+        self.background, self.threads, self.stats = background, threads, stats
+        self.antialiased, self.aperture = antialiased, aperture
         self.device = scene.tensors[0].device
         self.stages = _CudaStages(scene, plan) if self.device.type == "cuda" else _CpuStages(scene, plan, threads)
         total = budget or self.stages.default_work + plan.table_bytes() + plan.bytes()
@@ -338,7 +341,7 @@ class _Encoding:
         tensors = [t.contiguous() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
         poses, optics, edges = (t.data_ptr() for t in tensors)
         native = self.scene.core.Cameras(
-            1, views, self.plan.width_px, self.plan.height_px, poses, optics, edges, self.antialiased
+            1, views, self.plan.width_px, self.plan.height_px, poses, optics, edges, self.antialiased, *self.aperture
         )
         return native, tensors
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from lightfield_gs.panels.cells import LENS_WIDTH, cell_table
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture
 from lightfield_gs.rasterizer.lens_view import Lens, LensView
 
 
@@ -35,14 +38,21 @@ def lens_of(panel: Panel, continuous: bool = False, offset_start: float = 0.0, o
     )
 
 
-def lens_view(panel: Panel, rig: Rig, continuous: bool = False) -> LensView:
-    """What the sub-pixels of a panel see of a scene by a rig; continuous: see Lens."""
+def view_aperture(panel: Panel, rig: Rig, view_filter: float) -> Aperture:
+    """What each camera of a rig averages its picture over for encode's view_filter: a box of that many views."""
+    step = 2 * rig.half_width(panel) / panel.views
+    return Aperture(view_filter * step / math.sqrt(12), float(rig.zero_depth)) if view_filter > 0 else PINHOLE
+
+
+def lens_view(panel: Panel, rig: Rig, continuous: bool = False, view_filter: float = 0.0) -> LensView:
+    """What the sub-pixels of a panel see of a scene by a rig; continuous: see Lens; view_filter: see encode."""
     start, end = float(rig.offset(0, panel)), float(rig.offset(panel.views, panel))
     pose = np.asarray(rig.world_to_camera, np.float64).reshape(-1).tolist()
     optics = (float(v) for v in (*rig.focal_px, *rig.principal_point_px))
     limits = (*(float(v) for v in rig.jacobian_limits(panel)), 0.0)
     lens = lens_of(panel, continuous, start, (end - start) / panel.views)
-    return LensView(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens)
+    aperture = view_aperture(panel, rig, view_filter).deviation
+    return LensView(tuple(pose), tuple(optics), limits, float(rig.zero_depth), lens, aperture)
 
 
 def slow_way(panel: Panel, lattices_on_cuda: bool) -> str | None:

@@ -14,14 +14,21 @@ from lightfield_gs.base.checks import expect, is_row, real_number, shown, whole_
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.cells import PERIOD, subpixel_offsets
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.psf import Psf
 
 _FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
+_MOST_EYES = 1000
 _ROWS_PER_CHUNK_PX = 8  # small temporaries stay in the cache
 _CELL_ROWS_PER_CHUNK = 32  # rows of cells, for the same reason
 
 
 def simulate(
-    image: np.ndarray, panel: Panel, eye_mm: Sequence[float], spread_subpixels: float = 1.0, threads: int | None = None
+    image: np.ndarray,
+    panel: Panel,
+    eye_mm: Sequence[float],
+    spread_subpixels: float = 1.0,
+    threads: int | None = None,
+    psf: Psf | None = None,
 ) -> np.ndarray:
     """The picture that one eye perceives: float32 [round(3 H / P_e), round(3 W / P_e), 3], one sample a lens.
 
@@ -29,17 +36,23 @@ def simulate(
     eye_mm: place (x, y, z) of the eye in mm from the panel's centre: x right, y up, z > 0 towards the viewer.
     spread_subpixels: full width at half maximum of what a lens lights, > 0; more than 1 is crosstalk.
     threads: number of threads; None: one a core.
+    psf: a measured spread of light in place of the Gaussian.
 
     The eye reaches the sub-pixel at xi = X - Y tan(theta) through the place a on its lens
     (docs/design.md, "What an eye sees"):
         a = D_mid/P_e + (xi z + xi_eye L_g) / ((z + L_g) p_h),   L_g = P_e p_sub L/E,   p_h = P_e p_sub L/(L + L_g)
-    E = 2 L tan(cone/2). It is lit by a Gaussian of frac(a) - 1/2. At z = L the eye sees the view N (1/2 - xi_eye/E)
-    everywhere. On a panel with invert_views the lens plane lies behind the pixels (L_g < 0), so that right eyes still
-    see the cameras to the right. Raises InputError; also where the panel lacks viewing_distance_mm or pixel_pitch_mm.
+    E = 2 L tan(cone/2). It is lit by a Gaussian of frac(a) - 1/2, or by the psf of P_e (frac(a) - 1/2) sub-pixels, and
+    what is perceived is the mean of the sub-pixels around, weighted by their light. At z = L the eye sees the view
+    N (1/2 - xi_eye/E) everywhere. On a panel with invert_views the lens plane lies behind the pixels (L_g < 0), so that
+    right eyes still see the cameras to the right. Raises InputError; also where the panel lacks viewing_distance_mm or
+    pixel_pitch_mm.
     """
     _check(image, panel)
     x, y, z = _eye(eye_mm)
     spread = real_number("spread_subpixels", spread_subpixels, 1e-2, 1e3)
+    expect("psf", psf, Psf, type(None))
+    if psf is not None and spread != 1:
+        raise InputError("spread_subpixels= is for the Gaussian, and psf= takes its place: leave out one of them")
     threads = os.cpu_count() if threads is None else whole_number("threads", threads, 1, 4096)
     # _check lets no panel through that lacks either
     distance, pitch_mm = cast(float, panel.viewing_distance_mm), cast(float, panel.pixel_pitch_mm)
@@ -66,7 +79,8 @@ def simulate(
         numbers = np.arange(bounds[0], bounds[-1])
         down = _fractions(slope * 3 * panel.slant_tan * numbers)[:, None]
         for channel in range(3):
-            light = _light(along[channel][numbers % PERIOD] + down, sigma)
+            turns = along[channel][numbers % PERIOD] + down
+            light = _light(turns, sigma) if psf is None else _measured_light(turns, psf, lens)
             weight[cells, :, channel] = _sums(light, bounds, columns)
             light *= image[bounds[0] : bounds[-1], :, channel]
             lit[cells, :, channel] = _sums(light, bounds, columns)
@@ -106,6 +120,45 @@ def _light(turns: np.ndarray, sigma: float) -> np.ndarray:
     np.exp(turns, out=turns)
     turns += np.float32(1e-20)  # a cell keeps a colour even if all its sub-pixels are dark
     return turns
+
+
+def _measured_light(turns: np.ndarray, psf: Psf, lens: float) -> np.ndarray:
+    """The same by a measured spread of light; lens: its width in sub-pixels."""
+    light = psf.seen((turns - np.floor(turns) - 0.5) * lens, lens)
+    light += np.float32(1e-20)
+    return light
+
+
+def simulate_eyes(
+    image: np.ndarray,
+    panel: Panel,
+    eyes_mm: Sequence[Sequence[float]] | np.ndarray,
+    spread_subpixels: float = 1.0,
+    threads: int | None = None,
+    psf: Psf | None = None,
+) -> np.ndarray:
+    """What each of K eyes sees: float32 [K, h, w, 3]; the arguments are those of `simulate`. Raises InputError."""
+    return np.stack([simulate(image, panel, eye, spread_subpixels, threads, psf) for eye in eyes_mm])
+
+
+def row_of_eyes(panel: Panel, from_mm: float, to_mm: float, count: int) -> np.ndarray:
+    """Places [count, 3] in mm of eyes side by side at the panel's viewing distance, at its middle's height, from
+    from_mm to to_mm right of its middle. Raises InputError, also where the panel lacks a viewing distance."""
+    count = whole_number("eyes: how many", count, 1, _MOST_EYES)
+    ends = (real_number("eyes: from, to (mm)", value, -1e7, 1e7) for value in (from_mm, to_mm))
+    if panel.viewing_distance_mm is None:
+        raise InputError(f"panel {panel.name} lacks viewing_distance_mm; eyes cannot be placed without")
+    eyes = np.zeros((count, 3))
+    first, last = ends
+    eyes[:, 0], eyes[:, 2] = np.linspace(first, last, count), panel.viewing_distance_mm
+    return eyes
+
+
+def zone_width_mm(panel: Panel) -> float:
+    """Width at the viewing distance, in mm, of the zone in which an eye sees each view once. Raises InputError."""
+    if panel.viewing_distance_mm is None:
+        raise InputError(f"panel {panel.name} lacks viewing_distance_mm; eyes cannot be placed without")
+    return 2 * panel.viewing_distance_mm * math.tan(math.radians(panel.cone_deg) / 2)
 
 
 def _cells(size_px: int, lens_subpixels: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import Parameter
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.dense_job import DenseArguments, DenseImages, DenseJob
+from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture, DenseArguments, DenseImages, DenseJob
 from lightfield_gs.rasterizer.scene import State
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import Wanted
@@ -21,9 +21,11 @@ from lightfield_gs.rasterizer.workspace import Wanted
 _Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
 
 
-def dense_forward(*arguments: Any, stats: Stats | None = None, threads: int | None = None) -> _Images:
-    """render_dense without autograd; see there. Also fills `stats`."""
-    return cast(_Images, tuple(DenseJob(*arguments, stats=stats, threads=threads).draw()))
+def dense_forward(
+    *arguments: Any, stats: Stats | None = None, threads: int | None = None, aperture: Aperture = PINHOLE
+) -> _Images:
+    """render_dense without autograd; see there. Also fills `stats`. aperture: of all cameras."""
+    return cast(_Images, tuple(DenseJob(*arguments, stats=stats, threads=threads, aperture=aperture).draw()))
 
 
 def dense_forward_with_splats(*arguments: Any) -> tuple[Tensor, ...]:

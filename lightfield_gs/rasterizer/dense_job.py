@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -24,6 +25,17 @@ class DenseImages(NamedTuple):
     depth: Tensor | None
 
 
+class Aperture(NamedTuple):
+    """What cameras of a rig average their pictures over: offsets of this standard deviation along the camera's x-axis,
+    what lies at zero_depth staying where it is; scene units."""
+
+    deviation: float
+    zero_depth: float
+
+
+PINHOLE = Aperture(0.0, math.inf)
+
+
 class DenseArguments:
     """The checked arguments of render_dense, but for the background. Raises InputError."""
 
@@ -40,6 +52,8 @@ class DenseArguments:
         width: int,
         height: int,
         antialiased: bool = False,
+        *,
+        aperture: Aperture = PINHOLE,
     ):
         self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
         if world_to_camera.dim() != 4:
@@ -54,7 +68,7 @@ class DenseArguments:
             check("limits", limits, (*lead, 5), means),
         ]
         poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
-        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased)
+        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased, *aperture)
 
     def of_sums(self, sums: Tensor, wanted: Wanted) -> DenseGradients:
         """On CUDA, what follows from the sums that DenseJob.sums found, but for the background."""
@@ -67,7 +81,7 @@ class DenseJob(DenseArguments):
 
     Without `state` project, order and bin run here; with it the workspace consists of what a render of the same
     arguments left. room: on CUDA, how many (tile, splat) pairs there is room for: then nothing waits for the device,
-    and `pairs_on_device` has to be looked at. Raises InputError.
+    and `pairs_on_device` has to be looked at. aperture: of all cameras. Raises InputError.
     """
 
     def __init__(
@@ -83,9 +97,10 @@ class DenseJob(DenseArguments):
         threads: int | None = None,
         state: State | None = None,
         room: int | None = None,
+        aperture: Aperture = PINHOLE,
     ):
         """views: the arguments of render_dense that follow the background."""
-        super().__init__(means, quaternions, scales, opacities, sh, *views)
+        super().__init__(means, quaternions, scales, opacities, sh, *views, aperture=aperture)
         scene, self.stats = self.scene, stats or Stats()
         self.background = check("background", background, (*self.lead, 3), means)
         with scene.guard:

@@ -129,9 +129,9 @@ class Frames:
     def __init__(self, job: LensJob, quality: Quality, slack: float = _MOVING_SLACK):
         """job: any of those to be drawn; slack: pairs to reserve beyond those of the last frame, as a share of them.
 
-        Anti-aliased scenes are drawn without lattices and without half precision, whatever the quality.
+        Compensated opacities are drawn without lattices and without half precision, whatever the quality.
         """
-        if job.antialiased:
+        if job.compensated:
             quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)
         self.device, self.quality, self.slack = job.scene.tensors[0].device, quality, slack
         self.orders = (0,) if job.scene.degree == 0 else COLOUR_ORDERS

@@ -66,8 +66,8 @@ def render_lens(
     means [N,3], quaternions [N,4] wxyz, scales [N,3] > 0, opacities [N] in (0,1], sh [N,K,3], background [3]; all
     float32 or all float64 (CUDA: float32); differentiable in all of these. Every sub-pixel belongs to
     the camera at offset s = offset_start + offset_step * x, with x its own view coordinate.
-    rig: 26 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits),
-    zero_depth.
+    rig: 26 or 27 numbers: world_to_camera (16, row-major), fx, fy, cx, cy, Jacobian limits (5, see Cameras.limits),
+    zero_depth and, unless it is 0, the aperture (see LensView).
     lens: width, height, views, phase0, phase_x, phase_y (64-bit patterns as signed integers, 2^64 = one lens),
     bgr, continuous; of a panel with sub-pixel cells then 48 phases that its sub-pixels have beyond those of stripes, by
     row mod 4, column mod 4 and place, and 48 image channels, likewise. lens_shape: line_number, slant_tan, phase

@@ -28,6 +28,7 @@ class LensJob:
         self.scene = Scene(*(t.unsqueeze(0) for t in fields))
         self.background = check("background", background, (3,), self.scene.tensors[0])
         self.view, self.antialiased, self.native = view, antialiased, view.native(antialiased)
+        self.compensated = antialiased or view.aperture > 0  # whether opacities are lowered for what widens footprints
         self.width, self.height = view.lens.width_px, view.lens.height_px
         # The order of colours is raised until the polynomials are good enough. float64 always takes the highest one:
         # it is there to be exact.
@@ -52,7 +53,7 @@ class LensJob:
                         threads,
                         lens=True,
                         colour_order=order,
-                        compensated=self.antialiased,
+                        compensated=self.compensated,
                     )
                     stats.colour_error = work.project_lens(self.native, quality)
                     if stats.colour_error <= quality.colour_error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,7 +12,7 @@ from lightfield_gs.base.errors import InputError
 
 _LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 _LENS_SIZES = (8, 8 + 2 * _core.CELL_SUBPIXELS)  # how long the operators' list `lens` is, of stripes and of cells
-_RIG_SIZE, _SHAPE_SIZE = 26, 5
+_RIG_SIZE, _SHAPE_SIZE = 27, 5  # how long `rig` and `lens_shape` are; `rig` also without its last number
 
 
 class NativeView(NamedTuple):
@@ -87,7 +88,8 @@ class LensView:
 
     pose: world_to_camera of the centre camera, 16 numbers by rows. optics: fx, fy, cx, cy in pixels of the panel.
     limits: of the projection's Jacobian, five numbers, see Cameras.limits. zero_depth: of the plane without parallax,
-    scene units.
+    scene units. aperture: standard deviation of the camera offsets that each sub-pixel's picture is averaged over,
+    scene units; 0: pinholes.
     """
 
     pose: tuple[float, ...]
@@ -95,6 +97,7 @@ class LensView:
     limits: tuple[float, ...]
     zero_depth: float
     lens: Lens
+    aperture: float = 0.0
 
     def native(self, antialiased: bool = False) -> NativeView:
         """For the native code; antialiased: see encoding.encode."""
@@ -106,6 +109,7 @@ class LensView:
             zero_depth=self.zero_depth,
             lens=lens,
             antialiased=antialiased,
+            aperture=self.aperture,
         )
         return NativeView(rig, lens)
 
@@ -118,7 +122,7 @@ class LensView:
         rest = [int(lens.bgr), int(lens.continuous), *map(_signed, lens.cell_phases), *lens.cell_channels]
         shape = [lens.line_number, lens.slant_tan, lens.phase, lens.offset_start, lens.offset_step]
         return (
-            [*self.pose, *self.optics, *self.limits, self.zero_depth],
+            [*self.pose, *self.optics, *self.limits, self.zero_depth, self.aperture],
             [*sizes, *map(_signed, lens.phases), *rest],
             shape,
         )
@@ -131,8 +135,11 @@ class LensView:
                 f"lens must be {_LENS_SIZES[0]} or {_LENS_SIZES[1]} integers and lens_shape {_SHAPE_SIZE} numbers, got "
                 f"{len(lens)} and {len(lens_shape)}"
             )
-        if len(rig) != _RIG_SIZE:
+        if len(rig) not in (_RIG_SIZE - 1, _RIG_SIZE):
             raise InputError(f"rig must be {_RIG_SIZE} numbers (see render_lens), got {len(rig)}")
+        aperture = rig[26] if len(rig) == _RIG_SIZE else 0.0
+        if not 0 <= aperture < math.inf:
+            raise InputError(f"rig: its aperture must be 0 or more, got {aperture}")
         width, height, views, *phases, bgr, continuous = lens[:8]
         cells, channels = lens[8 : 8 + _core.CELL_SUBPIXELS], lens[8 + _core.CELL_SUBPIXELS :]
         line_number, slant_tan, phase, offset_start, offset_step = lens_shape
@@ -152,7 +159,7 @@ class LensView:
             tuple(p % _LENS_WIDTH for p in cells),
             tuple(channels),
         )
-        return LensView(tuple(rig[:16]), tuple(rig[16:20]), tuple(rig[20:25]), rig[25], made)
+        return LensView(tuple(rig[:16]), tuple(rig[16:20]), tuple(rig[20:25]), rig[25], made, aperture)
 
 
 def _signed(phase: int) -> int:

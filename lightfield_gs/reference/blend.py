@@ -56,6 +56,7 @@ class Eye:
     limits: Tensor
     to_centre: Tensor | float = 0.0
     shift_px: float = 0.0  # pixels per scene unit
+    aperture: float = 0.0  # standard deviation of the offsets that each footprint is averaged over, scene units
 
     def to(self, device: torch.device) -> Eye:
         """The same eye, its tensors on a device."""
@@ -106,7 +107,8 @@ def square(vectors: Tensor) -> Tensor:
 class Projection:
     """One scene before one eye: view-space means and spreads of the Gaussians it may draw, near ones first.
 
-    antialiased: opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its light.
+    antialiased: opacities are lowered by as much as the low pass spreads a Gaussian out, so that it keeps its light. An
+    aperture of the eye spreads it out too, and it keeps its light likewise.
     """
 
     def __init__(self, scene: Scene, eye: Eye, antialiased: bool = False):
@@ -147,6 +149,15 @@ class Projection:
         v = fy * Y / Z + cy
         return u, v, *torch.broadcast_tensors(across, down)
 
+    def swept(self, gaussian: Tensor) -> Tensor:
+        """Variance along the row, px^2, that the aperture adds to Gaussians. Over the offsets o the column
+        fx (X - o) / Z + shift o of a point has the variance aperture^2 (shift - fx / Z)^2. Its mean over the points at
+        Z + z of the spread is, to first order in z, that at Z and aperture^2 (fx / Z^2)^2 times the variance of z.
+        """
+        Z, fx = self.position[gaussian, 2], self.eye.intrinsics[0]
+        moved = self.eye.shift_px - fx / Z, fx / Z**2 * self.spread[2][:, gaussian]
+        return self.eye.aperture**2 * (moved[0] ** 2 + square(moved[1]))
+
     def alpha(self, gaussian: Tensor, samples: Samples) -> Tensor:
         """Opacity of Gaussians at samples (broadcast against each other), before the cut at 1/255."""
         u, v, across, down = self.footprint(gaussian, samples.offsets)
@@ -155,9 +166,12 @@ class Projection:
         along = square(down * dx - across * dy) + LOW_PASS_PX2 * (dx * dx + dy * dy)
         sharp = square(torch.linalg.cross(across, down, dim=0))  # determinant before the low pass
         determinant = sharp + LOW_PASS_PX2 * (square(across) + square(down) + LOW_PASS_PX2)
-        q, opacity = along / determinant, self.scene.opacities[gaussian]
-        if self.antialiased:
-            opacity = opacity * (sharp / determinant).sqrt()
+        opacity = self.scene.opacities[gaussian]
+        if self.antialiased or self.eye.aperture > 0:
+            swept, before = self.swept(gaussian), sharp if self.antialiased else determinant
+            along, determinant = along + swept * dy * dy, determinant + swept * (square(down) + LOW_PASS_PX2)
+            opacity = opacity * (before / determinant).sqrt()
+        q = along / determinant
         return (opacity * torch.exp(-q / 2)).clamp(max=ALPHA_MAX)
 
     def colour(self, gaussian: Tensor, offset: Tensor, channel: Tensor | None = None) -> Tensor:

@@ -107,14 +107,16 @@ def lens_offsets(panel: Panel, rig: Rig, x: np.ndarray) -> np.ndarray:
     return (-1 if panel.invert_views else 1) * width * (0.5 - np.asarray(x) / panel.views)
 
 
-def rig_eye(panel: Panel, rig: Rig) -> Eye:
+def rig_eye(panel: Panel, rig: Rig, view_filter: float = 0.0) -> Eye:
     """The centre camera of a rig; its Jacobian limits cover the frusta of all views, seen from the centre."""
     (fx, fy), (cx, cy) = rig.focal_px, rig.principal_point_px
     limits = frustum_limits(fx, fy, cx, cy, panel.width_px, panel.height_px)
     widest = np.tan(_rig_cone_rad(panel, rig) / 2)  # largest |offset| / zero_depth
     limits += limits.new_tensor([-widest, widest, 0, 0])
     pose = torch.as_tensor(np.asarray(rig.world_to_camera), dtype=torch.float64)
-    return Eye(pose, limits.new_tensor([fx, fy, cx, cy]), limits, shift_px=fx / rig.zero_depth)
+    box = view_filter * 2 * rig.zero_depth * float(widest) / panel.views  # whose standard deviation is width / 12^(1/2)
+    intrinsics, shift_px = limits.new_tensor([fx, fy, cx, cy]), fx / rig.zero_depth
+    return Eye(pose, intrinsics, limits, shift_px=shift_px, aperture=box / math.sqrt(12))
 
 
 def frustum_limits(fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> Tensor:
@@ -135,17 +137,18 @@ def subpixel_colours(
     continuous: bool = False,
     background: Sequence[float] = (1, 1, 1),
     antialiased: bool = False,
+    view_filter: float = 0.0,
     return_margin: bool = False,
 ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """Colours that chosen sub-pixels of a light-field image must have, float64 [M].
 
     rows, columns: 0-based pixels [M]; channels: image channels [M], 0 red to 2 blue. continuous: fractional views.
-    antialiased: see lightfield_gs.encode.
+    antialiased, view_filter: see lightfield_gs.encode.
     With return_margin also [M]: how near, relatively, a decision about the sample came to its threshold (alpha = 1/255
     or transmittance = 1e-4), at most 0.1; below some 1e-4 a float32 program may rightly decide otherwise.
     """
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
-    projection = Projection(Scene.of(gaussians), rig_eye(panel, rig), antialiased)
+    projection = Projection(Scene.of(gaussians), rig_eye(panel, rig, view_filter), antialiased)
     colours, margins = _colours(
         projection,
         _centres(columns),
@@ -169,11 +172,14 @@ def lens_torch(
     *,
     continuous: bool = False,
     antialiased: bool = False,
+    view_filter: float = 0.0,
 ) -> Tensor:
     """The whole light-field image [H,W,3] of one small scene, differentiable in every tensor (float64, no batch)."""
     rows, columns, channels = (index.ravel() for index in np.indices((panel.height_px, panel.width_px, 3)))
     offsets = lens_offsets(panel, rig, lens_views(panel, rows, columns, channels, continuous))
-    projection = Projection(Scene(means, quaternions, scales, opacities, sh), rig_eye(panel, rig), antialiased)
+    projection = Projection(
+        Scene(means, quaternions, scales, opacities, sh), rig_eye(panel, rig, view_filter), antialiased
+    )
     colours, _ = _colours(
         projection, _centres(columns), _centres(rows), torch.from_numpy(offsets), torch.from_numpy(channels), background
     )

@@ -327,6 +327,28 @@ def test_simulate(folder, capsys):
     assert np.array_equal(read_image("e.exr"), simulate(image, PANEL, (-31.5, 10, 600)))
 
 
+def test_simulate_a_row_of_eyes_with_a_measured_spread(folder, capsys):
+    from lightfield_gs.panels.psf import Psf
+    from lightfield_gs.panels.simulate import simulate
+    from lightfield_gs.show.sheet import in_rows
+
+    image, psf = (PANEL.view_map() * 20).astype(np.uint8), Psf((-2.0, 0.0, 3.0), (0.0, 1.0, 0.2))
+    write_image("o.png", image)
+    (folder / "lens.csv").write_text("-2 0\n0 1\n3 0.2\n")
+    out = run(capsys, "simulate o.png --panel p.yaml --eyes -60,60,5 --psf lens.csv -o e.exr")
+    assert "from 5 places, -60 to 60 mm" in out
+    pictures = [simulate(image, PANEL, (x, 0, 600), psf=psf) for x in (-60, -30, 0, 30, 60)]
+    assert np.array_equal(read_image("e.exr"), in_rows(pictures))
+    for options, words in (
+        ("", "give --eye X,Y,Z or --eyes"),
+        ("--eye 0,0,600 --eyes 0,1,2", "one of them"),
+        ("--eye 0,0,600 --psf lens.csv --spread 1", "leave out one of them"),
+        ("--eyes 0,1,0", "1..1000"),
+        ("--eye 0,0,600 --psf none.csv", "none.csv"),
+    ):
+        assert words in complaint(capsys, f"simulate o.png --panel p.yaml {options} -o e.png")
+
+
 @pytest.mark.parametrize(
     "eye, words",
     [

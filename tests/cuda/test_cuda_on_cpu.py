@@ -59,6 +59,7 @@ DRAWN = (
     "norms",
     "antialiased",
     "antialiased gradients",
+    "view filter",
 )
 
 
@@ -381,6 +382,21 @@ def test_antialiased_images_and_gradients_are_those_of_float64(drawn):
             for name, expected in cases.gradients(scene, sensor, torch.float64, antialiased=True).items():
                 error = (have[name].double() - expected).norm() / expected.norm()
                 assert error < (1e-5 if name == "image" else 5e-3), (sensor, name)
+
+
+def test_filtered_views_and_their_gradients_are_those_of_the_oracle(drawn):
+    *images, gradients = drawn("view filter")
+    for (kernel, name, degree, views, _), found in zip(cases.FILTERED, images, strict=True):
+        panel, scene = cases.panel_of(name), cases.fine(degree)
+        rig, where = cases.rig_of(panel), [axis.ravel() for axis in np.indices(found["image"].shape)]
+        options = dict(continuous=views == "continuous", background=cases.BACKGROUND, view_filter=cases.VIEW_FILTER)
+        expected = reference.subpixel_colours(scene, panel, rig, *where, **options)
+        assert found["kernel"] == kernel
+        assert ((found["image"].numpy().ravel() - expected) ** 2).mean() < 1e-8, name
+    expected = cases.gradients(cases.fine(1), "lens", torch.float64, view_filter=cases.VIEW_FILTER)
+    for name, value in expected.items():
+        error = (gradients[name].double() - value).norm() / value.norm()
+        assert error < (1e-5 if name == "image" else 5e-3), name
 
 
 def test_group_norm_and_silu(drawn):

@@ -176,16 +176,18 @@ def short_quaternions() -> Gaussians:
 HARD_GRADIENTS = [(scene, sensor) for scene in (blades, short_quaternions) for sensor in ("lens", "dense")]
 
 
-def gradients(scene: Gaussians, sensor: str, dtype: torch.dtype, antialiased: bool = False) -> dict[str, Tensor]:
+def gradients(
+    scene: Gaussians, sensor: str, dtype: torch.dtype, antialiased: bool = False, view_filter: float = 0.0
+) -> dict[str, Tensor]:
     """Those of a loss on a light-field image ("lens") or on ordinary images ("dense"), and the image."""
     panel = Panel(**{**LENS, "width_px": 16, "height_px": 12, "cone_deg": 12.0})
     scene, rig = scene.to(dtype=dtype), rig_of(panel)
     leaves = {name: field.clone().requires_grad_() for name, field in scene.fields().items()}
     given = Gaussians(**leaves)
     if sensor == "lens":
-        image = encode(
-            given, panel, rig, background=BACKGROUND, output=str(dtype).removeprefix("torch."), antialiased=antialiased
-        )
+        output = str(dtype).removeprefix("torch.")
+        options = dict(antialiased=antialiased, view_filter=view_filter)
+        image = encode(given, panel, rig, background=BACKGROUND, output=output, **options)
     else:
         image = render(
             given, rig.cameras(panel, [23, 11, 0]).to(dtype=dtype), background=BACKGROUND, antialiased=antialiased
@@ -203,6 +205,9 @@ ANTIALIASED = [
     ("ordinal", "default", 3, "continuous", "exact"),
     ("ordinal", "leaning the other way, BGR", 1, "continuous", "exact"),
 ]
+# Of the same, with a view filter of this many views and without anti-aliasing
+VIEW_FILTER = 12.0
+FILTERED = [ANTIALIASED[0], ANTIALIASED[2], ANTIALIASED[4]]
 
 
 def fine(degree: int) -> Gaussians:

@@ -49,13 +49,23 @@ def lattice_frame(
 
 
 def drawn(
-    scene, panel, rig, views, kernel, quality, share, dtype=torch.float32, colour_order=8, antialiased=False
+    scene,
+    panel,
+    rig,
+    views,
+    kernel,
+    quality,
+    share,
+    dtype=torch.float32,
+    colour_order=8,
+    antialiased=False,
+    view_filter=0.0,
 ) -> dict[str, object]:
     """kernel: None, if the frame chooses. share: of the places that the pairs need."""
     job = LensJob(
         scene.fields().values(),
         torch.tensor(cases.BACKGROUND),
-        lens_view(panel, rig, views == "continuous"),
+        lens_view(panel, rig, views == "continuous", view_filter),
         antialiased,
     )
 
@@ -122,19 +132,14 @@ def in_chunks() -> list[dict[str, object]]:
     return images
 
 
-def antialiased(kernel: str | None, name: str, degree: int, views: str, quality: str) -> dict[str, object]:
+def compensated(
+    kernel: str | None, name: str, degree: int, views: str, quality: str, **options: object
+) -> dict[str, object]:
     """With half the places that the pairs need, if views are continuous."""
     panel, continuous = cases.panel_of(name), views == "continuous"
     kept = replace(Quality.of(quality), lattice_error=0.0, evaluation_error=0.0)  # as Frames does
     return drawn(
-        cases.fine(degree),
-        panel,
-        cases.rig_of(panel),
-        views,
-        kernel,
-        kept,
-        0.5 if continuous else 1.0,
-        antialiased=True,
+        cases.fine(degree), panel, cases.rig_of(panel), views, kernel, kept, 0.5 if continuous else 1.0, **options
     )
 
 
@@ -183,7 +188,10 @@ def main(what: str) -> object:
     if what == "gradients":
         return [cases.gradients(scene(), sensor, torch.float32) for scene, sensor in cases.HARD_GRADIENTS]
     if what == "antialiased":
-        return [antialiased(*case) for case in cases.ANTIALIASED]
+        return [compensated(*case, antialiased=True) for case in cases.ANTIALIASED]
+    if what == "view filter":
+        found = [compensated(*case, view_filter=cases.VIEW_FILTER) for case in cases.FILTERED]
+        return [*found, cases.gradients(cases.fine(1), "lens", torch.float32, view_filter=cases.VIEW_FILTER)]
     if what == "antialiased gradients":
         return [
             cases.gradients(scene, sensor, torch.float32, antialiased=True)

@@ -27,6 +27,7 @@ from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.io.json_file import read_object
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.panels.own_camera import photo_camera, stored_framing
+from lightfield_gs.panels.psf import Psf
 from lightfield_gs.photo.depth import read_depth
 from lightfield_gs.scene.axes import stated_up
 from lightfield_gs.scene.files import read_scene
@@ -112,6 +113,7 @@ READERS = {
     "colmap-cameras-text": Reader(".txt", lambda path: read_model_file(path, "cameras"), "colmap-cameras-text"),
     "colmap-images-text": Reader(".txt", lambda path: read_model_file(path, "images"), "colmap-images-text"),
     "colmap-points-text": Reader(".txt", lambda path: read_model_file(path, "points3D"), "colmap-points-text"),
+    "psf": Reader(".csv", Psf.load, "psf"),
     "object": Reader(".json", lambda path: read_object(path, 1 << 16), "object"),
     "checkpoint": Reader(".safetensors", SplatterNet.from_pretrained, "checkpoint"),
 }

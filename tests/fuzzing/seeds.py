@@ -195,6 +195,7 @@ def main() -> None:
     _colmap_models()
     (folders["object"] / "nested.json").write_text('{"a": [1, 2.5e-3, null, true, {"b": "\\u00e4"}]}')
     (folders["srn-intrinsics"] / "intrinsics.txt").write_text("131.25 64. 64. 0.\n0. 0. 0.\n1.\n128 128\n")
+    (folders["psf"] / "lens.csv").write_text("# measured\n-2, 0.1\n-0.5 0.6\n0; 1\n2.5, 0\n")
     (folders["srn-pose"] / "pose.txt").write_text(" ".join(map(str, np.diag([1.0, 1, 1, 1]).ravel())))
 
 

@@ -8,7 +8,8 @@ from rasterizer_cases import CELLS
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.simulate import simulate
+from lightfield_gs.panels.psf import Psf
+from lightfield_gs.panels.simulate import row_of_eyes, simulate, simulate_eyes
 
 BASE = dict(
     width_px=600,
@@ -112,6 +113,74 @@ def test_crosstalk_mixes_views():
     image = (panel.view_map() < 48).astype(np.float32)
     sharp, blurred = (simulate(image, panel, (150, 0, 2000), spread)[3:-3, 3:-3].mean() for spread in (1, 4))
     assert sharp > 0.97 and 0.6 < blurred < 0.95
+
+
+MEASURED = ((-4.0, -1.5, 0.0, 0.5, 2.0, 9.0), (0.1, 0.3, 7.0, 6.0, 0.5, 0.0))
+
+
+@pytest.mark.parametrize("unit", [1.0, 250.0])
+def test_a_measured_spread_of_light_in_closed_form(unit):
+    """Upright lenses of two pixels: each colour has two sub-pixels on every lens, and the eye in the middle sees the
+    one at place D of its lens at the offset D - 3, or farther by whole lenses."""
+    panel = Panel(**{**BASE, "line_number": 6.0, "slant_tan": 0.0, "phase": 0.25})
+    image = np.zeros((300, 600, 3), np.float32)
+    image[:, ::2] = 1
+    offsets, light = MEASURED
+    seen = simulate(image, panel, (0, 0, 2000), psf=Psf(offsets, tuple(unit * value for value in light)))
+    for channel in range(3):
+        first, second = (
+            sum(np.interp(place - 3 + 6 * lens, offsets, light, left=0, right=0) for lens in (-2, -1, 0, 1, 2))
+            for place in (channel + 0.25, channel + 3.25)
+        )
+        assert seen[3:-3, 3:-3, channel] == pytest.approx(first / (first + second), abs=1e-5)
+
+
+def test_a_measured_gaussian_is_the_usual_spread():
+    panel, offsets = Panel(**BASE), np.linspace(-4.9, 4.9, 2001)
+    light = np.exp(-4 * math.log(2) * offsets**2 / 1.5**2)
+    image = np.random.default_rng(0).random((300, 600, 3))
+    usual = simulate(image, panel, (40, 10, 1900), 1.5)
+    assert np.abs(simulate(image, panel, (40, 10, 1900), psf=Psf(tuple(offsets), tuple(light))) - usual).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("", "2..4096 numbers"),
+        ("0 1\n1 x\n", "line 2: expected an offset"),
+        ("0 1\n1 2 3\n", "line 2: expected an offset"),
+        ("0 1\n0 2\n", "must ascend"),
+        ("0 0\n1 0\n", "all light is 0"),
+        ("0 -1\n1 2\n", "light must be 0"),
+        ("0 nan\n1 2\n", "light must be 0"),
+        ("0 1\n1e9 2\n", "offsets must be"),
+    ],
+)
+def test_a_file_of_a_spread_that_makes_no_sense_is_refused(tmp_path, text, words):
+    path = tmp_path / "lens.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"lens.csv.*{words}"):
+        Psf.load(path)
+
+
+def test_the_file_of_a_measured_spread(tmp_path):
+    path = tmp_path / "lens.csv"
+    path.write_text("# lens 7, 12 June\n" + "\n".join(f"{a}, {b}" for a, b in zip(*MEASURED)) + "\n\n")
+    assert Psf.load(path) == Psf(*MEASURED)
+    with pytest.raises(InputError, match="leave out one"):
+        simulate(np.zeros((300, 600, 3)), Panel(**BASE), (0, 0, 2000), 2.0, psf=Psf(*MEASURED))
+
+
+def test_a_row_of_eyes_sees_what_each_of_them_sees():
+    panel = Panel(**BASE)
+    eyes = row_of_eyes(panel, -90, 60, 4)
+    assert eyes.tolist() == [[-90, 0, 2000], [-40, 0, 2000], [10, 0, 2000], [60, 0, 2000]]
+    image = np.random.default_rng(0).random((300, 600, 3))
+    pictures = simulate_eyes(image, panel, eyes)
+    assert all(np.array_equal(picture, simulate(image, panel, eye)) for picture, eye in zip(pictures, eyes.tolist()))
+    for count, words in ((0, "1..1000"), (1.5, "whole number")):
+        with pytest.raises(InputError, match=words):
+            row_of_eyes(panel, 0, 1, count)
 
 
 def test_number_types_agree_and_white_is_white():

@@ -70,8 +70,8 @@ void project_dense_backward(const Gaussians<const T>& gaussians, const Cameras<T
         Shape<double>& g = over_views[i - begin];
         const Projection<double> projection(view, shape);
         Splat<double> g_splat = g_pair.splat();
-        if (view.antialiased) {
-          const Compensation<double> g_sharp = projection.compensate_adjoint(g_splat);
+        if (view.compensated()) {
+          const Compensation<double> g_sharp = projection.compensate_adjoint(view, g_splat);
           projection.adjoint<true>(view, shape, g_splat, g, g_view, g_sharp);
         } else {
           projection.adjoint(view, shape, g_splat, g, g_view);

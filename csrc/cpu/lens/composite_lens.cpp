@@ -236,8 +236,8 @@ class LensBands {
       const int64_t own_band = band_ - rows_of(job_.splats.splats[*id], lens_.height_px).first / kBandRows;
       const int64_t pair = job_.first_pair[*id] + own_band;
       const int order = job_.splats.colour_order;
-      const PairGradient<T> out{job_.pair_gradients + pair * pair_gradient_size(order, antialiased_), order};
-      antialiased_ ? BackwardSplat<true>(job_, tile_, *id, out) : BackwardSplat<false>(job_, tile_, *id, out);
+      const PairGradient<T> out{job_.pair_gradients + pair * pair_gradient_size(order, compensated_), order};
+      compensated_ ? BackwardSplat<true>(job_, tile_, *id, out) : BackwardSplat<false>(job_, tile_, *id, out);
     }
     if (job_.backward)
       BackgroundGradient(tile_, layout_.samples(), job_.band_background + 3 * band_);
@@ -267,8 +267,8 @@ class LensBands {
   const LensJob<T>& job_;
   const Lens& lens_;
   const LensLayout& layout_;
-  const bool antialiased_ = job_.splats.compensations != nullptr;
-  const bool rough_ = job_.quality.rough() && !antialiased_;  // rough footprints know of no compensation
+  const bool compensated_ = job_.splats.compensations != nullptr;
+  const bool rough_ = job_.quality.rough() && !compensated_;  // rough footprints know of no compensation
   int64_t band_ = 0, row0_ = 0, rows_ = 0;
   LensTile<T> tile_;
   LensLattice lattice_;

@@ -71,7 +71,7 @@ class LatticeNodes {
   }
 
   // Blends a splat whose centre is (u, v) from the plan's origin. colours: [order + 1, kColourStride]; compensation:
-  // null, or that of an anti-aliased splat.
+  // null, or that of a compensated splat.
   HWY_NOINLINE void add(const Splat<float>& splat, const Compensation<float>* compensation, float u, float v,
                         const float* colours, int order, const Quality& quality, const float* background) {
     int first, last;
@@ -147,7 +147,7 @@ class LatticeNodes {
     }
   }
 
-  // Lowers A on the lines of the planes from first to last by the share of opacity that an anti-aliased splat keeps
+  // Lowers A on the lines of the planes from first to last by the share of opacity that a compensated splat keeps
   // there.
   HWY_NOINLINE void compensate(const Splat<float>& splat, const Compensation<float>& c, int first, int last) {
     for (int k = first, l = first * plan_.down; k <= last; ++k) {

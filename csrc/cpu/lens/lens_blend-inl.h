@@ -176,7 +176,7 @@ int64_t FinishTile(const LensJob<T>& job, LensTile<T>& tile, int64_t samples, co
   return stopped;
 }
 
-// Gradient sums for the share of an anti-aliased splat, a vector each. They follow from the gradient of log2 alpha, for
+// Gradient sums for the share of a compensated splat, a vector each. They follow from the gradient of log2 alpha, for
 // log2 of the share is (log2 D(s) - log2 S(s)) / 2.
 template <class D>
 struct ShareSums {
@@ -202,7 +202,7 @@ struct ShareSums {
 
 // Adds to `out` the gradient of a pair: what the samples of this tile give to the splat. math/over-inl.h has the
 // formula; a sample has one channel here.
-template <bool kAntialiased, class T>
+template <bool kCompensated, class T>
 void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const PairGradient<T>& out) {
   using V = typename LensTile<T>::V;
   const Tag<T> d;
@@ -213,7 +213,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
   const int order = job.splats.orders[id];
   SplatSums<Tag<T>> sums(d);
   [[maybe_unused]] ShareSums<Tag<T>> share_sums(d);
-  [[maybe_unused]] const Share<T> share(kAntialiased ? job.splats.compensations[id] : Compensation<T>{});
+  [[maybe_unused]] const Share<T> share(kCompensated ? job.splats.compensations[id] : Compensation<T>{});
   V g_colour[3 * (kMaxColourOrder + 1)];
   for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
@@ -224,7 +224,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     V dx, inverse_S;
     const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
     V alpha;
-    if constexpr (kAntialiased)
+    if constexpr (kCompensated)
       alpha = SharedAlpha(d, power, share.at(s, inverse_S), footprint.cut, hn::Set(d, T(kMinAlpha)));
     else
       alpha = Alpha(d, power);
@@ -246,10 +246,10 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     const V weight = hn::Mul(alpha, before), v = hn::Mul(g, c);
     const V g_alpha = OverAdjoint<false>(d, alpha, before, weight, v, &tile.total[i], &tile.prefix[i]);
     auto free = hn::Lt(power, hn::Set(d, T(kLog2MaxAlpha)));
-    if constexpr (kAntialiased) free = hn::Lt(alpha, hn::Set(d, T(kMaxAlpha)));
+    if constexpr (kCompensated) free = hn::Lt(alpha, hn::Set(d, T(kMaxAlpha)));
     const V g_power = ExponentAdjoint(d, g_alpha, alpha, hn::And(lit, free));
     sums.Add(g_power, dy, hn::Mul(dx, inverse_S), s);
-    if constexpr (kAntialiased) share_sums.Add(d, g_power, share.sharp(s), inverse_S, s);
+    if constexpr (kCompensated) share_sums.Add(d, g_power, share.sharp(s), inverse_S, s);
 
     // Colour coefficients, where the clamp at zero does not hold. Projection clamps colours of order 0, and its reverse
     // masks their gradients.
@@ -269,7 +269,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
   // Sums over the lanes
   if (!touched) return;
   sums.Reduce(d, splat, out.splat());
-  if constexpr (kAntialiased) share_sums.Reduce(d, out.splat(), out.compensation());
+  if constexpr (kCompensated) share_sums.Reduce(d, out.splat(), out.compensation());
   for (int k = 0; k < 3 * (order + 1); ++k) out.colours()[k] += hn::GetLane(hn::SumOfLanes(d, g_colour[k]));
 }
 

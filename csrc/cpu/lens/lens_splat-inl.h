@@ -75,7 +75,7 @@ struct ExactFootprint {
   }
 };
 
-// The share sqrt(D(s) / S(s)) of its opacity that an anti-aliased splat keeps at its samples, see math/compensation.h.
+// The share sqrt(D(s) / S(s)) of its opacity that a compensated splat keeps at its samples, see math/compensation.h.
 template <class T>
 struct Share {
   using D = Tag<T>;
@@ -101,7 +101,7 @@ HWY_INLINE hn::Vec<D> SharedAlpha(D d, hn::Vec<D> power, hn::Vec<D> share, hn::V
   return hn::IfThenElseZero(hn::Ge(alpha, least), hn::Min(alpha, hn::Set(d, hn::TFromD<D>(kMaxAlpha))));
 }
 
-// The exact footprint of an anti-aliased splat.
+// The exact footprint of a compensated splat.
 template <class T>
 struct CompensatedFootprint {
   using D = Tag<T>;

@@ -66,7 +66,7 @@ template <class T>
 void project_lens_backward(const Gaussians<const T>& gaussians, const View<double>& rig, const Lens& lens,
                            const Splats<T>& splats, const int64_t* first_pair, const T* pair_gradients,
                            const Gaussians<T>& out, int threads) {
-  const int order = splats.colour_order, nodes = order + 1, size = pair_gradient_size(order, rig.antialiased);
+  const int order = splats.colour_order, nodes = order + 1, size = pair_gradient_size(order, rig.compensated());
   const ColourBasis basis(order);
   parallel_for_chunks(gaussians.count, kGrain, threads, [&](int64_t begin, int64_t end, int) {
     std::vector<double> sum(size);
@@ -83,10 +83,10 @@ void project_lens_backward(const Gaussians<const T>& gaussians, const View<doubl
       Shape<double> g{dvec3(0), glm::dvec4(0), dvec3(0), 0};
       const Projection<double> projection(rig, shape);
       const Splat<double> g_splat = g_pair.splat();
-      if (rig.antialiased) {
+      if (rig.compensated()) {
         Splat<double> again = projection.splat(rig, shape.opacity);
         Compensation<double> sharp;
-        const double most = projection.compensate(again, sharp);
+        const double most = projection.compensate(rig, again, sharp);
         const Compensation<double>& g_sharp = g_pair.compensation();
         projection.adjoint<true>(rig, shape, g_splat, g, unused,
                                  {g_sharp.D0 / most, g_sharp.D1 / most, g_sharp.D2 / most});

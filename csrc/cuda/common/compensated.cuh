@@ -1,5 +1,5 @@
-// Splats of anti-aliased scenes on the device: their projection, and the share of opacity that they keep; see
-// math/compensation.h.
+// Compensated splats on the device, of anti-aliased scenes and of views with an aperture: their projection, and the
+// share of opacity that they keep; see math/compensation.h.
 #pragma once
 
 #include "cuda/common/widened.cuh"
@@ -15,7 +15,7 @@ __device__ inline Splat<float> compensated_splat(const View<double>& view, const
   const Projection<double> projection(view, wide);
   Splat<double> splat = projection.splat(view, wide.opacity);
   Compensation<double> exact{};
-  if (splat.reach_y >= 0) projection.compensate(splat, exact);
+  if (splat.reach_y >= 0) projection.compensate(view, splat, exact);
   out = {float(exact.D0), float(exact.D1), float(exact.D2)};
   return splat_cast<float>(splat);
 }

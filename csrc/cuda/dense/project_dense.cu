@@ -1,6 +1,6 @@
 // Stage project for ordinary images on the device: reads Gaussians and cameras, writes splats with their colours and
 // the keys by which they are sorted. A thread has a Gaussian in one image. Arithmetic is in float, but in double for
-// the splats of anti-aliased scenes.
+// compensated splats.
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/dense/projected.cuh"
@@ -25,7 +25,7 @@ __device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, i
 }
 
 // Projects all Gaussians into all images: blocks along x have the Gaussians of a scene, along y the images.
-template <bool kAntialiased>
+template <bool kCompensated>
 __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<float> cameras, Splats<float> out,
                                      uint64_t* keys) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x, image = blockIdx.y, n = gaussians.count;
@@ -35,7 +35,7 @@ __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<f
   const Shape<float> shape = shape_of(scene, i);
   const int64_t index = image * n + i;
   vec3 colour(0);
-  if (store_splat(projected<kAntialiased>(cameras, image, view, shape), cameras, image, index, out, keys))
+  if (store_splat(projected<kCompensated>(cameras, image, view, shape), cameras, image, index, out, keys))
     colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
   reinterpret_cast<float4*>(out.colours)[index] =
       make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);
@@ -50,7 +50,7 @@ void project_dense(const Gaussians<const float>& gaussians, const Cameras<float>
                                                " images, and at most 65,535 are drawn "
                                                "at a time on CUDA: render fewer scenes or cameras in a call");
   const dim3 blocks(unsigned(blocks_for(gaussians.count, kThreads)), unsigned(cameras.images()));
-  const auto kernel = cameras.antialiased ? project_dense_kernel<true> : project_dense_kernel<false>;
+  const auto kernel = cameras.compensated() ? project_dense_kernel<true> : project_dense_kernel<false>;
   kernel<<<blocks, kThreads, 0, cudaStream_t(stream)>>>(gaussians, cameras, out, keys);
   check_launch("project_dense");
 }

@@ -82,16 +82,16 @@ struct Adjoint {
 // `so_far` and the adjoint of the projection of Gaussian `i` of a scene into an image, which is computed in double and
 // then rounded. It is not inlined, since it is rarely called and takes many registers. It reads everything once more,
 // and gradients go in and out by value: what is handed over by its address lies in memory for ordinary splats as well.
-template <bool kAntialiased>
+template <bool kCompensated>
 __device__ __noinline__ Adjoint with_exact_adjoint(const Gaussians<const float>& gaussians,
                                                    const Cameras<float>& cameras, const AllSums& sums, int64_t image,
                                                    int64_t i, Adjoint so_far) {
   const int64_t n = gaussians.count;
   const View<float> view = cameras.view<float>(image);
   const Shape<float> shape = shape_of(gaussians.slice(image / cameras.per_scene * n), i);
-  const View<double> exact = widened(view);
+  const View<double> exact = cameras.view<double>(image);
   const Shape<double> wide = widened(shape);
-  Splat<double> gradient = splat_gradient<double>(projected<kAntialiased>(cameras, image, view, shape),
+  Splat<double> gradient = splat_gradient<double>(projected<kCompensated>(cameras, image, view, shape),
                                                   SplatSums::of(sums, image * n + i), so_far.colour);
   so_far.place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
@@ -100,8 +100,8 @@ __device__ __noinline__ Adjoint with_exact_adjoint(const Gaussians<const float>&
   // The adjoint, in double
   const Projection<double> projection(exact, wide);
   Compensation<double> sharp{};
-  if (kAntialiased) sharp = projection.compensate_adjoint(gradient);
-  projection.adjoint<kAntialiased>(exact, wide, gradient, sum, of_view, sharp);
+  if (kCompensated) sharp = projection.compensate_adjoint(exact, gradient);
+  projection.adjoint<kCompensated>(exact, wide, gradient, sum, of_view, sharp);
 
   // Add it to what other cameras have said
   Shape<float>& g = so_far.shape;
@@ -248,10 +248,10 @@ __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolut
 }
 
 // Writes all gradients. The adjoint of an ordinary splat fits the registers that three blocks on a multiprocessor
-// leave, or four without the gradients of cameras (kCameras). Needles, and all splats of an anti-aliased scene (see
+// leave, or four without the gradients of cameras (kCameras). Needles, and all compensated splats (see
 // compensated_splat()), go through with_exact_adjoint() instead. kOneView: there is one camera a scene, so that the
 // gradients of harmonics can take the place of these.
-template <bool kAntialiased, bool kOneView, bool kCameras>
+template <bool kCompensated, bool kOneView, bool kCameras>
 __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     project_dense_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
                                   const __grid_constant__ Cameras<float> cameras, const __grid_constant__ AllSums sums,
@@ -288,8 +288,8 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     if (of_splat.any()) {
       const Projection<float> projection(view, shape);
       const Splat<float> splat = projection.splat(view, shape.opacity);
-      if (kAntialiased || is_needle(splat)) {
-        g = with_exact_adjoint<kAntialiased>(gaussians, cameras, sums, image, i, g);
+      if (kCompensated || is_needle(splat)) {
+        g = with_exact_adjoint<kCompensated>(gaussians, cameras, sums, image, i, g);
       } else {
         const Splat<float> g_splat = splat_gradient<float>(splat, of_splat, g.colour);
         projection.adjoint(view, shape, g_splat, g.shape, g.view);
@@ -317,13 +317,13 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
 
 using Kernel = decltype(&project_dense_backward_kernel<false, true, false>);
 
-template <bool kAntialiased>
+template <bool kCompensated>
 Kernel kernel_of(bool one_view, bool cameras) {
   if (one_view)
-    return cameras ? project_dense_backward_kernel<kAntialiased, true, true>
-                   : project_dense_backward_kernel<kAntialiased, true, false>;
-  return cameras ? project_dense_backward_kernel<kAntialiased, false, true>
-                 : project_dense_backward_kernel<kAntialiased, false, false>;
+    return cameras ? project_dense_backward_kernel<kCompensated, true, true>
+                   : project_dense_backward_kernel<kCompensated, true, false>;
+  return cameras ? project_dense_backward_kernel<kCompensated, false, true>
+                 : project_dense_backward_kernel<kCompensated, false, false>;
 }
 
 }  // namespace
@@ -336,7 +336,8 @@ void project_dense_backward(const Gaussians<const float>& gaussians, const Camer
   if (gaussians.count == 0 || cameras.scenes == 0) return;
   const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
   const bool one = cameras.per_scene == 1;
-  const auto kernel = cameras.antialiased ? kernel_of<true>(one, view_partials) : kernel_of<false>(one, view_partials);
+  const auto kernel =
+      cameras.compensated() ? kernel_of<true>(one, view_partials) : kernel_of<false>(one, view_partials);
   const size_t bytes =
       size_t(one ? 1 : 2) * kThreads * HarmonicRows::stride_of(3 * gaussians.sh_count()) * sizeof(float);
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),

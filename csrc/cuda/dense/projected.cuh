@@ -8,11 +8,11 @@
 
 namespace lfgs::cuda {
 
-// The splat of a Gaussian in an image, `view` its camera. It is in float, but in double for anti-aliased scenes.
-template <bool kAntialiased>
+// The splat of a Gaussian in an image, `view` its camera. It is in float, but in double where it is compensated.
+template <bool kCompensated>
 __device__ Splat<float> projected(const Cameras<float>& cameras, int64_t image, const View<float>& view,
                                   const Shape<float>& shape) {
-  if constexpr (kAntialiased) {
+  if constexpr (kCompensated) {
     Compensation<float> of_one_camera;  // not needed: with one camera it is in the opacity
     return compensated_splat(cameras.view<double>(image), shape, of_one_camera);
   } else {

@@ -148,8 +148,8 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
   require(gaussians >= 0 && gaussians < (int64_t(1) << 31) && capacity >= 0 && capacity < (int64_t(1) << 32),
           "a frame takes fewer than 2^31 Gaussians and 2^32 pairs, got " + std::to_string(gaussians) + " and " +
               std::to_string(capacity));
-  require(!rig.antialiased || !(lattice > 0 || in_half),
-          "an anti-aliased frame is drawn neither from lattices nor in half precision");
+  require(!rig.compensated() || !(lattice > 0 || in_half),
+          "a frame of compensated opacities is drawn neither from lattices nor in half precision");
   // The ordinal kernel numbers colours, splats times ordinals, with 32 bits
   has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
   require(std::max(pixel.down, ordinal.down) <= kProbeRows * kMostProbeRows,
@@ -175,7 +175,7 @@ size_t LensFrame::place(void* work) {
     const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
     parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
   }
-  if (rig.antialiased) {
+  if (rig.compensated()) {
     parts.take(splats.compensations, n);
     parts.take(ordinal_shares, has_ordinal ? 2 * n * optics.ordinals.columns() : 0);
   }

@@ -117,7 +117,7 @@ struct LensFrame {
   // slope and bend in v as halves in one word (for the first place in the fourth number of the colour)
   float* ordinal_colours = nullptr;    // [N, columns, 4]
   uint32_t* ordinal_slopes = nullptr;  // [N, columns, 2]
-  // In an anti-aliased scene: log2 of the share of opacity there, and its slope and bend in v as halves
+  // With compensation: log2 of the share of opacity there, and its slope and bend in v as halves
   float* ordinal_shares = nullptr;  // [N, columns, 2]
   Lattice* lattices = nullptr;      // [tiles], where any are laid: see composite_lattice.cu
   uint32_t* refused = nullptr;      // [tiles, without groups]: those that lattices left, in any order

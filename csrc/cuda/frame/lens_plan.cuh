@@ -188,9 +188,9 @@ __device__ inline bool lattices_may_pay(const LensFrame& frame, float half_width
 // hits of a patch of w x h pixels that sees the fraction f of the rig are the sum, over the splats, of
 //   area + (w + f D) 2 b + h 2 a + (w + f D) h
 // divided by the pixels of the panel. a and b are the half width and half height of a splat, D its disparity.
-// An anti-aliased frame is drawn by ordinals, or by patches of pixels with parabolas, since only these kernels know of
-// shares of opacity.
-template <bool kAntialiased>
+// A frame of compensated opacities is drawn by ordinals, or by patches of pixels with parabolas, since only these
+// kernels know of shares of opacity.
+template <bool kCompensated>
 __device__ inline void choose_kernel(const LensFrame& frame) {
   FrameState& state = *frame.state;
 
@@ -211,7 +211,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   // Mean errors, and the first level of limits that keeps the mean of the quadratic kernels; if none does, they draw
   // all splats carefully (`exact`)
   auto mean = [&](int k) { return sampled > 0 ? sums[k] / kErrorUnit / sampled : 0.f; };
-  const bool linear = !kAntialiased && mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
+  const bool linear = !kCompensated && mean(kLinearError) <= (frame.in_half ? kMeanHalfShapeError : kMeanShapeError);
   int level = 0;
   while (level < kLevels && mean(kMixedError + level) > kMeanShapeError) ++level;
   const bool exact = level == kLevels;
@@ -227,7 +227,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const float each_small = with_careful(frame.in_half ? 157 : 187, linear_careful);
   cost[int(LensKernel::kPixel)] = linear ? pixel_cost(each * large, 500) : INFINITY;
   cost[int(LensKernel::kPixelSmall)] = linear ? pixel_cost(each_small * small, 556) : INFINITY;
-  constexpr float kShare = kAntialiased ? 24 : 0;  // two operations a sample
+  constexpr float kShare = kCompensated ? 24 : 0;  // two operations a sample
   const float quadratic = 187 + kShare + 30 * curved, quadratic_small = 236 + kShare + 26 * curved;
   cost[int(LensKernel::kPixelQuadratic)] = pixel_cost(with_careful(quadratic, careful) * large, 500);
   cost[int(LensKernel::kPixelQuadraticSmall)] = pixel_cost(with_careful(quadratic_small, careful) * small, 556);

@@ -15,14 +15,14 @@ constexpr int kThreads = 128;
 
 // Projects a Gaussian a thread. Some blocks also add their splats to the frame's sums; the last of these to end reads
 // the sums and chooses.
-template <int Order, bool kAntialiased>
+template <int Order, bool kCompensated>
 __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __grid_constant__ LensFrame frame,
                                      const __grid_constant__ Rig rig, const __grid_constant__ BasisTable basis) {
   const int64_t i = int64_t(blockIdx.x) * kThreads + threadIdx.x;
   Splat<float> splat;
   splat.reach_y = -1;
   if (i < gaussians.count) {
-    splat = store_splat<Order, kAntialiased>(gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis,
+    splat = store_splat<Order, kCompensated>(gaussians, rig, frame.optics.width_px, frame.optics.height_px, basis,
                                              frame.tolerance, frame.cut, frame.in_half, frame.least_light, i,
                                              frame.splats, frame.depths, &frame.state->colour_error);
     if (splat.reach_y == kPruned) atomicAdd(&frame.state->pruned, 1u);
@@ -34,7 +34,7 @@ __global__ void frame_project_kernel(Gaussians<const float> gaussians, const __g
   __syncthreads();
   if (threadIdx.x == 0 && atomicAdd(&frame.state->blocks_summed, 1u) == (gridDim.x - 1) / stride) {
     __threadfence();
-    choose_kernel<kAntialiased>(frame);
+    choose_kernel<kCompensated>(frame);
   }
 }
 
@@ -54,8 +54,8 @@ void frame_project(const LensFrame& frame, const Gaussians<const float>& gaussia
 
   const BasisTable basis{ColourBasis(frame.splats.colour_order)};
   const int64_t blocks = std::max<int64_t>(blocks_for(gaussians.count, kThreads), 1);  // without Gaussians, one chooses
-  with_order(frame.splats.colour_order, frame.rig.antialiased, [&](auto order, auto antialiased) {
-    frame_project_kernel<order, antialiased>
+  with_order(frame.splats.colour_order, frame.rig.compensated(), [&](auto order, auto compensated) {
+    frame_project_kernel<order, compensated>
         <<<unsigned(blocks), kThreads, 0, cudaStream_t(stream)>>>(gaussians, frame, Rig(frame.rig), basis);
   });
   check_launch("frame_project");

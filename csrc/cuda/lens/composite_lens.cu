@@ -21,8 +21,8 @@ static_assert(kLensTile.height_px == kWarpHeight * (kThreads / 32 / kWarpsAcross
 
 // The reverse: splats staged at a time, and the most numbers that a slot has.
 constexpr int kBackwardBatch = 16;
-template <bool kAntialiased>
-constexpr int kMostSums = kLensSums + 3 * (kMaxColourOrder + 1) + (kAntialiased ? kCompensationFields : 0);
+template <bool kCompensated>
+constexpr int kMostSums = kLensSums + 3 * (kMaxColourOrder + 1) + (kCompensated ? kCompensationFields : 0);
 
 // A sub-pixel while it is drawn; `rest` is the light left for the background once it has ended, see over().
 struct Sample {
@@ -82,7 +82,7 @@ __device__ inline float colour_at(const float* colour, int order, const Sample& 
 
 // Draws a tile, a block each. The block stages splats in batches; every warp goes through a batch on its own, and
 // passes over the splats that cannot touch its pixels.
-template <bool kAntialiased>
+template <bool kCompensated>
 __global__ void __launch_bounds__(kThreads)
     composite_lens_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
                           float s_start, float s_step, const float* background, float* out) {
@@ -119,7 +119,7 @@ __global__ void __launch_bounds__(kThreads)
         const int order = splats.orders[id];
         const float* colour = splats.colours + int64_t(id) * (splats.colour_order + 1) * kColourStride;
         Compensation<float> compensation;
-        if constexpr (kAntialiased) compensation = splats.compensations[id];
+        if constexpr (kCompensated) compensation = splats.compensations[id];
 #pragma unroll
         for (int r = 0; r < kRows; ++r) {
           const float dy = place.row + 2 * r + 0.5f - s.v0, A = s.log2_opacity - s.tau * dy * dy;
@@ -129,7 +129,7 @@ __global__ void __launch_bounds__(kThreads)
             Sample& sample = samples[r][c];
             const float dx = fmaf(-sample.s, M1, M0), S = fmaf(fmaf(sample.s, s.S2, s.S1), sample.s, s.S0);
             float power = A - __fdividef(dx * dx, S);
-            if constexpr (kAntialiased) power += log2_share(compensation, sample.s, S);
+            if constexpr (kCompensated) power += log2_share(compensation, sample.s, S);
             const float alpha = alpha_of(power);
             if (alpha == 0) continue;
             float weight;
@@ -153,15 +153,15 @@ __global__ void __launch_bounds__(kThreads)
 // The reverse: writes the sums of every slot of a tile, a block each; see over_adjoint() for the formula. It goes over
 // the splats front to back, as forward; a sample's `colour` holds the prefix of the formula. The sums over a tile are
 // taken first within each warp, then over the warps, always in the same order, so that the bits are always the same.
-template <bool kAntialiased>
+template <bool kCompensated>
 __global__ void __launch_bounds__(kThreads)
     composite_lens_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges, Pairs pairs, Lens lens,
                                    float s_start, float s_step, const float* pixels, const float* gradient,
                                    float* slot_gradients, float* tile_background) {
   __shared__ Splat<float> staged[kBackwardBatch];
   __shared__ uint32_t slots[kBackwardBatch], ids[kBackwardBatch];
-  __shared__ float partial[kThreads / 32][kBackwardBatch][kMostSums<kAntialiased>];
-  constexpr int kSharp = kAntialiased ? kCompensationFields : 0;
+  __shared__ float partial[kThreads / 32][kBackwardBatch][kMostSums<kCompensated>];
+  constexpr int kSharp = kCompensated ? kCompensationFields : 0;
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, sharp = kLensSums + 3 * (splats.colour_order + 1);
   const int all_sums = sharp + kSharp;
 
@@ -199,7 +199,7 @@ __global__ void __launch_bounds__(kThreads)
       const int order = splats.orders[ids[k]];
       const float* colour = splats.colours + int64_t(ids[k]) * (splats.colour_order + 1) * kColourStride;
       [[maybe_unused]] Compensation<float> compensation, of_D{};
-      if constexpr (kAntialiased) compensation = splats.compensations[ids[k]];
+      if constexpr (kCompensated) compensation = splats.compensations[ids[k]];
       float sums[kLensSums] = {}, term[kRows][3];  // term: gradient of the splat's colour there, times a power of s
       bool lit = false;
       for (int r = 0; r < kRows; ++r) {
@@ -211,7 +211,7 @@ __global__ void __launch_bounds__(kThreads)
           const float dx = fmaf(-sample.s, M1, M0);
           const float S = fmaf(fmaf(sample.s, s.S2, s.S1), sample.s, s.S0), inverse_S = 1 / S;
           float power = A - dx * dx * inverse_S;
-          if constexpr (kAntialiased) power += log2_share(compensation, sample.s, S);
+          if constexpr (kCompensated) power += log2_share(compensation, sample.s, S);
           const float alpha = sample.transmittance > 0 ? alpha_of(power) : 0.f;
           if (alpha == 0) continue;
 
@@ -232,7 +232,7 @@ __global__ void __launch_bounds__(kThreads)
           sums[kXSum] += gx, sums[kXsSum] += gx * sample.s;
           sums[kXDySum] += gx * dy, sums[kXsDySum] += gx * sample.s * dy;
           sums[kSSum] += gS, sums[kSsSum] += gS * sample.s, sums[kSs2Sum] += gS * sample.s * sample.s;
-          if constexpr (kAntialiased) {
+          if constexpr (kCompensated) {
             // The exponent also has log2 of the share, which is (log2 D - log2 S) / 2
             const float half = gp * float(0.5 / kLn2), gD = half / sharpness(compensation, sample.s);
             const float of_S = -half * inverse_S;
@@ -253,7 +253,7 @@ __global__ void __launch_bounds__(kThreads)
         const float sum = warp_sum(sums[f]);
         if (lane == 0) out[f] = sum;
       }
-      if constexpr (kAntialiased) {
+      if constexpr (kCompensated) {
         const float D0 = warp_sum(of_D.D0), D1 = warp_sum(of_D.D1), D2 = warp_sum(of_D.D2);
         if (lane == 0) out[sharp] = D0, out[sharp + 1] = D1, out[sharp + 2] = D2;
       }

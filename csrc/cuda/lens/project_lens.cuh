@@ -1,6 +1,6 @@
 // Projection for the lens sensor on the device, a Gaussian at a time: what project_lens and frame_project have in
 // common. It reads a Gaussian, and writes its splat, its colour polynomial and where asked its depth. Arithmetic is in
-// float, but for where the mean is seen, and for shapes in anti-aliased scenes.
+// float, but for where the mean is seen, and for the shapes of compensated splats.
 #pragma once
 
 #include <string>
@@ -99,7 +99,7 @@ __device__ inline float2 place_mean(const View<double>& rig, const glm::vec3& me
 // Projects, culls and stores splat i, and returns it; reach_y < 0 says that it is not drawn. Where `depths` is not
 // null, the depth goes there, and its place in the splat receives what rounding took from u0 and v0, see
 // whole_splat_about().
-template <int Order, bool kAntialiased>
+template <int Order, bool kCompensated>
 __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, const Rig& rigs, int64_t width_px,
                                     int64_t height_px, const BasisTable& basis, float tolerance, float cut,
                                     bool by_patches, float least_light, int64_t i, const Splats<float>& out,
@@ -107,7 +107,7 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   const View<float>& rig = rigs.rounded;
   const Shape<float> shape = shape_of(gaussians, i);
   Splat<float> splat;
-  if constexpr (kAntialiased)
+  if constexpr (kCompensated)
     splat = compensated_splat(rigs.exact, shape, out.compensations[i]);
   else
     splat = Projection<float>(rig, shape).splat(rig, shape.opacity);
@@ -132,12 +132,12 @@ __device__ Splat<float> store_splat(const Gaussians<const float>& gaussians, con
   return splat;
 }
 
-// Calls run(order, antialiased) with the order of the colours, and whether opacities are compensated, as compile-time
+// Calls run(order, compensated) with the order of the colours, and whether opacities are compensated, as compile-time
 // constants.
 template <class Run>
-void with_order(int order, bool antialiased, const Run& run) {
+void with_order(int order, bool compensated, const Run& run) {
   auto with = [&](auto fixed) {
-    antialiased ? run(fixed, std::bool_constant<true>()) : run(fixed, std::bool_constant<false>());
+    compensated ? run(fixed, std::bool_constant<true>()) : run(fixed, std::bool_constant<false>());
   };
   switch (order) {
     case 0:

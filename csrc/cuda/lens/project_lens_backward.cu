@@ -14,7 +14,7 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128;
 
-template <bool kAntialiased>
+template <bool kCompensated>
 __global__ void __launch_bounds__(kThreads)
     project_lens_backward_kernel(Gaussians<const float> gaussians, const __grid_constant__ Rig rig,
                                  const __grid_constant__ BasisTable basis, Splats<float> splats,
@@ -24,10 +24,10 @@ __global__ void __launch_bounds__(kThreads)
   const SlotRange slots = slot_ranges[i];
   if (slots.first == slots.last) return;
 
-  // The sums over the splat's slots: of its shape, its colours, and in an anti-aliased scene its compensation
+  // The sums over the splat's slots: of its shape, its colours, and with compensation its compensation
   const Splat<float> s = splats.splats[i];
   const int order = basis.order, nodes = order + 1, sharp = kLensSums + 3 * nodes, kept = splats.orders[i];
-  constexpr int kSharp = kAntialiased ? kCompensationFields : 0;
+  constexpr int kSharp = kCompensated ? kCompensationFields : 0;
   const int all_sums = sharp + kSharp;
   double sum[kLensSums + 3 * (kMaxColourOrder + 1) + kSharp];
   for (int f = 0; f < all_sums; ++f) sum[f] = 0;
@@ -43,12 +43,12 @@ __global__ void __launch_bounds__(kThreads)
   ViewAdjoint<double> unused;
   const Projection<double> projection(rig.exact, exact);
   Compensation<double> g_sharp{};
-  if constexpr (kAntialiased) {
+  if constexpr (kCompensated) {
     Splat<double> again = projection.splat(rig.exact, exact.opacity);
-    const double most = projection.compensate(again, g_sharp);
+    const double most = projection.compensate(rig.exact, again, g_sharp);
     g_sharp = {sum[sharp] / most, sum[sharp + 1] / most, sum[sharp + 2] / most};
   }
-  projection.adjoint<kAntialiased>(rig.exact, exact, g_splat, g, unused, g_sharp);
+  projection.adjoint<kCompensated>(rig.exact, exact, g_splat, g, unused, g_sharp);
 
   // The adjoint of the colours, which also depend on the mean
   const float* colours = splats.colours + i * nodes * kColourStride;

@@ -92,7 +92,7 @@ void composite_sorted(const Splats<float>& splats, const Image& image, const int
 // The numbers of a slot are, for ordinary images, the first kDenseFootprintSums of FootprintSum, then the gradients of
 // depth, r, g and b; where absolute gradients are asked for, then the sums of |gradient| of u0 and of v0 over the
 // samples (Ye et al., "AbsGS", 2024). For the lens they are all of FootprintSum, the gradients of r, g, b for each
-// power of s, and in an anti-aliased scene those of D.
+// power of s, and with compensation those of D.
 constexpr int kDepthSum = kDenseFootprintSums, kColourSum = kDepthSum + 1, kDenseSums = kColourSum + 3;
 constexpr int kAbsoluteSum = kDenseSums, kAbsoluteDenseSums = kAbsoluteSum + 2;
 constexpr int kLensSums = kLensFootprintSums;

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.errors import named
-from lightfield_gs.commands.options.values import background
+from lightfield_gs.commands.options.values import background, within
 from lightfield_gs.scene.fitted import rgb, stated_fit
 
 if TYPE_CHECKING:
@@ -23,6 +23,18 @@ def add_antialiased(add: Callable[..., argparse.Action]) -> None:
         help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's antialiased mode), which look too bright "
         "and too thick without: what a pixel blurs becomes fainter by as much (default: as the file says that "
         "lightfield-gs fitted it, else without)",
+    )
+
+
+def add_view_filter(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--view-filter",
+        type=within(0, 65536, "views"),
+        default=0.0,
+        metavar="VIEWS",
+        help="anti-aliasing between views, of a rig: each sub-pixel's picture is averaged over camera positions this "
+        "many views wide, so that what lies far before or behind the panel is blurred in place of seen double; 0: off, "
+        "1: the width of a view (default 0)",
     )
 
 

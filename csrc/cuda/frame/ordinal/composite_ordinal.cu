@@ -90,7 +90,7 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_colours_kernel(const _
 #endif
 }
 
-// For an anti-aliased scene: writes the share of opacity of every splat at every ordinal into
+// With compensation: writes the share of opacity of every splat at every ordinal into
 // LensFrame::ordinal_shares, as ShareFit has it. A thread makes one.
 __global__ void __launch_bounds__(kColourThreads) ordinal_shares_kernel(const __grid_constant__ LensFrame frame) {
 #if __CUDA_ARCH__ >= 800
@@ -111,7 +111,7 @@ __global__ void __launch_bounds__(kColourThreads) ordinal_shares_kernel(const __
 // Copies splats of a list, and without harmonics their colours, into the block's shared memory. With harmonics or
 // shares of opacity, the place of a splat's depth receives the index, in the arrays by ordinal, of its entry at ordinal
 // `first`. There are no branches, so that several reads are under way at a time.
-template <bool Harmonics, bool Antialiased>
+template <bool Harmonics, bool Compensated>
 __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, Memory<Harmonics>& memory) {
   constexpr int kParts = Harmonics ? 3 : 4;
   const unsigned columns = frame.optics.ordinals.columns();
@@ -121,7 +121,7 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, in
     const int i = j / kParts, k = j % kParts;
     const uint32_t id = ids[i];
     float4 part = k < 3 ? splats[3 * int64_t(id) + k] : colours[id];
-    if ((Harmonics || Antialiased) && k == 2) part.w = __uint_as_float(id * columns + first);
+    if ((Harmonics || Compensated) && k == 2) part.w = __uint_as_float(id * columns + first);
     if (!Harmonics && k == 3) part = by_place(frame.optics, part);
     *(k < 3 ? &memory.splat[k][i] : &memory.colour[Harmonics ? 0 : i]) = part;
   }
@@ -129,7 +129,7 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, in
 
 // Draws one tile, by all threads of the block. Bytes are collected in shared memory and then stored row by row; floats
 // go straight to the image.
-template <bool Harmonics, bool Antialiased, class Out>
+template <bool Harmonics, bool Compensated, class Out>
 __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned tile, int row_bytes,
                           const float4& background, Out* out, Memory<Harmonics>& memory) {
   const LensOptics& lens = frame.optics;
@@ -146,7 +146,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
     shown = row < lens.height_px && ends.y > 0 && ends.x < width;
   }
   if (!__syncthreads_or(shown)) return;
-  Task<Harmonics, Antialiased> task(frame, memory, tile_x, tile_y);
+  Task<Harmonics, Compensated> task(frame, memory, tile_x, tile_y);
 
   // `put` takes the colour of a finished sample: sub-pixel `at` of row r of the tile
   uint8_t* bytes = reinterpret_cast<uint8_t*>(&memory + 1);
@@ -169,7 +169,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
       const int count = min(unsigned(kBatch<Harmonics>), range.y - begin);
       const bool opaque = task.all_opaque(last - first + 1);
       if (__syncthreads_and(opaque)) break;
-      stage<Harmonics, Antialiased>(frame, lists.ids + begin, count, first, memory);
+      stage<Harmonics, Compensated>(frame, lists.ids + begin, count, first, memory);
       __syncthreads();
       if (opaque) continue;
       const int hits = task.cull(count, first, last);
@@ -197,7 +197,7 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
 
 // Draws the frame, if it has chosen this kernel. There are as many blocks as the device holds at a time; each draws one
 // tile after another until none is left, and a thread has the parts described at Task.
-template <bool Harmonics, bool Antialiased, class Out>
+template <bool Harmonics, bool Compensated, class Out>
 __global__ void __launch_bounds__(kThreads, 2)
     composite_ordinal_kernel(const __grid_constant__ LensFrame frame, int row_bytes, const float* background,
                              Out* out) {
@@ -212,7 +212,7 @@ __global__ void __launch_bounds__(kThreads, 2)
   if (!Harmonics && threadIdx.x == 0) memory.colour[Harmonics ? 0 : kBatch<Harmonics>] = make_float4(0, 0, 0, 0);
   for (unsigned tile = blockIdx.x; tile < tiles; tile = memory.next_tile) {
     if (threadIdx.x == 0) work.claim(gridDim.x);
-    draw_tile<Harmonics, Antialiased>(frame, lists, tile_to_draw(frame, tile), row_bytes, behind, out, memory);
+    draw_tile<Harmonics, Compensated>(frame, lists, tile_to_draw(frame, tile), row_bytes, behind, out, memory);
     __syncthreads();
     if (threadIdx.x == 0) memory.next_tile = work.claimed;
     __syncthreads();
@@ -221,19 +221,19 @@ __global__ void __launch_bounds__(kThreads, 2)
 }
 
 // Launches the kernels that make colours and shares by ordinal, where the scene needs them, and the one that draws.
-template <bool Harmonics, bool Antialiased, class Out>
+template <bool Harmonics, bool Compensated, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   if (Harmonics && frame.splats.count) {
     const int64_t items = frame.splats.count * (frame.optics.ordinals.columns() / kShare);
     ordinal_colours_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
     check_launch("composite_ordinal: colours");
   }
-  if (Antialiased && frame.splats.count) {
+  if (Compensated && frame.splats.count) {
     const int64_t items = frame.splats.count * frame.optics.ordinals.columns();
     ordinal_shares_kernel<<<unsigned(blocks_for(items, kColourThreads)), kColourThreads, 0, stream>>>(frame);
     check_launch("composite_ordinal: shares");
   }
-  const auto kernel = composite_ordinal_kernel<Harmonics, Antialiased, Out>;
+  const auto kernel = composite_ordinal_kernel<Harmonics, Compensated, Out>;
   const int row = lens_row_bytes(frame.optics.line_number);
   const size_t bytes = sizeof(Memory<Harmonics>) + kTileRows * row;
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
@@ -266,14 +266,14 @@ bool can_composite_ordinal(const Lens& lens) {
 
 void composite_ordinal(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream) {
   if (!frame.has_ordinal) return;
-  auto draw_as = [&](auto antialiased, auto* image) {
+  auto draw_as = [&](auto compensated, auto* image) {
     if (frame.splats.orders)
-      launch<true, antialiased>(frame, background, image, cudaStream_t(stream));
+      launch<true, compensated>(frame, background, image, cudaStream_t(stream));
     else
-      launch<false, antialiased>(frame, background, image, cudaStream_t(stream));
+      launch<false, compensated>(frame, background, image, cudaStream_t(stream));
   };
   auto draw = [&](auto* image) {
-    frame.rig.antialiased ? draw_as(std::true_type(), image) : draw_as(std::false_type(), image);
+    frame.rig.compensated() ? draw_as(std::true_type(), image) : draw_as(std::false_type(), image);
   };
   out8 ? draw(out8) : draw(out);
 }

@@ -1,4 +1,4 @@
-// The share of its opacity that an anti-aliased splat keeps within an ordinal, sqrt(D(s) / S(s)) in
+// The share of its opacity that a compensated splat keeps within an ordinal, sqrt(D(s) / S(s)) in
 // math/compensation.h: as it is for careful hits, and as a parabola for all others.
 #pragma once
 

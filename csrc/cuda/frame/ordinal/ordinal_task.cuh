@@ -16,7 +16,7 @@ namespace lfgs::cuda {
 // All 32 lanes of a warp call the functions below together. Before the products a lane stands for one hit (its
 // coefficients) or for two samples, one of each half of the patch (their features); after them it has, as the tensor
 // cores lay out a product, eight samples at two hits.
-template <bool Harmonics, bool Antialiased>
+template <bool Harmonics, bool Compensated>
 struct Task : Patch<Harmonics> {
   using Base = Patch<Harmonics>;
   using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::middle_y, Base::places;
@@ -45,9 +45,9 @@ struct Task : Patch<Harmonics> {
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
       low[h] = make_uint4(kOnes, halves(x, x), halves(y, y), halves(v, v));
       high[h] = make_uint4(halves(x * v, y * v), halves(vv, y * vv), halves(x * vv, vv * v), halves(rest, y * v));
-      // A has coefficients for v and v^2 only in an anti-aliased scene, where they make the share of opacity; otherwise
+      // A has coefficients for v and v^2 only with compensation, where they make the share of opacity; otherwise
       // these two stand here for the colours, see view_of()
-      rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), Harmonics || Antialiased ? halves(v, vv) : 0);
+      rows[h] = make_uint4(kOnes, halves(y, y), halves(y * y, y * y), Harmonics || Compensated ? halves(v, vv) : 0);
     }
 
     // Exchange them: a half at a time is stored, and loaded in the layout that the tensor cores want
@@ -155,7 +155,7 @@ struct Task : Patch<Harmonics> {
       for (int i = 0; i < 2; ++i) {
         const float factor = fast_rsqrt(fmaf(v, fmaf(v, s[i].y, s[i].x), 1.f));
         d[2 * sample + i] *= factor;
-        if constexpr (Antialiased) A[2 * sample + i] += shares[i].log2_at(v, factor * factor);
+        if constexpr (Compensated) A[2 * sample + i] += shares[i].log2_at(v, factor * factor);
       }
     }
   }
@@ -220,17 +220,17 @@ struct Task : Patch<Harmonics> {
         slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
       }
       [[maybe_unused]] float2 share;
-      if constexpr (Antialiased)
+      if constexpr (Compensated)
         share = reinterpret_cast<const float2*>(frame.ordinal_shares)[__float_as_uint(splat.depth) + t];
       __syncwarp();
 
       // Make its operands, and see whether any of the 32 is opaque or may be careful
       const OrdinalShape shape(splat, centre, unit);
       Operands operands = coefficients<false>(splat, shape, centre, unit, x_centre);
-      if constexpr (Antialiased) take_share(operands, splat, share);
+      if constexpr (Compensated) take_share(operands, splat, share);
       const bool opaque = valid && splat.log2_opacity > float(kLog2MaxAlpha);
       bool special = __any_sync(~0u, opaque || (valid && shape.s2 > ordinals.most_bend));
-      if constexpr (Antialiased) special = special || __any_sync(~0u, valid && lacks(share));
+      if constexpr (Compensated) special = special || __any_sync(~0u, valid && lacks(share));
       if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
 
       // Store them, the colour as the difference to that of the hit before
@@ -252,7 +252,7 @@ struct Task : Patch<Harmonics> {
         const Splat<float> again = staged(i);
         const OrdinalShape varying(again, centre, unit);
         bool mine = valid && varying.parabola_error(ordinals, again.log2_opacity) > kMostParabolaError;
-        if constexpr (Antialiased) mine = mine || (valid && lacks(share));
+        if constexpr (Compensated) mine = mine || (valid && lacks(share));
         careful = __ballot_sync(~0u, mine);
         special = careful || __any_sync(~0u, opaque);
         if (mine) store_carefully(coefficients<true>(again, varying, centre, unit, x_centre));
@@ -313,7 +313,7 @@ struct Task : Patch<Harmonics> {
 #pragma unroll
           for (int i = 0; i < 2; ++i) {
             s[i] = make_float2(__shfl_sync(~0u, varying.s1, at + i), __shfl_sync(~0u, varying.s2, at + i));
-            if constexpr (Antialiased) shares[i] = varied.of_lane(at + i);
+            if constexpr (Compensated) shares[i] = varied.of_lane(at + i);
           }
           batch(b, std::true_type{},
                 [&](float (&d)[4], float (&A)[4], int f) { complete(d, A, d_features, f, s, shares); });
@@ -344,7 +344,7 @@ struct Task : Patch<Harmonics> {
   __device__ static bool lacks(float2 share) { return !(share.x == share.x); }
   // The share of staged splat i as a function of v, without that approximation.
   __device__ OrdinalShare share_of(int i, const OrdinalShape& shape, float centre, float unit) const {
-    if constexpr (!Antialiased) return {};
+    if constexpr (!Compensated) return {};
     const unsigned id = __float_as_uint(staged(i).depth) / unsigned(frame.optics.ordinals.columns());
     return OrdinalShare(frame.splats.compensations[id], shape, centre, unit);
   }
@@ -354,10 +354,10 @@ struct Task : Patch<Harmonics> {
     reinterpret_cast<uint4*>(own.operands)[lane] = operands.low;
     reinterpret_cast<uint4*>(own.operands + kHighOffset)[lane] = operands.high;
   }
-  // Overwrites the coefficients of a careful hit; in an anti-aliased scene also those of A, which then lack the share.
+  // Overwrites the coefficients of a careful hit; with compensation also those of A, which then lack the share.
   __device__ void store_carefully(const Operands& operands) {
     store_shape(operands);
-    if constexpr (Antialiased) reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
+    if constexpr (Compensated) reinterpret_cast<uint4*>(own.operands + kExponentOffset)[lane] = operands.exponent;
   }
   // Stores all operands of this lane's hit; the colour as the difference to the hit before it in its quarter.
   __device__ void store_operands(const Operands& operands, const Colour& now, const Colour& before) {

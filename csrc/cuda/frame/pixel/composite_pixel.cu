@@ -148,20 +148,20 @@ __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
     draw_patches<Quadratic>(frame, background, out, staged);
 }
 
-// The same for anti-aliased scenes, which are always drawn with parabolas.
+// The same for compensated splats, which are always drawn with parabolas.
 template <int lane_rows, bool Harmonics, class Out>
 __global__ void __launch_bounds__(kThreads, blocks_of(lane_rows, Harmonics))
-    composite_antialiased_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
-  using Antialiased = Config<Evaluation::kQuadratic, Harmonics, lane_rows, true, true>;
-  __shared__ StagedOf<Antialiased> staged[kWarps];
-  if (frame.state->kernel == int(Antialiased::kernel)) draw_patches<Antialiased>(frame, background, out, staged);
+    composite_compensated_kernel(const __grid_constant__ LensFrame frame, const float* background, Out* out) {
+  using Compensated = Config<Evaluation::kQuadratic, Harmonics, lane_rows, true, true>;
+  __shared__ StagedOf<Compensated> staged[kWarps];
+  if (frame.state->kernel == int(Compensated::kernel)) draw_patches<Compensated>(frame, background, out, staged);
 }
 
 template <Evaluation straight, int lane_rows, bool Harmonics, class Out>
 void launch(const LensFrame& frame, const float* background, Out* out, cudaStream_t stream) {
   auto kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, false, Out>;
   if (frame.optics.has_cells) kernel = composite_pixel_kernel<straight, lane_rows, Harmonics, true, Out>;
-  if (frame.rig.antialiased) kernel = composite_antialiased_kernel<lane_rows, Harmonics, Out>;
+  if (frame.rig.compensated()) kernel = composite_compensated_kernel<lane_rows, Harmonics, Out>;
   kernel<<<resident_blocks(kernel, kThreads, 0), kThreads, 0, stream>>>(frame, background, out);
   check_launch("composite_pixel");
 }

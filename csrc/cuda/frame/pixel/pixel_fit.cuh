@@ -24,12 +24,12 @@ constexpr float kSmallEdge = 3e-3f;         // slope with which a colour may rea
 // is too rough; with a straight line and in half precision.
 enum class Evaluation { kLinear, kQuadratic, kHalf };
 
-// What a kernel is compiled for. Antialiased: splats have shares of opacity. Cells: the panel may have cells, which
+// What a kernel is compiled for. Compensated: splats have shares of opacity. Cells: the panel may have cells, which
 // take registers that other panels do not have to spare.
-template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Cells_, bool Antialiased_ = false>
+template <Evaluation evaluation, bool Harmonics_, int lane_rows_, bool Cells_, bool Compensated_ = false>
 struct Config {
   static constexpr bool Quadratic = evaluation == Evaluation::kQuadratic, Half = evaluation == Evaluation::kHalf;
-  static constexpr bool Antialiased = Antialiased_, Cells = Cells_;
+  static constexpr bool Compensated = Compensated_, Cells = Cells_;
   static constexpr bool Harmonics = Harmonics_, Bends = Harmonics && Quadratic;  // colours may be parabolas
   static constexpr int lane_rows = lane_rows_, patch_height = 4 * lane_rows;
   // Whether slopes of colours are kept with the rest of a hit's fit and read together with it: that is quicker in small
@@ -54,13 +54,13 @@ struct Staged {
   uint32_t ids[64];  // the hits that wait: fewer than 32, plus those of one cull
 };
 
-// In an anti-aliased scene also the slope and bend of the share of opacity, see share_fit(); its value is in the fit.
+// With compensation also the slope and bend of the share of opacity, see share_fit(); its value is in the fit.
 template <bool Harmonics>
-struct AntialiasedStaged : Staged<Harmonics> {
+struct CompensatedStaged : Staged<Harmonics> {
   float2 share[32];
 };
 template <class C>
-using StagedOf = std::conditional_t<C::Antialiased, AntialiasedStaged<C::Harmonics>, Staged<C::Harmonics>>;
+using StagedOf = std::conditional_t<C::Compensated, CompensatedStaged<C::Harmonics>, Staged<C::Harmonics>>;
 
 // Which of up to 32 hits, a bit each, are careful; and which of the others are special, for they have a parabola for r
 // or for the step of the colour, or in half precision since they are cut.
@@ -76,7 +76,7 @@ __device__ inline float3 root_fit(const Splat<float>& s, bool curved) {
   return make_float3(middle, (right - left) * (curved ? kParabolaPlace : 1.f), right + left - 2 * middle);
 }
 
-// Log2 of the share of its opacity that an anti-aliased splat keeps, as x + y s + z s^2, by interpolation: see
+// Log2 of the share of its opacity that a compensated splat keeps, as x + y s + z s^2, by interpolation: see
 // kLinePlace. x is NaN where that is too rough at the ends of the rig, where it errs most.
 __device__ inline float3 share_fit(const Compensation<float>& c, const Splat<float>& s) {
   constexpr float kMostError = 2e-4f;  // alpha is off by less than 0.04/255, on average by a tenth of that
@@ -196,7 +196,7 @@ __device__ Marks specialise(const LensFrame& frame, int count, float2 centre, St
   const bool curved = C::Quadratic && error.linear > frame.state->straight;
   bool careful = (!C::Half && splat.log2_opacity >= kCarefulOpacity) ||
                  (curved ? error.quadratic : error.linear) > frame.state->careful;
-  if constexpr (C::Antialiased) {
+  if constexpr (C::Compensated) {
     const float3 share = share_fit(frame.splats.compensations[id], splat);
     careful = careful || !(share.x <= 0.5f);
     splat.log2_opacity += share.x, staged.share[lane] = make_float2(share.y, share.z);

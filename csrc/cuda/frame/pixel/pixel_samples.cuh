@@ -79,7 +79,7 @@ __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background
 }
 
 // Adds a careful hit to one sample, by the formulas as they are written: with a division, the limit of alpha, the whole
-// colour polynomial and the end of samples that become opaque; in an anti-aliased scene with the share of opacity.
+// colour polynomial and the end of samples that become opaque; with compensation with the share of opacity.
 template <class C>
 struct CarefulHit {
   const LensFrame& frame;
@@ -92,7 +92,7 @@ struct CarefulHit {
   __device__ CarefulHit(const LensFrame& frame, uint32_t id, float2 centre, float4 background)
       : frame(frame),
         splat(whole_splat_about(frame.splats, id, centre)),
-        compensation(C::Antialiased ? frame.splats.compensations[id] : Compensation<float>{}),
+        compensation(C::Compensated ? frame.splats.compensations[id] : Compensation<float>{}),
         order(C::Harmonics ? frame.splats.orders[id] : 0),
         powers(reinterpret_cast<const float4*>(frame.splats.colours) + int64_t(id) * (frame.splats.colour_order + 1)),
         highest(by_place<C::Cells>(frame.optics, powers[order])),
@@ -102,7 +102,7 @@ struct CarefulHit {
     const float dy = y - splat.v0, dx = x - splat.u0 - splat.c0 * dy - s * fmaf(splat.c1, dy, splat.du);
     const float S = fmaf(s, fmaf(s, splat.S2, splat.S1), splat.S0);
     float power = splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S);
-    if constexpr (C::Antialiased) power += log2_share(compensation, s, S);
+    if constexpr (C::Compensated) power += log2_share(compensation, s, S);
     const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
     float c = part(highest, k);
     for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place<C::Cells>(frame.optics, powers[q]), k));
@@ -159,7 +159,7 @@ struct FloatSamples {
     const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i], f3 = staged.fit[3][i];
     const Step step(staged, i);
     float2 share;
-    if constexpr (C::Antialiased) share = staged.share[i];
+    if constexpr (C::Compensated) share = staged.share[i];
 
     // The polynomials in s at the lane's first pixel; the other pixels are a step away in x, and four steps in y
     float t = fmaf(f2.y, pixels.y, f2.x);
@@ -179,7 +179,7 @@ struct FloatSamples {
           const float v = s[r][p][k];
           float& T = transmittance[r][p][k];
           const float d = fmaf(v, fmaf(v, Curved ? fmaf(v, f3.w, p2) : p2, p1), p0);
-          const float power = fmaf(-d, d, C::Antialiased ? fmaf(v, fmaf(v, share.y, share.x), A) : A);
+          const float power = fmaf(-d, d, C::Compensated ? fmaf(v, fmaf(v, share.y, share.x), A) : A);
           const float alpha = fast_exp2(power);
           colour[r][p][k] = fmaf(T, step.template at<Parabola>(k, v), colour[r][p][k]);
           if (power >= cut) T = fmaf(-alpha, T, T);

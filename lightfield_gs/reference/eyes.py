@@ -1,0 +1,90 @@
+"""How good what eyes see of a panel is, across its viewing cone: against the exact cameras where these eyes stand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from lightfield_gs.base.checks import expect, real_number, whole_number
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.psf import Psf
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.simulate import row_of_eyes, simulate, zone_width_mm
+from lightfield_gs.rasterizer.images import render
+from lightfield_gs.reference.metrics import psnr_db, ssim
+from lightfield_gs.scene.gaussians import Gaussians
+
+MOST_EYES = 1000
+
+
+@dataclass(frozen=True)
+class EyeScore:
+    """Of one eye at the viewing distance: how far it stands to the right in mm, the view coordinate x that it sees, and
+    PSNR and SSIM of its picture against that of the exact camera."""
+
+    right_mm: float
+    view: float
+    psnr_db: float
+    ssim: float
+
+
+def eyes_across(panel: Panel, count: int, share: float = 0.75) -> np.ndarray:
+    """Places [count, 3] in mm of eyes spread evenly, from left to right, over the middle `share` (0..1) of the panel's
+    viewing zone: not quite to its ends, where an eye sees the first and the last view at once. Raises InputError."""
+    count, share = whole_number("count", count, 1, MOST_EYES), real_number("share", share, 0.0, 1.0)
+    half = share * zone_width_mm(panel) / 2
+    return row_of_eyes(panel, -half, half, count)
+
+
+def views_of(panel: Panel, eyes_mm: np.ndarray) -> np.ndarray:
+    """View coordinates x [K] that eyes [K, 3] at the viewing distance see. Raises InputError."""
+    aside = (eyes_mm[:, 0] - eyes_mm[:, 1] * panel.slant_tan) * (-1 if panel.invert_views else 1)
+    return panel.views * (0.5 - aside / zone_width_mm(panel))
+
+
+class EyeReference:
+    """What eyes at the viewing distance would see of a scene if every view were exact.
+
+    That is the picture of the camera that stands where the eye stands, on every sub-pixel of the panel, through the
+    same lenses as the picture to be judged: spatial sampling is then the same in both, and what differs is what the
+    panel mixes of other views. Ordinary pinholes, whatever filter the judged image was made with.
+    """
+
+    @torch.no_grad()
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        panel: Panel,
+        rig: Rig,
+        eyes_mm: np.ndarray,
+        *,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        antialiased: bool = False,
+        spread_subpixels: float = 1.0,
+        psf: Psf | None = None,
+    ):
+        """eyes_mm: [K, 3] at the viewing distance, as eyes_across makes them. spread_subpixels, psf: see simulate. The
+        rest as in encode. Renders K cameras at the panel's resolution, one at a time. Raises InputError."""
+        expect("panel", panel, Panel)
+        self.panel, self.eyes_mm, self.views = panel, np.asarray(eyes_mm, np.float64), views_of(panel, eyes_mm)
+        self.spread, self.psf = spread_subpixels, psf
+        pictures = []
+        for x, eye in zip(self.views, self.eyes_mm):
+            camera = rig.cameras_at(panel, np.array([x]))
+            exact = render(gaussians, camera, background=background, antialiased=antialiased)[0].clamp(0, 1)
+            pictures.append(self._seen(exact.cpu().numpy(), eye))
+        self.pictures = np.stack(pictures)
+
+    def _seen(self, image: np.ndarray, eye_mm: np.ndarray) -> np.ndarray:
+        return simulate(image, self.panel, eye_mm.tolist(), self.spread, psf=self.psf)
+
+    def scores(self, image: np.ndarray) -> Iterator[EyeScore]:
+        """Scores of a light-field image [H, W, 3] of the panel, eye by eye. Raises InputError."""
+        for eye, x, expected in zip(self.eyes_mm, self.views, self.pictures):
+            seen, exact = (
+                torch.from_numpy(picture).permute(2, 0, 1).double() for picture in (self._seen(image, eye), expected)
+            )
+            yield EyeScore(float(eye[0]), float(x), float(psnr_db(seen, exact)), float(ssim(seen, exact)))
