@@ -129,7 +129,6 @@ def depth_report(gaussians: Gaussians, panel: Panel, rig: Rig) -> DepthReport:
 
     Three small pictures are rendered for it. Raises InputError, also where the centre camera sees nothing.
     """
-    expect("gaussians", gaussians, Gaussians)
     expect("panel", panel, Panel)
     expect("rig", rig, Rig)
     seen = look_at(gaussians, panel, rig)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import torch
 
-from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.checks import is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.reach import part
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.visible import plain
+from lightfield_gs.panels.visible import check_single, plain
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
@@ -29,7 +29,7 @@ def depth_at(gaussians: Gaussians, panel: Panel, rig: Rig, point: tuple[float, f
     side) is opaque, alpha 0.5 or more, if only the Gaussians up to it are drawn: neither what is behind nor haze before
     it moves it, as they would a mean depth. Raises InputError, also where there is no such surface.
     """
-    expect("gaussians", gaussians, Gaussians)
+    check_single(gaussians)
     if not is_row(point, 2):
         raise InputError(f"focus: expected x,y of a point of the picture, 0..1 each, got {shown(point)}")
     x, y = (real_number(f"focus: {axis}", value, 0, 1) for axis, value in zip("xy", point))

@@ -10,7 +10,7 @@ import torch
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
-from lightfield_gs.panels.visible import plain
+from lightfield_gs.panels.visible import check_single, plain
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -38,6 +38,7 @@ def look_at(gaussians: Gaussians, panel: Panel, rig: Rig) -> Seen:
     What is transparent there is what was never seen, of a photo for example.
     Raises InputError where nothing is seen.
     """
+    check_single(gaussians)
     small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
     outermost = [0.5, panel.views - 0.5]
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2, *outermost])

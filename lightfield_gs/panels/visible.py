@@ -8,6 +8,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
@@ -87,6 +89,14 @@ def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, 
     squares = rows[:, None] ** 2 + columns**2
     weights = torch.exp(-squares / 2 / (_MIDDLE * min(depth.shape)) ** 2).to(depth)
     return 1 / depth[surface], weights[surface]
+
+
+def check_single(gaussians: Gaussians) -> None:
+    """Raises InputError on what is no set of Gaussians, or a batch of them."""
+    expect("gaussians", gaussians, Gaussians)
+    gaussians.validate_layout()
+    if gaussians.is_batched:
+        raise InputError(f"gaussians: expected one set, got a batch of {gaussians.means.shape[0]}; give one of them")
 
 
 def plain(gaussians: Gaussians) -> Gaussians:

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from test_look import sheet
 
 from lightfield_gs import Look, depth_report
@@ -15,6 +14,7 @@ from lightfield_gs.panels.comfort import EYE_SEPARATION_MM, place_of, sharp_dept
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
+from lightfield_gs.scene.gaussians import Gaussians
 
 PANEL = Panel(96, 60, 8, 9.8, 0.1, cone_deg=40, viewing_distance_mm=700, pixel_pitch_mm=4.0)
 RIG = Rig(np.eye(4), (96.0, 100.0), (45.0, 28.0), zero_depth=2.0)
@@ -165,4 +165,11 @@ def test_a_rig_that_shows_nothing_is_refused():
     away[2, 3] = -100
     with pytest.raises(InputError, match="^the centre camera sees nothing of the scene"):
         depth_report(SCENE, PANEL, replace(RIG, world_to_camera=away))
-    assert torch.isfinite(SCENE.means).all()
+    nothing, batch = (Gaussians(*map(of, SCENE.fields().values())) for of in (lambda t: t[:0], lambda t: t[None]))
+    with pytest.raises(InputError, match="^the centre camera sees nothing of the scene"):
+        depth_report(nothing, PANEL, RIG)
+    with pytest.raises(InputError, match="^focus: nothing opaque is at"):
+        Look(focus=(0.5, 0.5)).applied(RIG, PANEL, nothing)
+    for refused in (lambda: depth_report(batch, PANEL, RIG), lambda: Look(focus=(0, 0)).applied(RIG, PANEL, batch)):
+        with pytest.raises(InputError, match="^gaussians: expected one set, got a batch of 1"):
+            refused()
