@@ -23,6 +23,7 @@ COMMANDS = {
     "fit": "photographs of a scene to its Gaussians",
     "encode": "a photo or a .ply to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
+    "video": "a scene with moving cameras, or pictures in a row, to frames for a panel",
     "simulate": "what an eye sees through the lenses",
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",
