@@ -15,7 +15,6 @@ from tqdm import tqdm
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 
-
 # What frames show: of these numbers, which increase, each with its Gaussians and its rig
 Shots = Callable[[list[int]], Iterator[tuple[int, Gaussians, Rig]]]
 
