@@ -140,7 +140,6 @@ def checked_result(args: argparse.Namespace, panel: Panel) -> Result:
         columns, rows = args.quilt or (stated[:2] if stated else _QUILT)
         aspect = stated[2] if stated else panel.width_px / panel.height_px
         tiles = QuiltTiles.fitted(columns, rows, aspect, args.quilt_size)
-        path = tiles.named(path)
     if not path.suffix or path.is_dir():
         if args.codec is not None:
             raise InputError(f"--codec is of videos, and {path} is a folder of PNG files; leave out one of them")
@@ -148,7 +147,7 @@ def checked_result(args: argparse.Namespace, panel: Panel) -> Result:
     codec = choose_codec(path, kind, args.codec)
     if args.overwrite:
         raise InputError("--overwrite is about folders of frames; a video is written anew in any case, leave it out")
-    return Result(check_output_path(path), kind, codec, tiles)
+    return Result(check_output_path(path if tiles is None else tiles.named(path)), kind, codec, tiles)
 
 
 def _refuse(args: argparse.Namespace, kind: Kind) -> None:
