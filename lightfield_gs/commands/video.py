@@ -70,6 +70,10 @@ def run(args: argparse.Namespace) -> None:
     read = (args.input, args.rig, args.panel, args.path, args.mask, args.depth, args.checkpoint, camera_file)
     check_outputs((result.path,), read)
     device = choose_device(args.device)
+    if args.bridge is not None:
+        from lightfield_gs.show.bridge import cast, check_bridge
+
+        check_bridge(args.bridge)
     import torch
 
     from lightfield_gs.commands.options.shots import sequence_shots, still_shots
@@ -95,8 +99,6 @@ def run(args: argparse.Namespace) -> None:
     print(watch.line())
     print("".join(f"{line}\n" for line in shots.said), end="")
     if args.bridge is not None and result.tiles is not None:
-        from lightfield_gs.show.bridge import cast
-
         cast(result.path, result.tiles.columns, result.tiles.rows, result.tiles.aspect, url=args.bridge)
         print(f"{result.path}: shown by Looking Glass Bridge")
 

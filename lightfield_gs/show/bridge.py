@@ -77,6 +77,11 @@ def _entry(path: Path, columns: int, rows: int, aspect: float) -> dict[str, Any]
     }
 
 
+def check_bridge(url: str = BRIDGE_URL, timeout_s: float = _TIMEOUT_S) -> None:
+    """Raises InputError where no Bridge answers, before any long work is done for nothing."""
+    _Bridge(url, timeout_s).ask("bridge_version", {})
+
+
 class _Bridge:
     """Requests to one Bridge. The system's proxies are not asked: they do not know this computer as Bridge does."""
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.io.images import write_image
+from lightfield_gs.io.images import MAX_PIXELS, write_image
 from lightfield_gs.video.av_library import av_library
 
 VIDEO_INPUTS = (".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v")
@@ -112,6 +112,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             if not container.streams.video:
                 raise InputError(f"{path}: expected a video, got a file without pictures")
             stream = container.streams.video[0]
+            if stream.width * stream.height > MAX_PIXELS:
+                raise InputError(f"{path}: {stream.width} x {stream.height} pixels; expected at most {MAX_PIXELS}")
             stream.thread_type = "AUTO"
             yield container, stream
     except av.FFmpegError as error:

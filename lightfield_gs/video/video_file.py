@@ -89,7 +89,7 @@ class VideoFile:
     def __enter__(self) -> VideoFile:
         self._frames: queue.Queue[np.ndarray | None] = queue.Queue(_WAITING)
         self._failed: BaseException | None = None
-        self._is_abandoned = False
+        self._is_abandoned = self._is_ended = False
         self._thread = threading.Thread(target=self._run, name="video", daemon=True)
         self._thread.start()
         return self
@@ -120,14 +120,20 @@ class VideoFile:
     def _fail(self, error: InputError) -> None:
         """Keeps the error for `put`, and takes away what comes, so that nobody waits for room."""
         self._failed = error
-        while self._frames.get() is not None:
-            pass
+        while not self._is_ended:
+            self._next()
+
+    def _next(self) -> np.ndarray | None:
+        """The next frame; None at the end, after which none must be asked for."""
+        image = self._frames.get()
+        self._is_ended = image is None
+        return image
 
     def _encode(self, path: Path) -> None:
         options = {"movflags": "faststart"} if path.suffix.lower() in (".mp4", ".mov") else {}
         with self._av.open(str(path), "w", options=options) as container:
             stream = self._stream(container)
-            while (image := self._frames.get()) is not None:
+            while (image := self._next()) is not None:
                 container.mux(stream.encode(self._frame(image)))
             if self._is_abandoned:
                 raise _AbandonedError

@@ -121,6 +121,7 @@ def test_one_eye_sways(folder, capsys):
 def test_a_quilt_video_has_the_name_that_says_so(folder, capsys, monkeypatch):
     pytest.importorskip("av", reason="videos need the extra `video`")
     casts = []
+    monkeypatch.setattr("lightfield_gs.show.bridge.check_bridge", lambda url: None)
     monkeypatch.setattr("lightfield_gs.show.bridge.cast", lambda *args, **more: casts.append((*args, more)))
     line = "video s.ply --panel p.yaml --frames 2 --quilt-size 400x186 --crf 0 --bridge http://localhost:1"
     run(capsys, f"{line} -o q.mp4 --quilt 4x3")
@@ -215,6 +216,7 @@ def test_a_video_with_depth_beside_it(folder, capsys):
         ("video s.ply -o frames --codec ffv1", "is a folder of PNG files"),
         ("video s.ply -o a.mp4 --quilt 4x3 --kind native", "--quilt is for --kind quilt"),
         ("video s.ply -o frames --quilt 4x3 --bridge", "--bridge shows one file"),
+        ("video s.ply -o a.mp4 --quilt 4x3 --bridge http://127.0.0.1:9", "Bridge does not answer|PyAV"),
         ("video s.ply -o frames --turntable 3 --path p.json", "take each other's place"),
         ("video s.ply -o frames --turntable 3 --frames 5", "take each other's place"),
         ("video s.ply -o frames --path no.json", "cannot read"),

@@ -8,7 +8,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 
 from lightfield_gs import InputError
-from lightfield_gs.show.bridge import cast
+from lightfield_gs.show.bridge import cast, check_bridge
 
 
 class Stub(ThreadingHTTPServer):
@@ -104,6 +104,14 @@ def test_what_bridge_refuses_is_said_in_one_line(bridge, quilt, what, answer, wo
     with pytest.raises(InputError, match=words) as raised:
         cast(quilt, 4, 3, 0.75, url=bridge.url, timeout_s=0.2)
     assert "\n" not in str(raised.value)
+
+
+def test_whether_bridge_runs_is_looked_at_first(bridge):
+    check_bridge(bridge.url)
+    bridge.answers["bridge_version"] = "<html>"
+    with pytest.raises(InputError, match="another program's port"):
+        check_bridge(bridge.url)
+    assert [name for name, _ in bridge.asked] == ["bridge_version"] * 2
 
 
 def test_bridge_that_does_not_run(quilt):

@@ -1,5 +1,7 @@
 """Videos: lossless ones come back to the byte, others nearly, and a native one is never sub-sampled."""
 
+import shutil
+import time
 from fractions import Fraction
 from pathlib import Path
 
@@ -82,3 +84,13 @@ def test_nothing_half_written_is_left(tmp_path):
             for _ in range(99):
                 sink.put(0, frames[0][..., :1])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_fails_at_the_very_end_is_said(tmp_path):
+    frames = noise(64, 48)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError, match="cannot write .*No such file"):
+        with VideoFile(tmp_path / "folder" / "a.mkv", 9, (64, 48), Fraction(24), "ffv1") as sink:
+            sink.put(0, frames[0])
+            time.sleep(0.3)
+            shutil.rmtree(tmp_path / "folder")

@@ -76,6 +76,7 @@ def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stop
     of_file = [rig.relative_to(back) for rig in rigs]
     job = {
         "input": args.input.name,
+        "device": device,  # which rounds in its own way
         "scene": scene_hash(gaussians),
         "rigs": hashlib.sha256(json.dumps([rig.to_dict() for rig in of_file]).encode()).hexdigest(),
     }
@@ -155,6 +156,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     fps = args.fps or pictures.fps or DEFAULT_FPS
     job = {
         "input": args.input.name,
+        "device": device,
         "pictures": pictures.digest(),
         "rig": None if args.reframe else rig.to_dict(),
         **{name: part.digest() for name, part in beside.items() if part is not None},
