@@ -88,8 +88,7 @@ def run(args: argparse.Namespace) -> None:
         draw = _draw(args, panel, result, shots.fps, shots.is_one_scene)
         sink = _sink(args, panel, result, shots, draw.size_px)
         there = shots.count - len(sink.missing)
-        with sink:
-            made = make_video(shots.take, draw, sink, shots.count, shown=True)
+        made = make_video(shots.take, draw, sink, shots.count, shown=True)
         watch.lap("frames")
     width, height = draw.size_px
     kept = f", of which {there} were there" if there else ""

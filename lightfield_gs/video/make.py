@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,43 +28,60 @@ class Draw(Protocol):
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor: ...
 
 
-class Sink(Protocol):
-    """A FrameFolder or a VideoFile, entered."""
+class Sink(AbstractContextManager, Protocol):
+    """A FrameFolder or a VideoFile."""
 
     missing: list[int]
 
     def put(self, number: int, image: np.ndarray) -> None: ...
 
 
+class NoFiles:
+    """Frames that go nowhere, for measurements of the drawing alone."""
+
+    def __init__(self, count: int):
+        self.missing = list(range(count))
+
+    def __enter__(self) -> NoFiles:
+        return self
+
+    def put(self, number: int, image: np.ndarray) -> None:
+        """Nothing is done with it."""
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+
 @dataclass
 class Made:
     """How many frames were drawn, and the seconds that went into the scene of each, into drawing and copying it to the
-    host, into waiting for what writes, and in all."""
+    host, into waiting for what writes, at the end into what was not written yet, and in all."""
 
     frames: int = 0
     scene_s: float = 0.0
     draw_s: float = 0.0
     wait_s: float = 0.0
+    finish_s: float = 0.0
     total_s: float = 0.0
 
     def words(self) -> str:
-        """For example "8.0 frames/s: scene 0.10 s, draw 2.00 s, wait for the writers 1.50 s"."""
+        """For example "8.0 frames/s: scene 0.10 s, draw 2.00 s, wait for the writers 1.50 s, finish 0.10 s"."""
         rate = self.frames / max(self.total_s, 1e-9)
         return (
             f"{rate:.3g} frames/s: scene {self.scene_s:.2f} s, draw {self.draw_s:.2f} s, "
-            f"wait for the writers {self.wait_s:.2f} s"
+            f"wait for the writers {self.wait_s:.2f} s, finish {self.finish_s:.2f} s"
         )
 
 
 def make_video(shots: Shots, draw: Draw, sink: Sink, count: int, *, shown: bool = False) -> Made:
     """Draws the frames that the sink misses, of `count`, and hands them over; returns what took how long.
 
-    The sink must have been entered: while it writes, the next frame is drawn. shown: with a bar that tells frames a
-    second and the time left, where there is a terminal.
+    While the sink writes, the next frame is drawn. It is entered here, and left when all is written. shown: with a bar
+    that tells frames a second and the time left, where there is a terminal. Raises InputError where the sink does.
     """
     made, began = Made(), time.perf_counter()
-    there = count - len(sink.missing)
-    with tqdm(total=count, initial=there, unit="frame", dynamic_ncols=True, disable=None if shown else True) as bar:
+    there, hidden = count - len(sink.missing), None if shown else True
+    with sink, tqdm(total=count, initial=there, unit="frame", dynamic_ncols=True, disable=hidden) as bar:
         last = began
         for number, gaussians, rig in shots(sink.missing):
             at_scene = time.perf_counter()
@@ -77,6 +95,7 @@ def make_video(shots: Shots, draw: Draw, sink: Sink, count: int, *, shown: bool 
             made.wait_s += last - at_image
             bar.update()
     made.total_s = time.perf_counter() - began
+    made.finish_s = made.total_s - made.scene_s - made.draw_s - made.wait_s
     return made
 
 
