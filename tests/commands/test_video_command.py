@@ -73,6 +73,13 @@ def test_frames_are_those_of_encode(folder, capsys):
     assert len(list(Path("frames").iterdir())) == 7
 
 
+def test_frames_have_the_look_that_is_asked_for(folder, capsys):
+    look = "--panel p.yaml --focus 4 --zoom 1.5 --cone 20"
+    run(capsys, f"encode s.ply -o o.png {look}")
+    out = run(capsys, f"video s.ply -o frames --frames 2 {look}")
+    assert (frame("frames", 0) == read_image("o.png", as_stored=True)).all() and "look: depth 4 in" in out
+
+
 def test_a_lossless_video_has_the_same_frames(folder, capsys):
     pytest.importorskip("av", reason="videos need the extra `video`")
     line = "video s.ply --panel p.yaml --turntable 1 --fps 5 --degrees 40 -o"
@@ -218,6 +225,7 @@ def test_a_video_with_depth_beside_it(folder, capsys):
         ("video s.ply -o frames --quilt 4x3 --bridge", "--bridge shows one file"),
         ("video s.ply -o a.mp4 --quilt 4x3 --bridge http://127.0.0.1:9", "Bridge does not answer|PyAV"),
         ("video s.ply -o frames --turntable 3 --path p.json", "take each other's place"),
+        ("video s.ply -o frames --rig r.yaml --path p.json", "--path and --rig take each other's place"),
         ("video s.ply -o frames --turntable 3 --frames 5", "take each other's place"),
         ("video s.ply -o frames --path no.json", "cannot read"),
         ("video s.ply -o frames --fps 0", "expected frames a second"),

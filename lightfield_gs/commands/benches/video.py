@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--files",
         default="none,png",
-        help=f"where frames go, with commas, of {', '.join(video.SINKS)} (the last two: PyAV; default: %(default)s)",
+        help=f"where frames go, with commas: {', '.join(video.SINKS)}; the last two by PyAV (default: %(default)s)",
     )
     parser.add_argument(
         "--frames",

@@ -21,6 +21,7 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.encode import scene_hash
 from lightfield_gs.commands.options.camera import axes_of, choose_rig, read_given
 from lightfield_gs.commands.options.drawn import settle_drawing
+from lightfield_gs.commands.options.look import apply_look
 from lightfield_gs.commands.options.scene import check_scene_options, load_scene
 from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
 from lightfield_gs.panels import framing
@@ -37,7 +38,7 @@ from lightfield_gs.video.turntable import MOST_FRAMES, turntable
 _PHOTO_DEGREES = 20.0
 # Options that decide what the scene of a picture is; of a folder of frames, they belong to its job
 _OF_PICTURES = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "rgbd", "map_orientation", "fov")
-_MORE_OF_PICTURES = ("intrinsics", "remove_background", "reframe")
+_MORE_OF_PICTURES = ("intrinsics", "remove_background", "reframe", "focus", "depth_amount", "cone", "zoom", "pan")
 
 
 @dataclass
@@ -66,12 +67,14 @@ def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stop
     said = settle_drawing(args, file)
     fps = args.fps or DEFAULT_FPS
     if path is not None:
-        rigs = path.relative_to(gaussians.origin).frames(float(fps), args.frames)
+        bare = path.relative_to(gaussians.origin).frames(float(fps), args.frames)
+        rigs = [apply_look(args, rig, panel, gaussians)[0] for rig in bare]
         said.append(f"path: {args.path}, {len(path.rigs)} keyframes in {path.seconds:g} s")
     else:
-        rig, how = choose_rig(given, args, panel, gaussians, file)
+        chosen, how = choose_rig(given, args, panel, gaussians, file)
+        rig, looks = apply_look(args, chosen, panel, gaussians)
         rigs, words = _turntable(args, panel, rig, file, fps)
-        said += [*how, words]
+        said += [*how, *looks, words]
     back = [-part for part in gaussians.origin]
     of_file = [rig.relative_to(back) for rig in rigs]
     job = {
@@ -142,7 +145,8 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     if file is not None:
         raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
     said = settle_drawing(args, None)
-    rig, how = choose_rig(given, args, panel, gaussians, None)
+    chosen, how = choose_rig(given, args, panel, gaussians, None)
+    rig, looks = apply_look(args, chosen, panel, gaussians)
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
         for number, own in scenes(numbers) if numbers else ():
@@ -150,7 +154,9 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
             with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
                 with named(f"frame {number}"):
                     gaussians = loaded(own)
-                    framed = framing.frame_photo(gaussians, panel) if args.reframe else rig
+                    framed = rig
+                    if args.reframe:
+                        framed, _ = apply_look(args, framing.frame_photo(gaussians, panel), panel, gaussians)
             yield number, gaussians, framed
 
     fps = args.fps or pictures.fps or DEFAULT_FPS
@@ -166,7 +172,13 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     words = "each by itself" if args.reframe else f"all as {first.input.name}, the first (each by itself: --reframe)"
     watch.lap("first picture")
     return Shots(
-        count, fps, False, take, lambda number: None if args.reframe else rig, job, [*said, *how, f"framing: {words}"]
+        count,
+        fps,
+        False,
+        take,
+        lambda number: None if args.reframe else rig,
+        job,
+        [*said, *how, *looks, f"framing: {words}"],
     )
 
 

@@ -157,8 +157,8 @@ def _refuse(args: argparse.Namespace, kind: Kind) -> None:
             raise InputError(f"--{name.replace('_', '-')} is for --kind {of}, not {kind}; leave out one of them")
     if args.bridge is not None and args.output.suffix.lower() not in VIDEO_SUFFIXES:
         raise InputError(f"--bridge shows one file, and {args.output} is a folder; give a name that ends in .mp4")
-    pairs = (("turntable", "path"), ("degrees", "path"), ("turntable", "frames"))
-    for one, other in pairs:
+    of_path = (("path", name) for name in ("turntable", "degrees", "rig", "camera", "up"))
+    for one, other in (*of_path, ("turntable", "frames")):
         if getattr(args, one) is not None and getattr(args, other) is not None:
             raise InputError(f"--{one} and --{other} take each other's place; leave out one of them")
 
