@@ -18,7 +18,7 @@ from lightfield_gs.commands.options.panel import add_panel, load_panel
 from lightfield_gs.commands.options.photo import add_depth
 from lightfield_gs.commands.options.scene import add_skip_invalid
 from lightfield_gs.commands.options.values import threads
-from lightfield_gs.commands.options.video import DEFAULT_SWAY_S, Result, add_motion, add_result, checked_result
+from lightfield_gs.commands.options.video import Result, add_motion, add_result, checked_result
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.panel import Panel
 
@@ -121,8 +121,7 @@ def _draw(args: argparse.Namespace, panel: Panel, result: Result, fps: Fraction,
     if result.tiles is not None:
         return QuiltFrames(panel, drawing, result.tiles)
     if result.kind == "2d":
-        sway_s = DEFAULT_SWAY_S if args.sway is None else args.sway
-        return EyeFrames(panel, drawing, float(sway_s * fps) or None)
+        return EyeFrames(panel, drawing, None if args.sway is None else float(args.sway * fps))
     return NativeFrames(panel, drawing, is_one_scene)
 
 

@@ -18,7 +18,7 @@ from lightfield_gs.video.quilt_tiles import QuiltTiles, stated_tiles
 from lightfield_gs.video.turntable import MOST_FRAMES
 from lightfield_gs.video.video_file import CODECS, KINDS, VIDEO_SUFFIXES, CodecName, Kind, choose_codec
 
-DEFAULT_FPS, DEFAULT_SECONDS, DEFAULT_SWAY_S = Fraction(30), 10.0, 4.0
+DEFAULT_FPS, DEFAULT_SECONDS = Fraction(30), 10.0
 _QUILT = (8, 6)  # of Looking Glass Portrait
 _MOST_SECONDS = 1e5
 
@@ -91,10 +91,10 @@ def add_result(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--sway",
-        type=within(0, _MOST_SECONDS, "seconds"),
+        type=within(1e-3, _MOST_SECONDS, "seconds"),
         metavar="SECONDS",
-        help=f"of --kind 2d: the eye goes from side to side and back in so many (default {DEFAULT_SWAY_S:g}; 0: it "
-        "stays in the middle)",
+        help="of --kind 2d: the eye goes from the middle to the right, to the left and back in so many (default: it "
+        "stays in the middle; with --degrees 0 nothing else moves)",
     )
     add("--compression", choices=COMPRESSIONS, default="fast", help="of PNG files: quick to write, or small")
     add(
