@@ -10,11 +10,14 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.encode import encode, interlace
     from lightfield_gs.encoding.encoder import Encoder
     from lightfield_gs.encoding.pruning import prune
+    from lightfield_gs.encoding.quilt import quilt
     from lightfield_gs.encoding.sorted_plan import SortedPlan
+    from lightfield_gs.encoding.weave import weave
     from lightfield_gs.fitting.fit import FitResult, fit
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.look import Look
     from lightfield_gs.panels.panel import Panel
+    from lightfield_gs.panels.quilt import QuiltLayout
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.encoder import PhotoEncoder
     from lightfield_gs.photo.load import load_photo
@@ -35,6 +38,7 @@ _HOMES = {
     "Panel": "panels.panel",
     "PhotoEncoder": "photo.encoder",
     "Quality": "rasterizer.quality",
+    "QuiltLayout": "panels.quilt",
     "Rig": "panels.rig",
     "SortedPlan": "encoding.sorted_plan",
     "SplatterNet": "models",
@@ -44,7 +48,9 @@ _HOMES = {
     "interlace": "encoding.encode",
     "load_photo": "photo.load",
     "prune": "encoding.pruning",
+    "quilt": "encoding.quilt",
     "render": "rasterizer.images",
+    "weave": "encoding.weave",
 }
 # Spelled out for type checkers: they take no other name as public, and would not run a line that makes it from _HOMES
 __all__ = [
@@ -57,6 +63,7 @@ __all__ = [
     "Panel",
     "PhotoEncoder",
     "Quality",
+    "QuiltLayout",
     "Rig",
     "SortedPlan",
     "SplatterNet",
@@ -67,7 +74,9 @@ __all__ = [
     "interlace",
     "load_photo",
     "prune",
+    "quilt",
     "render",
+    "weave",
 ]
 __version__ = "0.1.0"
 

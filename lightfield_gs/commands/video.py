@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack
+from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from lightfield_gs.commands.options.photo import add_depth
 from lightfield_gs.commands.options.scene import add_skip_invalid
 from lightfield_gs.commands.options.values import threads
 from lightfield_gs.commands.options.video import Result, add_motion, add_result, checked_result
+from lightfield_gs.commands.quilt import framed_for
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.panels.panel import Panel
 
@@ -68,6 +70,8 @@ def run(args: argparse.Namespace) -> None:
     watch = Stopwatch(args.began)
     panel = load_panel(args)
     result = checked_result(args, panel)
+    if result.layout is not None:
+        panel = framed_for(result.layout, panel)
     camera_file = args.camera and args.camera[0]
     read = (args.input, args.rig, args.panel, args.path, args.mask, args.depth, args.checkpoint, camera_file)
     check_outputs((result.path,), read)
@@ -99,15 +103,15 @@ def run(args: argparse.Namespace) -> None:
     print(made.words())
     print(watch.line())
     print("".join(f"{line}\n" for line in shots.said), end="")
-    if args.bridge is not None and result.tiles is not None:
-        cast(result.path, result.tiles.columns, result.tiles.rows, result.tiles.aspect, url=args.bridge)
+    if args.bridge is not None and result.layout is not None:
+        cast(result.path, result.layout.columns, result.layout.rows, result.layout.aspect, url=args.bridge)
         print(f"{result.path}: shown by Looking Glass Bridge")
 
 
 def _words(result: Result) -> str:
     kind = {"native": "native", "quilt": "quilt", "2d": "one eye"}[result.kind]
-    if result.tiles is not None:
-        kind += f" of {result.tiles.columns} x {result.tiles.rows} views"
+    if result.layout is not None:
+        kind += f" of {result.layout.columns} x {result.layout.rows} views"
     return f"{kind}, {result.codec or 'PNG'}"
 
 
@@ -118,8 +122,8 @@ def _draw(args: argparse.Namespace, panel: Panel, result: Result, fps: Fraction,
     drawing = Drawing(args.views, args.background, args.quality, args.antialiased)
     if result.kind != "native" and (args.views, args.quality) != ("integer", "exact"):
         raise InputError(f"--views and --quality are of native pictures, not of --kind {result.kind}; leave them out")
-    if result.tiles is not None:
-        return QuiltFrames(panel, drawing, result.tiles)
+    if result.layout is not None:
+        return QuiltFrames(panel, drawing, result.layout)
     if result.kind == "2d":
         return EyeFrames(panel, drawing, None if args.sway is None else float(args.sway * fps))
     return NativeFrames(panel, drawing, is_one_scene)
@@ -148,7 +152,7 @@ def _sink(args: argparse.Namespace, panel: Panel, result: Result, shots, size_px
         "software": software,
         "kind": result.kind,
         "size": list(size_px),
-        "tiles": None if result.tiles is None else [result.tiles.columns, result.tiles.rows, result.tiles.aspect],
+        "quilt": None if result.layout is None else asdict(result.layout),
         "panel": panel.to_dict(),
         "views": args.views,
         "quality": args.quality,

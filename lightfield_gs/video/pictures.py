@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour, bytes_of
 from lightfield_gs.base.options import QualityName, Views
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
+from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
-from lightfield_gs.video.quilt_tiles import QuiltTiles
 
-_MOST_PIXELS = 4_000_000  # of views that are rendered at a time, so that small ones go in batches
 _EYE_WIDTH_PX = 1920
 
 
@@ -58,22 +56,20 @@ class NativeFrames:
 
 
 class QuiltFrames:
-    """All views as tiles of one picture, uint8 [H, W, 3]."""
+    """All views as tiles of one picture, uint8 [H, W, 3].
 
-    def __init__(self, panel: Panel, drawing: Drawing, tiles: QuiltTiles):
-        self.size_px = tiles.size_px
-        self._tiles, self._drawing = tiles, drawing
-        self._panel = replace(panel, width_px=tiles.tile_px[0], height_px=tiles.tile_px[1], views=tiles.views)
-        self._scale = tiles.tile_px[0] / panel.width_px, tiles.tile_px[1] / panel.height_px
-        order = range(tiles.views - 1, -1, -1)  # a quilt's first view is the left-most camera, a panel's goes right
-        self._places = [view + 0.5 for view in (reversed(order) if panel.invert_views else order)]
+    panel: whose picture the rig is for, of the views' aspect. layout: with its size.
+    """
+
+    def __init__(self, panel: Panel, drawing: Drawing, layout: QuiltLayout):
+        self.size_px = layout.width_px or 0, layout.height_px or 0
+        self._panel, self._drawing, self._layout = panel, drawing, layout
 
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
         """The quilt, on the device of the Gaussians."""
-        (fx, fy), (cx, cy), (x, y) = rig.focal_px, rig.principal_point_px, self._scale
-        rig = replace(rig, focal_px=(fx * x, fy * y), principal_point_px=(cx * x, cy * y))
-        views = rendered(gaussians, self._panel, rig, self._places, self._drawing)
-        return self._tiles.joined(views)
+        tile, fan = self._layout.fitted(self._panel, rig)
+        how = self._drawing
+        return quilt(gaussians, self._layout, fan, tile, background=how.background, antialiased=how.antialiased)
 
 
 class EyeFrames:
@@ -95,15 +91,5 @@ class EyeFrames:
         share = 0.0 if self._sway is None else math.sin(2 * math.pi * number / self._sway)
         side = -1 if self._panel.invert_views else 1
         place = small.views / 2 - side * share * (small.views - 1) / 2
-        return rendered(gaussians, small, rig, [place], self._drawing)[0]
-
-
-def rendered(gaussians: Gaussians, panel: Panel, rig: Rig, places: Sequence[float], drawing: Drawing) -> Tensor:
-    """Views at these places x of the rig, uint8 [C, H, W, 3], at the panel's size."""
-    each = max(1, _MOST_PIXELS // (panel.width_px * panel.height_px))
-    parts = []
-    for first in range(0, len(places), each):
-        cameras = rig.cameras_at(panel, places[first : first + each])
-        images = render(gaussians, cameras, background=drawing.background, antialiased=drawing.antialiased)
-        parts.append(bytes_of(images))
-    return torch.cat(parts)
+        cameras, how = rig.cameras_at(small, [place]), self._drawing
+        return bytes_of(render(gaussians, cameras, background=how.background, antialiased=how.antialiased)[0])

@@ -230,6 +230,8 @@ def test_a_video_with_depth_beside_it(folder, capsys):
         ("video s.ply -o frames --path no.json", "cannot read"),
         ("video s.ply -o frames --fps 0", "expected frames a second"),
         ("video s.ply -o frames --fps nan", "expected frames a second"),
+        ("video s.ply -o frames --quilt 4x3 --quilt-size 3x300", "too few for 4 x 3 views"),
+        ("video s.ply -o a_qs4x3a1.6.mp4 --quilt portrait", "its name says|PyAV"),
         ("video s.ply -o frames --reframe", "is for pictures in a row"),
         ("video s.ply -o frames --depth d", "--depth is for photos"),
         ("video s.ply -o frames --kind 2d --quality fast", "of native pictures"),

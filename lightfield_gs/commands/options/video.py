@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -13,13 +13,13 @@ from lightfield_gs.base.options import COMPRESSIONS
 from lightfield_gs.commands.options.values import whole, whole_numbers, within
 from lightfield_gs.io.atomic import check_folder, check_output_path
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.quilt import QUILT_PRESETS, QuiltLayout, stated_layout, with_suffix
 from lightfield_gs.show.bridge import BRIDGE_URL
-from lightfield_gs.video.quilt_tiles import QuiltTiles, stated_tiles
 from lightfield_gs.video.turntable import MOST_FRAMES
 from lightfield_gs.video.video_file import CODECS, KINDS, VIDEO_SUFFIXES, CodecName, Kind, choose_codec
 
 DEFAULT_FPS, DEFAULT_SECONDS = Fraction(30), 10.0
-_QUILT = (8, 6)  # of Looking Glass Portrait
+_MOST_SIDE_PX = 4096  # of a quilt where no size is said: more than that many decoders of H.264 do not take
 _MOST_SECONDS = 1e5
 
 
@@ -79,15 +79,17 @@ def add_result(add: Callable[..., argparse.Action]) -> None:
     )
     add(
         "--quilt",
-        type=whole_numbers(1, 100, "x", 2),
-        metavar="COLUMNSxROWS",
-        help="views of --kind quilt (default: what the name says, else 8x6)",
+        type=_quilt,
+        metavar="PRESET|CxR",
+        help=f"of --kind quilt: what Looking Glass has for a device ({', '.join(QUILT_PRESETS)}), or columns and rows "
+        "of views (default: what the name says, else 8x6)",
     )
     add(
         "--quilt-size",
         type=whole_numbers(2, 16384, "x", 2),
         metavar="WIDTHxHEIGHT",
-        help="of the whole quilt, pixels (default: views of the panel's aspect, as large as fit into 4096x4096)",
+        help="of the whole quilt, pixels; made even, and whole tiles (default: the preset's, else as large as fits "
+        "into 4096x4096)",
     )
     add(
         "--sway",
@@ -119,35 +121,58 @@ def add_result(add: Callable[..., argparse.Action]) -> None:
 
 @dataclass(frozen=True)
 class Result:
-    """Where the frames go. codec: None for a folder of PNG files. tiles: of a quilt."""
+    """Where the frames go. codec: None for a folder of PNG files. layout: of a quilt, with its size."""
 
     path: Path
     kind: Kind
     codec: CodecName | None
-    tiles: QuiltTiles | None
+    layout: QuiltLayout | None
 
 
 def checked_result(args: argparse.Namespace, panel: Panel) -> Result:
     """What the options say of the result. Raises InputError where they do not go together, or it cannot be written."""
     path: Path = args.output
-    stated = stated_tiles(path)
+    stated = stated_layout(path)
     kind: Kind = args.kind or ("quilt" if args.quilt or args.quilt_size or stated else "native")
     if args.kind is None and args.sway is not None:
         kind = "2d"
     _refuse(args, kind)
-    tiles = None
-    if kind == "quilt":
-        columns, rows = args.quilt or (stated[:2] if stated else _QUILT)
-        aspect = stated[2] if stated else panel.width_px / panel.height_px
-        tiles = QuiltTiles.fitted(columns, rows, aspect, args.quilt_size)
+    layout = _layout(args, panel, stated) if kind == "quilt" else None
     if not path.suffix or path.is_dir():
         if args.codec is not None:
             raise InputError(f"--codec is of videos, and {path} is a folder of PNG files; leave out one of them")
-        return Result(check_folder(path), kind, None, tiles)
+        return Result(check_folder(path), kind, None, layout)
     codec = choose_codec(path, kind, args.codec)
     if args.overwrite:
         raise InputError("--overwrite is about folders of frames; a video is written anew in any case, leave it out")
-    return Result(check_output_path(path if tiles is None else tiles.named(path)), kind, codec, tiles)
+    return Result(check_output_path(path if layout is None else with_suffix(path, layout)), kind, codec, layout)
+
+
+def _layout(args: argparse.Namespace, panel: Panel, stated: QuiltLayout | None) -> QuiltLayout:
+    """The layout of a quilt with its size: even sides, which 4:2:0 needs, and tiles that fill it. Raises InputError."""
+    aspect = stated.aspect if stated is not None else panel.width_px / panel.height_px
+    base = args.quilt or stated or QuiltLayout(8, 6, aspect)  # as many as Looking Glass Portrait
+    if not isinstance(base, QuiltLayout):
+        base = QuiltLayout(base[0], base[1], aspect)
+    width, height = args.quilt_size or (base.width_px, base.height_px)
+    if width is None or height is None:
+        across = min(_MOST_SIDE_PX // base.columns, int(_MOST_SIDE_PX // base.rows * base.aspect))
+        width, height = across * base.columns, round(across / base.aspect) * base.rows
+    sides = [_filled(side, tiles) for side, tiles in ((width, base.columns), (height, base.rows))]
+    if min(sides) < 1:
+        raise InputError(f"--quilt-size: {width} x {height} pixels are too few for {base.columns} x {base.rows} views")
+    return replace(base, width_px=sides[0], height_px=sides[1])
+
+
+def _filled(side_px: int, tiles: int) -> int:
+    """The largest even multiple of the number of tiles up to a side."""
+    each = side_px // tiles
+    return tiles * (each - each * tiles % 2)
+
+
+def _quilt(text: str) -> QuiltLayout | tuple[int, ...]:
+    """ "portrait" -> its layout; "8x6" -> (8, 6)."""
+    return QUILT_PRESETS[text] if text in QUILT_PRESETS else whole_numbers(1, 1000, "x", 2)(text)
 
 
 def _refuse(args: argparse.Namespace, kind: Kind) -> None:
