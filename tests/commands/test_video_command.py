@@ -140,7 +140,7 @@ def test_a_quilt_video_has_the_name_that_says_so(folder, capsys, monkeypatch):
 
 # Ends and beginnings
 
-SLOW = "video s.ply -o {} --panel toy-8v --turntable 10 --fps 30 --compression small --threads 1 --writers 2"
+SLOW = "video s.ply -o {} --panel toy-8v --turntable 4 --fps 30 --compression small --threads 1 --writers 2"
 
 
 def start(folder: str) -> subprocess.Popen:
@@ -160,12 +160,12 @@ def test_stopped_and_taken_up_again_is_the_same_folder(folder, capsys, number, c
     _, errors = running.communicate()
     assert running.returncode == code and "Traceback" not in errors
     there = {name: data for name, data in contents("part").items() if name.startswith("frame-")}
-    assert 6 <= len(there) < 300
+    assert 4 <= len(there) < 120  # two writers: one frame before the sixth may be missing
     out = run(capsys, SLOW.format("part").replace("--writers 2", "--writers 3"))
     assert f"of which {len(there)} were there" in out
     run(capsys, SLOW.format("whole"))
     part = contents("part")
-    assert part == contents("whole") and there.items() <= part.items() and len(part) == 301
+    assert part == contents("whole") and there.items() <= part.items() and len(part) == 121
 
 
 def test_another_scene_or_option_is_another_job(folder, capsys):
