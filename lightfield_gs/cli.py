@@ -27,12 +27,13 @@ COMMANDS = {
     "prune": "leave out of a scene what hardly shows on a panel",
     "video": "a scene with moving cameras, or pictures in a row, to frames for a panel",
     "simulate": "what an eye sees through the lenses",
+    "calibrate": "make a profile fit its panel",
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
 # Their values may begin with a minus sign
-_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--pan", "--shift")
+_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--pan", "--shift", "--corners")
 
 
 class _Parser(argparse.ArgumentParser):
