@@ -32,8 +32,9 @@ COMMANDS = {
     "bench": "measure speed and accuracy",
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
-# Their values may begin with a minus sign
+# Options whose values may begin with a minus sign
 _VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--pan", "--shift", "--corners")
+_VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre", "line-number", "slant", "phase"))
 
 
 class _Parser(argparse.ArgumentParser):

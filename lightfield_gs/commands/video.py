@@ -14,7 +14,7 @@ from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background
-from lightfield_gs.commands.options.look import add_look
+from lightfield_gs.commands.options.look import add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
 from lightfield_gs.commands.options.photo import add_depth
 from lightfield_gs.commands.options.scene import add_skip_invalid
@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_panel(add, "for framing")
     add_camera(add)
     add_look(add)
+    add_depth_report(add)
     add_skip_invalid(add)
     add("--mask", type=Path, metavar="PATH", help="cut-out of a photo; of a sequence, a folder or a video of cut-outs")
     add("--remove-background", action="store_true", help="cut the object out of photos with rembg, as `encode` does")

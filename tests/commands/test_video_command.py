@@ -74,10 +74,10 @@ def test_frames_are_those_of_encode(folder, capsys):
 
 
 def test_frames_have_the_look_that_is_asked_for(folder, capsys):
-    look = "--panel p.yaml --focus 4 --zoom 1.5 --cone 20"
+    look = "--panel p.yaml --focus 3.9 --zoom 1.1 --cone 8"
     run(capsys, f"encode s.ply -o o.png {look}")
     out = run(capsys, f"video s.ply -o frames --frames 2 {look}")
-    assert (frame("frames", 0) == read_image("o.png", as_stored=True)).all() and "look: depth 4 in" in out
+    assert (frame("frames", 0) == read_image("o.png", as_stored=True)).all() and "look: depth 3.9 in" in out
 
 
 def test_a_lossless_video_has_the_same_frames(folder, capsys):

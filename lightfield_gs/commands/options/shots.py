@@ -21,7 +21,7 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.encode import scene_hash
 from lightfield_gs.commands.options.camera import axes_of, choose_rig, read_given
 from lightfield_gs.commands.options.drawn import settle_drawing
-from lightfield_gs.commands.options.look import apply_look
+from lightfield_gs.commands.options.look import apply_look, report_depth
 from lightfield_gs.commands.options.scene import check_scene_options, load_scene
 from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
 from lightfield_gs.panels import framing
@@ -75,6 +75,7 @@ def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stop
         rig, looks = apply_look(args, chosen, panel, gaussians)
         rigs, words = _turntable(args, panel, rig, file, fps)
         said += [*how, *looks, words]
+    said += report_depth(args, rigs[0], panel, gaussians)
     back = [-part for part in gaussians.origin]
     of_file = [rig.relative_to(back) for rig in rigs]
     job = {
@@ -147,6 +148,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     said = settle_drawing(args, None)
     chosen, how = choose_rig(given, args, panel, gaussians, None)
     rig, looks = apply_look(args, chosen, panel, gaussians)
+    looks += report_depth(args, rig, panel, gaussians)
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
         for number, own in scenes(numbers) if numbers else ():
