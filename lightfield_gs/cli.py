@@ -22,7 +22,10 @@ from lightfield_gs.base.errors import InputError
 COMMANDS = {
     "fit": "photographs of a scene to its Gaussians",
     "encode": "a photo or a .ply to the image of a panel",
+    "quilt": "a photo or a scene to a Looking Glass quilt of its views",
+    "weave": "a quilt, or a folder of views, to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
+    "video": "a scene with moving cameras, or pictures in a row, to frames for a panel",
     "simulate": "what an eye sees through the lenses",
     "calibrate": "make a profile fit its panel",
     "info": "say what a file holds",
@@ -30,7 +33,8 @@ COMMANDS = {
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
 # Options whose values may begin with a minus sign
-_VECTOR_OPTIONS: tuple[str, ...] = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--corners", "--pan")
+_VECTOR_OPTIONS: tuple[str, ...] = ("--eye", "--eyes", "--background", "--depth-range", "--intrinsics", "--up", "--pan")
+_VECTOR_OPTIONS += ("--shift", "--corners")
 _VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre", "line-number", "slant", "phase"))
 
 

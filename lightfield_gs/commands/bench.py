@@ -21,6 +21,7 @@ BENCHMARKS = {
     "photo": "a photo through the network to the image",
     "pareto": "run time against error over the settings of quality",
     "skips": "what each skip of what a scene does not need saves",
+    "video": "frames a second of a turntable, with and without writing them",
     "dense": "forward and backward of one camera before many Gaussians",
     "eyes": "what eyes across the cone see, with and without --view-filter",
     "fit": "fits to the photographs of a capture, beside gsplat's",

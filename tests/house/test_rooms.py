@@ -23,6 +23,7 @@ ROOMS = (
     "lightfield_gs.models",
     "lightfield_gs.photo",
     "lightfield_gs.show",
+    "lightfield_gs.video",
     "lightfield_gs.fitting",
     "training",
     "lightfield_gs.bench",

@@ -1,0 +1,204 @@
+"""What the frames of a video show: one scene with cameras that move, or a scene for each picture of a sequence."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import io
+import json
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.encode import scene_hash
+from lightfield_gs.commands.options.camera import axes_of, choose_rig, read_given
+from lightfield_gs.commands.options.drawn import settle_drawing
+from lightfield_gs.commands.options.look import apply_look, report_depth
+from lightfield_gs.commands.options.scene import check_scene_options, load_scene
+from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
+from lightfield_gs.panels import framing
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.scene.axes import stated_up, upright
+from lightfield_gs.scene.files import SceneFile
+from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.video.camera_path import CameraPath
+from lightfield_gs.video.make import Shots as FrameScenes
+from lightfield_gs.video.sequence import Sequence, is_sequence, open_sequence, scratch_folder
+from lightfield_gs.video.turntable import MOST_FRAMES, turntable
+
+_PHOTO_DEGREES = 20.0
+# Options that decide what the scene of a picture is; of a folder of frames, they belong to its job
+_OF_PICTURES = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "rgbd", "map_orientation", "fov")
+_MORE_OF_PICTURES = ("intrinsics", "remove_background", "reframe", "focus", "depth_amount", "cone", "zoom", "pan")
+
+
+@dataclass
+class Shots:
+    """count: of frames; take: see video.make.Shots; rig_of_file: of a frame's metadata, in the coordinates of the
+    scene's file, None where it is not known before the frame is drawn; job: what the frames hang on beside the options
+    of drawing, JSON values; said: lines on what was decided."""
+
+    count: int
+    fps: Fraction
+    is_one_scene: bool
+    take: FrameScenes
+    rig_of_file: Callable[[int], Rig | None]
+    job: dict[str, Any]
+    said: list[str] = field(default_factory=list)
+
+
+def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stopwatch, stack: ExitStack) -> Shots:
+    """One scene, or the scene of one photo, with cameras that move. Raises InputError."""
+    if args.reframe:
+        raise InputError(f"--reframe is for pictures in a row, and {args.input} is one scene; leave it out")
+    check_scene_options(args)
+    given = read_given(args, panel)
+    path = None if args.path is None else CameraPath.load(args.path, panel)
+    gaussians, file = load_scene(args, device, watch)
+    said = settle_drawing(args, file)
+    fps = args.fps or DEFAULT_FPS
+    if path is not None:
+        bare = path.relative_to(gaussians.origin).frames(float(fps), args.frames)
+        rigs = [apply_look(args, rig, panel, gaussians)[0] for rig in bare]
+        said.append(f"path: {args.path}, {len(path.rigs)} keyframes in {path.seconds:g} s")
+    else:
+        chosen, how = choose_rig(given, args, panel, gaussians, file)
+        rig, looks = apply_look(args, chosen, panel, gaussians)
+        rigs, words = _turntable(args, panel, rig, file, fps)
+        said += [*how, *looks, words]
+    said += report_depth(args, rigs[0], panel, gaussians)
+    back = [-part for part in gaussians.origin]
+    of_file = [rig.relative_to(back) for rig in rigs]
+    job = {
+        "input": args.input.name,
+        "device": device,  # which rounds in its own way
+        "scene": scene_hash(gaussians),
+        "rigs": hashlib.sha256(json.dumps([rig.to_dict() for rig in of_file]).encode()).hexdigest(),
+    }
+    watch.lap("cameras")
+    return Shots(
+        len(rigs),
+        fps,
+        True,
+        lambda numbers: ((number, gaussians, rigs[number]) for number in numbers),
+        of_file.__getitem__,
+        job,
+        said,
+    )
+
+
+def _turntable(
+    args: argparse.Namespace, panel: Panel, rig: Rig, file: SceneFile | None, fps: Fraction
+) -> tuple[list[Rig], str]:
+    """The rigs of --turntable, and a line on them."""
+    seconds = DEFAULT_SECONDS if args.turntable is None else args.turntable
+    frames = args.frames or max(1, round(seconds * fps))
+    if frames > MOST_FRAMES:
+        raise InputError(f"--turntable: expected at most {MOST_FRAMES} frames, got {frames}; give a smaller --fps")
+    degrees = (_PHOTO_DEGREES if file is None else 360.0) if args.degrees is None else args.degrees
+    up: np.ndarray | None = None
+    axis = "the camera's vertical"
+    if file is not None and (args.up or stated_up(file.comments)):
+        axis = axes_of(args.up, file).axis
+        up = -upright(axis)[1]
+    is_said = args.turntable is not None or args.degrees is not None
+    assumed = "" if is_said else " (assumed; another: --turntable, --degrees, --path)"
+    words = f"turntable: {degrees:g} degrees about {axis} in {float(frames / fps):g} s{assumed}"
+    return turntable(rig, panel, frames, degrees, up), words
+
+
+def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stopwatch, stack: ExitStack) -> Shots:
+    """A scene for each picture of a folder or a video. Raises InputError."""
+    for name in ("turntable", "degrees", "path"):
+        if getattr(args, name) is not None:
+            raise InputError(f"--{name} is for one scene, and {args.input} is a sequence; leave out one of them")
+    pictures = open_sequence(args.input)
+    beside = {name: _beside(args, name, pictures.count) for name in ("depth", "mask")}
+    folder = stack.enter_context(scratch_folder())
+    count = min(pictures.count, args.frames or pictures.count)
+    given = read_given(args, panel)
+
+    def scenes(numbers: list[int]) -> Iterator[tuple[int, argparse.Namespace]]:
+        """The arguments of each picture, as if it were alone."""
+        parts = {"input": pictures, **{name: part for name, part in beside.items() if part is not None}}
+        rows = [part.pictures(numbers, _made(folder / name)) for name, part in parts.items()]
+        for row in zip(*rows):
+            own = argparse.Namespace(**vars(args))
+            for name, (_, path) in zip(parts, row):
+                setattr(own, name, path)
+            yield row[0][0], own
+
+    def loaded(own: argparse.Namespace) -> Gaussians:
+        return load_scene(own, device, Stopwatch(0.0))[0]
+
+    _, first = next(scenes([0]))
+    check_scene_options(first)
+    gaussians, file = load_scene(first, device, watch)
+    if file is not None:
+        raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
+    said = settle_drawing(args, None)
+    chosen, how = choose_rig(given, args, panel, gaussians, None)
+    rig, looks = apply_look(args, chosen, panel, gaussians)
+    looks += report_depth(args, rig, panel, gaussians)
+
+    def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
+        for number, own in scenes(numbers) if numbers else ():
+            # What is to be said of the first is said of it; of all others it would be the same again
+            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+                with named(f"frame {number}"):
+                    gaussians = loaded(own)
+                    framed = rig
+                    if args.reframe:
+                        framed, _ = apply_look(args, framing.frame_photo(gaussians, panel), panel, gaussians)
+            yield number, gaussians, framed
+
+    fps = args.fps or pictures.fps or DEFAULT_FPS
+    job = {
+        "input": args.input.name,
+        "device": device,
+        "pictures": pictures.digest(),
+        "rig": None if args.reframe else rig.to_dict(),
+        **{name: part.digest() for name, part in beside.items() if part is not None},
+        **{name: getattr(args, name) for name in (*_OF_PICTURES, *_MORE_OF_PICTURES)},
+        "checkpoint": args.checkpoint and hashlib.sha256(args.checkpoint.read_bytes()).hexdigest(),
+    }
+    words = "each by itself" if args.reframe else f"all as {first.input.name}, the first (each by itself: --reframe)"
+    watch.lap("first picture")
+    return Shots(
+        count,
+        fps,
+        False,
+        take,
+        lambda number: None if args.reframe else rig,
+        job,
+        [*said, *how, *looks, f"framing: {words}"],
+    )
+
+
+def _beside(args: argparse.Namespace, name: str, count: int) -> Sequence | None:
+    """The pictures of --depth or --mask, one for each of the sequence. Raises InputError."""
+    path: Path | None = getattr(args, name)
+    if path is None:
+        return None
+    if not path.is_dir() and not is_sequence(path):
+        raise InputError(f"--{name}: expected a folder or a video, as {args.input} is a sequence, got {path}")
+    pictures = open_sequence(path, maps=True)
+    if pictures.count != count:
+        raise InputError(
+            f"--{name}: expected one for each of the {count} pictures of {args.input}, got {pictures.count} in {path}"
+        )
+    return pictures
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    return folder

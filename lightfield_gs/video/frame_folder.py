@@ -1,0 +1,130 @@
+"""Frames as PNG files in a folder, written beside the drawing; what is there already is not drawn again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Compression
+from lightfield_gs.io.atomic import atomic_path, check_folder, make_folder, remove_file
+from lightfield_gs.io.images import write_image
+from lightfield_gs.io.json_file import read_object
+
+MANIFEST = "frames.json"
+_LIMIT_BYTES = 16 << 20
+_MOST_WRITERS = 16
+
+
+def frame_name(number: int) -> str:
+    """The file of a frame, numbered from 0."""
+    return f"frame-{number:06d}.png"
+
+
+def job_hash(job: dict[str, Any]) -> str:
+    """SHA-256 of what frames are made from and by, JSON values; two jobs that differ anywhere have two hashes."""
+    return hashlib.sha256(json.dumps(job, sort_keys=True).encode()).hexdigest()
+
+
+class FrameFolder:
+    """A folder of `count` frames; use it in a `with`, which waits for the files that are still being written.
+
+    frames.json tells how many frames there are, at how many a second, and the hash of the job that they belong to.
+    `missing` are the numbers of the frames that are to be drawn: those of the same job that are there are kept, which
+    are whole, for a file appears complete or not at all. A folder that holds frames of another job is refused, unless
+    `overwrite` says to remove them.
+    job: what the frames are made from and by, JSON values. metadata: of a frame's file, by its number. writers:
+    threads, for compressing takes longer than drawing (None: one a core, at most 16); twice as many frames wait at
+    most. Raises InputError, also in `put` where an earlier frame could not be written.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        count: int,
+        job: dict[str, Any],
+        *,
+        fps: float,
+        metadata: Callable[[int], dict[str, str]] | None = None,
+        compression: Compression = "fast",
+        writers: int | None = None,
+        overwrite: bool = False,
+    ):
+        self.path = check_folder(folder)
+        writers = min(os.cpu_count() or 1, _MOST_WRITERS) if writers is None else writers
+        self._metadata, self._compression, self._writers = metadata, compression, writers
+        self._manifest: dict[str, Any] = {"job": job_hash(job), "frames": count, "fps": fps, "made": job}
+        self._overwrite = overwrite
+        self.missing = self._missing(count)
+
+    def __enter__(self) -> FrameFolder:
+        make_folder(self.path)
+        for path in self._left_over():
+            remove_file(path)
+        with atomic_path(self.path / MANIFEST) as temporary:
+            temporary.write_text(json.dumps(self._manifest, indent=1) + "\n", encoding="utf-8")
+        self._room = threading.BoundedSemaphore(2 * self._writers)
+        self._pool = ThreadPoolExecutor(self._writers, thread_name_prefix="frames")
+        self._failed: BaseException | None = None
+        return self
+
+    def put(self, number: int, image: np.ndarray) -> None:
+        """Hands over a frame, uint8 [H, W, 3], which must not change any more; waits while too many are on the way."""
+        self._room.acquire()
+        if self._failed is not None:
+            self._room.release()
+            raise self._failed
+        self._pool.submit(self._write, number, image).add_done_callback(self._done)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._pool.shutdown(wait=True)
+        if kind is None and self._failed is not None:
+            raise self._failed
+
+    def _write(self, number: int, image: np.ndarray) -> None:
+        metadata = None if self._metadata is None else self._metadata(number)
+        write_image(self.path / frame_name(number), image, metadata, self._compression)
+
+    def _done(self, future: Future[None]) -> None:
+        self._failed = self._failed or future.exception()
+        self._room.release()
+
+    def _missing(self, count: int) -> list[int]:
+        """Numbers of frames that are not there. Raises InputError where the folder is another job's."""
+        manifest = self.path / MANIFEST
+        there = {path.name for path in self.path.glob("frame-*.png")}
+        if self._overwrite:
+            return list(range(count))
+        if manifest.is_file():
+            other = read_object(manifest, _LIMIT_BYTES)
+            if other.get("job") != self._manifest["job"]:
+                raise InputError(
+                    f"{self.path} holds frames of another job: {_difference(other.get('made'), self._manifest['made'])}"
+                    " differ; give another folder, or --overwrite to remove them"
+                )
+        elif there:
+            raise InputError(
+                f"{self.path} holds {len(there)} frames without a {MANIFEST} that says whose they are; give another "
+                "folder, or --overwrite to remove them"
+            )
+        return [number for number in range(count) if frame_name(number) not in there]
+
+    def _left_over(self) -> list[Path]:
+        """Files of a run that was killed while it wrote them, and with `overwrite` the frames that are there."""
+        frames = self.path.glob("frame-*.png") if self._overwrite else ()
+        return [*self.path.glob(".frame-*.png"), *self.path.glob(f".{Path(MANIFEST).stem}.*.json"), *frames]
+
+
+def _difference(other: Any, made: dict[str, Any]) -> str:
+    """Names of what two jobs do not have in common."""
+    if not isinstance(other, dict):
+        return "their descriptions"
+    return ", ".join(sorted(key for key in {*other, *made} if other.get(key) != made.get(key)))[:200]
