@@ -24,6 +24,8 @@ COMMANDS = {
     "encode": "a photo or a .ply to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
     "simulate": "what an eye sees through the lenses",
+    "view": "a page that shows and steers a scene",
+    "show": "an encoded image on the panel, full screen",
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",
 }
