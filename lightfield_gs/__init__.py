@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.sorted_plan import SortedPlan
     from lightfield_gs.fitting.fit import FitResult, fit
     from lightfield_gs.models import SplatterNet
+    from lightfield_gs.panels.look import Look
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.encoder import PhotoEncoder
@@ -30,6 +31,7 @@ _HOMES = {
     "FitResult": "fitting.fit",
     "Gaussians": "scene.gaussians",
     "InputError": "base.errors",
+    "Look": "panels.look",
     "Panel": "panels.panel",
     "PhotoEncoder": "photo.encoder",
     "Quality": "rasterizer.quality",
@@ -51,6 +53,7 @@ __all__ = [
     "FitResult",
     "Gaussians",
     "InputError",
+    "Look",
     "Panel",
     "PhotoEncoder",
     "Quality",
