@@ -10,6 +10,7 @@ from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, read_given
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
+from lightfield_gs.commands.options.look import add_look, apply_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
 from lightfield_gs.commands.options.photo import add_depth
 from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_options, load_scene
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--remove-background", action="store_true", help="cut the object out of a photo with rembg, as in `encode`")
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add_depth(add)
+    add_look(add)
     add_skip_invalid(add)
     add_antialiased(add)
     add_background(add)
@@ -56,7 +58,8 @@ def run(args: argparse.Namespace) -> None:
         gaussians, file = load_scene(args, device, watch)
         drawn_so = settle_drawing(args, file)
         rig, said = choose_rig(given, args, panel, gaussians, file)
+        rig, look = apply_look(args, rig, panel, gaussians)
     stage = Stage(gaussians, panel, rig, args.background, args.antialiased, args.input.name)
     print(f"{args.input}: {gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
-    print("\n".join([watch.line(), *drawn_so, *said]))
+    print("\n".join([watch.line(), *drawn_so, *said, *look]))
     serve(args, steering_routes(stage, exports(stage)), "/")

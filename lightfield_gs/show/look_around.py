@@ -1,4 +1,4 @@
-"""Views of a light field in one HTML file that needs nothing else: they follow the mouse, a finger or a tilted device."""
+"""Views of a light field in one HTML file, which needs nothing else: they follow the mouse, a finger or a tilt."""
 
 from __future__ import annotations
 
