@@ -21,7 +21,7 @@ def sheet(*layers) -> Gaussians:
     """Sheets of Gaussians across the picture: (depth, opacity, left edge, right edge in shares of the width) each."""
     means, opacities = [], []
     for depth, opacity, left, right in layers:
-        columns, rows = np.meshgrid(np.arange(left * 96, right * 96, 1.5), np.arange(0, 60, 1.5))
+        columns, rows = np.meshgrid(np.arange(left * 96, right * 96, 0.75), np.arange(0, 60, 0.75))
         x, y = (columns - 45) * depth / 96, (rows - 28) * depth / 100
         means.append(np.stack([x.ravel(), y.ravel(), np.full(x.size, depth)], 1))
         opacities.append(np.full(x.size, opacity))
@@ -30,7 +30,7 @@ def sheet(*layers) -> Gaussians:
     return Gaussians(
         means,
         torch.tensor([[1.0, 0, 0, 0]]).repeat(len(means), 1),
-        0.016 * means[:, 2:].repeat(1, 3),
+        0.007 * means[:, 2:].repeat(1, 3),
         torch.from_numpy(np.concatenate(opacities)).float(),
         torch.randn(len(means), 1, 3, generator=generator),
     )

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.values import numbers, within
 from lightfield_gs.panels.panel import Panel
@@ -48,6 +49,28 @@ def add_look(add: Callable[..., argparse.Action]) -> None:
         metavar="X,Y",
         help="moves the picture to the right by X of the panel's width and down by Y of its height (default 0,0)",
     )
+
+
+def add_depth_report(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--depth-report",
+        action="store_true",
+        help="print how deep the scene is on the panel, in px and mm: disparities, what stands before and behind the "
+        "panel, whether that is comfortable, what is sharp, and what the outermost views show that nobody has seen",
+    )
+
+
+def report_depth(args: argparse.Namespace, rig: Rig, panel: Panel, gaussians: Gaussians) -> list[str]:
+    """The lines of --depth-report, [] where it was not given; notes what looks wrong of a scene whose depth or place
+    was steered, or asked about. gaussians: in the rig's coordinates. Raises InputError where the rig shows nothing."""
+    if not args.depth_report and not is_given(args):
+        return []
+    from lightfield_gs.panels.comfort import depth_report
+
+    report = depth_report(gaussians, panel, rig)
+    for words in report.warnings():
+        note(words)
+    return report.lines() if args.depth_report else []
 
 
 def is_given(args: argparse.Namespace) -> bool:
