@@ -54,7 +54,7 @@ def write_preview(
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
         write_image(paths[0], contact_sheet(frames))
-        write_look_around_page(paths[2], frames, panel.name)
+        write_look_around_page(paths[2], frames, f"On panel {panel.name}")
         paths += _write_eyes(folder, image, panel)
         animation.result()
     return paths

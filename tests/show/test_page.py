@@ -15,6 +15,7 @@ from PIL import Image
 
 from lightfield_gs import encode
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
@@ -128,6 +129,9 @@ def test_frames_and_exports_over_the_wire(tmp_path):
         np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "native.png")), drawn)
         panel_png = np.asarray(Image.open(io.BytesIO(get(server, "/panel.png")[1])))
         np.testing.assert_array_equal(panel_png, drawn)  # the panel's page follows what was drawn last
+        depth = json.loads(get(server, f"/depth.json?{controls}")[1])
+        report = depth_report(shown.gaussians, PANEL, Rig.from_yaml(tmp_path / "rig.yaml"))
+        assert depth == {"lines": report.lines(), "warnings": report.warnings()}
         answers = [get(server, f"/focus.json?x=0.5&y={y / 10}") for y in range(11)]
         assert {status for status, *_ in answers} == {200, 400}  # the scene has gaps
         for focus in (json.loads(body)["focus"] for status, body, _ in answers if status == 200):

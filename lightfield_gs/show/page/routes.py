@@ -48,6 +48,10 @@ def steering_routes(stage: Stage, exports: Mapping[str, Callable[[Controls, Path
         point = number(query, "x", 0, 1), number(query, "y", 0, 1)
         return as_json({"focus": lines.draw(False, partial(stage.depth_at, Controls.of(query), point))})
 
+    def depth(query: Mapping[str, str]) -> Answer:
+        lines_said, warnings = lines.draw(True, partial(stage.depth, Controls.of(query)))
+        return as_json({"lines": lines_said, "warnings": warnings})
+
     def native() -> np.ndarray:
         return lines.last(stage.last_native)[1]
 
@@ -62,6 +66,7 @@ def steering_routes(stage: Stage, exports: Mapping[str, Callable[[Controls, Path
         "/scene.json": lambda query: as_json(_scene(stage, list(exports))),
         "/frame": frame,
         "/focus.json": focus,
+        "/depth.json": depth,
         **panel_routes(stage.panel, native, version),
         **{f"/export/{name}": partial(export, name) for name in exports},
     }

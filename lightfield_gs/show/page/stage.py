@@ -17,6 +17,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.panels.cells import PERIOD
+from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.panels.simulate import simulate, unknown_of
@@ -139,6 +140,11 @@ class Stage:
         look = replace(controls.look(), focus=point)
         turned = orbited(self.base, controls.yaw_deg, controls.pitch_deg)
         return look.applied(turned, self.panel, self.gaussians).zero_depth
+
+    def depth(self, controls: Controls) -> tuple[list[str], list[str]]:
+        """How deep the scene is on the panel: lines on that, and warnings (lightfield_gs.panels.comfort)."""
+        report = depth_report(self.gaussians, self.panel, self._rig(controls))
+        return report.lines(), report.warnings()
 
     def eye_mm(self, controls: Controls) -> tuple[float, float, float]:
         """The place of the eye before the panel, mm. Raises InputError where the panel does not say."""

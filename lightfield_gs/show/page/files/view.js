@@ -94,6 +94,8 @@ async function rest() {
       if (now !== moves) return;
       show(pane, picture, true);
     }
+    await showDepth(stopRest.signal);
+    if (now !== moves) return;
     find("#panes").setAttribute("aria-busy", "false");
     rate.length = 0;
   } catch (error) {
@@ -140,6 +142,15 @@ function fit(pane) {
   }
   canvas.style.width = `${width}px`;
   canvas.style.height = `${height}px`;
+}
+
+/** How deep the picture is on the panel, and what is wrong with that. */
+async function showDepth(signal) {
+  const answer = await fetch(`depth.json?${new URLSearchParams(kept())}`, { signal });
+  if (!answer.ok) throw Object.assign(new Error(await answer.text()), { status: answer.status });
+  const { lines, warnings } = await answer.json();
+  const item = (className) => (textContent) => element("li", { className, textContent });
+  find("#depth").replaceChildren(...warnings.map(item("warning")), ...lines.map(item("")));
 }
 
 function showTimes(stages) {
