@@ -10,12 +10,15 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.encode import encode, interlace
     from lightfield_gs.encoding.encoder import Encoder
     from lightfield_gs.encoding.pruning import prune
+    from lightfield_gs.encoding.quilt import quilt
     from lightfield_gs.encoding.sorted_plan import SortedPlan
+    from lightfield_gs.encoding.weave import weave
     from lightfield_gs.fitting.fit import FitResult, fit
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.comfort import DepthReport, depth_report
     from lightfield_gs.panels.look import Look
     from lightfield_gs.panels.panel import Panel
+    from lightfield_gs.panels.quilt import QuiltLayout
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.photo.encoder import PhotoEncoder
     from lightfield_gs.photo.load import load_photo
@@ -37,6 +40,7 @@ _HOMES = {
     "Panel": "panels.panel",
     "PhotoEncoder": "photo.encoder",
     "Quality": "rasterizer.quality",
+    "QuiltLayout": "panels.quilt",
     "Rig": "panels.rig",
     "SortedPlan": "encoding.sorted_plan",
     "SplatterNet": "models",
@@ -47,7 +51,9 @@ _HOMES = {
     "interlace": "encoding.encode",
     "load_photo": "photo.load",
     "prune": "encoding.pruning",
+    "quilt": "encoding.quilt",
     "render": "rasterizer.images",
+    "weave": "encoding.weave",
 }
 # Spelled out for type checkers: they take no other name as public, and would not run a line that makes it from _HOMES
 __all__ = [
@@ -61,6 +67,7 @@ __all__ = [
     "Panel",
     "PhotoEncoder",
     "Quality",
+    "QuiltLayout",
     "Rig",
     "SortedPlan",
     "SplatterNet",
@@ -72,7 +79,9 @@ __all__ = [
     "interlace",
     "load_photo",
     "prune",
+    "quilt",
     "render",
+    "weave",
 ]
 __version__ = "0.1.0"
 

@@ -22,6 +22,8 @@ from lightfield_gs.base.errors import InputError
 COMMANDS = {
     "fit": "photographs of a scene to its Gaussians",
     "encode": "a photo or a .ply to the image of a panel",
+    "quilt": "a photo or a scene to a Looking Glass quilt of its views",
+    "weave": "a quilt, or a folder of views, to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
     "simulate": "what an eye sees through the lenses",
     "view": "a page that shows and steers a scene",
@@ -31,7 +33,7 @@ COMMANDS = {
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
 # Their values may begin with a minus sign
-_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--pan")
+_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--pan", "--shift")
 
 
 class _Parser(argparse.ArgumentParser):

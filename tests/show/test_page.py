@@ -13,10 +13,11 @@ import pytest
 from command_line import PANEL, scene
 from PIL import Image
 
-from lightfield_gs import encode
+from lightfield_gs import encode, render
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.quilt import layout_of_panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.show.page.controls import Controls, orbited
@@ -127,6 +128,13 @@ def test_frames_and_exports_over_the_wire(tmp_path):
         (tmp_path / "rig.yaml").write_bytes(get(server, f"/export/rig.yaml?{controls}")[1])
         drawn = encode(shown.gaussians, PANEL, Rig.from_yaml(tmp_path / "rig.yaml"), quality="high").numpy()
         np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "native.png")), drawn)
+        layout = layout_of_panel(PANEL)
+        name = f"quilt{layout.suffix}.png"
+        (tmp_path / name).write_bytes(get(server, f"/export/{name}?{controls}")[1])
+        left_most = np.asarray(Image.open(tmp_path / name))[layout.tile(0)]
+        rig = Rig.from_yaml(tmp_path / "rig.yaml")
+        view = render(shown.gaussians, rig.cameras(PANEL, [PANEL.views - 1]))[0].numpy()
+        assert np.abs(left_most / 255 - view).max() < 0.01
         panel_png = np.asarray(Image.open(io.BytesIO(get(server, "/panel.png")[1])))
         np.testing.assert_array_equal(panel_png, drawn)  # the panel's page follows what was drawn last
         depth = json.loads(get(server, f"/depth.json?{controls}")[1])

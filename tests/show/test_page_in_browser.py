@@ -1,6 +1,8 @@
 """The pages in a headless Chromium: what is seen, what moves, and that wrong pixels are told."""
 
 import io
+import json
+import signal
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -139,11 +141,11 @@ def test_look_around_page_follows_the_mouse(tmp_path, stage):
 
 
 def test_show_opens_an_encoded_image(tmp_path):
-    import json
-
     write_image(tmp_path / "i.png", np.full((60, 96, 3), 7, np.uint8), {"panel": json.dumps(PANEL.to_dict())})
     process = subprocess.Popen(
-        [sys.executable, "-m", "lightfield_gs", "show", str(tmp_path / "i.png"), "--no-open"], stdout=subprocess.PIPE
+        [sys.executable, "-m", "lightfield_gs", "show", str(tmp_path / "i.png"), "--no-open"],
+        stdout=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     try:
         lines = io.TextIOWrapper(process.stdout)
@@ -152,6 +154,9 @@ def test_show_opens_an_encoded_image(tmp_path):
             page.open(url)
             page.wait("document.querySelector('#picture')?.naturalWidth === 96")
             assert "the panel small has 96 × 60" in page.run("document.querySelector('#word').innerText")
+        process.send_signal(signal.SIGINT)  # Ctrl-C
+        assert process.wait(10) == 0
+        assert lines.read().strip() == "ended"
     finally:
-        process.terminate()
+        process.kill()
         process.wait(10)

@@ -94,7 +94,7 @@ def _note_quilt(path: Path) -> None:
     if name := re.search(r"_qs(\d+)x(\d+)a\d", path.stem):
         note(
             f"{path}: this looks like a Looking Glass quilt of {name[1]} x {name[2]} views, and is taken for one "
-            "photo; its views are interlaced by lightfield_gs.interlace (Python)"
+            "photo; `lightfield-gs weave` takes its views"
         )
 
 

@@ -13,6 +13,7 @@ from typing import cast
 import numpy as np
 import torch
 
+from lightfield_gs.base.arrays import bytes_of
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
@@ -204,8 +205,7 @@ class Stage:
         cameras = rig.cameras_at(panel, [panel.views * (0.5 - side * eye) for eye in eyes])
         with torch.no_grad():
             views = render(self.gaussians, cameras, background=self.background, antialiased=self.antialiased)
-            integers = (views.nan_to_num(0).clamp(0, 1) * 255 + 0.5).to(torch.uint8)
-        return list(integers.cpu().numpy())
+            return list(bytes_of(views).cpu().numpy())
 
     def _box(self, centre: tuple[float, float], size_px: tuple[int, int]) -> tuple[int, int, int, int]:
         """Left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""

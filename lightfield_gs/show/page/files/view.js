@@ -149,8 +149,9 @@ async function showDepth(signal) {
   const answer = await fetch(`depth.json?${new URLSearchParams(kept())}`, { signal });
   if (!answer.ok) throw Object.assign(new Error(await answer.text()), { status: answer.status });
   const { lines, warnings } = await answer.json();
-  const item = (className) => (textContent) => element("li", { className, textContent });
-  find("#depth").replaceChildren(...warnings.map(item("warning")), ...lines.map(item("")));
+  const items = (words) => words.map((textContent) => element("li", { textContent }));
+  find("#warnings").replaceChildren(...items(warnings));
+  find("#depth").replaceChildren(...items(lines));
 }
 
 function showTimes(stages) {

@@ -1,0 +1,241 @@
+"""`lightfield-gs quilt`: a photo or a scene becomes a quilt, the views of a fan of cameras in one picture."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lightfield_gs.base.checks import expect
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES
+from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.encode import package_versions, scene_hash
+from lightfield_gs.commands.options.camera import add_camera, choose_rig, read_given
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
+from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel
+from lightfield_gs.commands.options.photo import add_depth
+from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_options, load_scene
+from lightfield_gs.commands.options.values import whole_numbers, within
+from lightfield_gs.io.atomic import check_output_path, check_outputs
+from lightfield_gs.io.images import check_image_path, write_image
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.quilt import (
+    QUILT_PRESETS,
+    QuiltLayout,
+    check_divides,
+    layout_of_panel,
+    stated_layout,
+    with_suffix,
+)
+from lightfield_gs.photo.side_by_side import is_named_so
+
+if TYPE_CHECKING:
+    from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.scene.gaussians import Gaussians
+
+_DEFAULT_PRESET = "65"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs quilt`."""
+    parser.description = (
+        "Renders the views of a photo or a scene of 3D Gaussians as a quilt, which Looking Glass displays and `weave` "
+        "take: the left-most camera's view at the bottom left, then to the right, then up."
+    )
+    add = parser.add_argument
+    add("input", type=Path, metavar="INPUT", help="a photo or a scene, as `encode` takes it")
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="NAME",
+        help="the quilt, .png (default), .tif; its name gets _qs<columns>x<rows>a<aspect> unless it has it",
+    )
+    _add_layout(add)
+    add_camera(add)
+    add("--save-rig", type=Path, metavar="YAML", help="write the rig that was used, at the pixels of a tile")
+    add(
+        "--save-rgbd",
+        type=Path,
+        metavar="NAME",
+        help="write the centre camera's picture beside its depth map too (right half, bright is near), as "
+        "NAME_rgbd.png",
+    )
+    add("--mask", type=Path, metavar="IMAGE", help="cut-out of a photo, of its size: bright or opaque on the object")
+    add("--remove-background", action="store_true", help="cut the object out of a photo with rembg")
+    add_depth(add)
+    add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
+    add_skip_invalid(add)
+    add_antialiased(add)
+    add_background(add)
+    add("--device", choices=DEVICES, default="auto", help="where network and rasterizer run (default auto)")
+    add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
+
+
+def _add_layout(add) -> None:
+    add(
+        "--preset",
+        "--device-preset",
+        choices=tuple(QUILT_PRESETS),
+        help="tiles, size and aspect that Looking Glass has for a device, by its name or its inches "
+        f"(default {_DEFAULT_PRESET})",
+    )
+    add(
+        "--panel",
+        metavar="PANEL",
+        help="in place of a preset: as many views as a panel has, its aspect and cone, each as large as the panel "
+        "where that makes a quilt of 8192 pixels at most",
+    )
+    add_device_serial(add)
+    add_viewing_distance(add, "of --panel, in place of its own, for framing")
+    add(
+        "--tiles",
+        type=whole_numbers(1, 65536, "x", 2),
+        metavar="CxR",
+        help="columns and rows of views, in place of the preset's",
+    )
+    add("--size", type=whole_numbers(1, 65536, "x", 2), metavar="WxH", help="size of the whole quilt, pixels")
+    add(
+        "--aspect",
+        type=within(0.01, 100),
+        metavar="A",
+        help="width by height of a view as it is seen; its tile may have another (default: the preset's)",
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    """Renders args.input into a quilt. Raises InputError."""
+    watch = Stopwatch(args.began)
+    panel = None if args.panel is None else load_panel(args)
+    if panel is None and (args.device_serial or args.viewing_distance):
+        raise InputError("--device-serial and --viewing-distance are about a --panel; give one, or leave them out")
+    layout = chosen_layout(args, panel)
+    _check_files(args, layout)
+    check_scene_options(args)
+    frame = _framed_for(layout, panel)
+    import torch
+
+    device = choose_device(args.device)
+    given = read_given(args, frame)
+    watch.lap("start")
+    with torch.inference_mode():
+        from lightfield_gs.encoding.quilt import quilt
+
+        gaussians, file = load_scene(args, device, watch)
+        said = settle_drawing(args, file)
+        rig, more = choose_rig(given, args, frame, gaussians, file)
+        tile, fan_rig = layout.fitted(frame, rig)
+        image = quilt(gaussians, layout, fan_rig, tile, background=args.background, antialiased=args.antialiased).cpu()
+        watch.lap("views")
+        of_file = fan_rig.relative_to([-part for part in gaussians.origin])
+        write_image(args.output, image.numpy(), _metadata(args, gaussians, layout, tile, of_file), args.compression)
+        if args.save_rig is not None:
+            of_file.to_yaml(args.save_rig)
+        watch.lap("write")
+        if args.save_rgbd is not None:
+            more.append(_write_rgbd(args, gaussians, frame, rig))
+            watch.lap("RGB-D")
+    width, height = layout.tile_px()
+    print(f"{args.output}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
+    print(watch.line())
+    print("".join(f"{line}\n" for line in said + more), end="")
+
+
+def chosen_layout(args: argparse.Namespace, panel: Panel | None) -> QuiltLayout:
+    """The layout by the options, or else the name of the output, the panel or the preset. Raises InputError."""
+    if panel is not None and args.preset is not None:
+        raise InputError("--panel takes the place of --preset; leave out one of them")
+    stated = stated_layout(args.output)
+    tiles = args.tiles or (stated and args.preset is None and (stated.columns, stated.rows)) or None
+    base = QUILT_PRESETS[args.preset or _DEFAULT_PRESET] if panel is None else layout_of_panel(panel, tiles)
+    if panel is None and args.preset is None and tiles:
+        alike = [one for one in QUILT_PRESETS.values() if (one.columns, one.rows) == tiles]
+        base = alike[0] if alike else base
+    columns, rows = tiles or (base.columns, base.rows)
+    aspect = args.aspect or (stated.aspect if stated and args.preset is None else base.aspect)
+    width, height = base.width_px or 0, base.height_px or 0
+    if args.size is not None:
+        width, height = args.size
+    elif (columns, rows) != (base.columns, base.rows):
+        width, height = width // columns * columns, height // rows * rows
+    if width < columns or height < rows:
+        raise InputError(f"--size: {width} x {height} pixels are too few for {columns} x {rows} tiles")
+    layout = QuiltLayout(columns, rows, aspect, width, height)
+    check_divides(layout, "--size")
+    return layout
+
+
+def _framed_for(layout: QuiltLayout, panel: Panel | None) -> Panel:
+    """The panel that scenes are framed for: that of --panel itself, where the views have its aspect."""
+    if panel is None:
+        return layout.panel(DEFAULT_CONE_DEG)
+    own = replace(panel, views=layout.views, invert_views=False)
+    if abs(layout.aspect * panel.height_px / panel.width_px - 1) < 0.01:
+        return own
+    return replace(own, width_px=max(1, round(panel.height_px * layout.aspect)))
+
+
+def _check_files(args: argparse.Namespace, layout: QuiltLayout) -> None:
+    """Completes the names of the outputs; raises InputError for those that cannot be written, or would be written
+    over."""
+    args.output = check_image_path(with_suffix(args.output, layout))
+    if args.output.suffix.lower() == ".exr":
+        raise InputError(f"cannot write {args.output}: a quilt has 8 bits; give .png or .tif")
+    if args.save_rgbd is not None:
+        path = args.save_rgbd
+        if not is_named_so(path):
+            path = path.with_name(f"{path.stem}_rgbd{path.suffix}")
+        args.save_rgbd = check_image_path(path if path.suffix else path.with_name(f"{path.name}.png"))
+    if args.save_rig is not None:
+        check_output_path(args.save_rig)
+    read = (args.input, args.rig, args.panel, args.mask, args.depth, args.checkpoint, args.camera and args.camera[0])
+    check_outputs((args.output, args.save_rig, args.save_rgbd), read)
+
+
+def _write_rgbd(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig) -> str:
+    """Writes the RGB-D image of the centre view, and returns how to read it."""
+    import math
+
+    from lightfield_gs.encoding.quilt import rgbd
+
+    image, (near, far) = rgbd(gaussians, panel, rig, background=args.background, antialiased=args.antialiased)
+    longer = max(panel.width_px / rig.focal_px[0], panel.height_px / rig.focal_px[1])
+    angle = 2 * math.degrees(math.atan(longer / 2))
+    depths = {"kind": "disparity", "near": near, "far": far, "field_of_view_deg": angle}
+    metadata = {"software": _software(), "input": args.input.name, "depth": json.dumps(depths)}
+    write_image(args.save_rgbd, image.cpu().numpy(), metadata, args.compression)
+    return f"{args.save_rgbd}: read it with --depth-range {near:.6g},{far:.6g} --fov {angle:.5g}"
+
+
+def _software() -> str:
+    return f"lightfield-gs {package_versions()['lightfield-gs']}"
+
+
+def _metadata(
+    args: argparse.Namespace, gaussians: Gaussians, layout: QuiltLayout, panel: Panel, rig: Rig
+) -> dict[str, str]:
+    """What the quilt was made from and how it is divided; the values but "software" and "input" are JSON."""
+    expect("layout", layout, QuiltLayout)
+    width, height = layout.tile_px()
+    tiles = {
+        "columns": layout.columns,
+        "rows": layout.rows,
+        "aspect": layout.aspect,
+        "views": layout.views,
+        "tile_px": [width, height],
+        "cone_deg": rig.cone_deg or panel.cone_deg,
+    }
+    scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
+    return {
+        "software": _software(),
+        "input": args.input.name,
+        "quilt": json.dumps(tiles),
+        "rig": json.dumps(rig.to_dict()),
+        "scene": json.dumps(scene),
+        "versions": json.dumps(package_versions()),
+    }
