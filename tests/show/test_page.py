@@ -136,7 +136,7 @@ def test_frames_and_exports_over_the_wire(tmp_path):
         view = render(shown.gaussians, rig.cameras(PANEL, [PANEL.views - 1]))[0].numpy()
         assert np.abs(left_most / 255 - view).max() < 0.01
         panel_png = np.asarray(Image.open(io.BytesIO(get(server, "/panel.png")[1])))
-        np.testing.assert_array_equal(panel_png, drawn)  # the panel's page follows what was drawn last
+        np.testing.assert_array_equal(panel_png, drawn)  # the panel's page follows what came to rest
         depth = json.loads(get(server, f"/depth.json?{controls}")[1])
         report = depth_report(shown.gaussians, PANEL, Rig.from_yaml(tmp_path / "rig.yaml"))
         assert depth == {"lines": report.lines(), "warnings": report.warnings()}

@@ -30,46 +30,53 @@ T = TypeVar("T")
 
 def steering_routes(stage: Stage, exports: Mapping[str, Callable[[Controls, Path], None]]) -> dict[str, Route]:
     """All addresses of `lightfield-gs view`. exports: by the name of a file, what writes it."""
-    lines = _Lines(stage.is_live)
+    steering = _Steering(stage, exports)
+    return {
+        "/": page_file("view.html"),
+        **{f"/{name}": page_file(name) for name in ("view.css", "view.js", "controls.js", "pictures.js")},
+        "/scene.json": lambda query: as_json(_scene(stage, list(exports))),
+        "/frame": steering.frame,
+        "/focus.json": steering.focus,
+        "/depth.json": steering.depth,
+        **{f"/export/{name}": partial(steering.export, name) for name in exports},
+        **panel_routes(stage.panel, steering.native, lambda after: stage.wait_for(after, _WAIT_S)),
+    }
 
-    def frame(query: Mapping[str, str]) -> Answer:
+
+class _Steering:
+    """What the page asks for, by the thread that draws it."""
+
+    def __init__(self, stage: Stage, exports: Mapping[str, Callable[[Controls, Path], None]]):
+        self._stage, self._exports, self._lines = stage, exports, _Lines(stage.is_live)
+
+    def frame(self, query: Mapping[str, str]) -> Answer:
         controls, still = Controls.of(query), query.get("still") == "1"
-        return encoded(lines.draw(still, partial(_picture, stage, query, controls, still)), lossless=still)
+        picture = self._lines.draw(still, partial(_picture, self._stage, query, controls, still))
+        if still:
+            self._stage.settle(controls)
+        return encoded(picture, lossless=still)
 
-    def export(name: str, query: Mapping[str, str]) -> Answer:
+    def focus(self, query: Mapping[str, str]) -> Answer:
+        """The depth of what is seen at a point."""
+        point = number(query, "x", 0, 1), number(query, "y", 0, 1)
+        work = partial(self._stage.depth_at, Controls.of(query), point)
+        return as_json({"focus": self._lines.draw(False, work)})
+
+    def depth(self, query: Mapping[str, str]) -> Answer:
+        lines, warnings = self._lines.draw(True, partial(self._stage.depth, Controls.of(query)))
+        return as_json({"lines": lines, "warnings": warnings})
+
+    def export(self, name: str, query: Mapping[str, str]) -> Answer:
         controls = Controls.of(query)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / name
-            lines.last(partial(exports[name], controls, path))
+            self._lines.last(partial(self._exports[name], controls, path))
             kept = {"Content-Disposition": f'attachment; filename="{name}"'}
             return Answer(path.read_bytes(), "application/octet-stream", headers=kept)
 
-    def focus(query: Mapping[str, str]) -> Answer:
-        point = number(query, "x", 0, 1), number(query, "y", 0, 1)
-        return as_json({"focus": lines.draw(False, partial(stage.depth_at, Controls.of(query), point))})
-
-    def depth(query: Mapping[str, str]) -> Answer:
-        lines_said, warnings = lines.draw(True, partial(stage.depth, Controls.of(query)))
-        return as_json({"lines": lines_said, "warnings": warnings})
-
-    def native() -> np.ndarray:
-        return lines.last(stage.last_native)[1]
-
-    def version(after: int) -> int:
-        return stage.wait_for(after, _WAIT_S)
-
-    return {
-        "/": page_file("view.html"),
-        "/view.css": page_file("view.css"),
-        "/view.js": page_file("view.js"),
-        "/controls.js": page_file("controls.js"),
-        "/scene.json": lambda query: as_json(_scene(stage, list(exports))),
-        "/frame": frame,
-        "/focus.json": focus,
-        "/depth.json": depth,
-        **panel_routes(stage.panel, native, version),
-        **{f"/export/{name}": partial(export, name) for name in exports},
-    }
+    def native(self) -> np.ndarray:
+        """What the panel is to show."""
+        return self._lines.last(self._stage.settled)
 
 
 def panel_routes(panel: Panel, native: Callable[[], np.ndarray], version: Callable[[int], int]) -> dict[str, Route]:

@@ -60,8 +60,8 @@ class Stage:
         self.gaussians, self.panel, self.base, self.name = gaussians, panel, rig, name
         self.background, self.antialiased = background, antialiased
         self.is_live = gaussians.device.type == "cuda"
-        self.version = 0  # counts the native pictures at rest
-        self._drawn = threading.Condition()
+        self.version = 0  # counts what the page came to rest at
+        self._settled, self._changed = Controls(), threading.Condition()
         self._native: tuple[Controls, np.ndarray, dict[str, float]] | None = None
         self._moving: tuple[str, Encoder] | None = None
 
@@ -117,23 +117,25 @@ class Stage:
             return self._native[1], {}
         stats: dict = {}
         image = self._encoded(self.panel, self._rig(controls), controls, stats)
-        with self._drawn:
-            self._native = controls.picture(), image, dict(stats["stages_ms"])
-            self.version += 1
-            self._drawn.notify_all()
+        self._native = controls.picture(), image, dict(stats["stages_ms"])
         return image, dict(stats["stages_ms"])
 
-    def last_native(self) -> tuple[Controls, np.ndarray]:
-        """The native picture that was drawn last, of the first controls where there is none yet."""
-        if self._native is None:
-            self.native(Controls())
-        native = cast("tuple[Controls, np.ndarray, dict[str, float]]", self._native)
-        return native[0], native[1]
+    def settle(self, controls: Controls) -> None:
+        """Says where the page has come to rest: what the panel is to show."""
+        with self._changed:
+            if controls.picture() != self._settled:
+                self._settled = controls.picture()
+                self.version += 1
+                self._changed.notify_all()
+
+    def settled(self) -> np.ndarray:
+        """The native picture of where the page has come to rest."""
+        return self.native(self._settled)[0]
 
     def wait_for(self, after: int, timeout_s: float) -> int:
-        """The version of the native picture, as soon as it is another than `after`, or when the time is over."""
-        with self._drawn:
-            self._drawn.wait_for(lambda: self.version != after, timeout_s)
+        """The version of what the panel is to show, as soon as it is another than `after`, or when the time is over."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.version != after, timeout_s)
             return self.version
 
     def depth_at(self, controls: Controls, point: tuple[float, float]) -> float:

@@ -2,6 +2,7 @@
 // for a while, the same in full. Older answers are dropped, so that the page never lags behind the hand.
 
 import { buildControls, element } from "./controls.js";
+import { answerOf, fit, pictureOf, show, showTimes } from "./pictures.js";
 
 const REST_MS = 250; // without a move, before the picture is drawn in full
 const FRAME_MS = { slow: 60, quick: 25 }; // a coarse picture becomes smaller above the one, larger below the other
@@ -38,19 +39,7 @@ function size(pane) {
   return { width: pixels(clientWidth), height: pixels(clientHeight) };
 }
 
-async function draw(pane, still, signal) {
-  const answer = await fetch(`frame?${query(pane, still)}`, { signal });
-  if (!answer.ok) throw Object.assign(new Error(await answer.text()), { status: answer.status });
-  const bitmap = await createImageBitmap(await answer.blob());
-  return { bitmap, said: answer.headers.get("X-Picture"), stages: timing(answer.headers.get("Server-Timing")) };
-}
-
-function timing(header) {
-  return (header ?? "").split(", ").filter(Boolean).map((part) => {
-    const [name, milliseconds] = part.split(";dur=");
-    return [name, Number(milliseconds)];
-  });
-}
+const draw = (pane, still, signal) => pictureOf(`frame?${query(pane, still)}`, signal);
 
 // When it is asked for
 
@@ -72,7 +61,7 @@ async function moving() {
       const now = moves, began = performance.now(), pane = state.mode === "split" ? "eye" : state.mode;
       const picture = await draw(pane, false);
       drawn = now;
-      show(pane, picture, false);
+      lay(pane, picture, false);
       adapt(performance.now() - began);
     }
     trouble("");
@@ -92,7 +81,7 @@ async function rest() {
     for (const pane of wanted) {
       const picture = await draw(pane, true, stopRest.signal);
       if (now !== moves) return;
-      show(pane, picture, true);
+      lay(pane, picture, true);
     }
     await showDepth(stopRest.signal);
     if (now !== moves) return;
@@ -120,49 +109,22 @@ function adapt(tookMs) {
 
 // What is shown
 
-function show(pane, { bitmap, said, stages }, still) {
-  const canvas = panes[pane].querySelector("canvas");
-  canvas.width = bitmap.width;
-  canvas.height = bitmap.height;
-  canvas.getContext("2d").drawImage(bitmap, 0, 0);
-  bitmap.close();
-  panes[pane].querySelector(".said").textContent = (still ? "" : "coarse while moving: ") + said;
-  fit(pane);
-  if (stages.length) showTimes(stages);
+function lay(pane, picture, still) {
+  show(panes[pane], picture, still);
+  refit(pane);
+  if (picture.stages.length) showTimes(find("#times tbody"), picture.stages);
 }
 
-/** Native pixels at one pixel of the screen each; other pictures as large as the pane, in the shape of the panel. */
-function fit(pane) {
-  const canvas = panes[pane].querySelector("canvas"), room = panes[pane].querySelector(".picture");
-  let width = canvas.width / devicePixelRatio, height = canvas.height / devicePixelRatio;
-  if (pane !== "native") {
-    const shape = pane === "eye" ? scene.panel.width_px / scene.panel.height_px : width / height;
-    width = Math.min(room.clientWidth, room.clientHeight * shape);
-    height = width / shape;
-  }
-  canvas.style.width = `${width}px`;
-  canvas.style.height = `${height}px`;
+function refit(pane) {
+  fit(panes[pane], pane === "eye" ? scene.panel.width_px / scene.panel.height_px : null);
 }
 
 /** How deep the picture is on the panel, and what is wrong with that. */
 async function showDepth(signal) {
-  const answer = await fetch(`depth.json?${new URLSearchParams(kept())}`, { signal });
-  if (!answer.ok) throw Object.assign(new Error(await answer.text()), { status: answer.status });
-  const { lines, warnings } = await answer.json();
+  const { lines, warnings } = await (await answerOf(`depth.json?${new URLSearchParams(kept())}`, signal)).json();
   const items = (words) => words.map((textContent) => element("li", { textContent }));
   find("#warnings").replaceChildren(...items(warnings));
   find("#depth").replaceChildren(...items(lines));
-}
-
-function showTimes(stages) {
-  const row = (name, milliseconds, kind) => {
-    const line = element("tr", { className: kind });
-    const words = milliseconds < 10 ? milliseconds.toFixed(1) : milliseconds.toFixed(0);
-    line.append(element("td", { textContent: name }), element("td", { textContent: `${words} ms` }));
-    return line;
-  };
-  const sum = stages.reduce((total, [, milliseconds]) => total + milliseconds, 0);
-  find("#times tbody").replaceChildren(...stages.map((stage) => row(...stage, "")), row("together", sum, "sum"));
 }
 
 function showWords() {
@@ -196,7 +158,7 @@ function listen() {
   panes.eye.querySelector(".picture").addEventListener("contextmenu", (event) => event.preventDefault());
   for (const button of document.querySelectorAll("nav button")) button.addEventListener("click", () => choose(button));
   find("#reset").addEventListener("click", () => { controls.reset(); changed(); });
-  addEventListener("resize", () => { Object.keys(panes).forEach(fit); changed(); });
+  addEventListener("resize", () => { Object.keys(panes).forEach(refit); changed(); });
 }
 
 function move(pane, room, event) {
@@ -224,9 +186,12 @@ function move(pane, room, event) {
 async function focusAt(event) {
   const { left, top, width, height } = panes.eye.querySelector("canvas").getBoundingClientRect();
   const point = { x: (event.clientX - left) / width, y: (event.clientY - top) / height };
-  const answer = await fetch(`focus.json?${new URLSearchParams({ ...kept(), ...point })}`);
-  if (!answer.ok) return trouble(await answer.text());
-  state.focus = (await answer.json()).focus;
+  try {
+    const answer = await answerOf(`focus.json?${new URLSearchParams({ ...kept(), ...point })}`);
+    state.focus = (await answer.json()).focus;
+  } catch (error) {
+    return trouble(error.message);
+  }
   changed();
 }
 
