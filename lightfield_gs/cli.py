@@ -28,12 +28,14 @@ COMMANDS = {
     "simulate": "what an eye sees through the lenses",
     "view": "a page that shows and steers a scene",
     "show": "an encoded image on the panel, full screen",
+    "calibrate": "make a profile fit its panel",
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
-# Their values may begin with a minus sign
-_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--pan", "--shift")
+# Options whose values may begin with a minus sign
+_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--corners", "--pan", "--shift")
+_VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre", "line-number", "slant", "phase"))
 
 
 class _Parser(argparse.ArgumentParser):
