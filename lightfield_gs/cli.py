@@ -27,6 +27,8 @@ COMMANDS = {
     "prune": "leave out of a scene what hardly shows on a panel",
     "video": "a scene with moving cameras, or pictures in a row, to frames for a panel",
     "simulate": "what an eye sees through the lenses",
+    "view": "a page that shows and steers a scene",
+    "show": "an encoded image on the panel, full screen",
     "calibrate": "make a profile fit its panel",
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",

@@ -118,7 +118,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preview",
         type=Path,
         metavar="DIR",
-        help="write views.png, look-around.webp and, where the "
+        help="write views.png, look-around.webp, look-around.html (follows the mouse, needs no network) and, where the "
         "panel has a pixel pitch and a viewing distance (see there), left-eye.png and right-eye.png",
     )
     add(

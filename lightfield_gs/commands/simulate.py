@@ -18,10 +18,10 @@ from lightfield_gs.commands.options.panel import (
     load_panel,
     why_no_eye,
 )
+from lightfield_gs.commands.options.stored_panel import profile, stored_panel
 from lightfield_gs.commands.options.values import numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, read_image, read_info, write_image
-from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.psf import Psf
 from lightfield_gs.panels.simulate import row_of_eyes, simulate_eyes
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> None:
     _check_choices(args)
     psf = None if args.psf is None else Psf.load(args.psf)
     watch.lap("start")
-    panel = load_panel(args) if args.panel is not None else at_distance(_stored_panel(args), args.viewing_distance)
+    panel = load_panel(args) if args.panel is not None else at_distance(stored_panel(args), args.viewing_distance)
     if why := why_no_eye(panel):
         raise InputError(why)
     image = read_image(args.image, as_stored=True)
@@ -130,7 +130,7 @@ def _doubt_of_panel(args: argparse.Namespace, panel: Panel) -> str | None:
     if stored is None:
         return None
     try:
-        made_for = _profile(args.image, stored)
+        made_for = profile(args.image, stored)
     except InputError:
         return f"{args.image}: the panel profile in it cannot be used, nor compared with --panel"
     others = [key for key, value in vars(panel).items() if key not in _NOT_OF_THE_LENS and value != vars(made_for)[key]]
@@ -140,20 +140,3 @@ def _doubt_of_panel(args: argparse.Namespace, panel: Panel) -> str | None:
         f"{args.image} was encoded for panel {made_for.name}, whose {' and '.join(others)} differ from those of "
         f"{panel.name}: the picture is that of an image on the wrong panel; leave out --panel for its own"
     )
-
-
-def _stored_panel(args: argparse.Namespace) -> Panel:
-    """The panel that the image was encoded for."""
-    if args.device_serial is not None:
-        raise InputError("--device-serial chooses among the calibrations of a --panel; give one, or leave it out")
-    stored = read_info(args.image).metadata.get("panel")
-    if stored is None:
-        raise InputError(f"{args.image} does not say which panel it is for; give --panel")
-    return _profile(args.image, stored)
-
-
-def _profile(image: Path, stored: str) -> Panel:
-    try:
-        return Panel(**parse_json(stored))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{image}: its panel profile cannot be used ({error}); give --panel") from None

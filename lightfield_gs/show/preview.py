@@ -17,9 +17,10 @@ from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.panels.simulate import simulate, unknown_of
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.show.look_around import write_look_around_page
 
 _EYES = {"left-eye.png": -0.5, "right-eye.png": 0.5}  # place to the right of the middle, in eye separations
-FILES = ("views.png", "look-around.webp", *_EYES)
+FILES = ("views.png", "look-around.webp", "look-around.html", *_EYES)
 _FRAMES, _LOOP_MS, _WEBP_QUALITY = 24, 60 * 46, 85
 _FRAME_PIXELS = 960 * 480  # of a frame of any shape, so that upright panels take no longer
 # From so many Gaussians on, rendering a view takes a CPU longer than all else, and every second view has to do.
@@ -42,16 +43,18 @@ def write_preview(
     views.png: twelve views from the left-most to the right-most camera, row by row; of upright panels in two rows, so
     that the sheet fills a screen.
     look-around.webp: a camera that goes from left to right and back.
+    look-around.html: the same views in a page of its own, which follow the mouse, a finger or a tilted device.
     left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, the eyes 63 mm apart at the viewing distance;
     only where the panel knows its viewing distance and pixel pitch. Elsewhere those of an earlier preview are removed.
     Views are rendered at a reduced size; antialiased: see `render`. Raises InputError.
     """
     folder = make_folder(folder)
-    paths = [folder / name for name in FILES[:2]]
+    paths = [folder / name for name in FILES[:3]]
     frames = look_around(gaussians, panel, rig, background, antialiased)
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
         write_image(paths[0], contact_sheet(frames))
+        write_look_around_page(paths[2], frames, f"On panel {panel.name}")
         paths += _write_eyes(folder, image, panel)
         animation.result()
     return paths

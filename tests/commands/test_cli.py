@@ -228,7 +228,7 @@ def test_preview_of_a_panel_without_viewing_distance_keeps_no_old_eyes(folder, c
     assert cli.main("encode s.ply -o o.png --panel far.yaml --preview v".split()) == 0
     words = capsys.readouterr().err
     assert words.startswith("note: v has no left-eye.png") and words.endswith("give --viewing-distance MM\n")
-    assert {path.name for path in (folder / "v").iterdir()} == {"views.png", "look-around.webp"}
+    assert {path.name for path in (folder / "v").iterdir()} == {"views.png", "look-around.webp", "look-around.html"}
 
 
 @pytest.mark.parametrize("invert", [False, True])

@@ -1,0 +1,44 @@
+"""Where a command serves its page, and whether a browser opens it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from lightfield_gs.base.complaint import note
+from lightfield_gs.commands.options.values import whole
+
+if TYPE_CHECKING:
+    from lightfield_gs.show.page.server import Route
+
+_HOST = "127.0.0.1"
+
+
+def add_serving(add: Callable[..., argparse.Action]) -> None:
+    add(
+        "--port",
+        type=whole(0, 65535),
+        default=0,
+        metavar="NUMBER",
+        help="port of the page's address (default 0: any that is free)",
+    )
+    add(
+        "--host",
+        default=_HOST,
+        metavar="ADDRESS",
+        help="address that the page is served on (default 127.0.0.1: this machine alone; 0.0.0.0: the whole network, "
+        "to anybody in it)",
+    )
+    add("--no-open", action="store_true", help="do not open the browser; the address is printed")
+
+
+def serve(args: argparse.Namespace, routes: Mapping[str, Route], start: str) -> None:
+    """Serves the routes until Ctrl-C, and opens the one named `start` in the browser. Raises InputError."""
+    from lightfield_gs.show.page.server import Server
+
+    server = Server(routes, args.port, args.host)
+    if not server.is_local:
+        note(f"--host {args.host}: everybody who reaches this machine there can see the page")
+    print(f"open {server.url}{start} in a browser; Ctrl-C ends it", flush=True)
+    server.run(None if args.no_open else start)

@@ -1,0 +1,193 @@
+"""The addresses of the two pages: the one that steers a scene, and the panel's own."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import QUALITY_NAMES
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.simulate import unknown_of
+from lightfield_gs.show.page.controls import Controls, defaults, number
+from lightfield_gs.show.page.server import Answer, Route, Superseded, as_json, page_file, text
+from lightfield_gs.show.page.stage import Picture, Stage
+
+_JPEG_QUALITY = 85
+_WAIT_S = 10.0  # for another picture of the panel, before the page asks again
+_SIZES_PX = (16, 4096)  # of what the page may ask for
+T = TypeVar("T")
+
+
+def steering_routes(stage: Stage, exports: Mapping[str, Callable[[Controls, Path], None]]) -> dict[str, Route]:
+    """All addresses of `lightfield-gs view`. exports: by the name of a file, what writes it."""
+    steering = _Steering(stage, exports)
+    return {
+        "/": page_file("view.html"),
+        **{f"/{name}": page_file(name) for name in ("view.css", "view.js", "controls.js", "pictures.js")},
+        "/scene.json": lambda query: as_json(_scene(stage, list(exports))),
+        "/frame": steering.frame,
+        "/focus.json": steering.focus,
+        "/depth.json": steering.depth,
+        **{f"/export/{name}": partial(steering.export, name) for name in exports},
+        **panel_routes(stage.panel, steering.native, lambda after: stage.wait_for(after, _WAIT_S)),
+    }
+
+
+class _Steering:
+    """What the page asks for, by the thread that draws it."""
+
+    def __init__(self, stage: Stage, exports: Mapping[str, Callable[[Controls, Path], None]]):
+        self._stage, self._exports, self._lines = stage, exports, _Lines(stage.is_live)
+
+    def frame(self, query: Mapping[str, str]) -> Answer:
+        controls, still = Controls.of(query), query.get("still") == "1"
+        picture = self._lines.draw(still, partial(_picture, self._stage, query, controls, still))
+        if still:
+            self._stage.settle(controls)
+        return encoded(picture, lossless=still)
+
+    def focus(self, query: Mapping[str, str]) -> Answer:
+        """The depth of what is seen at a point."""
+        point = number(query, "x", 0, 1), number(query, "y", 0, 1)
+        work = partial(self._stage.depth_at, Controls.of(query), point)
+        return as_json({"focus": self._lines.draw(False, work)})
+
+    def depth(self, query: Mapping[str, str]) -> Answer:
+        lines, warnings = self._lines.draw(True, partial(self._stage.depth, Controls.of(query)))
+        return as_json({"lines": lines, "warnings": warnings})
+
+    def export(self, name: str, query: Mapping[str, str]) -> Answer:
+        controls = Controls.of(query)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            self._lines.last(partial(self._exports[name], controls, path))
+            kept = {"Content-Disposition": f'attachment; filename="{name}"'}
+            return Answer(path.read_bytes(), "application/octet-stream", headers=kept)
+
+    def native(self) -> np.ndarray:
+        """What the panel is to show."""
+        return self._lines.last(self._stage.settled)
+
+
+def panel_routes(panel: Panel, native: Callable[[], np.ndarray], version: Callable[[int], int]) -> dict[str, Route]:
+    """The addresses of the panel's own page. native: the picture now, uint8 [H, W, 3]; version: of that picture, once
+    it is another than the number given, or after a while."""
+
+    def state(query: Mapping[str, str]) -> Answer:
+        after = int(number(query, "after", -1, 1 << 53))
+        size = {"width_px": panel.width_px, "height_px": panel.height_px}
+        return as_json({"name": panel.name, **size, "version": version(after)})
+
+    return {
+        "/panel": page_file("panel.html"),
+        "/panel.css": page_file("panel.css"),
+        "/panel.js": page_file("panel.js"),
+        "/panel.json": state,
+        "/panel.png": lambda query: Answer(png(native(), 0), "image/png"),
+        "/favicon.ico": lambda query: text("", 204),
+    }
+
+
+def shown_routes(panel: Panel, pixels: np.ndarray) -> dict[str, Route]:
+    """The addresses of `lightfield-gs show`: the panel's page for one picture, uint8 [H, W, 3]."""
+    never = threading.Event()
+
+    def version(after: int) -> int:
+        if after == 1:
+            never.wait(_WAIT_S)
+        return 1
+
+    routes = panel_routes(panel, lambda: pixels, version)
+    return {**routes, "/": routes["/panel"]}
+
+
+def encoded(picture: Picture, lossless: bool) -> Answer:
+    """PNG or JPEG, with what it is and what it took in the headers."""
+    from PIL import Image
+
+    headers = {
+        "X-Picture": picture.said,
+        "Server-Timing": ", ".join(f"{name};dur={value:.2f}" for name, value in picture.stages_ms.items()),
+    }
+    if lossless:
+        return Answer(png(picture.pixels, 1), "image/png", headers=headers)
+    file = io.BytesIO()
+    Image.fromarray(picture.pixels).save(file, "JPEG", quality=_JPEG_QUALITY)
+    return Answer(file.getvalue(), "image/jpeg", headers=headers)
+
+
+def png(pixels: np.ndarray, level: int) -> bytes:
+    """A PNG of uint8 [H, W, 3] that says nothing of its colours, so that browsers show the bytes as they are."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "PNG", compress_level=level)
+    return file.getvalue()
+
+
+def _picture(stage: Stage, query: Mapping[str, str], controls: Controls, still: bool) -> Picture:
+    kind = query.get("show", "eye")
+    if kind == "eye":
+        return stage.eye(controls, round(number(query, "width", *_SIZES_PX)), still)
+    if kind == "sheet":
+        return stage.sheet(controls, still)
+    if kind == "native":
+        size = round(number(query, "width", *_SIZES_PX)), round(number(query, "height", *_SIZES_PX))
+        return stage.crop(controls, (number(query, "x", 0, 1), number(query, "y", 0, 1)), size, still)
+    raise InputError(f"show must be eye, sheet or native, got {kind[:40]!r}")
+
+
+def _scene(stage: Stage, exports: list[str]) -> dict[str, object]:
+    """What the page says and needs to know of the scene and the panel."""
+    panel = stage.panel
+    distance = panel.viewing_distance_mm
+    return {
+        "name": stage.name,
+        "gaussians": stage.gaussians.count,
+        "device": stage.gaussians.device.type,
+        "live": stage.is_live,
+        "panel": {**panel.to_dict(), "pitch_mm": panel.pixel_pitch_mm, "distance_mm": distance},
+        "zone_mm": None if unknown_of(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
+        "rig": {"zero_depth": stage.base.zero_depth, "cone_deg": stage.base.cone_deg or panel.cone_deg},
+        "defaults": defaults(),
+        "qualities": QUALITY_NAMES,
+        "exports": exports,
+    }
+
+
+class _Lines:
+    """Threads that draw: one for what moves and one for what rests, so that a picture at rest of seconds keeps no move
+    waiting. On a GPU they are one. More threads, one a connection, would each have a pool of torch's own."""
+
+    def __init__(self, is_live: bool):
+        self._still = ThreadPoolExecutor(1, "still")
+        self._moving = self._still if is_live else ThreadPoolExecutor(1, "moving")
+        self._tickets = itertools.count(1)
+        self._newest = 0
+
+    def draw(self, still: bool, work: Callable[[], T]) -> T:
+        """Runs work in its turn. Raises Superseded where another picture at rest was asked for before its turn came."""
+        if not still:
+            return self._moving.submit(work).result()
+        ticket = self._newest = next(self._tickets)
+
+        def in_turn() -> T:
+            if ticket != self._newest:
+                raise Superseded
+            return work()
+
+        return self._still.submit(in_turn).result()
+
+    def last(self, work: Callable[[], T]) -> T:
+        """Runs work after the pictures at rest that were asked for before."""
+        return self._still.submit(work).result()

@@ -1,0 +1,237 @@
+"""A scene on a panel, drawn for the page: coarse while something moves, in full when it rests."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import cast
+
+import numpy as np
+import torch
+
+from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.encode import encode
+from lightfield_gs.encoding.encoder import Encoder
+from lightfield_gs.panels.cells import PERIOD
+from lightfield_gs.panels.comfort import depth_report
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig, reduced
+from lightfield_gs.panels.simulate import simulate, unknown_of
+from lightfield_gs.rasterizer.images import render
+from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.show.page.controls import Controls, orbited
+from lightfield_gs.show.preview import contact_sheet, to_integers
+
+_SHEET_VIEWS = 12
+_SHEET_WIDTH_PX = 1920  # of the sheet at rest
+_STILL_WIDTH_PX = 1920  # of one view, on panels before which no eye can be placed
+
+
+@dataclass
+class Picture:
+    """pixels: uint8 [h, w, 3]; said: what they are; stages_ms: what they took, in order."""
+
+    pixels: np.ndarray
+    said: str
+    stages_ms: dict[str, float] = field(default_factory=dict)
+
+
+class Stage:
+    """Draws what the page shows. One thread at a time may draw what moves, and one what rests.
+
+    gaussians: one scene, on the device that draws. rig: how it was framed. background: three numbers in 0..1.
+    antialiased: see `encode`. name: of the input, for the title and for metadata.
+    """
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        panel: Panel,
+        rig: Rig,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        antialiased: bool = False,
+        name: str = "scene",
+    ):
+        self.gaussians, self.panel, self.base, self.name = gaussians, panel, rig, name
+        self.background, self.antialiased = background, antialiased
+        self.is_live = gaussians.device.type == "cuda"
+        self.version = 0  # counts what the page came to rest at
+        self._settled, self._changed = Controls(), threading.Condition()
+        self._native: tuple[Controls, np.ndarray, dict[str, float]] | None = None
+        self._moving: tuple[str, Encoder] | None = None
+
+    # What is shown
+
+    def eye(self, controls: Controls, width_px: int, still: bool) -> Picture:
+        """What an eye at controls.eye sees, at the viewing distance.
+
+        still: the native picture through the lenses, one sample a lens, where the panel says where its eyes are; else
+        the one view that such an eye would see through perfect lenses, width_px wide.
+        """
+        if still and not unknown_of(self.panel):
+            native, stages = self.native(controls)
+            with _timed(stages, "simulate"):
+                seen = to_integers(simulate(native, self.panel, self.eye_mm(controls)), 8)
+            return Picture(seen, f"through the lenses, {seen.shape[1]} x {seen.shape[0]} samples", stages)
+        if still:
+            width_px = _STILL_WIDTH_PX
+        stages = {} if still or not self.is_live else self._native_live(controls)
+        with _timed(stages, "view"):
+            view = self._views(controls, [controls.eye], width_px)[0]
+        return Picture(view, f"one view, {view.shape[1]} x {view.shape[0]}", stages)
+
+    def sheet(self, controls: Controls, still: bool) -> Picture:
+        """Twelve views side by side, the left-most camera's first; smaller ones where not still."""
+        upright = self.panel.height_px > self.panel.width_px
+        width_px = _SHEET_WIDTH_PX // (6 if upright else 4) // (1 if still or self.is_live else 2)
+        stages: dict[str, float] = {}
+        with _timed(stages, "views"):
+            inner = 0.5 - 0.5 / self.panel.views  # the outermost integer views
+            views = self._views(controls, np.linspace(-inner, inner, _SHEET_VIEWS).tolist(), width_px)
+        return Picture(contact_sheet(views), f"{_SHEET_VIEWS} views from left to right", stages)
+
+    def crop(self, controls: Controls, centre: tuple[float, float], size_px: tuple[int, int], still: bool) -> Picture:
+        """Native pixels one to one: size_px (width, height) of them around a place, given in shares of the panel.
+
+        still: cut out of the native picture. Else these pixels alone are drawn, as a panel of their own.
+        """
+        left, top, width, height = self._box(centre, size_px)
+        said = f"native pixels {left}..{left + width - 1} x {top}..{top + height - 1}"
+        if still:
+            native, stages = self.native(controls)
+            return Picture(native[top : top + height, left : left + width], said, stages)
+        stages = {}
+        with _timed(stages, "pixels"):
+            pixels = self._encoded(*cut_out(self.panel, self._rig(controls), left, top, width, height), controls)
+        return Picture(pixels, said, stages)
+
+    def native(self, controls: Controls) -> tuple[np.ndarray, dict[str, float]]:
+        """The native picture, uint8 [H, W, 3] (to be read only), and the times of its stages in ms, {} where it is the
+        one before."""
+        if self._native is not None and self._native[0] == controls.picture():
+            return self._native[1], {}
+        stats: dict = {}
+        image = self._encoded(self.panel, self._rig(controls), controls, stats)
+        self._native = controls.picture(), image, dict(stats["stages_ms"])
+        return image, dict(stats["stages_ms"])
+
+    def settle(self, controls: Controls) -> None:
+        """Says where the page has come to rest: what the panel is to show."""
+        with self._changed:
+            if controls.picture() != self._settled:
+                self._settled = controls.picture()
+                self.version += 1
+                self._changed.notify_all()
+
+    def settled(self) -> np.ndarray:
+        """The native picture of where the page has come to rest."""
+        return self.native(self._settled)[0]
+
+    def wait_for(self, after: int, timeout_s: float) -> int:
+        """The version of what the panel is to show, as soon as it is another than `after`, or when the time is over."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.version != after, timeout_s)
+            return self.version
+
+    def depth_at(self, controls: Controls, point: tuple[float, float]) -> float:
+        """Depth of what is seen at a point of the picture, 0..1 of its width and height: a focus. Raises InputError."""
+        look = replace(controls.look(), focus=point)
+        turned = orbited(self.base, controls.yaw_deg, controls.pitch_deg)
+        return look.applied(turned, self.panel, self.gaussians).zero_depth
+
+    def depth(self, controls: Controls) -> tuple[list[str], list[str]]:
+        """How deep the scene is on the panel: lines on that, and warnings (lightfield_gs.panels.comfort)."""
+        report = depth_report(self.gaussians, self.panel, self._rig(controls))
+        return report.lines(), report.warnings()
+
+    def eye_mm(self, controls: Controls) -> tuple[float, float, float]:
+        """The place of the eye before the panel, mm. Raises InputError where the panel does not say."""
+        if missing := unknown_of(self.panel):
+            raise InputError(f"panel {self.panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")
+        distance = cast(float, self.panel.viewing_distance_mm)
+        return controls.eye * 2 * distance * math.tan(math.radians(self.panel.cone_deg) / 2), 0.0, distance
+
+    def rig_of_file(self, controls: Controls) -> Rig:
+        """The rig in the coordinates of the scene's file."""
+        return self._rig(controls).relative_to([-part for part in self.gaussians.origin])
+
+    # How it is drawn
+
+    def _rig(self, controls: Controls) -> Rig:
+        return controls.rig(self.base, self.panel)
+
+    def _encoded(self, panel: Panel, rig: Rig, controls: Controls, stats: dict | None = None) -> np.ndarray:
+        with torch.no_grad():
+            image = encode(
+                self.gaussians,
+                panel,
+                rig,
+                background=self.background,
+                quality=controls.quality,
+                antialiased=self.antialiased,
+                stats=stats,
+            )
+        return image.cpu().numpy()
+
+    def _native_live(self, controls: Controls) -> dict[str, float]:
+        """Draws the native picture on the GPU, where it stays; returns the time that it took."""
+        rig, stages = self._rig(controls), dict[str, float]()
+        if self._moving is None or self._moving[0] != controls.quality:
+            self._moving = (
+                controls.quality,
+                Encoder(
+                    self.panel,
+                    rig,
+                    background=self.background,
+                    quality=controls.quality,
+                    versioned=True,
+                    antialiased=self.antialiased,
+                ),
+            )
+        encoder = self._moving[1]
+        encoder.rig = rig
+        with _timed(stages, "native"):
+            encoder(self.gaussians)
+            torch.cuda.synchronize(self.gaussians.device)
+        return stages
+
+    def _views(self, controls: Controls, eyes: list[float], width_px: int) -> list[np.ndarray]:
+        """What perfect lenses show to eyes at these places across the viewing zone, each uint8 [h, w, 3]."""
+        panel, rig = reduced(self.panel, self._rig(controls), width_px)
+        side = -1 if panel.invert_views else 1
+        cameras = rig.cameras_at(panel, [panel.views * (0.5 - side * eye) for eye in eyes])
+        with torch.no_grad():
+            views = render(self.gaussians, cameras, background=self.background, antialiased=self.antialiased)
+            return list(bytes_of(views).cpu().numpy())
+
+    def _box(self, centre: tuple[float, float], size_px: tuple[int, int]) -> tuple[int, int, int, int]:
+        """Left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""
+        width, height = min(size_px[0], self.panel.width_px), min(size_px[1], self.panel.height_px)
+        height -= (height - self.panel.height_px) % PERIOD
+        left = round(centre[0] * self.panel.width_px - width / 2)
+        top = round(centre[1] * self.panel.height_px - height / 2)
+        left, top = min(max(0, left), self.panel.width_px - width), min(max(0, top), self.panel.height_px - height)
+        return left - left % PERIOD, top - top % PERIOD, width, height
+
+
+def cut_out(panel: Panel, rig: Rig, left: int, top: int, width: int, height: int) -> tuple[Panel, Rig]:
+    """A part of a panel as a panel of its own: its sub-pixels show what they show on the whole one.
+
+    On panels with cells, where the kinds of pixels repeat, left, top and what is left below are multiples of PERIOD.
+    """
+    cx, cy = rig.principal_point_px
+    phase = panel.phase + 3 * left + 3 * top * panel.slant_tan
+    part = replace(panel, width_px=width, height_px=height, phase=phase)
+    return part, replace(rig, principal_point_px=(cx - left, cy - top))
+
+
+@contextmanager
+def _timed(stages_ms: dict[str, float], name: str) -> Iterator[None]:
+    began = time.perf_counter()
+    yield
+    stages_ms[name] = 1000 * (time.perf_counter() - began)

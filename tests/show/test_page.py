@@ -1,0 +1,198 @@
+"""What the page of `view` draws and serves, without a browser."""
+
+import http.client
+import io
+import json
+import socket
+import threading
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import PANEL, scene
+from PIL import Image
+
+from lightfield_gs import encode, render
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.panels.comfort import depth_report
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.quilt import layout_of_panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.simulate import simulate
+from lightfield_gs.show.page.controls import Controls, orbited
+from lightfield_gs.show.page.exports import exports
+from lightfield_gs.show.page.routes import shown_routes, steering_routes
+from lightfield_gs.show.page.server import Server
+from lightfield_gs.show.page.stage import Stage, cut_out
+from lightfield_gs.show.preview import to_integers
+
+CELLS = replace(
+    PANEL, subpixel_cells=tuple(((-0.3, y), (0.28, y), (0.0, -y)) for y in (0.25, -0.25, 0.1, -0.1)), cell_pattern=3
+)
+
+
+def stage(panel: Panel = PANEL) -> Stage:
+    gaussians = scene()
+    return Stage(gaussians, panel, Rig.frame(gaussians, panel), name="s.ply")
+
+
+@contextmanager
+def serving(routes):
+    server = Server(routes)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def get(server: Server, path: str, method: str = "GET", **headers):
+    connection = http.client.HTTPConnection(*server.server_address, timeout=30)
+    connection.request(method, path, headers=headers)
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer.status, body, answer
+
+
+def test_orbit_goes_around_what_lies_in_the_panel():
+    gaussians = scene()
+    rig = Rig.frame(gaussians, PANEL)
+    turned = orbited(rig, 30, 20)
+
+    def centre(rig):
+        return -rig.world_to_camera[:3, :3].T @ rig.world_to_camera[:3, 3]
+
+    pivot = rig.world_to_camera[:3, :3].T @ ([0, 0, rig.zero_depth] - rig.world_to_camera[:3, 3])
+    seen = turned.world_to_camera[:3, :3] @ pivot + turned.world_to_camera[:3, 3]
+    np.testing.assert_allclose(seen, [0, 0, rig.zero_depth], atol=1e-9)
+    right, down = rig.world_to_camera[0, :3], rig.world_to_camera[1, :3]
+    gone = centre(turned) - centre(rig)
+    assert gone @ right > 0 > gone @ down  # to the right, and up
+    assert turned.world_to_camera[0, :3] @ down == pytest.approx(0, abs=1e-12)  # the horizon stays level
+
+
+def test_eye_at_rest_is_what_simulate_sees_of_what_encode_draws():
+    shown, controls = stage(), Controls(yaw_deg=10, depth_amount=0.5, zoom=1.2, eye=0.25)
+    rig = controls.rig(shown.base, PANEL)
+    native = encode(shown.gaussians, PANEL, rig).numpy()
+    zone_mm = 2 * 600 * np.tan(np.radians(PANEL.cone_deg) / 2)
+    seen = to_integers(simulate(native, PANEL, (0.25 * zone_mm, 0, 600)), 8)
+    picture = shown.eye(controls, 64, still=True)
+    np.testing.assert_array_equal(picture.pixels, seen)
+    assert {"composite", "simulate"} <= picture.stages_ms.keys()
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_a_coarse_eye_is_the_view_at_its_side(inverted):
+    panel = replace(PANEL, invert_views=inverted, width_px=480, height_px=300)
+    shown = stage(panel)
+    coarse = [shown.eye(Controls(eye=eye), 480, still=False).pixels.astype(float) for eye in (-0.45, 0.45)]
+    still = [shown.eye(Controls(eye=eye), 480, still=True).pixels for eye in (-0.45, 0.45)]
+    still = [np.asarray(Image.fromarray(image).resize((480, 300)), float) for image in still]
+    same = sum(np.abs(a - b).mean() for a, b in zip(coarse, still))
+    crossed = sum(np.abs(a - b).mean() for a, b in zip(coarse, still[::-1]))
+    assert same < 0.7 * crossed
+
+
+@pytest.mark.parametrize("panel", [PANEL, CELLS, replace(CELLS, cell_rows="top")], ids=["stripes", "cells", "top"])
+def test_part_of_a_panel_is_drawn_as_on_the_whole(panel):
+    shown = stage(panel)
+    whole = shown.crop(Controls(), (0.6, 0.4), (40, 30), still=True).pixels
+    part = shown.crop(Controls(), (0.6, 0.4), (40, 30), still=False).pixels
+    assert whole.shape == part.shape
+    assert np.abs(whole.astype(int) - part).max() <= 1
+    left, top, width, height = shown._box((0.6, 0.4), (40, 30))
+    small, _ = cut_out(panel, shown.base, left, top, width, height)
+    expected = panel.view_map()[top : top + height, left : left + width]
+    assert (small.view_map() == expected).mean() > 0.999  # but for sub-pixels on the border of two views
+
+
+def test_frames_and_exports_over_the_wire(tmp_path):
+    shown = stage()
+    with serving(steering_routes(shown, exports(shown))) as server:
+        state = json.loads(get(server, "/scene.json")[1])
+        assert state["panel"]["width_px"] == PANEL.width_px and state["gaussians"] == 60
+        controls = "zoom=1.25&eye=0.1&quality=high"
+        status, body, answer = get(server, f"/frame?show=eye&still=1&width=64&{controls}")
+        picture = np.asarray(Image.open(io.BytesIO(body)))
+        expected = shown.eye(Controls(zoom=1.25, eye=0.1, quality="high"), 64, still=True).pixels
+        assert status == 200 and "simulate;dur=" in answer.headers["Server-Timing"]
+        np.testing.assert_array_equal(picture, expected)
+
+        (tmp_path / "native.png").write_bytes(get(server, f"/export/native.png?{controls}")[1])
+        (tmp_path / "rig.yaml").write_bytes(get(server, f"/export/rig.yaml?{controls}")[1])
+        drawn = encode(shown.gaussians, PANEL, Rig.from_yaml(tmp_path / "rig.yaml"), quality="high").numpy()
+        np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "native.png")), drawn)
+        layout = layout_of_panel(PANEL)
+        name = f"quilt{layout.suffix}.png"
+        (tmp_path / name).write_bytes(get(server, f"/export/{name}?{controls}")[1])
+        left_most = np.asarray(Image.open(tmp_path / name))[layout.tile(0)]
+        rig = Rig.from_yaml(tmp_path / "rig.yaml")
+        view = render(shown.gaussians, rig.cameras(PANEL, [PANEL.views - 1]))[0].numpy()
+        assert np.abs(left_most / 255 - view).max() < 0.01
+        panel_png = np.asarray(Image.open(io.BytesIO(get(server, "/panel.png")[1])))
+        np.testing.assert_array_equal(panel_png, drawn)  # the panel's page follows what came to rest
+        depth = json.loads(get(server, f"/depth.json?{controls}")[1])
+        report = depth_report(shown.gaussians, PANEL, Rig.from_yaml(tmp_path / "rig.yaml"))
+        assert depth == {"lines": report.lines(), "warnings": report.warnings()}
+        answers = [get(server, f"/focus.json?x=0.5&y={y / 10}") for y in range(11)]
+        assert {status for status, *_ in answers} == {200, 400}  # the scene has gaps
+        for focus in (json.loads(body)["focus"] for status, body, _ in answers if status == 200):
+            assert 0.3 < focus / shown.base.zero_depth < 3
+
+
+@pytest.mark.parametrize(
+    "path, status",
+    [
+        ("/nothing", 404),
+        ("/view.py", 404),
+        ("/../server.py", 404),
+        ("/%2e%2e/%2e%2e/etc/passwd", 404),
+        ("/files/view.html", 404),
+        ("/frame", 400),
+        ("/frame?show=eye&width=1e9", 400),
+        ("/frame?show=eye&width=nan", 400),
+        ("/frame?show=other&width=64", 400),
+        ("/frame?show=eye&width=64&zoom=x", 400),
+        ("/frame?show=eye&width=64&focus=-1", 400),
+        ("/frame?show=eye&width=64&quality=best", 400),
+        ("/frame?show=native&width=64&height=64&x=7&y=0", 400),
+        ("/frame?" + "a=1&" * 100, 400),
+        ("/frame?" + "a" * 5000, 414),
+        ("/panel.json", 400),
+        ("/export/other.png", 404),
+    ],
+)
+def test_bad_requests_are_refused(path, status):
+    shown = stage()
+    with serving(steering_routes(shown, exports(shown))) as server:
+        assert get(server, path)[0] == status
+        assert get(server, "/view.js")[0] == 200  # and it goes on
+
+
+def test_odd_connections_end_nothing(capfd):
+    with serving(shown_routes(PANEL, np.zeros((60, 96, 3), np.uint8))) as server:
+        for words in (
+            b"",
+            b"\xff\x00 nonsense\r\n\r\n",
+            b"GET\r\n\r\n",
+            b"GET /panel HTTP/1.1\r\nHost: [\r\n\r\n",
+            b"GET /pan",
+        ):
+            with socket.create_connection(server.server_address, timeout=5) as connection:
+                connection.sendall(words)
+        assert get(server, "/panel", "POST")[0] == 501
+        assert get(server, "/panel", "HEAD")[1] == b""
+        assert get(server, "/panel", Host="elsewhere.example")[0] == 403  # a name that was made to lead here
+        assert get(server, "/panel")[0] == 200
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_port_that_is_taken_is_a_complaint():
+    with serving({}) as server, pytest.raises(InputError, match="give another --port"):
+        Server({}, server.server_address[1])

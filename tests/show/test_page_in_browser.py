@@ -1,0 +1,162 @@
+"""The pages in a headless Chromium: what is seen, what moves, and that wrong pixels are told."""
+
+import io
+import json
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from chromium import Browser, find
+from command_line import PANEL, scene
+from test_page import serving
+
+from lightfield_gs import encode
+from lightfield_gs.io.images import write_image
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.show.page.controls import Controls
+from lightfield_gs.show.page.exports import exports
+from lightfield_gs.show.page.routes import shown_routes, steering_routes
+from lightfield_gs.show.page.stage import Stage
+from lightfield_gs.show.preview import write_preview
+
+REST = "document.querySelector('#panes')?.getAttribute('aria-busy') === 'false'"
+PIXELS = """(pane) => {
+  const canvas = document.querySelector(`[data-pane=${pane}] canvas`);
+  const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+  return {width: canvas.width, data: Array.from(data)};
+}"""
+
+
+@contextmanager
+def browser(tmp_path, width=1000, height=700, scale=1.0, **more):
+    find()
+    opened = Browser(tmp_path, width, height, scale, **more)
+    try:
+        yield opened
+    finally:
+        opened.close()
+
+
+def pixels(page: Browser, pane: str) -> np.ndarray:
+    got = page.run(f"({PIXELS})('{pane}')")
+    return np.array(got["data"], np.uint8).reshape(-1, got["width"], 4)[..., :3]
+
+
+@pytest.fixture
+def stage() -> Stage:
+    gaussians = scene()
+    return Stage(gaussians, PANEL, Rig.frame(gaussians, PANEL), name="s.ply")
+
+
+def test_sliders_and_mouse_steer_what_is_seen(tmp_path, stage):
+    with serving(steering_routes(stage, exports(stage))) as server, browser(tmp_path) as page:
+        page.open(server.url)
+        page.wait(REST)
+        np.testing.assert_array_equal(pixels(page, "eye"), stage.eye(Controls(), 64, still=True).pixels)
+
+        page.run("(s => {s.value = 0.4; s.dispatchEvent(new Event('input'))})(document.querySelector('#depth_amount'))")
+        page.wait(REST)
+        less = stage.eye(Controls(depth_amount=0.4), 64, still=True).pixels
+        np.testing.assert_array_equal(pixels(page, "eye"), less)
+
+        box = page.run("document.querySelector('[data-pane=eye] canvas').getBoundingClientRect().toJSON()")
+        page.mouse("mouseMoved", box["x"] + 0.8 * box["width"], box["y"] + box["height"] / 2)
+        page.wait(REST)
+        assert float(page.run("document.querySelector('#eye').value")) == pytest.approx(0.3, abs=0.01)
+        assert np.abs(pixels(page, "eye").astype(int) - less).max() > 20
+
+        page.mouse("mousePressed", 400, 300, button="left", buttons=1, clickCount=1)
+        page.mouse("mouseMoved", 460, 300, button="left", buttons=1)
+        page.mouse("mouseReleased", 460, 300, button="left")
+        page.wait(REST)
+        assert page.run("document.querySelector('#turned').textContent") == "-18° across, 0° up"
+
+        page.run("document.querySelector('#reset').click()")
+        page.run("document.querySelector('[data-mode=split]').click()")
+        page.wait(REST)
+        np.testing.assert_array_equal(pixels(page, "native"), encode(stage.gaussians, PANEL, stage.base).numpy())
+        assert pixels(page, "sheet").any()
+        assert page.run("document.querySelector('#trouble').hidden")
+
+
+def test_panel_shows_its_pixels_as_they_are(tmp_path):
+    panel = replace(PANEL, width_px=640, height_px=480)
+    picture = np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)
+    with serving(shown_routes(panel, picture)) as server, browser(tmp_path, 640, 480) as page:
+        page.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=640,
+            height=480,
+            deviceScaleFactor=1,
+            mobile=False,
+            screenWidth=640,
+            screenHeight=480,
+        )
+        page.open(server.url + "/panel")
+        page.wait("document.body?.dataset.exact === 'true'")
+        np.testing.assert_array_equal(page.screenshot(), picture)
+        assert page.run("document.querySelector('#word').hidden")
+
+
+@pytest.mark.parametrize(
+    "scale, screen, word",
+    [
+        (1.25, (512, 384), "set the zoom of the browser to 100 %"),
+        (2, (640, 480), "This screen has 1280 × 960 pixels"),
+        (1, (800, 600), "This screen has 800 × 600 pixels"),
+    ],
+    ids=["zoom", "ratio", "size"],
+)
+def test_wrong_pixels_are_told_aloud(tmp_path, scale, screen, word):
+    panel = replace(PANEL, width_px=640, height_px=480)
+    with serving(shown_routes(panel, np.zeros((480, 640, 3), np.uint8))) as server:
+        with browser(tmp_path, *screen, scale) as page:
+            page.open(server.url + "/panel")
+            page.wait("document.body?.dataset.exact === 'false'")
+            assert page.run("devicePixelRatio") == scale
+            assert word in page.run("document.querySelector('#word').innerText")
+            assert not page.run("document.querySelector('#word').hidden")
+            width = page.run("document.querySelector('#picture').getBoundingClientRect().width")
+            assert width * scale == 640  # one pixel of the picture is one of the screen all the same
+
+
+def test_look_around_page_follows_the_mouse(tmp_path, stage):
+    write_preview(tmp_path / "v", stage.native(Controls())[0], stage.gaussians, PANEL, stage.base)
+    page_file = tmp_path / "v" / "look-around.html"
+    assert "http" not in page_file.read_text()  # nothing of the network
+    with browser(tmp_path) as page:
+        page.open(page_file.as_uri())
+        page.wait("document.querySelector('canvas')?.dataset.view")
+        box = page.run("document.querySelector('canvas').getBoundingClientRect().toJSON()")
+        shown = []
+        for share in (0.0, 1.0):
+            page.mouse("mouseMoved", box["x"] + share * (box["width"] - 1), box["y"] + 5)
+            page.wait(f"document.querySelector('canvas').dataset.view == {round(share * 23)}")
+            shown.append(page.screenshot().astype(int))
+        assert np.abs(shown[0] - shown[1]).max() > 50
+
+
+def test_show_opens_an_encoded_image(tmp_path):
+    write_image(tmp_path / "i.png", np.full((60, 96, 3), 7, np.uint8), {"panel": json.dumps(PANEL.to_dict())})
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lightfield_gs", "show", str(tmp_path / "i.png"), "--no-open"],
+        stdout=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        lines = io.TextIOWrapper(process.stdout)
+        url = next(line for line in lines if line.startswith("open ")).split()[1]
+        with browser(tmp_path) as page:
+            page.open(url)
+            page.wait("document.querySelector('#picture')?.naturalWidth === 96")
+            assert "the panel small has 96 × 60" in page.run("document.querySelector('#word').innerText")
+        process.send_signal(signal.SIGINT)  # Ctrl-C
+        assert process.wait(10) == 0
+        assert lines.read().strip() == "ended"
+    finally:
+        process.kill()
+        process.wait(10)
