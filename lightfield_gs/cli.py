@@ -30,7 +30,7 @@ COMMANDS = {
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
 # Options whose values may begin with a minus sign
-_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--corners")
+_VECTOR_OPTIONS: tuple[str, ...] = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--corners")
 _VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre", "line-number", "slant", "phase"))
 
 
