@@ -14,7 +14,7 @@ import numpy as np
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.panels.cells import PERIOD, subpixel_phases
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.pattern_text import HEIGHT_DOTS, text_pixels, width_dots
+from lightfield_gs.panels.pattern_text import HEIGHT_DOTS, text_dots, width_dots
 
 _ROWS_PER_CHUNK = 64
 # A lens lights about one sub-pixel; a number that is right on so many of them covers five sixths of what an eye sees.
@@ -80,7 +80,8 @@ def number_of_view(panel: Panel, step: int | None = None) -> np.ndarray:
         step = min(panel.views, math.ceil(_SUBPIXELS_PER_NUMBER * panel.views / panel.line_number))
     groups = panel.views // whole_number("step", step, 1, panel.views)
     group = np.arange(panel.views) * groups // panel.views
-    return np.array([np.flatnonzero(group == g).sum() // (group == g).sum() for g in range(groups)])[group]
+    first, after = (np.searchsorted(group, np.arange(groups), side) for side in ("left", "right"))
+    return ((first + after - 1) // 2)[group]
 
 
 def numbers(panel: Panel, step: int | None = None) -> np.ndarray:
@@ -109,26 +110,27 @@ def number_picture(panel: Panel, number: int, step: int | None = None) -> np.nda
     return tile[np.ix_(down[0], across[0])] & down[1][:, None] & across[1]
 
 
-_Tiling = tuple[np.ndarray, np.ndarray]  # for each row (column): that of the tile, and whether a whole tile is there
+_Tiling = tuple[np.ndarray, np.ndarray]  # for each row (column): the dot of the tile, and whether a whole tile is there
 
 
 def _number_tiles(panel: Panel, different: np.ndarray) -> tuple[np.ndarray, tuple[_Tiling, _Tiling]]:
-    """A tile for each number, bool [count, h, w], and how tiles lie along rows and columns."""
+    """A tile for each number, bool [count, h, w] in dots, and how tiles lie along rows and columns."""
     digits = len(str(different.max()))
     size, dots = (panel.height_px, panel.width_px), (HEIGHT_DOTS, width_dots(digits))
     largest = max(1, min(full // part for full, part in zip(size, dots)))
     least = math.ceil(_LENSES_PER_DOT * panel.line_number / 3)
     dot_px = min(largest, max(least, size[1] // (_NUMBERS_ACROSS * dots[1])))
-    tiles = np.stack([text_pixels(str(number).rjust(digits), dot_px) for number in different])
-    down, across = (_tiling(full, part) for full, part in zip(size, tiles.shape[1:]))
+    tiles = np.stack([text_dots(str(number).rjust(digits)) for number in different])
+    down, across = (_tiling(full, part, dot_px) for full, part in zip(size, dots))
     return tiles, (down, across)
 
 
-def _tiling(size_px: int, tile_px: int) -> _Tiling:
+def _tiling(size_px: int, tile_dots: int, dot_px: int) -> _Tiling:
     """Whole tiles in the middle of so many pixels, one even where it is cut."""
+    tile_px = tile_dots * dot_px
     covered = max(1, size_px // tile_px) * tile_px
     place = np.arange(size_px) + (covered - size_px) // 2
-    return place % tile_px, (place >= 0) & (place < covered)
+    return place % tile_px // dot_px, (place >= 0) & (place < covered)
 
 
 def single(panel: Panel, first: int, last: int | None = None) -> np.ndarray:
