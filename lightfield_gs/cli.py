@@ -28,7 +28,14 @@ COMMANDS = {
     "bench": "measure speed and accuracy",
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
-_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up")  # may begin with a minus sign
+_VECTOR_OPTIONS = (
+    "--eye",
+    "--eyes",
+    "--background",
+    "--depth-range",
+    "--intrinsics",
+    "--up",
+)  # may begin with a minus sign
 
 
 class _Parser(argparse.ArgumentParser):
