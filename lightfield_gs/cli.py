@@ -24,18 +24,23 @@ COMMANDS = {
     "encode": "a photo or a .ply to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
     "simulate": "what an eye sees through the lenses",
+    "calibrate": "make a profile fit its panel",
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
-_VECTOR_OPTIONS = (
+# Options whose values may begin with a minus sign
+_VECTOR_OPTIONS: tuple[str, ...] = (
     "--eye",
     "--eyes",
     "--background",
     "--depth-range",
     "--intrinsics",
     "--up",
-)  # may begin with a minus sign
+    "--corners",
+    "--pan",
+)
+_VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre", "line-number", "slant", "phase"))
 
 
 class _Parser(argparse.ArgumentParser):
