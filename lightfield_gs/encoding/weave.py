@@ -38,7 +38,7 @@ class ViewSource(Protocol):
     height_px: int
     width_px: int
 
-    def view(self, number: int) -> np.ndarray:
+    def view(self, number: int) -> np.ndarray | Tensor:
         """[H, W, 3] uint8, uint16 or float32."""
         ...
 
@@ -130,8 +130,9 @@ def _weave_rows(
         # Where only one of the two reaches, it alone is shown
         weight = torch.where(inside & beside, share, beside.to(share))
         values, inside = values + (other - values) * weight, inside | beside
-    flat = out[rows].view(-1)
-    flat[index[inside]] = _stored(values[inside], out.dtype)
+    # torch puts no uint16 at an index: by their bits
+    bits = torch.int16 if out.dtype == torch.uint16 else out.dtype
+    out[rows].view(-1).view(bits)[index[inside]] = _stored(values[inside], out.dtype).view(bits)
 
 
 def _stored(values: Tensor, dtype: torch.dtype) -> Tensor:
@@ -170,8 +171,7 @@ def _groups(source: ViewSource, window: Window, first: Tensor, device: str) -> I
 
 def _picture(source: ViewSource, number: int, window: Window, device: str) -> Tensor:
     """A view at the resolution that it is sampled at. Raises InputError."""
-    picture = source.view(number)
-    picture = dense_tensor("views", picture).to(device)
+    picture = dense_tensor("views", source.view(number)).to(device)
     if picture.dtype not in _TYPES:
         raise InputError(f"views: expected uint8, uint16 or float32, got {picture.dtype}")
     return reduced_picture(picture, window)
@@ -198,7 +198,7 @@ def _places(panel: Panel, count: int, continuous: bool, table: np.ndarray | None
 
 def _source(views: np.ndarray | Tensor | ViewSource) -> ViewSource:
     if isinstance(views, (np.ndarray, Tensor)):
-        return _Stack(views)  # type: ignore[return-value]
+        return _Stack(views)
     if not all(hasattr(views, name) for name in ("count", "height_px", "width_px", "view")):
         expect("views", views, np.ndarray, Tensor)
     return views
