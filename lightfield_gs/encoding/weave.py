@@ -164,6 +164,9 @@ def _full_scale(dtype: torch.dtype) -> float:
 def _groups(source: ViewSource, window: Window, first: Tensor, device: str) -> Iterator[tuple[int, Tensor]]:
     """Views in groups that fit into memory, [G, h, w, 3], and the number of the first of each; each group but the
     first begins with the last view of the one before."""
+    if isinstance(source, _Stack) and source.views.device == first.device and source.views.shape[1:] == first.shape:
+        yield 0, source.views.contiguous()  # they are all held anyway
+        return
     each = max(2, _GROUP_BYTES // max(1, first.numel() * first.element_size()))
     start = 0
     while True:
