@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.weave import weave
     from lightfield_gs.fitting.fit import FitResult, fit
     from lightfield_gs.models import SplatterNet
+    from lightfield_gs.panels.comfort import DepthReport, depth_report
+    from lightfield_gs.panels.look import Look
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.quilt import QuiltLayout
     from lightfield_gs.panels.rig import Rig
@@ -29,10 +31,12 @@ if TYPE_CHECKING:
 # Public name -> its module, imported when first asked for: the command line shows its help without waiting for torch.
 _HOMES = {
     "Cameras": "scene.cameras",
+    "DepthReport": "panels.comfort",
     "Encoder": "encoding.encoder",
     "FitResult": "fitting.fit",
     "Gaussians": "scene.gaussians",
     "InputError": "base.errors",
+    "Look": "panels.look",
     "Panel": "panels.panel",
     "PhotoEncoder": "photo.encoder",
     "Quality": "rasterizer.quality",
@@ -40,6 +44,7 @@ _HOMES = {
     "Rig": "panels.rig",
     "SortedPlan": "encoding.sorted_plan",
     "SplatterNet": "models",
+    "depth_report": "panels.comfort",
     "encode": "encoding.encode",
     "fit": "fitting.fit",
     "from_depth": "photo.rgbd",
@@ -53,10 +58,12 @@ _HOMES = {
 # Spelled out for type checkers: they take no other name as public, and would not run a line that makes it from _HOMES
 __all__ = [
     "Cameras",
+    "DepthReport",
     "Encoder",
     "FitResult",
     "Gaussians",
     "InputError",
+    "Look",
     "Panel",
     "PhotoEncoder",
     "Quality",
@@ -65,6 +72,7 @@ __all__ = [
     "SortedPlan",
     "SplatterNet",
     "build_info",
+    "depth_report",
     "encode",
     "fit",
     "from_depth",

@@ -337,6 +337,7 @@ class _Cuda:
     architectures: list[int]
     ABSOLUTE_DENSE_SUMS: int
     DENSE_SUMS: int
+    SPLAT_SUMS: int
     LENS_SUMS: int
     FRAME_STATE_BYTES: int
     FRAME_KERNELS: list[str]
@@ -399,14 +400,16 @@ class _Cuda:
     def project_dense_backward(
         gaussians: _Stages.Gaussians,
         cameras: _Stages.Cameras,
-        splats: _Stages.Splats,
-        slot_ranges: Address,
-        slot_gradients: Address,
+        sums: Address,
         out: _Stages.Gaussians,
         screen: Address,
         absolute: bool,
         view_partials: Address,
         stream: Address,
+    ) -> None: ...
+    @staticmethod
+    def sum_slots(
+        splats: int, slot_ranges: Address, absolute: bool, slot_gradients: Address, sums: Address, stream: Address
     ) -> None: ...
     @staticmethod
     def project_lens_backward(

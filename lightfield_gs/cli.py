@@ -26,18 +26,14 @@ COMMANDS = {
     "weave": "a quilt, or a folder of views, to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
     "simulate": "what an eye sees through the lenses",
+    "calibrate": "make a profile fit its panel",
     "info": "say what a file holds",
     "bench": "measure speed and accuracy",
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
-_VECTOR_OPTIONS = (
-    "--eye",
-    "--background",
-    "--depth-range",
-    "--intrinsics",
-    "--up",
-    "--shift",
-)  # may begin with a minus sign
+# Options whose values may begin with a minus sign
+_VECTOR_OPTIONS = ("--eye", "--background", "--depth-range", "--intrinsics", "--up", "--corners", "--pan", "--shift")
+_VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre", "line-number", "slant", "phase"))
 
 
 class _Parser(argparse.ArgumentParser):

@@ -20,6 +20,7 @@ void bind_image_and_pairs(py::module_ m) {
   m.attr("architectures") = cuda::architectures();
   m.attr("DENSE_SUMS") = cuda::kDenseSums;
   m.attr("ABSOLUTE_DENSE_SUMS") = cuda::kAbsoluteDenseSums;
+  m.attr("SPLAT_SUMS") = cuda::kSplatSums;
   m.attr("LENS_SUMS") = cuda::kLensSums;
   py::class_<cuda::Image>(m, "Image")
       .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, bool lens) {
@@ -66,15 +67,21 @@ void bind_project(py::module_ m) {
   m.def("view_blocks", &cuda::view_blocks, py::arg("gaussians"));
   m.def(
       "project_dense_backward",
-      [](const G& gaussians, const Cameras<float>& cameras, const Splats<float>& splats, Address slot_ranges,
-         Address slot_gradients, const G& out, Address screen, bool absolute, Address view_partials, Address stream) {
-        cuda::project_dense_backward(read_only(gaussians), cameras, splats, at<cuda::SlotRange>(slot_ranges),
-                                     at<float>(slot_gradients), out, at<float>(screen), absolute,
+      [](const G& gaussians, const Cameras<float>& cameras, Address sums, const G& out, Address screen, bool absolute,
+         Address view_partials, Address stream) {
+        cuda::project_dense_backward(read_only(gaussians), cameras, at<float>(sums), out, at<float>(screen), absolute,
                                      at<float>(view_partials), at<void>(stream));
       },
-      NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("splats"), py::arg("slot_ranges"),
-      py::arg("slot_gradients"), py::arg("out"), py::arg("screen"), py::arg("absolute"), py::arg("view_partials"),
-      py::arg("stream"));
+      NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("sums"), py::arg("out"), py::arg("screen"),
+      py::arg("absolute"), py::arg("view_partials"), py::arg("stream"));
+  m.def(
+      "sum_slots",
+      [](int64_t splats, Address slot_ranges, bool absolute, Address slot_gradients, Address sums, Address stream) {
+        cuda::sum_slots(splats, at<cuda::SlotRange>(slot_ranges), absolute, at<float>(slot_gradients), at<float>(sums),
+                        at<void>(stream));
+      },
+      NoGil(), py::arg("splats"), py::arg("slot_ranges"), py::arg("absolute"), py::arg("slot_gradients"),
+      py::arg("sums"), py::arg("stream"));
   m.def(
       "project_lens_backward",
       [](const G& gaussians, const View<double>& rig, const Splats<float>& splats, Address slot_ranges,

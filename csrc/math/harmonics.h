@@ -68,8 +68,11 @@ LFGS_HD glm::vec<3, R> sh_colour(int degree, const T* sh, const glm::vec<3, R>& 
   R length = glm::length(to_mean);
   sh_basis(degree, length > 0 ? to_mean / length : glm::vec<3, R>(0, 0, 1), basis);
   glm::vec<3, R> colour(R(0.5));
-  for (int k = 0; k < (degree + 1) * (degree + 1); ++k)
+  LFGS_UNROLL
+  for (int k = 0; k < kMaxShCount; ++k) {  // to a fixed end, so that a compiler may unroll it
+    if (k >= (degree + 1) * (degree + 1)) break;
     for (int c = 0; c < 3; ++c) colour[c] += basis[k] * R(sh[3 * k + c]);
+  }
   return colour;
 }
 

@@ -17,6 +17,7 @@ from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_N
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
+from lightfield_gs.commands.options.look import add_depth_report, add_look, apply_look, refuse_look, report_depth
 from lightfield_gs.commands.options.panel import add_panel, load_panel, why_no_eye
 from lightfield_gs.commands.options.photo import add_depth
 from lightfield_gs.commands.options.rig import load_cameras
@@ -45,6 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
     add_camera(add)
+    add_look(add)
+    add_depth_report(add)
     add(
         "--cameras",
         type=Path,
@@ -152,7 +155,9 @@ def run(args: argparse.Namespace) -> None:
         if "cameras" in views:
             views["cameras"] = views["cameras"].relative_to(gaussians.origin)
         else:
-            rig, said = choose_rig(given, args, panel, gaussians, file)
+            chosen, said = choose_rig(given, args, panel, gaussians, file)
+            rig, looks = apply_look(args, chosen, panel, gaussians)
+            said += looks + report_depth(args, rig, panel, gaussians)
         rig_of_file = rig and rig.relative_to([-part for part in gaussians.origin])
         image, stats = _drawn(args, gaussians, panel, rig, views, bits)
         watch.lap("image", stats["stages_ms"])
@@ -283,9 +288,11 @@ def _check_options(args: argparse.Namespace) -> None:
             ("--up", args.up),
             ("--save-rig", args.save_rig),
             ("--preview", args.preview),
+            ("--depth-report", args.depth_report or None),
         ):
             if value is not None:
                 raise InputError(f"{option} is about a rig, and --cameras takes its place; leave out one of them")
+        refuse_look(args, "is about a rig, and --cameras takes its place")
 
 
 def _views(args: argparse.Namespace, panel: Panel) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
 from lightfield_gs.commands.options.drawn import add_antialiased, settle_drawing
+from lightfield_gs.commands.options.look import add_look, apply_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
 from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_path, read_noted, say_origin
 from lightfield_gs.commands.options.values import within
@@ -37,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_antialiased(add)
     add_panel(add, "for framing, as `encode` takes it")
     add_camera(add)
+    add_look(add)
     add(
         "--save-rig",
         type=Path,
@@ -66,7 +68,9 @@ def run(args: argparse.Namespace) -> None:
     drawn_so = settle_drawing(args, file)
     watch.lap("load")
     on_device = scene.to(device)
-    rig, said = choose_rig(given, args, panel, on_device, file)
+    chosen, said = choose_rig(given, args, panel, on_device, file)
+    rig, looks = apply_look(args, chosen, panel, on_device)
+    said += looks
     rig_of_file = rig.relative_to([-part for part in scene.origin])
     kept = prune(on_device, panel, rig, args.contribution_cut, args.antialiased)
     watch.lap("prune")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from lightfield_gs.fitting.pictures import write_pictures
 from lightfield_gs.fitting.progress import Progress
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.views import Views
-from lightfield_gs.io.atomic import atomic_path
+from lightfield_gs.io.json_file import write_json
 from lightfield_gs.scene.gaussians import Gaussians
 
 _CHUNK_S, _LONGEST_CHUNK = 0.3, 100  # how long steps go on before the loop looks whether it is to stop
@@ -175,8 +174,7 @@ class Run:
             words = protocol(self.trainer.settings.poses)
             said = {"protocol": words, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
             said["history"] = self.history
-            with atomic_path(self._folder / "scores.json") as temporary:
-                temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+            write_json(said, self._folder / "scores.json")
 
     def _is_no_better(self) -> bool:
         """Whether the last evaluations say that going on gains nothing, and the fit may end of that. Evaluations at

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import atomic_path
 from lightfield_gs.io.text_file import read_text
 
 
@@ -33,3 +34,9 @@ def read_object(path: str | Path, limit_bytes: int) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError(f'{path}: expected an object {{"key": value}}, got {type(data).__name__}')
     return data
+
+
+def write_json(data: Any, path: str | Path) -> None:
+    """Writes data as JSON, atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

@@ -6,6 +6,7 @@ answer, in which each display has a calibration, as a mapping or as JSON within 
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -106,6 +107,42 @@ def _chosen(found: list[_Found], where: str, serial: str | None) -> _Found:
         count = "no calibration" if not named else f"{len(named)} different calibrations"
         raise InputError(f"{where} has {count} of a display with serial {shown(serial)}; it has {names}")
     return named[0]
+
+
+def with_values(data: Any, where: str, serial: str | None, values: dict[str, float]) -> Any:
+    """A copy of `data` in which the calibration that find_calibration takes has these values, all else as it was.
+
+    Values stay what they were: plain or {"value": v}, numbers or strings, and JSON within strings stays such. Where
+    the same calibration comes several times, all are changed. Raises InputError as find_calibration does.
+    """
+    try:
+        found = list(_calibrations(data))
+        chosen = repr(_chosen(_distinct(iter(found)), where, serial).data)
+        places = [one.place for one in found if repr(one.data) == chosen]
+    except RecursionError:
+        raise InputError(f"{where}: its lists and mappings are nested too deeply") from None
+    for place in places:
+        data = _replaced(data, place, values)
+    return data
+
+
+def _replaced(node: Any, place: tuple[Any, ...], values: dict[str, float]) -> Any:
+    if isinstance(node, str):
+        return json.dumps(_replaced(_parsed(node), place, values))
+    if not place:
+        return {key: _as_before(old, values.get(_usual_name(key))) for key, old in node.items()}
+    copy = node.copy()
+    copy[place[0]] = _replaced(node[place[0]], place[1:], values)
+    return copy
+
+
+def _as_before(old: Any, new: float | None) -> Any:
+    """The new value in the form of the old one; None: the old one."""
+    if new is None:
+        return old
+    if isinstance(old, dict):
+        return {**old, "value": _as_before(old["value"], new)}
+    return repr(new) if isinstance(old, str) else new
 
 
 def _distinct(found: Iterator[_Found]) -> list[_Found]:

@@ -12,7 +12,7 @@ from lightfield_gs.io.json_file import read_json
 from lightfield_gs.panels.calibration_file import find_calibration
 from lightfield_gs.panels.cells import PATTERNS
 
-_LIMIT_BYTES = 1 << 20
+LIMIT_BYTES = 1 << 20
 
 
 def panel_fields(
@@ -31,7 +31,7 @@ def panel_fields(
     expect("calibration", source, dict, list, str, Path)
     where, given = "Looking Glass calibration", source
     if isinstance(source, (str, Path)):
-        where, given = str(source), read_json(source, _LIMIT_BYTES)
+        where, given = str(source), read_json(source, LIMIT_BYTES)
     data = find_calibration(given, where, serial)
     pitch, slope, center, dpi, width, height = (
         _number(data, key, where) for key in ("pitch", "slope", "center", "DPI", "screenW", "screenH")
@@ -77,6 +77,28 @@ def panel_fields(
     if "invView" in data:  # 1 on every display as shipped: their view value is N - x
         fields["invert_views"] = _number(data, "invView", where) == 0
     return fields
+
+
+def calibration_values(
+    data: dict[str, Any], line_number: float, slant_tan: float, phase: float, where: str
+) -> dict[str, float]:
+    """pitch, slope and center with which panel_fields makes this lens of the calibration `data` (find_calibration).
+
+    Of the centers, which repeat from lens to lens, the one nearest to that of `data`. Raises InputError where the
+    lenses stand upright, which a slope cannot say.
+    """
+    if slant_tan == 0:
+        raise InputError(f"{where}: slant_tan 0 has no slope; keep the panel in a .yaml")
+    dpi, height, before = (_number(data, key, where) for key in ("DPI", "screenH", "center"))
+    mirrored = _is_set(data, "flipImageX", where)
+    slope = (1 if mirrored else -1) / slant_tan
+    start = 1.5 - 3 * (height - 0.5) * slant_tan - (2 if mirrored and not data.get("subpixelCells") else 0)
+    center = (start - phase) / line_number
+    return {
+        "pitch": 3 * dpi / (line_number * math.cos(math.atan(1 / slope))),
+        "slope": slope,
+        "center": center + round(before - center),
+    }
 
 
 def _cells(data: dict[str, Any], where: str) -> dict[str, Any]:

@@ -57,7 +57,7 @@ def some(gaussians: Gaussians) -> Gaussians:
 
 
 def part(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:
-    """The Gaussians that `which` selects, a slice or bool [N]."""
+    """The Gaussians that `which` selects, a slice, bool [N] or their numbers in a row."""
     return of_tensors(field[which] for field in gaussians.fields().values())
 
 

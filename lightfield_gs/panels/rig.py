@@ -31,7 +31,7 @@ class Rig:
     focal_px: (fx, fy), > 0, at the panel's resolution.
     principal_point_px: (cx, cy) at the panel's resolution, from the outer corner of the first pixel.
     zero_depth: view-space z, > 0, of the plane that shows no parallax (the panel itself), scene units.
-    cone_deg: full angle of the fan seen from the zero plane, in (0, 180); None: the panel's.
+    cone_deg: full angle of the fan seen from the zero plane, in [0, 180), 0 being a flat picture; None: the panel's.
     Raises InputError when made with values that make no sense.
     """
 
@@ -47,7 +47,7 @@ class Rig:
         self.principal_point_px = _pair("rig: principal_point_px", self.principal_point_px, -1e9, 1e9)
         self.zero_depth = real_number("rig: zero_depth", self.zero_depth, 1e-6, 1e12)
         if self.cone_deg is not None:
-            self.cone_deg = real_number("rig: cone_deg", self.cone_deg, 1e-6, 179.999)
+            self.cone_deg = real_number("rig: cone_deg", self.cone_deg, 0, 179.999)
 
     # Files
 

@@ -69,7 +69,7 @@ def share(content: Gaussians, rest: Gaussians, panel: Panel, rig: Rig) -> float:
     small_panel, small_rig = reduced(panel, rig, _SHARE_SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2, 0, panel.views])
     with torch.no_grad():
-        alone = render(_plain(content), cameras.select([0]), alpha=True)[1].sum((1, 2))
+        alone = render(plain(content), cameras.select([0]), alpha=True)[1].sum((1, 2))
         seen = render(replace(both, sh=white), cameras, background=(0, 0, 0))[..., 0].sum((1, 2))
     return float((seen / alone.clamp_min(1e-9)).min())
 
@@ -79,7 +79,7 @@ def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, 
     small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
     cameras = small_rig.cameras_at(small_panel, [panel.views / 2])
     with torch.no_grad():
-        _, alpha, depth = (image[0] for image in render(_plain(gaussians), cameras, alpha=True, depth=True))
+        _, alpha, depth = (image[0] for image in render(plain(gaussians), cameras, alpha=True, depth=True))
     surface = (alpha >= _OPAQUE) & (depth > 0)
     if float(surface.double().mean()) < _LEAST_SEEN:
         return None
@@ -89,6 +89,6 @@ def _disparities(gaussians: Gaussians, panel: Panel, rig: Rig) -> tuple[Tensor, 
     return 1 / depth[surface], weights[surface]
 
 
-def _plain(gaussians: Gaussians) -> Gaussians:
+def plain(gaussians: Gaussians) -> Gaussians:
     """The Gaussians without what depends on the direction: only the shape matters here."""
     return replace(gaussians, sh=gaussians.sh[..., :1, :])

@@ -20,6 +20,7 @@ from lightfield_gs.models import crop
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
 from lightfield_gs.panels import framing
 from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.background import background_tensor
@@ -36,7 +37,8 @@ class PhotoEncoder:
     """Draws what a panel shows of the object in a photo: SplatterNet.predict, Rig.frame and `encode`, without detours.
 
     net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
-    ("uint8" or "float32") and quality are those of `encode`. On CUDA the U-Net runs in bfloat16, crop, network and
+    ("uint8" or "float32") and quality are those of `encode`. look: how depth, size and place differ from the automatic
+    framing of each photo; it may be set between photos. On CUDA the U-Net runs in bfloat16, crop, network and
     framing are CUDA graphs, captured for the first photo of each size, and the host waits for the device once a photo,
     to learn where the object is. Raises InputError.
     """
@@ -50,11 +52,13 @@ class PhotoEncoder:
         background: Colour = (1.0, 1.0, 1.0),
         output: Output = "uint8",
         quality: QualityName | Quality = "exact",
+        look: Look | None = None,
     ):
         self.quality = Quality.of(quality)
         check_options("direct", views, output)
         expect("net", net, SplatterNet)
         expect("panel", panel, Panel)
+        expect("look", look, Look, type(None))
         background_tensor(background, torch.empty(0))
         if output == "float64":
             raise InputError("a PhotoEncoder puts out uint8 or float32, got 'float64'")
@@ -63,6 +67,7 @@ class PhotoEncoder:
         if net.device.type == "cuda":
             # torch takes memory_format of a module too, which its stub does not know
             self.net.unet.to(torch.bfloat16, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.look = look
         self.gaussians: Gaussians | None = None
         self.rig: Rig | None = None
         self._captured: _Capture | None = None
@@ -91,7 +96,7 @@ class PhotoEncoder:
         with stats.stage("network"):
             self.gaussians = self.net.seen_gaussians(cropped)
         with stats.stage("framing"):
-            self.rig = framing.frame_photo(self.gaussians, self.panel)
+            self.rig = self._looked(framing.frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
             return encode(
                 self.gaussians,
@@ -113,9 +118,13 @@ class PhotoEncoder:
             with stats.stage("network"):
                 captured.network()
             with stats.stage("framing"):
-                self.gaussians, self.rig = captured.gaussians, captured.rig(self.panel)
+                self.gaussians = captured.gaussians
+                self.rig = self._looked(captured.rig(self.panel), self.gaussians)
             with stats.stage("encode"):
                 return self._draw_frame(self.gaussians, self.rig)
+
+    def _looked(self, rig: Rig, gaussians: Gaussians) -> Rig:
+        return rig if self.look is None else self.look.applied(rig, self.panel, gaussians)
 
     def _draw_frame(self, gaussians: Gaussians, rig: Rig) -> Tensor:
         """The frame's kernels as ordinary launches: the rig, another for each photo, is part of their arguments."""

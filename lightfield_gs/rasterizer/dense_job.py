@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
 
+from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.scene import Scene, State, check
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import DenseGradients, Wanted
+from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace, project_dense_backward
 from lightfield_gs.rasterizer.workspaces import workspace_of
 
 
@@ -22,7 +24,45 @@ class DenseImages(NamedTuple):
     depth: Tensor | None
 
 
-class DenseJob:
+class DenseArguments:
+    """The checked arguments of render_dense, but for the background. Raises InputError."""
+
+    def __init__(
+        self,
+        means: Tensor,
+        quaternions: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        sh: Tensor,
+        world_to_camera: Tensor,
+        intrinsics: Tensor,
+        limits: Tensor,
+        width: int,
+        height: int,
+        antialiased: bool = False,
+    ):
+        self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
+        if world_to_camera.dim() != 4:
+            raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
+        if not (1 <= width <= 65536 and 1 <= height <= 65536):
+            raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
+        self.lead = lead = (scene.batch, world_to_camera.shape[1])
+        self.images, self.width, self.height = lead[0] * lead[1], width, height
+        self.cameras_tensors = [
+            check("world_to_camera", world_to_camera, (*lead, 4, 4), means),
+            check("intrinsics", intrinsics, (*lead, 4), means),
+            check("limits", limits, (*lead, 5), means),
+        ]
+        poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
+        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased)
+
+    def of_sums(self, sums: Tensor, wanted: Wanted) -> DenseGradients:
+        """On CUDA, what follows from the sums that DenseJob.sums found, but for the background."""
+        with self.scene.guard:
+            return project_dense_backward(self.scene, self.cameras, sums, wanted)
+
+
+class DenseJob(DenseArguments):
     """The checked arguments of render_dense, and a workspace that is ready for the composite or its reverse.
 
     Without `state` project, order and bin run here; with it the workspace consists of what a render of the same
@@ -38,39 +78,22 @@ class DenseJob:
         opacities: Tensor,
         sh: Tensor,
         background: Tensor,
-        world_to_camera: Tensor,
-        intrinsics: Tensor,
-        limits: Tensor,
-        width: int,
-        height: int,
-        antialiased: bool = False,
-        *,
+        *views: Any,
         stats: Stats | None = None,
         threads: int | None = None,
         state: State | None = None,
         room: int | None = None,
     ):
-        self.scene = scene = Scene(means, quaternions, scales, opacities, sh)
-        if world_to_camera.dim() != 4:
-            raise InputError(f"world_to_camera must be [scenes, cameras, 4, 4], got {list(world_to_camera.shape)}")
-        if not (1 <= width <= 65536 and 1 <= height <= 65536):
-            raise InputError(f"image size must be 1..65536 pixels each way, got {width} x {height}")
-        self.lead = lead = (scene.batch, world_to_camera.shape[1])
-        self.stats, self.images, self.width, self.height = stats or Stats(), lead[0] * lead[1], width, height
-        self.background = check("background", background, (*lead, 3), means)
-        self.cameras_tensors = [
-            check("world_to_camera", world_to_camera, (*lead, 4, 4), means),
-            check("intrinsics", intrinsics, (*lead, 4), means),
-            check("limits", limits, (*lead, 5), means),
-        ]
-        poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
-        self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased)
+        """views: the arguments of render_dense that follow the background."""
+        super().__init__(means, quaternions, scales, opacities, sh, *views)
+        scene, self.stats = self.scene, stats or Stats()
+        self.background = check("background", background, (*self.lead, 3), means)
         with scene.guard:
             self.work = workspace_of(
                 scene,
                 self.images,
-                width,
-                height,
+                self.width,
+                self.height,
                 self.stats,
                 threads or torch.get_num_threads(),
                 state=state,
@@ -102,13 +125,23 @@ class DenseJob:
 
     def backward(self, images: DenseImages, gradients: DenseImages, wanted: Wanted) -> DenseGradients:
         """What follows from the gradients of the images that draw() returned."""
-        images, gradients = self._checked("", images), self._checked("g_", gradients)
-        of_images, of_gradients = (
-            self.scene.core.DenseImages(*(0 if t is None else t.data_ptr() for t in group))
-            for group in (images, gradients)
-        )
+        of_images, of_gradients = self._natives(images, gradients)
         with self.scene.guard:
             return self.work.dense_backward(self.cameras, self.background, of_images, of_gradients, wanted)
+
+    def sums(self, images: DenseImages, gradients: DenseImages, absolute: bool) -> tuple[Tensor, Tensor]:
+        """On CUDA, the first half of backward(): sums over each splat's pairs [I, N, SPLAT_SUMS], from which a
+        DenseArguments goes on, and the gradient of the background in parts [I * parts, 3]."""
+        of_images, of_gradients = self._natives(images, gradients)
+        with self.scene.guard:
+            return cast(CudaWorkspace, self.work).composite_dense_backward(
+                self.background, of_images, of_gradients, absolute
+            )
+
+    def _natives(self, images: DenseImages, gradients: DenseImages) -> list[_core._Stages.DenseImages]:
+        """The core's views of both, which hold as long as the job."""
+        self._held = self._checked("", images), self._checked("g_", gradients)
+        return [self.scene.core.DenseImages(*(0 if t is None else t.data_ptr() for t in group)) for group in self._held]
 
     def _checked(self, prefix: str, images: DenseImages) -> DenseImages:
         """The same, contiguous."""

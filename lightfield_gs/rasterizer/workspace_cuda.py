@@ -173,16 +173,17 @@ class CudaWorkspace:
             self.stream,
         )
 
-    def dense_backward(
+    def composite_dense_backward(
         self,
-        cameras: _core._Stages.Cameras,
         background: Tensor,
         images: _core._Stages.DenseImages,
         gradients: _core._Stages.DenseImages,
-        wanted: Wanted,
-    ) -> DenseGradients:
+        absolute: bool,
+    ) -> tuple[Tensor, Tensor]:
+        """The first half of dense_backward: sums over the pairs of each splat [I, N, SPLAT_SUMS], from which the
+        gradients of the Gaussians follow, and the gradient of the background in parts [I * parts, 3]."""
         scene, cuda = self.scene, _core.cuda
-        slots = scene.new(self.pair_count, cuda.ABSOLUTE_DENSE_SUMS if wanted.absolute else cuda.DENSE_SUMS)
+        slots = scene.new(self.pair_count, cuda.ABSOLUTE_DENSE_SUMS if absolute else cuda.DENSE_SUMS)
         g_background = scene.new(self.image.tiles(), 3)
         cuda.composite_dense_backward(
             self.splats.native,
@@ -191,27 +192,25 @@ class CudaWorkspace:
             self.pair_lists,
             images,
             gradients,
-            wanted.absolute,
+            absolute,
             slots.data_ptr(),
             g_background.data_ptr(),
             self.stream,
         )
-        out, native = scene.gradients(zero=False)
-        views = scene.new(self.images if wanted.cameras else 0, cuda.view_blocks(scene.count), 3, 4)
-        screen = scene.new(self.images, scene.count, wanted.screen_numbers)
-        cuda.project_dense_backward(
-            scene.native(),
-            cameras,
-            self.splats.native,
-            self.slot_ranges,
-            slots.data_ptr(),
-            native,
-            screen.data_ptr() if wanted.screen_numbers else 0,
-            wanted.absolute,
-            views.data_ptr() if wanted.cameras else 0,
-            self.stream,
-        )
-        return DenseGradients(out, g_background, functional.pad(views.sum(1), (0, 0, 0, 1)), screen)
+        sums = scene.new(self.images, scene.count, cuda.SPLAT_SUMS)
+        cuda.sum_slots(self.items, self.slot_ranges, absolute, slots.data_ptr(), sums.data_ptr(), self.stream)
+        return sums, g_background
+
+    def dense_backward(
+        self,
+        cameras: _core._Stages.Cameras,
+        background: Tensor,
+        images: _core._Stages.DenseImages,
+        gradients: _core._Stages.DenseImages,
+        wanted: Wanted,
+    ) -> DenseGradients:
+        sums, g_background = self.composite_dense_backward(background, images, gradients, wanted.absolute)
+        return project_dense_backward(self.scene, cameras, sums, wanted)._replace(background_parts=g_background)
 
     def lens_backward(
         self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
@@ -237,3 +236,25 @@ class CudaWorkspace:
             scene.native(), view.rig, self.splats.native, self.slot_ranges, slots.data_ptr(), native, self.stream
         )
         return out, g_background
+
+
+def project_dense_backward(
+    scene: Scene, cameras: _core._Stages.Cameras, sums: Tensor, wanted: Wanted
+) -> DenseGradients:
+    """The second half of CudaWorkspace.dense_backward, which needs nothing of the forward; it knows nothing of the
+    background. sums: [I, N, SPLAT_SUMS]."""
+    cuda, images = _core.cuda, sums.shape[0]
+    out, native = scene.gradients(zero=False)
+    views = scene.new(images if wanted.cameras else 0, cuda.view_blocks(scene.count), 3, 4)
+    screen = scene.new(images, scene.count, wanted.screen_numbers)
+    cuda.project_dense_backward(
+        scene.native(),
+        cameras,
+        sums.data_ptr(),
+        native,
+        screen.data_ptr() if wanted.screen_numbers else 0,
+        wanted.absolute,
+        views.data_ptr() if wanted.cameras else 0,
+        torch.cuda.current_stream(sums.device).cuda_stream,
+    )
+    return DenseGradients(out, scene.new(0, 3), functional.pad(views.sum(1), (0, 0, 0, 1)), screen)

@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.bench import oracle, paper, pareto, photo, scenes, timing, training
+from lightfield_gs.bench import light_field, oracle, paper, pareto, photo, scenes, timing, training
 from lightfield_gs.cli import build_parser
 from lightfield_gs.commands import bench as command
 from lightfield_gs.panels.panel import Panel
@@ -173,7 +173,7 @@ def test_errors_are_counted_in_steps_of_8_bits():
 
 def test_images_are_compared_as_numbers_not_as_bytes():
     a, b = (torch.tensor(values, dtype=torch.uint8) for values in ([0, 255, 7, 9, 3], [255, 0, 7, 8, 5]))
-    assert command.differences(a, b) == {"subpixels": 5, "max_difference_255": 255, "differing": 4, "over_1": 3}
+    assert light_field.differences(a, b) == {"subpixels": 5, "max_difference_255": 255, "differing": 4, "over_1": 3}
 
 
 def test_rows_have_the_keys_and_the_images_are_right(tmp_path, capsys):
@@ -225,7 +225,7 @@ def test_cost_of_harmonics_is_within_one_scene_cone_and_method():
     def row(cone, degree, ms, method="direct"):
         return {"scene": "sheet:4", "cone": cone, "method": method, "sh_degree": degree, "ms_median": ms}
 
-    costs = command.harmonics_cost(
+    costs = light_field.harmonics_cost(
         [row(5, 3, 12.0), row(5, 0, 10.0), row(40, 0, 4.0), row(40, 1, 5.0), row(5, 3, 7.0, "classic")]
     )
     assert [(cost["cone"], cost["sh_degrees"], cost["times_as_long"]) for cost in costs] == [

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from photo_cases import PANEL, photo, psnr_db, tiny_net
 
-from lightfield_gs import InputError, PhotoEncoder, Rig, encode
+from lightfield_gs import InputError, Look, PhotoEncoder, Rig, encode
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import (
     crop_resize,
@@ -34,6 +34,17 @@ def test_image_is_that_of_the_steps(shape, views):
     assert encoder.rig.to_dict() == rig.to_dict() and encoder.gaussians.count == gaussians.count
     assert list(stats["stages_ms"]) == ["crop", "network", "framing", "encode"]
     assert all(ms > 0 for ms in stats["stages_ms"].values())
+
+
+def test_a_look_changes_the_framing():
+    net, rgba = tiny_net(), photo(40, 90)
+    encoder = PhotoEncoder(net, PANEL, look=Look(depth_amount=0.5, zoom=1.5))
+    found = encoder(rgba)
+    gaussians = net.predict(rgba)
+    rig = Look(depth_amount=0.5, zoom=1.5).applied(Rig.frame(gaussians, PANEL, np.eye(4)), PANEL)
+    assert encoder.rig.to_dict() == rig.to_dict() and torch.equal(found, encode(gaussians, PANEL, rig))
+    encoder.look = None
+    assert torch.equal(encoder(rgba), PhotoEncoder(net, PANEL)(rgba))
 
 
 def test_bytes_are_taken_as_they_are():

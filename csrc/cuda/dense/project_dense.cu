@@ -2,8 +2,8 @@
 // the keys by which they are sorted. A thread has a Gaussian in one image. Arithmetic is in float, but in double for
 // the splats of anti-aliased scenes.
 #include "cuda/common/check.h"
-#include "cuda/common/compensated.cuh"
 #include "cuda/common/gaussian_io.cuh"
+#include "cuda/dense/projected.cuh"
 #include "cuda/stages/stages.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"
@@ -13,18 +13,6 @@ namespace {
 
 using glm::vec3;
 constexpr int kThreads = 128;
-
-// Projects one Gaussian.
-template <bool kAntialiased>
-__device__ Splat<float> splat_of(const Cameras<float>& cameras, int64_t image, const View<float>& view,
-                                 const Shape<float>& shape) {
-  if constexpr (kAntialiased) {
-    Compensation<float> of_one_camera;  // not needed: with one camera it is in the opacity
-    return compensated_splat(cameras.view<double>(image), shape, of_one_camera);
-  } else {
-    return Projection<float>(view, shape).splat(view, shape.opacity);
-  }
-}
 
 // Culls and stores one splat and its sort key; returns whether it is drawn.
 __device__ bool store_splat(Splat<float> splat, const Cameras<float>& cameras, int64_t image, int64_t index,
@@ -47,7 +35,7 @@ __global__ void project_dense_kernel(Gaussians<const float> gaussians, Cameras<f
   const Shape<float> shape = shape_of(scene, i);
   const int64_t index = image * n + i;
   vec3 colour(0);
-  if (store_splat(splat_of<kAntialiased>(cameras, image, view, shape), cameras, image, index, out, keys))
+  if (store_splat(projected<kAntialiased>(cameras, image, view, shape), cameras, image, index, out, keys))
     colour = sh_colour<float>(scene.sh_degree, scene.sh + 3 * scene.sh_count() * i, shape.mean, view.centre());
   reinterpret_cast<float4*>(out.colours)[index] =
       make_float4(fmaxf(colour.x, 0), fmaxf(colour.y, 0), fmaxf(colour.z, 0), 0);

@@ -1,7 +1,7 @@
 // Reverse of stage project for ordinary images on the device: reads the sums of all splats' slots, writes the gradients
 // of the Gaussians, of the cameras and, where they are asked for, of the splats' places on the screen. A thread has a
 // Gaussian of a scene, and goes through the cameras of the scene in order; a block adds up what its Gaussians say of
-// each camera.
+// each camera. Splats and colours are computed once more, so that nothing of the forward has to be kept for this.
 //
 // Harmonics are four fifths of what is read and written. A thread's own lie far from its neighbours', so each warp
 // moves those of its 32 Gaussians together, through shared memory.
@@ -9,6 +9,7 @@
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/common/widened.cuh"
+#include "cuda/dense/projected.cuh"
 #include "cuda/stages/stages.h"
 #include "math/gradient_sums.h"
 #include "math/harmonics.h"
@@ -20,33 +21,41 @@ namespace {
 using glm::vec3;
 constexpr int kThreads = 128, kWarps = kThreads / 32, kViewNumbers = 12;
 
-// The numbers of a splat's slots, added up.
-struct SlotSums {
-  float numbers[kAbsoluteDenseSums];  // the last two only where there are absolute ones
+// What sum_slots() wrote, for all splats.
+struct AllSums {
+  const float* sums;
+  bool absolute;  // whether there are absolute gradients
 };
 
-// What is left of all splats once sum_slots_kernel has run: the sums of each in its first slot, `size` numbers.
-struct Slots {
-  const SlotRange* ranges;
-  const float* sums;
-  int size;
+// The numbers of a splat's slots, added up; the last two are 0 unless there are absolute gradients.
+struct SplatSums {
+  float numbers[kSplatSums];
 
-  __device__ SlotSums of(SlotRange range) const {
-    static_assert(kDenseSums % 2 == 0 && kAbsoluteDenseSums == kDenseSums + 2);
-    const float2* own = reinterpret_cast<const float2*>(sums + int64_t(range.first) * size);
-    SlotSums out;
+  __device__ static SplatSums of(const AllSums& all, int64_t splat) {
+    static_assert(kSplatSums % 4 == 0);
+    SplatSums out;
 #pragma unroll
-    for (int f = 0; f < kAbsoluteDenseSums / 2; ++f) {
-      const float2 two = 2 * f < size ? own[f] : make_float2(0, 0);
-      out.numbers[2 * f] = two.x, out.numbers[2 * f + 1] = two.y;
+    for (int f = 0; f < kSplatSums / 4; ++f) {
+      const float4 four = __ldg(reinterpret_cast<const float4*>(all.sums + splat * kSplatSums) + f);
+      out.numbers[4 * f] = four.x, out.numbers[4 * f + 1] = four.y;
+      out.numbers[4 * f + 2] = four.z, out.numbers[4 * f + 3] = four.w;
     }
+    if (!all.absolute) out.numbers[kAbsoluteSum] = out.numbers[kAbsoluteSum + 1] = 0;
     return out;
+  }
+
+  // Whether any is not zero; else nothing follows from them.
+  __device__ bool any() const {
+    bool found = false;
+#pragma unroll
+    for (int f = 0; f < kSplatSums; ++f) found |= !(numbers[f] == 0);
+    return found;
   }
 };
 
 // Turns the sums of a splat's slots into the gradients of the splat and of its colour.
 template <class R>
-__device__ Splat<R> splat_gradient(const Splat<float>& s, const SlotSums& sums, vec3& colour) {
+__device__ Splat<R> splat_gradient(const Splat<float>& s, const SplatSums& sums, vec3& colour) {
   R sum[kDenseSums];
   for (int f = 0; f < kDenseSums; ++f) sum[f] = R(sums.numbers[f]);
   Splat<R> g = dense_gradient_of(s, sum);
@@ -75,13 +84,15 @@ struct Adjoint {
 // and gradients go in and out by value: what is handed over by its address lies in memory for ordinary splats as well.
 template <bool kAntialiased>
 __device__ __noinline__ Adjoint with_exact_adjoint(const Gaussians<const float>& gaussians,
-                                                   const Cameras<float>& cameras, const Splats<float>& splats,
-                                                   const Slots& slots, int64_t image, int64_t i, Adjoint so_far) {
-  const int64_t n = gaussians.count, index = image * n + i;
-  const View<double> exact = widened(cameras.view<float>(image));
-  const Shape<double> wide = widened(shape_of(gaussians.slice(image / cameras.per_scene * n), i));
-  Splat<double> gradient =
-      splat_gradient<double>(read_splat(splats.splats + index), slots.of(slots.ranges[index]), so_far.colour);
+                                                   const Cameras<float>& cameras, const AllSums& sums, int64_t image,
+                                                   int64_t i, Adjoint so_far) {
+  const int64_t n = gaussians.count;
+  const View<float> view = cameras.view<float>(image);
+  const Shape<float> shape = shape_of(gaussians.slice(image / cameras.per_scene * n), i);
+  const View<double> exact = widened(view);
+  const Shape<double> wide = widened(shape);
+  Splat<double> gradient = splat_gradient<double>(projected<kAntialiased>(cameras, image, view, shape),
+                                                  SplatSums::of(sums, image * n + i), so_far.colour);
   so_far.place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   ViewAdjoint<double> of_view;
@@ -218,23 +229,21 @@ __device__ void store_view(const ViewAdjoint<float>& g_view, float (&partial)[kW
   __syncthreads();
 }
 
-// Whether any camera of a scene drew the Gaussian `i` of it.
-__device__ bool is_drawn(const Slots& slots, const Cameras<float>& cameras, int64_t scene, int64_t n, int64_t i) {
-  bool drawn = false;
-  for (int64_t v = 0; v < cameras.per_scene; ++v) {
-    const SlotRange range = slots.ranges[(scene * cameras.per_scene + v) * n + i];
-    drawn |= range.first < range.last;
-  }
-  return drawn;
+// Whether any camera of a scene says something of the Gaussian `i` of it.
+__device__ bool is_lit(const AllSums& sums, const Cameras<float>& cameras, int64_t scene, int64_t n, int64_t i) {
+  bool lit = false;
+  for (int64_t v = 0; v < cameras.per_scene; ++v)
+    lit |= SplatSums::of(sums, (scene * cameras.per_scene + v) * n + i).any();
+  return lit;
 }
 
-// Writes the gradient of a splat's place, and where slots have them the absolute ones behind it.
-__device__ void store_place(float2 gradient, const Slots& slots, const SlotSums& sums, float* screen, int64_t index) {
-  if (slots.size == kDenseSums) {
-    reinterpret_cast<float2*>(screen)[index] = gradient;
+// Writes the gradient of a splat's place, and where they were asked for the absolute ones behind it.
+__device__ void store_place(float2 gradient, const SplatSums& sums, bool absolute, float* screen, int64_t index) {
+  if (absolute) {
+    const float* others = sums.numbers + kAbsoluteSum;
+    reinterpret_cast<float4*>(screen)[index] = make_float4(gradient.x, gradient.y, others[0], others[1]);
   } else {
-    const float* absolute = sums.numbers + kAbsoluteSum;
-    reinterpret_cast<float4*>(screen)[index] = make_float4(gradient.x, gradient.y, absolute[0], absolute[1]);
+    reinterpret_cast<float2*>(screen)[index] = gradient;
   }
 }
 
@@ -245,8 +254,7 @@ __device__ void store_place(float2 gradient, const Slots& slots, const SlotSums&
 template <bool kAntialiased, bool kOneView, bool kCameras>
 __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     project_dense_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
-                                  const __grid_constant__ Cameras<float> cameras,
-                                  const __grid_constant__ Splats<float> splats, const __grid_constant__ Slots slots,
+                                  const __grid_constant__ Cameras<float> cameras, const __grid_constant__ AllSums sums,
                                   Gaussians<float> out, float* screen, float* view_partials) {
   __shared__ float partial[kWarps][kViewNumbers];
   extern __shared__ float harmonics[];
@@ -257,17 +265,17 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
   const Shape<float> shape = shape_of(own, real ? i : 0);
   Adjoint g;
 
-  // Harmonics of those that were drawn, and room for their gradients
+  // Harmonics of those of which something is said, and room for their gradients
   const int numbers = 3 * own.sh_count(), warp_floats = 32 * HarmonicRows::stride_of(numbers);
   const int64_t first = i - threadIdx.x % 32;  // Gaussian of this warp
-  const unsigned drawn = __ballot_sync(~0u, real && is_drawn(slots, cameras, scene, n, i));
+  const unsigned lit = __ballot_sync(~0u, real && is_lit(sums, cameras, scene, n, i));
   const HarmonicRows rows{harmonics + threadIdx.x / 32 * warp_floats, numbers};
   const HarmonicRows g_rows{kOneView ? rows.rows : rows.rows + kWarps * warp_floats, numbers};
   const float* sh = own.sh + numbers * first;
   float* g_sh = g_own.sh + numbers * first;
   const bool in_fours = first + 32 <= n && reinterpret_cast<uintptr_t>(sh) % sizeof(float4) == 0 &&
                         reinterpret_cast<uintptr_t>(g_sh) % sizeof(float4) == 0;
-  in_fours ? rows.load(sh, drawn) : rows.load_one_by_one(sh, drawn);
+  in_fours ? rows.load(sh, lit) : rows.load_one_by_one(sh, lit);
   if (!kOneView) g_rows.clear();
 
   const int64_t views = kOneView ? 1 : cameras.per_scene;
@@ -275,22 +283,21 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     const int64_t image = scene * cameras.per_scene + v;
     const View<float> view = cameras.view<float>(image);
     const int64_t index = image * n + i;
-    const SlotRange range = real ? slots.ranges[index] : SlotRange{0, 0};
-    SlotSums sums{};
+    const SplatSums of_splat = real ? SplatSums::of(sums, index) : SplatSums{};
     g.view = {}, g.place = make_float2(0, 0);
-    if (range.first < range.last) {
-      sums = slots.of(range);
-      const Splat<float> splat = read_splat(splats.splats + index);
+    if (of_splat.any()) {
+      const Projection<float> projection(view, shape);
+      const Splat<float> splat = projection.splat(view, shape.opacity);
       if (kAntialiased || is_needle(splat)) {
-        g = with_exact_adjoint<kAntialiased>(gaussians, cameras, splats, slots, image, i, g);
+        g = with_exact_adjoint<kAntialiased>(gaussians, cameras, sums, image, i, g);
       } else {
-        const Splat<float> g_splat = splat_gradient<float>(splat, sums, g.colour);
-        Projection<float>(view, shape).adjoint(view, shape, g_splat, g.shape, g.view);
+        const Splat<float> g_splat = splat_gradient<float>(splat, of_splat, g.colour);
+        projection.adjoint(view, shape, g_splat, g.shape, g.view);
         g.place = make_float2(g_splat.u0, g_splat.v0);
       }
 
-      // The colours, through their clamp at zero; they also depend on the eye, which is -R^T t
-      const float* colour = splats.colours + index * kColourStride;
+      // The colour, through its clamp at zero; it also depends on the eye, which is -R^T t
+      const vec3 colour = sh_colour<float>(own.sh_degree, rows.own(), shape.mean, view.centre());
       for (int c = 0; c < 3; ++c) g.colour[c] = colour[c] > 0 ? g.colour[c] : 0.f;
       const vec3 g_mean =
           sh_colour_adjoint<!kOneView>(own.sh_degree, rows.own(), shape.mean, view.centre(), g.colour, g_rows.own());
@@ -300,12 +307,12 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
         g.view.translation += view.rotation * g_mean;
       }
     }
-    if (screen && real) store_place(g.place, slots, sums, screen, index);
+    if (screen && real) store_place(g.place, of_splat, sums.absolute, screen, index);
     if constexpr (kCameras)
       store_view(g.view, partial, view_partials + (image * gridDim.x + blockIdx.x) * kViewNumbers);
   }
   if (real) store_gradient(shape, g.shape, g_own, i);
-  in_fours ? g_rows.store(g_sh, drawn) : g_rows.store_one_by_one(g_sh, drawn, int(min(int64_t(32), n - first)));
+  in_fours ? g_rows.store(g_sh, lit) : g_rows.store_one_by_one(g_sh, lit, int(min(int64_t(32), n - first)));
 }
 
 using Kernel = decltype(&project_dense_backward_kernel<false, true, false>);
@@ -323,12 +330,10 @@ Kernel kernel_of(bool one_view, bool cameras) {
 
 int64_t view_blocks(int64_t gaussians) { return blocks_for(gaussians, kThreads); }
 
-void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
-                            const Splats<float>& splats, const SlotRange* slot_ranges, float* slot_gradients,
+void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
                             const Gaussians<float>& out, float* screen, bool absolute, float* view_partials,
                             Stream stream) {
   if (gaussians.count == 0 || cameras.scenes == 0) return;
-  sum_slots(splats.images * splats.count, slot_ranges, absolute, slot_gradients, stream);
   const dim3 blocks(unsigned(view_blocks(gaussians.count)), unsigned(cameras.scenes));
   const bool one = cameras.per_scene == 1;
   const auto kernel = cameras.antialiased ? kernel_of<true>(one, view_partials) : kernel_of<false>(one, view_partials);
@@ -336,8 +341,7 @@ void project_dense_backward(const Gaussians<const float>& gaussians, const Camer
       size_t(one ? 1 : 2) * kThreads * HarmonicRows::stride_of(3 * gaussians.sh_count()) * sizeof(float);
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
         "project_dense_backward: shared memory");
-  const Slots slots{slot_ranges, slot_gradients, absolute ? kAbsoluteDenseSums : kDenseSums};
-  kernel<<<blocks, kThreads, bytes, cudaStream_t(stream)>>>(gaussians, cameras, splats, slots, out, screen,
+  kernel<<<blocks, kThreads, bytes, cudaStream_t(stream)>>>(gaussians, cameras, AllSums{sums, absolute}, out, screen,
                                                             view_partials);
   check_launch("project_dense_backward");
 }

@@ -1,5 +1,5 @@
-// Between the reverses of composite and project for ordinary images on the device: adds up the slots of each splat, and
-// leaves the sum in the first of them. It reads every slot once, in a fixed order, in double.
+// Between the reverses of composite and project for ordinary images on the device: adds up the slots of each splat. It
+// reads every slot once, in a fixed order, in double.
 //
 // Most splats have a few slots, and one that fills the image has thousands. Lanes share the numbers of a slot, so that
 // they read memory side by side, and a warp sums up as many splats at once as it has lanes for. Splats of many slots
@@ -37,14 +37,14 @@ __device__ double strided_sum(const float* slots, uint32_t begin, uint32_t end, 
 // distance of the number of warps.
 template <int kNumbers>
 __global__ void __launch_bounds__(kThreads)
-    sum_slots_kernel(int64_t splats, const SlotRange* slot_ranges, float* slots) {
-  constexpr int kGroups = 32 / kNumbers;  // slots that a warp reads at once; the lanes that are left over read none
+    sum_slots_kernel(int64_t splats, const SlotRange* slot_ranges, const float* slots, float* sums) {
+  constexpr int kGroups = 32 / kNumbers;  // splats that a warp sums up at once; the lanes that are left over do nothing
   __shared__ SlotRange ranges[kThreads];
   __shared__ unsigned many[kWarps];
   __shared__ double partial[kWarps][kGroups][kNumbers];
   const int lane = threadIdx.x % 32, warp = threadIdx.x / 32, group = lane / kNumbers, number = lane % kNumbers;
-  const bool busy = group < kGroups;
-  const int64_t i = lane * (int64_t(gridDim.x) * kWarps) + int64_t(blockIdx.x) * kWarps + warp;
+  const int64_t apart = int64_t(gridDim.x) * kWarps, first = int64_t(blockIdx.x) * kWarps + warp;
+  const int64_t i = first + lane * apart;
   const SlotRange own = i < splats ? slot_ranges[i] : SlotRange{0, 0};
   const uint32_t count = own.last - own.first;
   ranges[threadIdx.x] = own;
@@ -52,30 +52,32 @@ __global__ void __launch_bounds__(kThreads)
   if (lane == 0) many[warp] = of_warp;
   __syncthreads();
 
-  // Splats of a few slots, each by a group of lanes. Those of one slot are summed up already
-  for (unsigned todo = __ballot_sync(~0u, count > 1 && count <= kMany); todo;) {
-    SlotRange range{0, 0};
+  // Splats of a few slots or none, each by a group of lanes
+  for (unsigned todo = __ballot_sync(~0u, i < splats && count <= kMany); todo;) {
+    int own_lane = -1;
 #pragma unroll
     for (int g = 0; g < kGroups; ++g, todo &= todo - 1)
-      if (todo && g == group) range = ranges[32 * warp + __ffs(int(todo)) - 1];
+      if (todo && g == group) own_lane = __ffs(int(todo)) - 1;
+    if (own_lane < 0) continue;
+    const SlotRange range = ranges[32 * warp + own_lane];
     const double sum = strided_sum<kNumbers>(slots, range.first, range.last, 1, number);
-    __syncwarp();  // the first slot has been read
-    if (range.first < range.last) slots[int64_t(range.first) * kNumbers + number] = float(sum);
+    sums[(first + own_lane * apart) * kSplatSums + number] = float(sum);
   }
 
   // Splats of many slots, each by all warps
   for (int w = 0; w < kWarps; ++w) {
     for (unsigned todo = many[w]; todo; todo &= todo - 1) {
-      const SlotRange range = ranges[32 * w + __ffs(int(todo)) - 1];
+      const int own_lane = __ffs(int(todo)) - 1;
+      const SlotRange range = ranges[32 * w + own_lane];
       const uint32_t begin = range.first + warp * kGroups + group;
-      if (busy)
+      if (group < kGroups)
         partial[warp][group][number] = strided_sum<kNumbers>(slots, begin, range.last, kWarps * kGroups, number);
       __syncthreads();
       if (int(threadIdx.x) < kNumbers) {
         double sum = 0;
         for (int k = 0; k < kWarps; ++k)
           for (int g = 0; g < kGroups; ++g) sum += partial[k][g][threadIdx.x];
-        slots[int64_t(range.first) * kNumbers + threadIdx.x] = float(sum);
+        sums[(first - warp + w + own_lane * apart) * kSplatSums + threadIdx.x] = float(sum);
       }
       __syncthreads();
     }
@@ -84,11 +86,12 @@ __global__ void __launch_bounds__(kThreads)
 
 }  // namespace
 
-void sum_slots(int64_t splats, const SlotRange* slot_ranges, bool absolute, float* slot_gradients, Stream stream) {
+void sum_slots(int64_t splats, const SlotRange* slot_ranges, bool absolute, const float* slot_gradients, float* sums,
+               Stream stream) {
   if (splats == 0) return;
   const auto kernel = absolute ? sum_slots_kernel<kAbsoluteDenseSums> : sum_slots_kernel<kDenseSums>;
   kernel<<<unsigned(blocks_for(splats, kThreads)), kThreads, 0, cudaStream_t(stream)>>>(splats, slot_ranges,
-                                                                                        slot_gradients);
+                                                                                        slot_gradients, sums);
   check_launch("sum_slots");
 }
 

@@ -100,14 +100,17 @@ constexpr int kLensSums = kLensFootprintSums;
 void composite_dense_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                               const Pairs& pairs, DenseImages<const float> images, DenseImages<const float> gradients,
                               bool absolute, float* slot_gradients, float* tile_background, Stream stream);
-// Adds up the slots of each splat, and leaves the sums in its first one: a step of project_dense_backward.
-void sum_slots(int64_t splats, const SlotRange* slot_ranges, bool absolute, float* slot_gradients, Stream stream);
-// All of out is overwritten. screen [I, N, 2], or null, receives the gradients of the splats' places, u0 and v0 in
-// pixels; if the slots are `absolute` [I, N, 4], with the absolute ones behind. view_partials [I, view_blocks(N), 12],
-// or null, receives those of the rows of [R|t], which the caller sums over the blocks.
+// Adds up the slots of each splat: sums [I, N, kSplatSums], the numbers of a slot, all zero where a splat has none;
+// what is behind them is left alone.
+constexpr int kSplatSums = kAbsoluteDenseSums;
+static_assert(kSplatSums == kSplatFields);  // for torch the sums are the gradient of the splats, and so of their shape
+void sum_slots(int64_t splats, const SlotRange* slot_ranges, bool absolute, const float* slot_gradients, float* sums,
+               Stream stream);
+// From the sums of all splats. All of out is overwritten. screen [I, N, 2], or null, receives the gradients of the
+// splats' places, u0 and v0 in pixels; where `absolute` [I, N, 4], with the absolute ones behind. view_partials
+// [I, view_blocks(N), 12], or null, receives those of the rows of [R|t], which the caller sums over the blocks.
 int64_t view_blocks(int64_t gaussians);
-void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
-                            const Splats<float>& splats, const SlotRange* slot_ranges, float* slot_gradients,
+void project_dense_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
                             const Gaussians<float>& out, float* screen, bool absolute, float* view_partials,
                             Stream stream);
 

@@ -1,0 +1,120 @@
+"""`lightfield-gs calibrate nudge`: change the lens of a profile a little."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.commands.calibrate_pattern import KINDS, draw_pattern, write_pattern
+from lightfield_gs.commands.options.panel import add_device_serial
+from lightfield_gs.commands.options.values import numbers
+from lightfield_gs.io.atomic import check_outputs
+from lightfield_gs.panels.lens_change import LensChange, changed, turns_in_middle
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.profile import check_profile_path, is_looking_glass, lens_in_owners_terms, write_profile
+
+_TO_SHOW = [kind for kind in KINDS if kind != "single"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs calibrate nudge`."""
+    parser.epilog = (
+        "Pitch, slope and centre are the words of Looking Glass, line number, slant and phase those of a .yaml: either "
+        "may be given for either. What the middle of the panel shows stays, unless the centre or the phase is moved. "
+        "`calibrate pattern` pitch, slope and centre have the very changes written on them."
+    )
+    add = parser.add_argument
+    add("profile", metavar="PROFILE", help="name, .yaml or Looking Glass visual.json")
+    add("-o", "--output", type=Path, required=True, metavar="NEW", help="the changed profile, in the format of PROFILE")
+    add_device_serial(add)
+    add("--pitch-by", type=_amount, metavar="LPI|P%", help="more lenses per inch across their axis, or percent of them")
+    add("--slope-by", type=_amount, metavar="S|P%", help="more slope (dy/dx of the lens axis), or percent of it")
+    add("--centre-by", type=numbers(1), metavar="LENSES", help="move the centre, in lens widths")
+    add("--line-number-by", type=numbers(1), metavar="SUBPIXELS", help="wider lenses, in sub-pixels along a row")
+    add("--slant-by", type=numbers(1), metavar="TAN", help="more slant, in its tangent")
+    add("--phase-by", type=numbers(1), metavar="SUBPIXELS", help="move the phase, in sub-pixels")
+    add("--pattern", choices=_TO_SHOW, metavar="KIND", help="also write a pattern of the new profile: NEW-KIND.png")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Writes the changed profile. Raises InputError."""
+    path = check_profile_path(args.output, args.profile)
+    pattern = path.with_name(f"{path.stem}-{args.pattern}.png") if args.pattern else None
+    check_outputs((path, pattern), (args.profile,))
+    before = Panel.load(args.profile, serial=args.device_serial)
+    after = changed(before, change_of(args, before))
+    image = None
+    if pattern is not None:
+        asked = argparse.Namespace(kind=args.pattern, step=None, shift=None, span=None, bands=None)
+        image = draw_pattern(after, asked)
+    write_profile(path, args.profile, after, args.device_serial)
+    print(f"{path}: {args.profile} with another lens")
+    for line in said_of_change(args.profile, before, after, args.device_serial):
+        print(line)
+    if pattern is not None and image is not None:
+        write_pattern(pattern, after, args.pattern, image)
+        print(f"{pattern}: {args.pattern}, for the new profile; show it full screen, unscaled")
+
+
+def change_of(args: argparse.Namespace, panel: Panel) -> LensChange:
+    """What the options ask for. Raises InputError where they ask for nothing, or for what the profile cannot say."""
+    options = ("pitch_by", "slope_by", "centre_by", "line_number_by", "slant_by", "phase_by")
+    if all(getattr(args, option) is None for option in options):
+        names = ", ".join(f"--{option.replace('_', '-')}" for option in options)
+        raise InputError(f"nothing to change; give one or more of {names}")
+    centre, line_number, slant, phase = (
+        value[0] if value else 0.0 for value in (args.centre_by, args.line_number_by, args.slant_by, args.phase_by)
+    )
+    pitch = slope = 0.0
+    if args.pitch_by is not None:
+        pitch, relative = args.pitch_by
+        if not relative:
+            pitch *= 100 / pitch_lpi(panel)
+    if args.slope_by is not None:
+        slope, relative = args.slope_by
+        if not relative:
+            slope *= 100 / slope_of(args.profile, panel, args.device_serial)
+    return LensChange(pitch, slope, centre, line_number, slant, phase)
+
+
+def pitch_lpi(panel: Panel) -> float:
+    """Lenses per inch across their axis. Raises InputError where the profile has no pixel pitch."""
+    if panel.pixel_pitch_mm is None:
+        raise InputError(
+            f"panel {panel.name} lacks pixel_pitch_mm, without which there are no lenses per inch; give the change "
+            "of pitch in percent, as 0.1%, or --line-number-by"
+        )
+    return 3 * 25.4 / (panel.pixel_pitch_mm * panel.line_number) * math.hypot(1, panel.slant_tan)
+
+
+def slope_of(source: str | Path, panel: Panel, serial: str | None) -> float:
+    """dy/dx of the lens axis, as the profile has it. Raises InputError where the lenses stand upright."""
+    if is_looking_glass(source):
+        return lens_in_owners_terms(source, panel, serial)["slope"]
+    if panel.slant_tan == 0:
+        raise InputError(f"panel {panel.name}: the lenses stand upright, without a slope; give --slant-by")
+    return -1 / panel.slant_tan
+
+
+def said_of_change(source: str | Path, before: Panel, after: Panel, serial: str | None) -> list[str]:
+    """The lens before and after in the terms of a Looking Glass, where it has them, and in those of a .yaml."""
+    lines = []
+    if is_looking_glass(source):
+        old, new = (lens_in_owners_terms(source, panel, serial) for panel in (before, after))
+        lines.append(", ".join(f"{key} {old[key]:.9g} -> {new[key]:.9g}" for key in old))
+    elif before.pixel_pitch_mm is not None and before.slant_tan and after.slant_tan:
+        pitch = f"pitch {pitch_lpi(before):.9g} -> {pitch_lpi(after):.9g} lenses per inch"
+        lines.append(f"{pitch}, slope {-1 / before.slant_tan:.9g} -> {-1 / after.slant_tan:.9g}")
+    keys = ("line_number", "slant_tan", "phase")
+    lines.append(", ".join(f"{key} {getattr(before, key):.9g} -> {getattr(after, key):.9g}" for key in keys))
+    moved = turns_in_middle(after) - turns_in_middle(before)
+    lines.append(f"the middle of the panel moves by {moved:+.4g} lens widths, {moved * after.views:+.4g} views")
+    return lines
+
+
+def _amount(text: str) -> tuple[float, bool]:
+    """ "0.1%" -> (0.1, True): percent; "0.05" -> (0.05, False)."""
+    relative = text.endswith("%")
+    return numbers(1)(text.removesuffix("%"))[0], relative

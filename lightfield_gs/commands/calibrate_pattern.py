@@ -1,0 +1,130 @@
+"""`lightfield-gs calibrate pattern`: a native image that shows which view reaches an eye."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.commands.options.panel import add_device_serial
+from lightfield_gs.commands.options.values import whole, within
+from lightfield_gs.io.atomic import check_outputs
+from lightfield_gs.io.images import check_image_path, write_image
+from lightfield_gs.panels import pattern_fans, patterns
+from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+
+KINDS = {
+    "hues": "each view in one hue, red (view 0) to magenta: an eye at the viewing distance sees one colour all over",
+    "greys": "the same in greys, black to white",
+    "numbers": "each view shows its own number, large",
+    "single": "the views of --view white, the others black",
+    "phase": "light that is a cosine of the view, shifted by --shift thirds of a lens: for `calibrate fit`",
+    "rgb": "the same, red, green and blue shifted by 0, 1 and 2 thirds in one image",
+    "pitch": "rows with the pitch changed by the percent written on them: the right one is even from left to right",
+    "slope": "columns with the slope changed by the percent written on them: the right one is even from top to bottom",
+    "centre": "rows with the centre moved by the lens widths on them: from straight in front the right one is white",
+    "depth": "stripes at depths of the disparity, in pixels over all views, written on them; positive pops out",
+}
+# The options that only some kinds take
+_TAKERS = {
+    "view": ("single",),
+    "step": ("numbers",),
+    "shift": ("phase",),
+    "span": ("pitch", "slope", "centre", "depth"),
+    "bands": ("pitch", "slope", "centre", "depth"),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `lightfield-gs calibrate pattern`."""
+    parser.epilog = "Kinds: " + "; ".join(f"{kind}, {meaning}" for kind, meaning in KINDS.items()) + "."
+    add = parser.add_argument
+    add("kind", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
+    add(
+        "--panel",
+        default=DEFAULT_PANEL,
+        metavar="PANEL",
+        help=f"name, .yaml or visual.json of the panel that shows it (default {DEFAULT_PANEL})",
+    )
+    add_device_serial(add)
+    add("--view", type=_views, metavar="N[-M]", help="of single: the white view, or the first and the last, from 0")
+    add(
+        "--step",
+        type=whole(1, 65536),
+        metavar="VIEWS",
+        help="of numbers: how many views share a number (default: as many as blend)",
+    )
+    add("--shift", type=whole(0, 2), metavar="0|1|2", help="of phase: thirds of a lens width (default 0)")
+    add(
+        "--span",
+        type=within(1e-6, 1e5),
+        metavar="S",
+        help="of pitch, slope (percent), centre (lens widths) and depth (pixels): the bands go from -S to S "
+        "(default 0.5, 2.5, 0.5, and six lens widths)",
+    )
+    add(
+        "--bands",
+        type=whole(3, 99),
+        metavar="COUNT",
+        help="of the same: how many bands, an odd number (default: what fits, at most 11)",
+    )
+    add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png or .tif: show it unscaled, full screen")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Writes the pattern of args.kind. Raises InputError."""
+    path = check_image_path(args.output)
+    check_outputs((path,), (args.panel,))
+    panel = Panel.load(args.panel, serial=args.device_serial)
+    for option, takers in _TAKERS.items():
+        if getattr(args, option) is not None and args.kind not in takers:
+            raise InputError(f"--{option} is for the kinds {', '.join(takers)}, not {args.kind}; leave it out")
+    write_pattern(path, panel, args.kind, draw_pattern(panel, args))
+    print(
+        f"{path}: {args.kind}, {panel.width_px} x {panel.height_px}, for panel {panel.name}; show it full screen, "
+        "unscaled"
+    )
+    if args.kind == "numbers":
+        shared = math.ceil(panel.views / len(np.unique(patterns.number_of_view(panel, args.step))))
+        print(
+            f"{shared} of {panel.views} views share a number; a lens lights about {panel.views / panel.line_number:.3g}"
+        )
+
+
+def draw_pattern(panel: Panel, args: argparse.Namespace) -> np.ndarray:
+    """The pattern uint8 [H, W, 3] of args.kind, with the options that are given. Raises InputError."""
+    kind = args.kind
+    if kind in ("hues", "greys"):
+        return patterns.sweep(panel, kind == "hues")
+    if kind == "numbers":
+        return patterns.numbers(panel, args.step)
+    if kind == "single":
+        return patterns.single(panel, *(args.view or (panel.views // 2,)))
+    if kind in ("phase", "rgb"):
+        return patterns.bars(panel, None if kind == "rgb" else args.shift or 0)
+    if kind == "depth":
+        return pattern_fans.depth_ramp(panel, args.span, args.bands)
+    return pattern_fans.fan(panel, kind, args.span, args.bands)
+
+
+def write_pattern(path: Path, panel: Panel, kind: str, image: np.ndarray) -> None:
+    """Writes a pattern with the panel that it is for, as `simulate` reads it. Raises InputError."""
+    told = {
+        "software": f"lightfield-gs {version('lightfield-gs')}",
+        "pattern": kind,
+        "panel": json.dumps(panel.to_dict()),
+    }
+    write_image(path, image, metadata=told)
+
+
+def _views(text: str) -> tuple[int, ...]:
+    """ "40" -> (40,), "40-44" -> (40, 44)."""
+    words = text.split("-")
+    if len(words) > 2 or not all(word.isdecimal() and len(word) < 6 for word in words):
+        raise argparse.ArgumentTypeError(f"expected a view such as 40, or a range such as 40-44, got '{text}'")
+    return tuple(map(int, words))

@@ -1,0 +1,137 @@
+"""The options that several benchmarks take, and what they say."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.bench.scenes import NAMED_CONES, check_scene
+from lightfield_gs.commands.options.panel import add_device_serial
+from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
+from lightfield_gs.photo.load import load_photo
+
+
+def add_machine(parser: argparse.ArgumentParser, several_threads: bool = False) -> None:
+    """Where it runs, and where the rows go."""
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
+    more = "; several with commas" if several_threads else ""
+    parser.add_argument("--threads", help=f"threads (default: all cores){more}")
+    parser.add_argument("--json", type=Path, help="where to write the rows, and what machine they are from")
+
+
+def add_repeats(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--repeats",
+        type=int,
+        help="runs of each, fewer of those beyond a minute (default: 5, and 20 of what takes less than 50 ms on CUDA)",
+    )
+
+
+def add_panel(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--panel",
+        default=DEFAULT_PANEL,
+        help="name, YAML or visual.json (default: %(default)s); bench-8k-96v, bench-4k-71v: those of published figures",
+    )
+    add_device_serial(parser.add_argument)
+
+
+def panel_of(args: argparse.Namespace) -> Panel:
+    """The panel that was asked for. Raises InputError."""
+    return Panel.load(args.panel, serial=args.device_serial)
+
+
+def add_scene(parser: argparse.ArgumentParser, usual: Sequence[str]) -> None:
+    parser.add_argument(
+        "--scene", help=f"sheet:S, cloud:N or a .ply; several with commas (default: {', '.join(usual)})"
+    )
+
+
+def check_scenes(scenes: Sequence[str], sh_degrees: Sequence[int | None] = (None,)) -> None:
+    """Raises InputError before the first is measured: what was measured until then would be lost."""
+    for scene in scenes:
+        for degree in sh_degrees:
+            check_scene(scene, degree)
+
+
+def add_cone(parser: argparse.ArgumentParser, usual: str = "the panel's") -> None:
+    parser.add_argument(
+        "--cone",
+        help="viewing cone in degrees, or narrow (40 px of disparity over all views) or wide "
+        f"(53 degrees); several with commas (default: {usual})",
+    )
+
+
+def cones(text: str | None) -> list[str | float | None]:
+    """Cones as `cone_degrees` takes them; [None] when the option was not given."""
+    if text is None:
+        return [None]
+    return [part if part in NAMED_CONES else _cone(part) for part in text.split(",")]
+
+
+def _cone(text: str) -> float:
+    try:
+        degrees = float(text)
+    except ValueError:
+        degrees = math.nan
+    if not 0 < degrees < 180:
+        raise InputError(f"--cone: expected degrees between 0 and 180, or {' or '.join(NAMED_CONES)}, got {text!r}")
+    return degrees
+
+
+def add_sh_degree(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--sh-degree", help="0..3 of synthetic scenes, several with commas (default: 0)")
+
+
+def sh_degrees(text: str | None) -> list[int | None]:
+    """The degrees of "0,3"; [None] when the option was not given."""
+    if text is None:
+        return [None]
+    if not all(part in ("0", "1", "2", "3") for part in text.split(",")):
+        raise InputError(f"--sh-degree: expected degrees 0..3 with commas between, got {text!r}")
+    return [int(part) for part in text.split(",")]
+
+
+def add_photo(parser: argparse.ArgumentParser, usual: Path) -> None:
+    parser.add_argument("--photo", help=f"files, several with commas (default: the one inside, {usual.name})")
+
+
+def check_photos(photos: Sequence[str]) -> None:
+    """Raises InputError before the first is measured: what was measured until then would be lost."""
+    for path in photos:
+        with named("--photo"):
+            load_photo(path)
+
+
+def add_plot(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--plot", type=Path, help="a picture of the rows, .png, .svg, .pdf or .webp")
+
+
+def thread_counts(text: str | None) -> list[int | None]:
+    """The numbers of "1,2"; [None] when the option was not given."""
+    if text is None:
+        return [None]
+    try:
+        counts = [int(part) for part in text.split(",")]
+    except ValueError:
+        counts = []
+    if not counts or min(counts) < 1:
+        raise InputError(f"--threads: expected positive numbers with commas between, got {text!r}")
+    return [*counts]
+
+
+def one_thread_count(text: str | None) -> int | None:
+    """The number of --threads, of a benchmark that takes one; None when it was not given."""
+    counts = thread_counts(text)
+    if len(counts) > 1:
+        raise InputError(f"--threads: expected one number, got {text}")
+    return counts[0]
+
+
+def progress(line: str) -> None:
+    """Says how far the benchmark is."""
+    print(f"bench: {line}", file=sys.stderr, flush=True)

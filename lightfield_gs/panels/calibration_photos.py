@@ -1,0 +1,219 @@
+"""Photographs of a panel that shows the bars of lightfield_gs.panels.patterns: the phase of the bars over the panel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.images import as_floats
+from lightfield_gs.panels.patterns import light_of_srgb
+
+MOST_CELLS = 256  # along the longer side of the panel: bars are far wider
+_MOST_POINTS = 6  # each way, that a cell is the mean of
+_CLIPPED, _DARK, _LEAST_CONTRAST = 0.99, 0.1, 0.1
+_EDGE_POINTS, _EDGE_REACH = 200, 0.06  # places along an edge, and how far from it is looked, in its lengths
+_LEAST_SIDE_PX = 32
+
+
+@dataclass(frozen=True)
+class Place:
+    """Photographs from one place, all with the same exposure.
+
+    eye_mm: of the camera, (x, y, z) from the panel's middle: right, up, towards the viewer.
+    photos: [H, W, 3], sRGB codes, uint8, uint16 or float32 in 0..1: three of the grey bars with the shifts 0, 1, 2 in
+        this order; or one of those in red, green and blue.
+    corners_px: upper left, upper right, lower right and lower left of the panel's picture area in the photographs, x
+        right and y down from their upper left corner; None: to be found, which needs dark surroundings.
+    name: for messages.
+    """
+
+    eye_mm: tuple[float, float, float]
+    photos: tuple[np.ndarray, ...]
+    corners_px: Sequence[Sequence[float]] | None = None
+    name: str = "photographs"
+
+    def __post_init__(self) -> None:
+        if not is_row(self.eye_mm, 3):
+            raise InputError(f"{self.name}: the eye must be x, y, z in mm, got {shown(self.eye_mm)}")
+        for value in self.eye_mm:
+            real_number(f"{self.name}: eye", value, -1e7, 1e7)
+        if self.eye_mm[2] <= 0:
+            raise InputError(f"{self.name}: z of the eye, its distance before the panel, must be above 0")
+        if len(self.photos) not in (1, 3):
+            raise InputError(
+                f"{self.name}: expected three photographs, of the shifts 0, 1 and 2, or one of the bars in red, green "
+                f"and blue, got {len(self.photos)}; fewer shifts leave the phase ambiguous"
+            )
+        for photo in self.photos:
+            expect(f"{self.name}: photo", photo, np.ndarray)
+            if photo.dtype.name not in ("uint8", "uint16", "float32"):
+                raise InputError(f"{self.name}: expected photographs of uint8, uint16 or float32, got {photo.dtype}")
+            if photo.ndim != 3 or photo.shape[2] < 3 or photo.shape[:2] != self.photos[0].shape[:2]:
+                raise InputError(f"{self.name}: expected photographs of one size [H, W, 3], got {list(photo.shape)}")
+
+    def light(self) -> tuple[np.ndarray, np.ndarray]:
+        """Light of the three shifts, float32 [H, W, 3], and where none of them is clipped, bool [H, W]."""
+        codes = [as_floats(photo[..., :3]) for photo in self.photos]
+        free = np.all([code.max(2) < _CLIPPED for code in codes], 0)
+        light = [light_of_srgb(code) for code in codes]
+        return (light[0] if len(light) == 1 else np.stack([one.mean(2) for one in light], 2)), free
+
+
+@dataclass(frozen=True)
+class Fringes:
+    """The bars as seen over the panel, in cells.
+
+    wave: complex [rows, columns], e^(2 pi i phase) where the bars can be seen, else 0; phase is the share x/N of the
+    view in the cell's middle. corners_px: [4, 2], given or found.
+    """
+
+    wave: np.ndarray
+    corners_px: np.ndarray
+
+
+def fringes(place: Place, columns: int, rows: int) -> Fringes:
+    """What the photographs show of the bars. Raises InputError where the panel or its bars cannot be seen."""
+    light, free = place.light()
+    corners = _corners(place, light)
+    middle = _sampled(np.concatenate([light, free[..., None]], 2), corners, columns, rows)
+    shifts, mean = middle[..., :3], middle[..., :3].mean(2)
+    # The sum of cos(a - 2 pi s/3) e^(2 pi i s/3) over s = 0, 1, 2 is 3/2 e^(i a)
+    wave = shifts @ np.exp(2j * np.pi * np.arange(3) / 3) * (2 / 3)
+    seen = (middle[..., 3] > 0.999) & (mean > _DARK * np.percentile(mean, 95)) & (np.abs(wave) > _LEAST_CONTRAST * mean)
+    _check_seen(place, seen)
+    return Fringes(np.where(seen, wave / np.maximum(np.abs(wave), 1e-30), 0), corners)
+
+
+def _check_seen(place: Place, seen: np.ndarray) -> None:
+    """Raises InputError where the bars are seen on too little of the panel to tell how they run."""
+    spread = [np.ptp(np.flatnonzero(seen.any(axis))) / seen.shape[1 - axis] if seen.any() else 0 for axis in (0, 1)]
+    if seen.mean() < 0.2 or min(spread) < 0.5:
+        raise InputError(
+            f"{place.name}: the bars can be seen on {100 * seen.mean():.0f} % of the panel, {100 * spread[0]:.0f} % of "
+            f"its width and {100 * spread[1]:.0f} % of its height; expected 20, 50 and 50 % at least. Show the shifts "
+            "0, 1 and 2, keep the exposure, clip nothing, darken the room, or check the corners"
+        )
+
+
+def _corners(place: Place, light: np.ndarray) -> np.ndarray:
+    """The corners [4, 2], clockwise from the upper left one. Raises InputError where they are no panel's."""
+    if place.corners_px is None:
+        corners = find_corners(light.mean(2), place.name)
+    else:
+        given = [list(corner) if is_row(corner, 2) else [] for corner in place.corners_px]
+        if [len(pair) for pair in given] != [2, 2, 2, 2]:
+            raise InputError(f"{place.name}: corners must be four pairs x, y in pixels, got {shown(place.corners_px)}")
+        corners = np.array([[real_number(f"{place.name}: corner", v, -1e5, 1e5) for v in pair] for pair in given])
+    sides = np.roll(corners, -1, 0) - corners
+    turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
+    if not (turns > 0).all() or np.hypot(*sides.T).min() < _LEAST_SIDE_PX:
+        raise InputError(
+            f"{place.name}: expected the corners upper left, upper right, lower right, lower left, with sides of "
+            f"{_LEAST_SIDE_PX} px at least, got {shown(corners.round(1).tolist())}"
+        )
+    return corners
+
+
+def find_corners(light: np.ndarray, name: str = "photographs") -> np.ndarray:
+    """Corners [4, 2] in pixels, clockwise from the upper left, of a bright panel in a dark room.
+
+    light: [H, W], the mean over the shifts, for which the bars vanish. Raises InputError where there is no such
+    bright quadrilateral.
+    """
+    level = 0.5 * np.median(light[light > 0.5 * np.percentile(light, 99)])
+    bright = _smoothed(light) > level
+    y, x = np.nonzero(bright)
+    if len(x) < 0.02 * light.size:
+        raise InputError(f"{name}: no bright panel was found; give its corners")
+    rough = [np.argmin(x + y), np.argmin(y - x), np.argmax(x + y), np.argmax(y - x)]
+    corners = np.stack([x[rough], y[rough]], 1) + 0.5
+    lines = [_edge(light, level, a, b) for a, b in zip(corners, np.roll(corners, -1, 0))]
+    if any(line is None for line in lines):
+        raise InputError(f"{name}: the edges of the panel were not found; give its corners")
+    refined = np.stack([np.cross(a, b) for a, b in zip(np.roll(np.array(lines), 1, 0), np.array(lines))])
+    refined = refined[:, :2] / refined[:, 2:]
+    following = np.roll(refined, -1, 0)
+    area = 0.5 * abs(np.sum(refined[:, 0] * following[:, 1] - refined[:, 1] * following[:, 0]))
+    if not 0.9 < bright.sum() / area < 1.1:
+        raise InputError(f"{name}: what is bright is no quadrilateral; darken the room, or give the corners")
+    return refined
+
+
+def _smoothed(light: np.ndarray) -> np.ndarray:
+    """Means over 5 x 5 pixels, so that noise has no corners."""
+    for axis, size in enumerate(light.shape):
+        padded = np.pad(light, [(2, 2) if axis == a else (0, 0) for a in (0, 1)], mode="edge")
+        light = np.mean([padded.take(range(k, k + size), axis) for k in range(5)], 0)
+    return light
+
+
+def _edge(light: np.ndarray, level: float, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+    """The line (a, b, c), a x + b y + c = 0, along which the light rises through the level near start..end."""
+    along = end - start
+    length = math.hypot(*along)
+    if length < _LEAST_SIDE_PX:
+        return None
+    outwards = np.array([along[1], -along[0]]) / length
+    reach = max(4.0, _EDGE_REACH * length)
+    steps = np.linspace(reach, -reach, int(4 * reach) + 1)  # from outside to inside
+    feet = start + np.linspace(0.08, 0.92, _EDGE_POINTS)[:, None] * along
+    profile = bilinear(light[..., None], feet[:, None] + steps[:, None] * outwards)[..., 0]
+    inside = profile > level
+    first = inside.argmax(1)
+    good = (first > 0) & inside[:, -1]
+    if good.sum() < _EDGE_POINTS // 4:
+        return None
+    row, k = np.flatnonzero(good), first[good]
+    before, after = profile[row, k - 1], profile[row, k]
+    place = steps[k - 1] + (steps[k] - steps[k - 1]) * (level - before) / (after - before)
+    points = feet[good] + place[:, None] * outwards
+    for _ in range(3):  # without what is not on the line, such as a stand before the edge
+        middle = points.mean(0)
+        normal = np.linalg.svd(points - middle)[2][1]
+        away = np.abs((points - middle) @ normal)
+        points = points[away <= max(0.5, 2.5 * float(np.median(away)))]
+    return np.array([*normal, -normal @ middle])
+
+
+def _sampled(values: np.ndarray, corners: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Means of an image [H, W, C] over the cells of the panel, [rows, columns, C], by the homography of its corners."""
+    sides = np.roll(corners, -1, 0) - corners
+    cell_px = max(np.hypot(*sides[::2].T).max() / columns, np.hypot(*sides[1::2].T).max() / rows)
+    points = min(_MOST_POINTS, max(1, math.ceil(cell_px)))
+    matrix = homography(corners)
+    total = np.zeros((rows, columns, values.shape[2]))
+    for down in range(points):
+        for across in range(points):
+            u = (np.arange(columns) + (across + 0.5) / points) / columns
+            v = (np.arange(rows) + (down + 0.5) / points) / rows
+            places = np.stack([*np.meshgrid(u, v), np.ones((rows, columns))], -1) @ matrix.T
+            total += bilinear(values, places[..., :2] / places[..., 2:])
+    return total / points**2
+
+
+def homography(corners: np.ndarray) -> np.ndarray:
+    """The matrix [3, 3] that takes (u, v, 1), u right and v down over the panel in 0..1, to its place in the photo."""
+    rows, right = [], []
+    for (u, v), (x, y) in zip(((0, 0), (1, 0), (1, 1), (0, 1)), corners):
+        rows += [[u, v, 1, 0, 0, 0, -u * x, -v * x], [0, 0, 0, u, v, 1, -u * y, -v * y]]
+        right += [x, y]
+    return np.append(np.linalg.solve(np.array(rows, float), np.array(right, float)), 1).reshape(3, 3)
+
+
+def bilinear(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Values [H, W, C] at places [..., 2] (x, y), pixel centres at i + 0.5; 0 outside."""
+    height, width = values.shape[:2]
+    x, y = places[..., 0] - 0.5, places[..., 1] - 0.5
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    out = np.zeros((*x.shape, values.shape[2]))
+    for j, across in ((left, left + 1 - x), (left + 1, x - left)):
+        for i, down in ((top, top + 1 - y), (top + 1, y - top)):
+            inside = (i >= 0) & (i < height) & (j >= 0) & (j < width)
+            share = np.where(inside, across * down, 0)[..., None]
+            out += share * values[np.clip(i, 0, height - 1), np.clip(j, 0, width - 1)]
+    return out

@@ -1,0 +1,105 @@
+"""How a viewer wants a scene on the panel: what lies in its plane, how deep it is, how large and where."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.point_depth import depth_at
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.scene.gaussians import Gaussians
+
+MOST_AMOUNT = 2.0  # of depth, in depths of the rig
+ZOOMS = (0.01, 100.0)
+MOST_PAN = 10.0  # panels
+CONES_DEG = (0.0, 179.0)
+
+
+@dataclass(frozen=True)
+class Look:
+    """Changes of a rig. Without any, it stays as it is. Raises InputError for values out of their ranges.
+
+    A point at view-space z = Z is seen in the view with offset s at (docs/design.md, "Where the cameras stand")
+        u(s) = fx X/Z + cx + d(s),    d(s) = s fx (1/Z0 - 1/Z),    |s| <= Z0 tan(cone/2)
+
+    focus: view-space z, > 0, in scene units, of what lies in the panel's plane; or (x, y), a point of the picture, 0..1
+        of the panel's width from the left and of its height from the top, as the picture is with zoom and pan: the
+        surface seen there. None: as in the rig. Only Z0 changes, so that the centre view stays the same picture: in the
+        outermost views d = +-fx tan(cone/2) (1 - Z0/Z), which is 0 at the focus.
+    depth_amount: factor a of all disparities, 0 (flat: all views alike) to 2; 1: as in the rig. tan(cone/2), and so all
+        offsets s and all d(s), become a times as large.
+    cone_deg: full angle of the fan seen from the zero plane, 0..179, before depth_amount; None: as in the rig.
+    zoom: factor of the size of the picture about the panel's centre, 0.01..100: focal lengths f become zoom f, and
+        c becomes W/2 + zoom (c - W/2). Disparities grow with the picture.
+    pan: (x, y), where the picture moves after that, to the right and down, in shares of the panel's width and height:
+        c becomes c + pan W.
+    """
+
+    focus: float | tuple[float, float] | None = None
+    depth_amount: float = 1.0
+    cone_deg: float | None = None
+    zoom: float = 1.0
+    pan: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        self._set("focus", _focus(self.focus))
+        self._set("depth_amount", real_number("look: depth_amount", self.depth_amount, 0, MOST_AMOUNT))
+        if self.cone_deg is not None:
+            self._set("cone_deg", real_number("look: cone_deg", self.cone_deg, *CONES_DEG))
+        self._set("zoom", real_number("look: zoom", self.zoom, *ZOOMS))
+        if not is_row(self.pan, 2):
+            raise InputError(f"look: pan must be two numbers, got {shown(self.pan)}")
+        self._set("pan", tuple(real_number("look: pan", part, -MOST_PAN, MOST_PAN) for part in self.pan))
+
+    def _set(self, key: str, value: object) -> None:
+        object.__setattr__(self, key, value)
+
+    def applied(self, rig: Rig, panel: Panel, gaussians: Gaussians | None = None) -> Rig:
+        """The rig as this look has it; the one given is not altered.
+
+        gaussians: in the rig's coordinates; needed where the focus is a point of the picture. Raises InputError, also
+        where nothing is to be seen at that point.
+        """
+        expect("rig", rig, Rig)
+        expect("panel", panel, Panel)
+        sizes = panel.width_px, panel.height_px
+        fx, fy = rig.focal_px
+        cx, cy = (
+            size / 2 + self.zoom * (centre - size / 2) + pan * size
+            for size, centre, pan in zip(sizes, rig.principal_point_px, self.pan)
+        )
+        seen = replace(rig, focal_px=(self.zoom * fx, self.zoom * fy), principal_point_px=(cx, cy))
+        return replace(seen, zero_depth=self._zero_depth(seen, panel, gaussians), cone_deg=self._cone_deg(rig, panel))
+
+    def _cone_deg(self, rig: Rig, panel: Panel) -> float | None:
+        """2 atan(a tan(cone/2)); None stays None where nothing changes: the panel's, whatever it is."""
+        if self.cone_deg is None and self.depth_amount == 1:
+            return rig.cone_deg
+        own = panel.cone_deg if rig.cone_deg is None else rig.cone_deg
+        cone = own if self.cone_deg is None else self.cone_deg
+        if self.depth_amount == 1:
+            return cone
+        return math.degrees(2 * math.atan(self.depth_amount * math.tan(math.radians(cone) / 2)))
+
+    def _zero_depth(self, rig: Rig, panel: Panel, gaussians: Gaussians | None) -> float:
+        if self.focus is None:
+            return rig.zero_depth
+        if isinstance(self.focus, float):
+            return self.focus
+        if gaussians is None:
+            raise InputError("look: a focus that is a point of the picture needs the Gaussians; give them, or a depth")
+        return depth_at(gaussians, panel, rig, self.focus)
+
+
+def _focus(focus: object) -> float | tuple[float, float] | None:
+    if focus is None:
+        return None
+    if is_row(focus):
+        if not is_row(focus, 2):
+            raise InputError(f"look: focus must be a depth, or x and y of a point of the picture, got {shown(focus)}")
+        x, y = (real_number("look: focus, x and y,", part, 0, 1) for part in focus)  # type: ignore[attr-defined]
+        return x, y
+    return real_number("look: focus", focus, 1e-6, 1e12)

@@ -1,0 +1,119 @@
+"""The lens found from photographs, with `simulate` as the camera."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.panels.calibration_fit import fit_lens
+from lightfield_gs.panels.calibration_photos import Place, bilinear, find_corners, homography
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.patterns import bars, light_of_srgb, srgb_of_light
+from lightfield_gs.panels.simulate import simulate
+
+START = Panel(
+    width_px=960,
+    height_px=540,
+    views=48,
+    line_number=9.848282191911,
+    slant_tan=1 / 6,
+    phase=-310.4,
+    cone_deg=40,
+    viewing_distance_mm=600,
+    pixel_pitch_mm=0.2,
+)
+CORNERS = np.array([[92.3, 61.8], [694.1, 90.2], [668.7, 452.9], [121.4, 428.6]])
+EYES = ((0.0, 0.0, 600.0), (70.0, 20.0, 560.0))
+
+
+def perturbed(panel: Panel) -> Panel:
+    """Pitch 0.1 % more, slope 0.5 % more, centre 0.2 lens widths more, by the formulas of DESIGN 3."""
+    dpi = 25.4 / panel.pixel_pitch_mm
+    slope = -1 / panel.slant_tan
+    pitch = 3 * dpi / (panel.line_number * math.cos(math.atan(1 / slope)))
+    centre = (1.5 + 3 * (panel.height_px - 0.5) / slope - panel.phase) / panel.line_number
+    pitch, slope, centre = pitch * 1.001, slope * 1.005, centre + 0.2
+    lens = 3 * dpi / (pitch * math.cos(math.atan(1 / slope)))
+    phase = 1.5 + 3 * (panel.height_px - 0.5) / slope - centre * lens
+    return replace(panel, line_number=lens, slant_tan=-1 / slope, phase=phase)
+
+
+def photograph(image, true, eye, corners=CORNERS, size=(520, 780), noise=0.01, seed=0) -> np.ndarray:
+    """8-bit codes of what a camera at the eye takes of the panel in a dark room: in perspective, blurred, noisy."""
+    seen = simulate(light_of_srgb(image / 255), true, eye)
+    y, x = np.mgrid[0 : size[0], 0 : size[1]] + 0.5
+    back = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(homography(corners)).T
+    uv = back[..., :2] / back[..., 2:]
+    inside = ((uv > 0) & (uv < 1)).all(-1)
+    places = np.clip(uv * seen.shape[1::-1], 0.5, np.array(seen.shape[1::-1]) - 0.5)
+    light = np.where(inside[..., None], bilinear(seen, places), 0.004)
+    for axis in (0, 1):
+        light = (np.roll(light, 1, axis) + 2 * light + np.roll(light, -1, axis)) / 4
+    code = srgb_of_light(np.clip(light, 0, 1)) + noise * np.random.default_rng(seed).standard_normal(light.shape)
+    return np.rint(255 * np.clip(code, 0, 1)).astype(np.uint8)
+
+
+def places(true, eyes=EYES, start=START, corners=CORNERS, shifts=(0, 1, 2), **options) -> list[Place]:
+    shown = [bars(start, shift) for shift in shifts]
+    return [
+        Place(
+            eye, tuple(photograph(one, true, eye, seed=k, **options) for k, one in enumerate(shown)), corners, f"{eye}"
+        )
+        for eye in eyes
+    ]
+
+
+def worst_views(a: Panel, b: Panel) -> float:
+    """The largest difference of their views over the panel: of a plane, in a corner."""
+    turns = []
+    for i in (0, a.height_px):
+        for j in (0, a.width_px):
+            places = [(3 * j + 3 * i * p.slant_tan + p.phase) / p.line_number for p in (a, b)]
+            turns.append((places[0] - places[1] + 0.5) % 1 - 0.5)
+    return max(map(abs, turns)) * a.views
+
+
+@pytest.mark.parametrize("corners", [CORNERS, None], ids=["given", "found"])
+@pytest.mark.parametrize("change", [{}, dict(invert_views=True, slant_tan=-0.2)], ids=["plain", "inverted"])
+def test_the_lens_is_found_to_a_fraction_of_a_view(change, corners):
+    start = replace(START, **change)
+    true = perturbed(start)
+    assert worst_views(start, true) > 8
+    fit = fit_lens(places(true, start=start, corners=corners), start)
+    assert worst_views(fit.panel, true) < 0.02
+    assert fit.panel.line_number == pytest.approx(true.line_number, rel=1e-5)
+    assert fit.panel.slant_tan == pytest.approx(true.slant_tan, rel=1e-4)
+    assert all(abs(place.offset_views) < 0.02 for place in fit.places)
+
+
+def test_one_image_in_three_colours_will_do():
+    true = perturbed(START)
+    sights = [Place(eye, (photograph(bars(START), true, eye),), CORNERS) for eye in EYES]
+    assert worst_views(fit_lens(sights, START).panel, true) < 0.02
+
+
+def test_corners_are_found_to_a_fraction_of_a_pixel():
+    light = light_of_srgb(np.mean(places(START, EYES[:1])[0].photos, 0) / 255).mean(2)
+    assert np.abs(find_corners(light) - CORNERS).max() < 0.5
+
+
+def test_what_says_nothing_is_refused():
+    true = perturbed(START)
+    good = places(true)
+    with pytest.raises(InputError, match="one place"):
+        fit_lens(good[:1], START)
+    assert worst_views(fit_lens(good[:1], START, one_place=True).panel, true) < 0.02
+    with pytest.raises(InputError, match="three photographs.*got 2"):
+        Place(EYES[0], good[0].photos[:2])
+    with pytest.raises(InputError, match="can be seen on"):
+        fit_lens([replace(place, photos=place.photos[:1] * 3) for place in good], START)
+    with pytest.raises(InputError, match="order 0, 2, 1"):
+        fit_lens([replace(place, photos=tuple(place.photos[k] for k in (0, 2, 1))) for place in good], START)
+    with pytest.raises(InputError, match="check its eye"):
+        fit_lens([good[0], replace(good[1], eye_mm=(130.0, 20.0, 560.0))], START)
+    with pytest.raises(InputError, match="upper left"):
+        fit_lens([replace(place, corners_px=CORNERS[::-1]) for place in good], START)
+    with pytest.raises(InputError, match="pixel_pitch_mm"):
+        fit_lens(good, replace(START, pixel_pitch_mm=None))
