@@ -117,6 +117,8 @@ def run(args: argparse.Namespace) -> None:
     panel = None if args.panel is None else load_panel(args)
     if panel is None and (args.device_serial or args.viewing_distance):
         raise InputError("--device-serial and --viewing-distance are about a --panel; give one, or leave them out")
+    if panel is None and args.depth_report:
+        raise InputError("--depth-report is about the lens of a --panel; give one, or leave it out")
     layout = chosen_layout(args, panel)
     _check_files(args, layout)
     check_scene_options(args)

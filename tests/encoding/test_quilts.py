@@ -210,5 +210,6 @@ def test_bad_input_is_told_in_one_line(folder, capsys):
         ("quilt s.ply -o q_qs2x2a1.png --preset go", "its name says _qs2x2a1"),
         ("quilt s.ply -o q --preset go --panel p.yaml", "--panel takes the place of --preset"),
         ("quilt s.ply -o q.exr --preset go", "8 bits"),
+        ("quilt s.ply -o q --preset go --depth-report", "about the lens of a --panel"),
     ):
         assert words in complaint(capsys, line)
