@@ -16,6 +16,7 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.encode import package_versions, scene_hash
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, read_given
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
+from lightfield_gs.commands.options.look import add_depth_report, add_look, apply_look, report_depth
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel
 from lightfield_gs.commands.options.photo import add_depth
 from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_options, load_scene
@@ -58,6 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_layout(add)
     add_camera(add)
+    add_look(add)
+    add_depth_report(add)
     add("--save-rig", type=Path, metavar="YAML", help="write the rig that was used, at the pixels of a tile")
     add(
         "--save-rgbd",
@@ -114,6 +117,8 @@ def run(args: argparse.Namespace) -> None:
     panel = None if args.panel is None else load_panel(args)
     if panel is None and (args.device_serial or args.viewing_distance):
         raise InputError("--device-serial and --viewing-distance are about a --panel; give one, or leave them out")
+    if panel is None and args.depth_report:
+        raise InputError("--depth-report is about the lens of a --panel; give one, or leave it out")
     layout = chosen_layout(args, panel)
     _check_files(args, layout)
     check_scene_options(args)
@@ -128,7 +133,9 @@ def run(args: argparse.Namespace) -> None:
 
         gaussians, file = load_scene(args, device, watch)
         said = settle_drawing(args, file)
-        rig, more = choose_rig(given, args, frame, gaussians, file)
+        chosen, more = choose_rig(given, args, frame, gaussians, file)
+        rig, looks = apply_look(args, chosen, frame, gaussians)
+        more += looks + report_depth(args, rig, frame, gaussians)
         tile, fan_rig = layout.fitted(frame, rig)
         image = quilt(gaussians, layout, fan_rig, tile, background=args.background, antialiased=args.antialiased).cpu()
         watch.lap("views")

@@ -21,12 +21,12 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Views
 from lightfield_gs.encoding.sorted_plan import checked_view_map
 from lightfield_gs.encoding.weave_places import Fit, Window, window_of
-from lightfield_gs.encoding.weave_samples import reduced_picture, sampled
+from lightfield_gs.encoding.weave_samples import Taps, reduced_picture, sampled, taps_across, taps_down
 from lightfield_gs.panels.panel import Panel
 
 Interpolation = Literal["linear", "nearest"]
 INTERPOLATIONS: tuple[Interpolation, ...] = ("linear", "nearest")
-_ROWS = 32  # of the panel that are woven at a time
+_ROWS = 16  # of the panel that are woven at a time
 _GROUP_BYTES = 1 << 30  # of views that are held at a time
 _TYPES = (torch.uint8, torch.uint16, torch.float32)
 
@@ -38,7 +38,7 @@ class ViewSource(Protocol):
     height_px: int
     width_px: int
 
-    def view(self, number: int) -> np.ndarray:
+    def view(self, number: int) -> np.ndarray | Tensor:
         """[H, W, 3] uint8, uint16 or float32."""
         ...
 
@@ -99,39 +99,55 @@ def weave(
     plain = torch.tensor(background, dtype=torch.float64, device=device)
     out[:] = _stored(plain * _full_scale(first.dtype), first.dtype)
     nearest = interpolation == "nearest"
+    taps = taps_across(window, source.count, device), taps_down(window, device)
     for start, stack in _groups(source, window, first, device):
+        end = source.count if start + len(stack) == source.count else start + len(stack) - 1
         for rows, places in _places(panel, source.count, place == "continuous", table):
-            _weave_rows(out, rows, torch.from_numpy(places).to(device), stack, start, source.count, window, nearest)
+            at = torch.from_numpy(places).to(device)
+            low = (at + 0.5 if nearest else at).floor().clamp_(0, source.count - 1).to(torch.int64)
+            mine = (at >= 0) & (low >= start) & (low < end)
+            share = None if nearest else (at - low).clamp_(0, 1).float()
+            share = share if share is not None and bool((share > 0).any()) else None
+            if share is None and window.copies:
+                _copy_rows(out, rows, low, mine, stack, start)
+            else:
+                _mix_rows(out, rows, low, share, mine, stack, start, source.count, taps)
     return out
 
 
-def _weave_rows(
-    out: Tensor, rows: slice, places: Tensor, stack: Tensor, start: int, count: int, window: Window, nearest: bool
-) -> None:
-    """Draws those sub-pixels of some rows whose lower view is in `stack`, the views from `start` on.
+def _copy_rows(out: Tensor, rows: slice, low: Tensor, mine: Tensor, stack: Tensor, start: int) -> None:
+    """Draws those sub-pixels of some rows that are `mine`: those of their view at the same place."""
+    # torch gathers no uint16: by their bits
+    bits = torch.int16 if stack.dtype == torch.uint16 else stack.dtype
+    slot = (low - start).clamp_(0, len(stack) - 1)
+    values = stack.view(bits)[:, rows].gather(0, slot[None])[0]
+    drawn = out[rows].view(bits)
+    drawn.copy_(torch.where(mine, values, drawn))
 
-    places: [R, W, 3], in views from the left-most camera, or -1 for none. Groups share a view, that of their border.
-    """
-    shown_ones = places >= 0
-    low = (places + 0.5 if nearest else places).floor().clamp_(0, count - 1)
-    share = torch.zeros_like(places) if nearest else (places - low).clamp_(0, 1)
-    low = low.to(torch.int64)
-    last = start + len(stack) >= count
-    mine = shown_ones & (low >= start) & (low < (count if last else start + len(stack) - 1))
-    index = mine.reshape(-1).nonzero().squeeze(1)
-    if len(index) == 0:
-        return
-    low, share = low.reshape(-1)[index], share.reshape(-1)[index]
-    row, column, channel = index // (3 * places.shape[1]) + rows.start, index // 3 % places.shape[1], index % 3
-    values, inside = sampled(stack, low - start, low, row, column, channel, window, count)
-    if bool((share > 0).any()):
+
+def _mix_rows(
+    out: Tensor,
+    rows: slice,
+    low: Tensor,
+    share: Tensor | None,
+    mine: Tensor,
+    stack: Tensor,
+    start: int,
+    count: int,
+    taps: tuple[Taps, Taps],
+) -> None:
+    """Draws those sub-pixels of some rows that are `mine`: of view `low`, and `share` of the next one."""
+    most = len(stack) - 1
+    values, inside = sampled(stack, (low - start).clamp(0, most), low, rows, *taps)
+    if share is not None:
         upper = (low + 1).clamp_max(count - 1)
-        other, beside = sampled(stack, upper - start, upper, row, column, channel, window, count)
+        other, beside = sampled(stack, (upper - start).clamp(0, most), upper, rows, *taps)
         # Where only one of the two reaches, it alone is shown
-        weight = torch.where(inside & beside, share, beside.to(share))
-        values, inside = values + (other - values) * weight, inside | beside
-    flat = out[rows].view(-1)
-    flat[index[inside]] = _stored(values[inside], out.dtype)
+        share = torch.where(inside & beside, share, beside.to(share))
+        values, inside = values.lerp_(other, share), inside | beside
+    drawn = out[rows]
+    bits = torch.int16 if out.dtype == torch.uint16 else out.dtype
+    drawn.view(bits).copy_(torch.where(mine & inside, _stored(values, out.dtype).view(bits), drawn.view(bits)))
 
 
 def _stored(values: Tensor, dtype: torch.dtype) -> Tensor:
@@ -148,6 +164,9 @@ def _full_scale(dtype: torch.dtype) -> float:
 def _groups(source: ViewSource, window: Window, first: Tensor, device: str) -> Iterator[tuple[int, Tensor]]:
     """Views in groups that fit into memory, [G, h, w, 3], and the number of the first of each; each group but the
     first begins with the last view of the one before."""
+    if isinstance(source, _Stack) and source.views.device == first.device and source.views.shape[1:] == first.shape:
+        yield 0, source.views.contiguous()  # they are all held anyway
+        return
     each = max(2, _GROUP_BYTES // max(1, first.numel() * first.element_size()))
     start = 0
     while True:
@@ -170,8 +189,7 @@ def _groups(source: ViewSource, window: Window, first: Tensor, device: str) -> I
 
 def _picture(source: ViewSource, number: int, window: Window, device: str) -> Tensor:
     """A view at the resolution that it is sampled at. Raises InputError."""
-    picture = source.view(number)
-    picture = dense_tensor("views", picture).to(device)
+    picture = dense_tensor("views", source.view(number)).to(device)
     if picture.dtype not in _TYPES:
         raise InputError(f"views: expected uint8, uint16 or float32, got {picture.dtype}")
     return reduced_picture(picture, window)
@@ -198,7 +216,7 @@ def _places(panel: Panel, count: int, continuous: bool, table: np.ndarray | None
 
 def _source(views: np.ndarray | Tensor | ViewSource) -> ViewSource:
     if isinstance(views, (np.ndarray, Tensor)):
-        return _Stack(views)  # type: ignore[return-value]
+        return _Stack(views)
     if not all(hasattr(views, name) for name in ("count", "height_px", "width_px", "view")):
         expect("views", views, np.ndarray, Tensor)
     return views

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -24,49 +26,85 @@ def reduced_picture(picture: Tensor, window: Window) -> Tensor:
     return small.round_().to(torch.int32).to(picture.dtype).contiguous()
 
 
-def sampled(
-    stack: Tensor, slot: Tensor, view: Tensor, row: Tensor, column: Tensor, channel: Tensor, window: Window, count: int
-) -> tuple[Tensor, Tensor]:
-    """Colours float64 [S] at pixels of the panel, in the scale of the stack, and whether the view reaches there.
+@dataclass(frozen=True)
+class Taps:
+    """The two pixels beside each place along one side of a picture, which are mixed.
 
-    stack: [G, h, w, 3]; slot: which of it; view: its number among all `count`, which decides how far it is shifted;
-    row, column: of the panel; channel: 0..2. All int64 [S].
+    first, second: int64 [V, S], offsets in the samples of a picture; weight: of the second, float32 [V, S]; inside:
+    whether the view reaches there, bool [V, S]. V: the views, or 1 where all are alike; S: the panel's columns or rows.
+    mixes: whether any weight is above 0.
     """
-    height, width = stack.shape[1:3]
-    x = window.left + (column.double() + 0.5) * (window.width / window.panel_px[0])
+
+    first: Tensor
+    second: Tensor
+    weight: Tensor
+    inside: Tensor
+    mixes: bool
+
+
+def taps_across(window: Window, count: int, device: str) -> Taps:
+    """Of the panel's columns, in each of `count` views, which a shift moves; else in all of them alike."""
+    places = _places(window.left, window.width, window.panel_px[0], device)[None]
     if window.shift:
-        x = x - window.shift * ((view.double() + 0.5) / count - 0.5)
-    y = window.top + (row.double() + 0.5) * (window.height / window.panel_px[1])
-    slack = 1 / _PARTS
-    inside = (x >= window.low_x - slack) & (x <= window.high_x + slack)
-    inside &= (y >= window.low_y - slack) & (y <= window.high_y + slack)
-    (x0, x1, across), (y0, y1, down) = _taps(x, width), _taps(y, height)
-    flat, first = stack.view(-1), slot * (height * width * 3) + channel
-
-    def at(y: Tensor, x: Tensor) -> Tensor:
-        return _taken(flat, first + (y * width + x) * 3)
-
-    values = at(y0, x0)
-    if bool((across > 0).any()):
-        values = values + (at(y0, x1) - values) * across
-    if bool((down > 0).any()):
-        lower = at(y1, x0)
-        lower = lower + (at(y1, x1) - lower) * across
-        values = values + (lower - values) * down
-    return values, inside
+        views = (torch.arange(count, dtype=torch.float64, device=device) + 0.5) / count - 0.5
+        places = places - window.shift * views[:, None]
+    return _taps(places, window.view_px[0], 3, window.low_x, window.high_x)
 
 
-def _taps(share: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """The two pixels beside a place in shares of a picture's side, and the weight of the second."""
-    place = ((share * size - 0.5) * _PARTS).round() / _PARTS
-    place = place.clamp(0, size - 1)
-    low = place.floor()
-    first = low.to(torch.int64)
-    return first, (first + 1).clamp_max(size - 1), place - low
+def taps_down(window: Window, device: str) -> Taps:
+    """Of the panel's rows."""
+    places = _places(window.top, window.height, window.panel_px[1], device)[None]
+    return _taps(places, window.view_px[1], 3 * window.view_px[0], window.low_y, window.high_y)
+
+
+def _places(start: float, length: float, size: int, device: str) -> Tensor:
+    """Centres of the panel's pixels in shares of a view, float64 [size]."""
+    return start + (torch.arange(size, dtype=torch.float64, device=device) + 0.5) * (length / size)
+
+
+def _taps(places: Tensor, size: int, stride: int, least: float, most: float) -> Taps:
+    inside = (places >= least - 1 / _PARTS) & (places <= most + 1 / _PARTS)
+    pixels = (((places * size - 0.5) * _PARTS).round() / _PARTS).clamp(0, size - 1)
+    first = pixels.floor()
+    weight = (pixels - first).float()
+    first = first.to(torch.int64)
+    second = (first + 1).clamp_max(size - 1)
+    return Taps(first * stride, second * stride, weight, inside, bool((weight > 0).any()))
+
+
+def sampled(stack: Tensor, slot: Tensor, view: Tensor, rows: slice, across: Taps, down: Taps) -> tuple[Tensor, Tensor]:
+    """Colours float32 [R, W, 3] at some rows of the panel, in the scale of the stack, and whether the view reaches
+    there, bool, which broadcasts to that.
+
+    stack: [G, h, w, 3]; slot: int64 [R, W, 3], which of it each sub-pixel takes; view: its number among all views.
+    """
+    flat = stack.view(-1)
+    pixels = stack[0].numel()
+    low = slot * pixels + torch.arange(3, device=stack.device)
+    columns = None
+    if len(across.first) > 1:
+        columns = view * across.first.shape[1] + torch.arange(view.shape[1], device=stack.device)[:, None]
+    first, weight, inside = (_along(part, columns) for part in (across.first, across.weight, across.inside))
+    second = _along(across.second, columns) if across.mixes else first
+
+    def line(start: Tensor) -> Tensor:
+        values = _taken(flat, start + first)
+        return values.lerp_(_taken(flat, start + second), weight.expand_as(values)) if across.mixes else values
+
+    values = line(low + down.first[0, rows, None, None])
+    if down.mixes:
+        lower = line(low + down.second[0, rows, None, None])
+        values.lerp_(lower, down.weight[0, rows, None, None].expand_as(values))
+    return values, inside & down.inside[0, rows, None, None]
+
+
+def _along(table: Tensor, columns: Tensor | None) -> Tensor:
+    """A table of taps [V, W] for sub-pixels [R, W, 3]; columns: where each is in it, None where all views are alike."""
+    return table[0][:, None] if columns is None else table.view(-1)[columns]
 
 
 def _taken(flat: Tensor, index: Tensor) -> Tensor:
-    """flat[index] as float64. torch has no indexing of uint16 on every device."""
+    """flat[index] as float32; torch takes no uint16 at an index."""
     if flat.dtype == torch.uint16:
-        return (flat.view(torch.int16)[index].to(torch.int32) & 0xFFFF).double()
-    return flat[index].double()
+        return (flat.view(torch.int16)[index].to(torch.int32) & 0xFFFF).float()
+    return flat[index].float()
