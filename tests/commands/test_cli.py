@@ -196,7 +196,7 @@ def test_preview(folder, capsys):
     eyes = [read_image(f"deep/preview/{side}-eye.png") for side in ("left", "right")]
     assert eyes[0].shape == (round(180 / PANEL.line_number), round(288 / PANEL.line_number), 3)
     assert not np.array_equal(*eyes)
-    assert len(list((folder / "deep/preview").iterdir())) == 4
+    assert len(list((folder / "deep/preview").iterdir())) == 5
 
 
 def test_preview_of_an_upright_panel_fills_a_screen_and_takes_no_longer():
