@@ -50,7 +50,7 @@ def fan(panel: Panel, parameter: Fan, span: float | None = None, bands: int | No
         if not upright:
             rows, columns = columns, slice(0, panel.width_px)
         out[rows, columns] = draw(band, lambda x, _: _content(parameter, x / panel.views), rows, columns)
-        _label(out[rows, columns], f"{value:+.3g}", panel)
+        _label(out[rows, columns], _written(float(value), span), panel)
     return out
 
 
@@ -85,8 +85,15 @@ def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = N
             return np.mod(place / period, 1) < 0.5
 
         out[first:last] = draw(panel, shade, slice(int(first), int(last)))
-        _label(out[first:last], f"{disparity:+.3g}", panel)
+        _label(out[first:last], _written(float(disparity), most), panel)
     return out
+
+
+def _written(value: float, largest: float) -> str:
+    """The number with its sign, to three digits of the largest one, without an exponent."""
+    decimals = max(0, 2 - math.floor(math.log10(largest))) if largest > 0 else 0
+    text = f"{value:+.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def _dot_px(panel: Panel) -> int:
