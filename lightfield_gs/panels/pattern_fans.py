@@ -25,6 +25,7 @@ _LARGEST_DOT_LENSES = 4
 _LABEL_CHARACTERS = 6
 _MIDDLE_SHARE = 1 / 8  # of the views on either side of the middle one that are white in the fan of the centre
 _STRIPE_LENSES = 8  # period of the stripes of the depth ramp
+_MOST_PX = 1e5
 _RAMP_LENSES = 6.0  # how far they move over the cone, at the ends
 
 
@@ -72,7 +73,7 @@ def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = N
     shows. most_px: at the top row, its negative at the bottom; None: 6 lens widths. bands: see fan. Raises InputError.
     """
     lens_px = panel.line_number / 3
-    most = real_number("most_px", _RAMP_LENSES * lens_px if most_px is None else most_px, 0, 1e5)
+    most = real_number("most_px", min(_RAMP_LENSES * lens_px, _MOST_PX) if most_px is None else most_px, 0, _MOST_PX)
     count = _band_count(panel, bands, False)
     borders = np.linspace(0, panel.height_px, count + 1).round().astype(int)
     period, to_right = _STRIPE_LENSES * lens_px, -1 if panel.invert_views else 1
