@@ -25,6 +25,7 @@ _LARGEST_DOT_LENSES = 4
 _LABEL_CHARACTERS = 6
 _MIDDLE_SHARE = 1 / 8  # of the views on either side of the middle one that are white in the fan of the centre
 _STRIPE_LENSES = 8  # period of the stripes of the depth ramp
+_MOST_PX = 1e5
 _RAMP_LENSES = 6.0  # how far they move over the cone, at the ends
 
 
@@ -50,7 +51,7 @@ def fan(panel: Panel, parameter: Fan, span: float | None = None, bands: int | No
         if not upright:
             rows, columns = columns, slice(0, panel.width_px)
         out[rows, columns] = draw(band, lambda x, _: _content(parameter, x / panel.views), rows, columns)
-        _label(out[rows, columns], f"{value:+.3g}", panel)
+        _label(out[rows, columns], _written(float(value), span), panel)
     return out
 
 
@@ -72,7 +73,7 @@ def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = N
     shows. most_px: at the top row, its negative at the bottom; None: 6 lens widths. bands: see fan. Raises InputError.
     """
     lens_px = panel.line_number / 3
-    most = real_number("most_px", _RAMP_LENSES * lens_px if most_px is None else most_px, 0, 1e5)
+    most = real_number("most_px", min(_RAMP_LENSES * lens_px, _MOST_PX) if most_px is None else most_px, 0, _MOST_PX)
     count = _band_count(panel, bands, False)
     borders = np.linspace(0, panel.height_px, count + 1).round().astype(int)
     period, to_right = _STRIPE_LENSES * lens_px, -1 if panel.invert_views else 1
@@ -85,8 +86,15 @@ def depth_ramp(panel: Panel, most_px: float | None = None, bands: int | None = N
             return np.mod(place / period, 1) < 0.5
 
         out[first:last] = draw(panel, shade, slice(int(first), int(last)))
-        _label(out[first:last], f"{disparity:+.3g}", panel)
+        _label(out[first:last], _written(float(disparity), most), panel)
     return out
+
+
+def _written(value: float, largest: float) -> str:
+    """The number with its sign, to three digits of the largest one, without an exponent."""
+    decimals = max(0, 2 - math.floor(math.log10(largest))) if largest > 0 else 0
+    text = f"{value:+.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def _dot_px(panel: Panel) -> int:

@@ -21,6 +21,7 @@ _GLYPHS = {
     ".": "... ... ... ... .#.",
     " ": "... ... ... ... ...",
 }
+_DOTS = {letter: np.array([[dot == "#" for dot in row] for row in rows.split()]) for letter, rows in _GLYPHS.items()}
 HEIGHT_DOTS = 7  # of a line of text, with a dot of margin on either side
 
 
@@ -31,8 +32,10 @@ def width_dots(characters: int) -> int:
 
 def text_dots(text: str) -> np.ndarray:
     """Which dots of a text are lit: bool [HEIGHT_DOTS, width_dots(len(text))]; text: of digits, + - . and spaces."""
-    glyphs = [np.array([[dot == "#" for dot in row] for row in _GLYPHS[letter].split()]) for letter in text]
-    return np.pad(np.concatenate([np.pad(glyph, ((0, 0), (0, 1))) for glyph in glyphs], 1), ((1, 1), (1, 0)))
+    out = np.zeros((HEIGHT_DOTS, width_dots(len(text))), bool)
+    for place, letter in enumerate(text):
+        out[1:6, 4 * place + 1 : 4 * place + 4] = _DOTS[letter]
+    return out
 
 
 def text_pixels(text: str, dot_px: int) -> np.ndarray:

@@ -31,7 +31,7 @@ def lens_phases(panel: Panel, rows: slice, columns: slice) -> np.ndarray:
     """Lens phases uint64 [rows, columns, 3], indexed by image channel, as Panel.phase_rows has them of whole rows."""
     s0, sx, sy = (np.uint64(step) for step in panel.phase_steps())
     i, j = np.arange(rows.start, rows.stop), np.arange(columns.start, columns.stop)
-    start = s0 + sy * i.astype(np.uint64)[:, None] + np.uint64(3) * sx * j.astype(np.uint64)
+    start = s0 + sy * i.astype(np.uint64)[:, None] + sx * (3 * j).astype(np.uint64)
     return start[..., None] + subpixel_phases(panel)[(i % PERIOD)[:, None], j % PERIOD]
 
 

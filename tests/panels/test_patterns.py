@@ -11,7 +11,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import config_names
 from lightfield_gs.panels.lens_change import LensChange, changed
 from lightfield_gs.panels.panel import Panel
-from lightfield_gs.panels.pattern_fans import depth_ramp, fan
+from lightfield_gs.panels.pattern_fans import _written, depth_ramp, fan
 from lightfield_gs.panels.pattern_text import text_dots
 from lightfield_gs.panels.patterns import bars, lens_phases, number_of_view, number_picture, numbers, single, sweep
 from lightfield_gs.panels.simulate import simulate
@@ -124,3 +124,11 @@ def test_depth_ramp_moves_as_far_as_it_says(invert):
         strongest = int(np.argmax(np.abs(spectrum)))
         lenses = np.angle(spectrum[strongest]) / (2 * np.pi) * len(a) / strongest  # that a lies to the left of b
         assert lenses * panel.line_number / 3 == pytest.approx(disparity / 2, abs=0.6)
+
+
+def test_labels_are_numbers_without_exponents():
+    """So that every band has one, whatever the span and the lens."""
+    for span, expected in ((1e-6, "+0.0000002"), (0.5, "+0.1"), (50, "+10"), (1e5, "+20000")):
+        assert _written(span / 5, span) == expected
+    panel = Panel(width_px=30, height_px=20, views=4096, line_number=9e5, slant_tan=0.1)
+    assert depth_ramp(panel).shape == fan(panel, "pitch", span=1e-6, bands=99).shape == (20, 30, 3)
