@@ -30,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         type=Path,
         metavar="FILE",
-        help="a file of Gaussians (.ply, .spz, .sog or its folder, .splat, .ksplat), an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file",
+        help="a file of Gaussians (.ply, .spz, .sog or its folder, .splat, .ksplat), an image, a panel or "
+        "rig (.yaml, visual.json, panel name) or a .safetensors file",
     )
     add_device_serial(parser.add_argument)
     add_skip_invalid(parser.add_argument)
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> None:
 def describe(
     path: Path, serial: str | None = None, skip_invalid: bool = False, up: str | None = None
 ) -> list[tuple[str, object]]:
-    """Facts about a file of Gaussians, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file.
+    """Facts about a file of Gaussians, an image, a panel or rig (.yaml, .json, a panel's name) or a .safetensors file.
 
     serial: of the display, where the file has several. skip_invalid: of a scene, see read_scene. up: which axis of it
     points up, in place of what its file says.

@@ -34,10 +34,11 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False) -> SceneFile:
     and 2; a ZIP, a folder or its meta.json), .splat or .ksplat, told by its content, then by its name.
 
     All come in the axes of a .ply: those of an .spz (right, up, back) are turned to right, down, forward.
-    A .ply: text or binary of either byte order, properties in any order and number type; properties that no Gaussian has are
-    ignored. Coordinates that are stored as double, far from zero, are given from an origin of whole numbers near them,
-    which the Gaussians remember. skip_invalid: leave out Gaussians with values that have no meaning (a note counts
-    them): not finite, a rotation of zeros, a scale that overflows. Infinite logits and a log scale of -inf have one.
+    A .ply: text or binary of either byte order, properties in any order and number type; properties that no Gaussian
+    has are ignored. Coordinates that are stored as double, far from zero, are given from an origin of whole numbers
+    near them, which the Gaussians remember. skip_invalid: leave out Gaussians with values that have no meaning (a note
+    counts them): not finite, a rotation of zeros, a scale that overflows. Infinite logits and a log scale of -inf have
+    one.
     Raises InputError when the file is of no such format, is cut, has wrong counts, lacks a property (it is named) or,
     without skip_invalid, holds a value that has no meaning (property, index and count are named).
     """

@@ -177,7 +177,8 @@ class Gaussians:
 
     @staticmethod
     def load(path: str | Path, *, skip_invalid: bool = False) -> Gaussians:
-        """Reads a file of Gaussians (.ply, compressed .ply, .spz, .sog, .splat, .ksplat): float32, CPU. What looks wrong is a warning, and so is an origin.
+        """Reads a file of Gaussians (.ply, compressed .ply, .spz, .sog, .splat, .ksplat): float32, CPU. What looks
+        wrong is a warning, and so is an origin.
 
         skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.scene.files.read_scene,
         which tells more of the file.

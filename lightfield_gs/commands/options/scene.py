@@ -55,7 +55,7 @@ def check_scene_options(args: argparse.Namespace) -> None:
 
 
 def check_scene_path(path: Path) -> None:
-    """Raises InputError where no Gaussians can be written. The name must end as that of a format does that is written."""
+    """Raises InputError where no Gaussians can be written. The name says the format, of those that are written."""
     check_output_path(path)
     check_written_suffix(path)
 

@@ -45,7 +45,7 @@ def _zstd() -> Any:
 
 
 def unzstd(path: Path, data: bytes, size_bytes: int) -> bytes:
-    """zstd data of exactly `size_bytes`. Raises InputError where it is broken or of another size, or zstd is lacking."""
+    """zstd data of exactly `size_bytes`. Raises InputError where it is broken, of another size, or zstd lacks."""
     zstd = _zstd()
     try:
         unpacked = zstd.ZstdDecompressor().decompress(data, size_bytes + 1)

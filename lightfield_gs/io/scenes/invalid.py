@@ -25,8 +25,8 @@ def check_or_skip(
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """The fields (after exp and sigmoid) of the Gaussians that all have a meaning, and a note on those left out.
 
-    records: what the fields were read from, whose properties are named; None where these have no names. Raises InputError where some have no meaning and `skip` is not set, or none
-    has one.
+    records: what the fields were read from, whose properties are named; None where these have no names. Raises
+    InputError where some have no meaning and `skip` is not set, or none has one.
     """
     wrong = _wrong(fields)
     if not wrong:
@@ -40,8 +40,8 @@ def check_or_skip(
     share = f"{int(bad.sum())} of {len(bad)} Gaussians have values without a meaning ({', '.join(counts)})"
     if not skip:
         raise InputError(
-            f"{path}: {_named(None if records is None else records[first], first, fields)}; {share}; leave them out with "
-            "--skip-invalid (Python: skip_invalid=True) or export the file again"
+            f"{path}: {_named(None if records is None else records[first], first, fields)}; {share}; leave them out "
+            "with --skip-invalid (Python: skip_invalid=True) or export the file again"
         )
     if bad.all():
         raise InputError(f"{path}: {share}, and nothing is left without them; export the file again")

@@ -1,9 +1,9 @@
 """The .ksplat of GaussianSplats3D (mkkellogg), versions 0.x, in the axes of the .ply it was made from.
 
-A header of 4096 bytes, one of 1024 for each section, then each section: for compression levels 1 and 2 the fill of its
-partly filled buckets and the buckets' centres, then its Gaussians: centre, three standard deviations, quaternion wxyz,
-four bytes of colour and opacity, and harmonics channel by channel for each degree. Level 0 has floats; 1 and 2 half
-floats and centres as 16-bit offsets from those of their bucket; 2 harmonics as bytes. Layout: SplatBuffer.js.
+A header of 4096 bytes, one of 1024 for each section, then each section: the fill of its partly filled buckets and the
+buckets' centres, then its Gaussians: centre, three standard deviations, quaternion wxyz, four bytes of colour and
+opacity, and harmonics channel by channel for each degree (0..2; others write 3). Compression level 0 has floats; 1 and
+2 half floats, and centres as 16-bit offsets from those of their bucket; 2 harmonics as bytes. Layout: SplatBuffer.js.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _SECTION = struct.Struct("<IIIIfH2xIIIIH")
 _CENTRE_BYTES = 12  # of a bucket
 _KINDS = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))  # by level: centre, shape, harmonics
 _RANGES = (1, 32767, 32767)  # by level: of a centre's offset, where a section does not say
-_RESTS = (0, 9, 24)  # numbers of harmonics, by degree
-_DEGREES = (((0, 3),), ((0, 3), (3, 8)))  # coefficients of each degree, above degree 0
+_RESTS = (0, 9, 24, 45)  # numbers of harmonics, by degree
+_SPANS = ((0, 3), (3, 8), (8, 15))  # coefficients of degrees 1, 2 and 3, of those above degree 0
 _LIMIT = 1.5  # of harmonics as bytes, where the file does not say
 
 
@@ -96,7 +96,7 @@ def _sections(path: Path, data: bytes, sections: int, level: int) -> list[_Secti
             data, _HEADER_BYTES + index * _SECTION_BYTES
         )
         if degree >= len(_RESTS):
-            raise InputError(f"{path}: expected harmonics of degree 0..2 in section {index}, got {degree}")
+            raise InputError(f"{path}: expected harmonics of degree 0..3 in section {index}, got {degree}")
         if level > 0 and stored != _CENTRE_BYTES:
             raise InputError(f"{path}: expected buckets of {_CENTRE_BYTES} bytes in section {index}, got {stored}")
         half = half or _RANGES[level]
@@ -104,8 +104,8 @@ def _sections(path: Path, data: bytes, sections: int, level: int) -> list[_Secti
         at += section.buckets_bytes + count * section.record(level).itemsize
         if at > len(data):
             raise InputError(
-                f"{path}: section {index} of {count} Gaussians ends at byte {at}, and the file has {len(data)}; it is cut "
-                "or its header is wrong"
+                f"{path}: section {index} of {count} Gaussians ends at byte {at}, and the file has {len(data)}; it is "
+                "cut or its header is wrong"
             )
         found.append(section)
     return found
@@ -136,8 +136,7 @@ def _gaussians(
 
 def _degrees(rest: np.ndarray, degree: int) -> list[np.ndarray]:
     """Of the numbers [N, 3 (K - 1)], for each degree the coefficients [N, 2 degree + 1, 3]."""
-    spans = _DEGREES[degree - 1] if degree else ()
-    return [rest[:, 3 * a : 3 * b].reshape(len(rest), 3, b - a).transpose(0, 2, 1) for a, b in spans]
+    return [rest[:, 3 * a : 3 * b].reshape(len(rest), 3, b - a).transpose(0, 2, 1) for a, b in _SPANS[:degree]]
 
 
 def _bucket_centres(path: Path, data: bytes, section: _Section) -> np.ndarray:
@@ -150,7 +149,7 @@ def _bucket_centres(path: Path, data: bytes, section: _Section) -> np.ndarray:
     of[whole:] = section.full + np.searchsorted(np.cumsum(fills), rows[whole:] - whole, side="right")
     if int(of.max()) >= len(centres):
         raise InputError(
-            f"{path}: {section.buckets} buckets of {section.bucket_size} are too few for {section.count} Gaussians; its "
-            "header is wrong"
+            f"{path}: {section.buckets} buckets of {section.bucket_size} are too few for {section.count} Gaussians; "
+            "its header is wrong"
         )
     return centres.astype(np.float64)[of]

@@ -24,7 +24,7 @@ _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 
 
 def read_elements(path: Path, header: Header) -> dict[str, np.ndarray]:
-    """The elements of Gaussians, and every other one without lists of at most SMALL_BYTES, as structured arrays by name.
+    """Elements of Gaussians, and every other one without lists of at most SMALL_BYTES, as structured arrays by name.
 
     Of several elements of one name the first counts. Raises InputError where the file is cut, or holds more than the
     header promises; OSError where it cannot be read.

@@ -45,7 +45,7 @@ _LOSSY = b"VP8 "  # the chunk of a lossy WebP; a lossless one has VP8L
 
 
 class SogFiles:
-    """path: a folder, its meta.json, or a ZIP. Raises InputError where it is none of these."""
+    """path: a folder, its meta.json, or a ZIP. Raises InputError otherwise."""
 
     def __init__(self, path: Path) -> None:
         self.path, self._zip = path, None
@@ -113,7 +113,7 @@ class SogFiles:
         if pixels < least or width not in (None, size[0]):
             wanted = f"{least} pixels or more" + ("" if width is None else f", {width} of them in a row")
             raise InputError(
-                f"{self.path}: {shown(name)} has {size[0]} x {size[1]} pixels, expected {wanted}; a wrong image or count"
+                f"{self.path}: {shown(name)} has {size[0]} x {size[1]} pixels, expected {wanted}; wrong image or count"
             )
         check_promise(self.path, 4 * pixels, stored)
 

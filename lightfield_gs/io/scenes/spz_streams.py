@@ -116,7 +116,8 @@ def _checked(path: Path, streams: Streams) -> Streams:
         raise InputError(f"{path}: expected harmonics of degree 0..4, got {streams.degree}; its header is wrong")
     if streams.fraction_bits > _MOST_FRACTION_BITS:
         raise InputError(
-            f"{path}: expected 0..{_MOST_FRACTION_BITS} fractional bits, got {streams.fraction_bits}; its header is wrong"
+            f"{path}: expected 0..{_MOST_FRACTION_BITS} fractional bits, got {streams.fraction_bits}; its header is "
+            "wrong"
         )
     return streams
 

@@ -39,9 +39,9 @@ def settled(path: Path, fields: dict[str, np.ndarray], skip_invalid: bool) -> tu
     """
     with np.errstate(over="ignore", invalid="ignore"):
         fields = {name: np.array(array, np.float32) for name, array in fields.items()}
+        fields["means"] += 0.0  # no minus zeros, which turned axes leave
         if (fields["scales"] < 0).any():
             fields["scales"] = np.where(fields["scales"] < 0, np.float32(np.nan), fields["scales"])
-    fields["means"] += 0.0  # no minus zeros, which turned axes leave
     fields, notes = check_or_skip(path, None, fields, skip_invalid)
     for name in ("scales", "opacities"):
         fields[name] = np.maximum(fields[name], TINY)
