@@ -14,7 +14,8 @@ import numpy as np
 from PIL import Image, features
 
 from lightfield_gs.base.checks import shown
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.scenes.bounded import check_promise
@@ -22,6 +23,7 @@ from lightfield_gs.io.scenes.bounded import check_promise
 META = "meta.json"
 _META_BYTES = 1 << 20
 _IMAGE_BYTES = 1 << 29
+_NAME_LENGTH = 120
 _BAD_ZIP = (
     zipfile.BadZipFile,
     zlib.error,
@@ -91,7 +93,7 @@ class SogFiles:
     def image(self, name: Any, least: int, width: int | None = None) -> np.ndarray:
         """The bytes [P, 4] of red, green, blue and alpha of an image of P >= `least` pixels, row by row, and of
         `width` where it is given. Raises InputError."""
-        if not isinstance(name, str) or PurePosixPath(name).name != name or "\\" in name or name in ("", ".", ".."):
+        if not isinstance(name, str) or not _is_plain(name):
             raise InputError(f"{self.path}: {META}: expected the name of a file beside it, got {shown(name)}")
         if not features.check("webp"):
             raise InputError(f"{self.path}: this Pillow reads no WebP; pip install --force-reinstall pillow")
@@ -140,12 +142,16 @@ class SogFiles:
             raise InputError(f"{self.path}: cannot unpack {shown(name)} ({_words(error)}); download it again") from None
 
 
+def _is_plain(name: str) -> bool:
+    """Whether it is the name of a file, and no way to another folder."""
+    return (
+        PurePosixPath(name).name == name and "\\" not in name and name not in ("", "..") and len(name) <= _NAME_LENGTH
+    )
+
+
 def _read(path: Path, most_bytes: int) -> bytes:
-    try:
-        with open(path, "rb") as file:
-            return file.read(most_bytes + 1)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from None
+    with reading(path), open(checked_path(path), "rb") as file:
+        return file.read(most_bytes + 1)
 
 
 def _words(error: BaseException) -> str:
