@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 import torch
 
-from lightfield_gs.base.assumptions import assume
+from lightfield_gs.base.assumptions import Loss, assume
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
@@ -211,7 +211,7 @@ class Gaussians:
         values = self.detach().validate().fields()
         arrays = {name: value.cpu().double().numpy() for name, value in values.items()}
         for words in write_stored(path, arrays, self.origin, comments):
-            assume(f"{path}: {words}")
+            assume(f"{path}: {words}", Loss)
 
 
 def _extremes(tensor: torch.Tensor) -> tuple[float, float]:

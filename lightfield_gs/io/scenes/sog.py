@@ -32,7 +32,7 @@ _Meta = dict[str, Any]
 
 def read(path: Path, skip_invalid: bool) -> StoredScene:
     """See stored.py. path: a folder, its meta.json or a ZIP. Raises InputError."""
-    with SogFiles(path) as files, named(path):
+    with SogFiles(path) as files, named(path), np.errstate(over="ignore"):
         meta = files.meta()
         version = whole_number(f"{META}: version", meta.get("version", 1), 1, 2)
         count = whole_number(f"{META}: count", _count(meta), 1, _MOST)

@@ -34,6 +34,7 @@ _WRITTEN_VERSION = 3
 _BUCKETS = (8, 16)  # harmonics are rounded to these: of degree 1, and above (5 and 4 bits), for gzip's sake
 
 
+@np.errstate(invalid="ignore")
 def read(path: Path, skip_invalid: bool) -> StoredScene:
     """See stored.py. Raises InputError."""
     streams = read_streams(path)
