@@ -58,7 +58,7 @@ def assumptions_said() -> Iterator[None]:
 
         def show(message: Warning | str, category: type[Warning], *rest: Any, **options: Any) -> None:
             if issubclass(category, Assumption):
-                lines[f"assumed: {message}"] = None
+                lines[f"{category.label}: {message}"] = None
             else:
                 usual(message, category, *rest, **options)
 

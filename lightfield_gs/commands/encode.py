@@ -41,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="INPUT",
         help="a photo of an object (RGBA, or RGB with a plain background, --mask "
-        "or --remove-background), a photo of a scene with --depth, or a standard 3DGS .ply",
+        "or --remove-background), a photo of a scene with --depth, or a file of Gaussians (.ply, "
+        ".spz, .sog or its folder, .splat, .ksplat)",
     )
     add("-o", "--output", type=Path, required=True, metavar="FILE", help=".png (8 or 16 bit), .tif or .exr (float)")
     add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
@@ -75,8 +76,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--save-gaussians",
         type=Path,
-        metavar="PLY",
-        help="write the scene as a 3DGS .ply, in its own axes, with the framing: encoding it gives the same picture",
+        metavar="SCENE",
+        help="write the scene as .ply, .spz or .splat; a .ply has the framing: encoding it gives the same picture",
     )
     add_skip_invalid(add)
     add(
@@ -167,7 +168,8 @@ def run(args: argparse.Namespace) -> None:
             cast("Rig", rig_of_file).to_yaml(args.save_rig)
         if args.save_gaussians is not None:
             gaussians.save(args.save_gaussians, comments_of(args, panel, file, rig_of_file))
-            said.append(f"{args.save_gaussians}: the Gaussians in their own axes, with the framing and what is up")
+            along = ", with the framing and what is up" if args.save_gaussians.suffix.lower() == ".ply" else ""
+            said.append(f"{args.save_gaussians}: the Gaussians in their own axes{along}")
         watch.lap("write")
         if args.preview is not None:
             from lightfield_gs.show.preview import write_preview

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a folder with photographs and COLMAP's sparse/0 or a transforms.json, or such a .json of another name; "
         "with --sfm, a folder of photographs alone",
     )
-    add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene, a standard 3DGS .ply")
+    add("-o", "--output", type=Path, required=True, metavar="SCENE", help="the scene: .ply, .spz or .splat")
     add_capture(parser)
     add_optimisation(parser)
     add_cone(parser)

@@ -13,6 +13,7 @@ from lightfield_gs.commands.options.camera import add_up
 from lightfield_gs.commands.options.panel import add_device_serial
 from lightfield_gs.commands.options.scene import add_skip_invalid
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
+from lightfield_gs.io.scenes.stored import is_scene_path
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.io.yaml_file import MOST_BYTES
 from lightfield_gs.panels.panel import Panel
@@ -29,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         type=Path,
         metavar="FILE",
-        help="a .ply, an image, a panel or rig (.yaml, visual.json, panel name) or a .safetensors file",
+        help="a file of Gaussians (.ply, .spz, .sog or its folder, .splat, .ksplat), an image, a panel or "
+        "rig (.yaml, visual.json, panel name) or a .safetensors file",
     )
     add_device_serial(parser.add_argument)
     add_skip_invalid(parser.add_argument)
@@ -45,7 +47,7 @@ def run(args: argparse.Namespace) -> None:
 def describe(
     path: Path, serial: str | None = None, skip_invalid: bool = False, up: str | None = None
 ) -> list[tuple[str, object]]:
-    """Facts about a .ply, an image, a panel or rig (.yaml, .json, or a panel's name) or a .safetensors file.
+    """Facts about a file of Gaussians, an image, a panel or rig (.yaml, .json, a panel's name) or a .safetensors file.
 
     serial: of the display, where the file has several. skip_invalid: of a scene, see read_scene. up: which axis of it
     points up, in place of what its file says.
@@ -53,7 +55,7 @@ def describe(
     suffix = path.suffix.lower()
     if serial is not None and suffix != ".json":
         raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
-    if suffix in (".ply", ".spz", ".splat", ".ksplat", ".sog"):
+    if is_scene_path(path):
         return _scene(path, skip_invalid, up)
     if up is not None:
         raise InputError(f"--up is for files of Gaussians, and {path} is none; leave it out")
@@ -80,6 +82,7 @@ def _scene(path: Path, skip_invalid: bool, up: str | None) -> list[tuple[str, ob
     centres = (scene.means.double() + scene.means.new_tensor(scene.origin, dtype=torch.float64)).sort(0).values
     quantile = [centres[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]
     facts: list[tuple[str, object]] = [
+        ("format", file.kind),
         ("gaussians", scene.count),
         ("sh_degree", scene.sh_degree),
         ("sha256", scene_hash(scene)),

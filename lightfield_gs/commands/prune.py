@@ -25,8 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "viewpoints of the panel: it is drawn faster from then on."
     )
     add = parser.add_argument
-    add("input", type=Path, metavar="INPUT", help="a standard 3DGS .ply")
-    add("-o", "--output", type=Path, required=True, metavar="PLY", help="the scene without them")
+    add("input", type=Path, metavar="INPUT", help="a file of Gaussians: .ply, .spz, .sog, .splat, .ksplat")
+    add(
+        "-o", "--output", type=Path, required=True, metavar="SCENE", help="the scene without them: .ply, .spz or .splat"
+    )
     add_skip_invalid(add)
     add(
         "--contribution-cut",
@@ -89,5 +91,6 @@ def run(args: argparse.Namespace) -> None:
         f"light of {panel.width_px} x {panel.height_px}, {panel.views} views"
     )
     print(watch.line())
-    said.append(f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it")
+    if args.output.suffix.lower() == ".ply":
+        said.append(f"{args.output}: in the axes of {args.input}, with the framing it was pruned for: encode takes it")
     print("\n".join(drawn_so + said))

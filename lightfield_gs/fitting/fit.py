@@ -66,8 +66,8 @@ class FitResult:
     frame_scores: FrameScores | None = None
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Writes the scene as a standard 3DGS .ply, the settings in a line of its header; see Gaussians.save. That of a
-        display has its framing there too, and its rig beside it: scene.rig.yaml for scene.ply."""
+        """Writes the scene as .ply, .spz or .splat; a .ply has the settings in its header, see Gaussians.save. That
+        of a display has its framing there too, and its rig beside it: scene.rig.yaml for scene.ply."""
         if self.display is not None:
             comments = [*comments, *self.display.comments()]
             self.display.rig.to_yaml(rig_path(Path(path)))

@@ -12,11 +12,11 @@ from typing import Any, NoReturn
 import numpy as np
 import torch
 
+from lightfield_gs.base.assumptions import Loss, assume
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
-from lightfield_gs.io.scenes import ply
-from lightfield_gs.io.scenes.stored import read_stored
+from lightfield_gs.io.scenes.stored import read_stored, write_stored
 from lightfield_gs.scene.turning import rotated_fields
 
 
@@ -177,7 +177,8 @@ class Gaussians:
 
     @staticmethod
     def load(path: str | Path, *, skip_invalid: bool = False) -> Gaussians:
-        """Reads a standard 3DGS .ply: float32, CPU. What looks wrong is a warning, and so is an origin.
+        """Reads a file of Gaussians (.ply, compressed .ply, .spz, .sog, .splat, .ksplat): float32, CPU. What looks
+        wrong is a warning, and so is an origin.
 
         skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.scene.files.read_scene,
         which tells more of the file.
@@ -195,19 +196,22 @@ class Gaussians:
         return gaussians
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
-        """Writes one set of Gaussians as a standard 3DGS .ply, complete or not at all: float32, but for the centres of
-        Gaussians with an origin, which are written as double with the origin added.
+        """Writes one set of Gaussians, complete or not at all, in the format that the name ends in: a standard 3DGS
+        .ply, .spz (version 3) or .splat. A .ply is float32, but for the centres of Gaussians with an origin, which are
+        written as double with the origin added. What the other formats cannot hold is a warning.
 
-        comments: texts of one line each for the header, 64 KiB in all at most with it.
+        comments: texts of one line each for the header of a .ply, 64 KiB in all at most with it.
         Raises InputError on a batch of sets, a set of none, on values that `validate` refuses, on comments that are no
         single lines, or when it cannot be written.
         """
         if self.is_batched:
-            raise InputError(f"a .ply holds one set of Gaussians, got a batch of {self.means.shape[0]}; save one")
+            raise InputError(f"a file holds one set of Gaussians, got a batch of {self.means.shape[0]}; save one")
         if self.count == 0:
             raise InputError(f"{path}: there are no Gaussians to write; expected at least one")
         values = self.detach().validate().fields()
-        ply.write(path, {name: value.cpu().double().numpy() for name, value in values.items()}, self.origin, comments)
+        arrays = {name: value.cpu().double().numpy() for name, value in values.items()}
+        for words in write_stored(path, arrays, self.origin, comments):
+            assume(f"{path}: {words}", Loss)
 
 
 def _extremes(tensor: torch.Tensor) -> tuple[float, float]:

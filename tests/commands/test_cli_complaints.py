@@ -32,7 +32,7 @@ from lightfield_gs.scene import files as scene_file
         ("encode no.jpg -o o.png", "cannot read"),
         ("encode text.png -o o.png", "not an image"),
         ("encode cut.ply -o o.png", "cut"),
-        ("encode scene.spz -o o.png", "SPZ"),
+        ("encode scene.spz -o o.png", "is no .spz"),
         ("encode s.ply -o o.png --mask m.png", "--mask is for photos"),
         ("encode s.ply -o o.png --cameras c.json", "for --method sorted"),
         ("encode s.ply -o o.png --method classic --view-map m.npy", "for --method sorted"),

@@ -6,6 +6,7 @@ import resource
 import shutil
 import signal
 import warnings
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from PIL import features
+from scene_formats import sog, written
 
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
 from lightfield_gs.base.assumptions import Assumption
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.encoding.view_files import read_cameras, read_view_map
 from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.captures.capture import read_capture
@@ -64,6 +66,33 @@ def _read_own_camera(path: Path) -> Any:
     return stated_up(scene.comments), stored_framing(scene.comments, SMALL_PANEL), photo_camera(scene.elements)
 
 
+def _read_spz_inside(path: Path) -> Any:
+    """What gzip hides from changes."""
+    with reading(path):
+        path.with_name("inside.spz").write_bytes(zlib.compress(path.read_bytes(), 1, wbits=31))
+    return read_scene(path.with_name("inside.spz"), skip_invalid=True)
+
+
+def _read_sog_meta(path: Path) -> Any:
+    """A meta.json beside images that are good."""
+    folder = path.with_name("sog")
+    if not folder.exists():
+        written(folder, sog())
+    with reading(path):
+        (folder / "meta.json").write_bytes(path.read_bytes())
+    return read_scene(folder)
+
+
+def _read_sog_image(path: Path) -> Any:
+    """An image among others that are good."""
+    folder = path.with_name("sog-image")
+    if not folder.exists():
+        written(folder, sog())
+    with reading(path):
+        (folder / "sh0.webp").write_bytes(path.read_bytes())
+    return read_scene(folder)
+
+
 @dataclass(frozen=True)
 class Reader:
     """suffix: of its files. read: what may raise InputError and nothing else. corpus: a folder of CORPUS."""
@@ -89,6 +118,14 @@ def _read_display(path: Path) -> None:
 READERS = {
     "ply": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply"),
     "ply-valid": Reader(".ply", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "ply"),
+    "ply-compressed": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply-compressed"),
+    "splat": Reader(".splat", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "splat"),
+    "ksplat": Reader(".ksplat", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "ksplat"),
+    "spz": Reader(".spz", lambda path: read_scene(path).gaussians.validate(), "spz"),
+    "spz-inside": Reader(".bin", _read_spz_inside, "spz-inside"),
+    "sog": Reader(".sog", lambda path: read_scene(path).gaussians.validate(), "sog"),
+    "sog-meta": Reader(".json", _read_sog_meta, "sog-meta"),
+    "sog-image": Reader(".webp", _read_sog_image, "sog-image"),
     "image": Reader(".png", _read_image, "image"),
     "cut-out": Reader(".png", load_photo, "image"),
     "photo": Reader(".png", lambda path: load_photo(path, whole=True), "image"),

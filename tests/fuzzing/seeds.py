@@ -7,11 +7,13 @@ import math
 import shutil
 import struct
 import tempfile
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scene_formats
 import torch
 from capture_scene import MODELS, parameters, ring, write_model
 from icc_profile import SRGB_BLUE, SRGB_GREEN, SRGB_RED, matrix_profile
@@ -20,6 +22,7 @@ from PIL import Image
 from fuzzing.readers import CORPUS, READERS, SMALL_PANEL
 from lightfield_gs import Gaussians, Panel, Rig, SplatterNet
 from lightfield_gs.io.images import write_image
+from lightfield_gs.io.scenes.bounded import _zstd
 from lightfield_gs.models.config import ModelConfig
 from lightfield_gs.models.unet import UNetConfig
 from lightfield_gs.panels.own_camera import framing_comment
@@ -63,6 +66,25 @@ def _scenes(folder: Path) -> None:
     body = struct.pack(">B3hBBB", 3, 0, 1, 2, 9, 0, 8) + b"".join(struct.pack(">3d8f3B", *row) for row in rows)
     header = "\n".join(["ply", "format binary_big_endian 1.0", *lines])
     (folder / "big-endian.ply").write_bytes(header.encode() + body + struct.pack(">H", 640) + b"\n")
+
+
+def _scene_formats(folders: dict[str, Path]) -> None:
+    """Every format and version, packed by hand."""
+    for version in (1, 2, 3):
+        (folders["spz"] / f"v{version}.spz").write_bytes(scene_formats.spz(version, 3))
+        (folders["spz-inside"] / f"v{version}.bin").write_bytes(scene_formats.spz_plain(version, 3))
+    (folders["spz"] / "v4.spz").write_bytes(scene_formats.spz4(_zstd().compress))
+    (folders["splat"] / "small.splat").write_bytes(scene_formats.splat())
+    for level in (0, 1, 2):
+        (folders["ksplat"] / f"level{level}.ksplat").write_bytes(scene_formats.ksplat(level))
+    for degree in (0, 3):
+        (folders["ply-compressed"] / f"degree{degree}.ply").write_bytes(scene_formats.compressed_ply(degree))
+    for version in (1, 2):
+        files = scene_formats.sog(version)
+        (folders["sog"] / f"v{version}.sog").write_bytes(scene_formats.zipped(files))
+        (folders["sog-meta"] / f"v{version}.json").write_bytes(files["meta.json"])
+    (folders["sog"] / "deflated.sog").write_bytes(scene_formats.zipped(files, zipfile.ZIP_DEFLATED, "scene/"))
+    (folders["sog-image"] / "small.webp").write_bytes(files["sh0.webp"])
 
 
 def _images(folder: Path, metadata: dict[str, str] | None = None) -> None:
@@ -157,6 +179,7 @@ def main() -> None:
     if "heif" in READERS:  # and a HEIC, which Pillow does not write
         Image.linear_gradient("L").resize((16, 12)).convert("RGB").save(folders["heif"] / "small.avif", quality=50)
     _scenes(folders["ply"])
+    _scene_formats(folders)
     _images(folders["image"], {"panel": "small"})
     np.save(folders["depth-npy"] / "millimetres.npy", np.arange(1, 13, dtype=np.uint16).reshape(3, 4))
     np.save(folders["depth-npy"] / "metres.npy", np.linspace(0.5, 2, 12, dtype=np.float32).reshape(3, 4).T)

@@ -13,12 +13,12 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.photo import has_depth, photo_object, photo_scene
 from lightfield_gs.io.atomic import check_output_path
+from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
-_SCENE_SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 _PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
 _DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
 
@@ -55,10 +55,9 @@ def check_scene_options(args: argparse.Namespace) -> None:
 
 
 def check_scene_path(path: Path) -> None:
-    """Raises InputError where no Gaussians can be written. The name must end in .ply, for readers go by that."""
+    """Raises InputError where no Gaussians can be written. The name says the format, of those that are written."""
     check_output_path(path)
-    if path.suffix.lower() != ".ply":
-        raise InputError(f"cannot write {path}: expected a name that ends in .ply")
+    check_written_suffix(path)
 
 
 def read_noted(path: Path, skip_invalid: bool) -> SceneFile:
@@ -99,7 +98,7 @@ def _note_quilt(path: Path) -> None:
 
 
 def _is_scene_file(args: argparse.Namespace) -> bool:
-    return args.input.suffix.lower() in _SCENE_SUFFIXES
+    return is_scene_path(args.input)
 
 
 def _refuse(args: argparse.Namespace, names: tuple[str, ...], reason: str) -> None:

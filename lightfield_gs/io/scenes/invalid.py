@@ -21,12 +21,12 @@ _ZERO_ROTATION = "a rotation of zeros"
 
 
 def check_or_skip(
-    path: Path, records: np.ndarray, fields: dict[str, np.ndarray], skip: bool
+    path: Path, records: np.ndarray | None, fields: dict[str, np.ndarray], skip: bool
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """The fields (after exp and sigmoid) of the Gaussians that all have a meaning, and a note on those left out.
 
-    records: what the fields were read from. Raises InputError where some have no meaning and `skip` is not set, or none
-    has one.
+    records: what the fields were read from, whose properties are named; None where these have no names. Raises
+    InputError where some have no meaning and `skip` is not set, or none has one.
     """
     wrong = _wrong(fields)
     if not wrong:
@@ -40,8 +40,8 @@ def check_or_skip(
     share = f"{int(bad.sum())} of {len(bad)} Gaussians have values without a meaning ({', '.join(counts)})"
     if not skip:
         raise InputError(
-            f"{path}: {_named(records[first], first, fields)}; {share}; leave them out with "
-            "--skip-invalid (Python: skip_invalid=True) or export the file again"
+            f"{path}: {_named(None if records is None else records[first], first, fields)}; {share}; leave them out "
+            "with --skip-invalid (Python: skip_invalid=True) or export the file again"
         )
     if bad.all():
         raise InputError(f"{path}: {share}, and nothing is left without them; export the file again")
@@ -59,15 +59,18 @@ def _wrong(fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {**wrong, _ZERO_ROTATION: zero} if zero.any() else wrong
 
 
-def _named(record: np.void, index: int, fields: dict[str, np.ndarray]) -> str:
+def _named(record: np.void | None, index: int, fields: dict[str, np.ndarray]) -> str:
     """The first property of Gaussian `index` that has no meaning, and its value."""
-    for field, (beginnings, _) in _REASONS.items():
+    for field, (beginnings, reason) in _REASONS.items():
         if np.isfinite(fields[field][index]).all():
             continue
+        if record is None:
+            return f"Gaussian {index} has {reason}"
         for name in record.dtype.names or ():
             if name.startswith(beginnings) and (words := _without_meaning(name, float(record[name]))):
                 return f"{name} of Gaussian {index} is {words}"
-    return f"rot_0..rot_3 of Gaussian {index} are all zero, which is no rotation"
+    where = f"the rotation of Gaussian {index} is" if record is None else f"rot_0..rot_3 of Gaussian {index} are"
+    return f"{where} all zero, which is no rotation"
 
 
 def _without_meaning(name: str, value: float) -> str | None:

@@ -36,11 +36,6 @@ _ORIGIN_STEP = 1e-3
 def check_header(path: Path, header: Header) -> None:
     """Raises InputError unless the header is that of a file of Gaussians."""
     elements = {element.name: element for element in reversed(header.elements)}
-    if "chunk" in elements:
-        raise InputError(
-            f"{path} is a compressed .ply (SuperSplat), which this version does not read; "
-            "export it as a standard 3DGS .ply"
-        )
     if "vertex" not in elements:
         raise InputError(f"{path}: no element 'vertex'; this is not a file of Gaussians")
     vertex = elements["vertex"]

@@ -19,11 +19,12 @@ SMALL_BYTES = 1 << 16  # elements beside the vertices are kept up to this size
 _MOST_STEPS = 1 << 20  # numbers and lists of rows that are gone through one by one: a second's work
 _MOST_BYTES_AFTER = 16  # blank bytes after the data, as editors and shells append them
 _LINES_AT_ONCE = 1 << 14  # lines of text that are parsed at a time
+_WHOLE = ("vertex", "chunk", "sh")  # elements that are kept at any size: of Gaussians, compressed or not
 _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 
 
 def read_elements(path: Path, header: Header) -> dict[str, np.ndarray]:
-    """The element "vertex", and every other one without lists of at most SMALL_BYTES, as structured arrays by name.
+    """Elements of Gaussians, and every other one without lists of at most SMALL_BYTES, as structured arrays by name.
 
     Of several elements of one name the first counts. Raises InputError where the file is cut, or holds more than the
     header promises; OSError where it cannot be read.
@@ -110,7 +111,7 @@ def _cut(path: Path, element: Element, found: str) -> InputError:
 
 
 def _is_kept(element: Element, size_bytes: int) -> bool:
-    return element.name == "vertex" or 0 < size_bytes <= SMALL_BYTES
+    return element.name in _WHOLE or 0 < size_bytes <= SMALL_BYTES
 
 
 def _rows(path: Path, file: BinaryIO, element: Element, record: np.dtype, at: int) -> np.ndarray:

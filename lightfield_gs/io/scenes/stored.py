@@ -1,9 +1,9 @@
-"""What files of Gaussians hold, as arrays: one reader for each format, chosen by the file's extension."""
+"""What files of Gaussians hold, as arrays: one reader for each format, chosen by the file's content, then its name."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,48 +11,102 @@ import numpy as np
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.io.scenes import ply
+from lightfield_gs.io.scenes import ksplat, ply, ply_compressed, sog, splat, spz
 from lightfield_gs.io.scenes.ply_data import read_elements
 from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, read_header
+from lightfield_gs.io.scenes.stored_scene import StoredScene
 
-
-@dataclass
-class StoredScene:
-    """A scene as arrays.
-
-    fields: the five fields of N >= 1 Gaussians by name, float32 [N, ...]; see scene/gaussians.py. origin: where the
-    zero of their means lies in the file's coordinates. comments, elements, notes: see scene/files.py.
-    """
-
-    fields: dict[str, np.ndarray]
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    comments: tuple[str, ...] = ()
-    elements: dict[str, np.ndarray] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+Fields = dict[str, np.ndarray]
 
 
 def _read_ply(path: Path, skip_invalid: bool) -> StoredScene:
     with open(path, "rb") as file:
         header = read_header(path, file.read(HEADER_LIMIT_BYTES))
+    if ply_compressed.is_compressed(header):
+        ply_compressed.check_header(path, header)
+        return ply_compressed.scene(path, header, read_elements(path, header), skip_invalid)
     ply.check_header(path, header)
     elements = read_elements(path, header)
     fields, origin, notes = ply.fields_of(path, elements.pop("vertex"), skip_invalid)
-    return StoredScene(fields, origin, header.comments, elements, notes)
+    return StoredScene(fields, origin, header.comments, elements, notes, "3DGS .ply")
 
 
-# By extension; files of any other are taken for .ply, and say so themselves where they are none.
-READERS: dict[str, Callable[[Path, bool], StoredScene]] = {".ply": _read_ply}
-_UNREAD = {".spz": "SPZ", ".splat": "splat", ".ksplat": "ksplat", ".sog": "SOG", ".json": "SOG or JSON"}
+@dataclass(frozen=True)
+class Format:
+    """A format of files of Gaussians.
+
+    name: in words. suffixes: of its files. starts: what its content begins with, of formats that say so. read: the file
+    at a path, told whether to leave out Gaussians without a meaning. write: the float64 fields to a path; returns what
+    of them is lost, a line each; None where the format is only read.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    starts: tuple[bytes, ...]
+    read: Callable[[Path, bool], StoredScene]
+    write: Callable[[str | Path, Fields], list[str]] | None = None
+
+
+_PLY = Format(".ply", (".ply",), (b"ply\n", b"ply\r"), _read_ply)
+FORMATS = (
+    _PLY,
+    Format("SPZ", (".spz",), (b"NGSP", b"\x1f\x8b\x08\x00"), spz.read, spz.write),
+    Format("splat", (".splat",), (), splat.read, splat.write),
+    Format("ksplat", (".ksplat",), (), ksplat.read),
+    Format("SOG", (".sog", ".zip"), (b"PK\x03\x04",), sog.read),
+)
+SUFFIXES = tuple(suffix for format in FORMATS for suffix in format.suffixes)
+WRITTEN_SUFFIXES = (".ply", *(suffix for format in FORMATS if format.write for suffix in format.suffixes))
+
+
+def is_scene_path(path: Path) -> bool:
+    """Whether a path is, by its name, one of Gaussians: a file, or the folder or meta.json of a SOG."""
+    return path.suffix.lower() in SUFFIXES or path.name.lower() == sog.META or (path / sog.META).is_file()
+
+
+def _format_of(path: Path) -> Format:
+    """By content, which no name can belie, then by name; files of neither are taken for .ply, and say themselves that
+    they are none."""
+    if path.name.lower() == sog.META or path.is_dir() and (path / sog.META).is_file():
+        return FORMATS[-1]
+    with open(path, "rb") as file:
+        start = file.read(4)
+    for format in FORMATS:
+        if start in format.starts:
+            return format
+    return next((format for format in FORMATS if path.suffix.lower() in format.suffixes), _PLY)
 
 
 def read_stored(path: str | Path, *, skip_invalid: bool = False) -> StoredScene:
     """Reads a file of Gaussians; see scene/files.py. Raises InputError."""
     expect("skip_invalid", skip_invalid, bool)
     path = checked_path(path)
-    suffix = path.suffix.lower()
-    if suffix in _UNREAD:
-        raise InputError(
-            f"{path}: {_UNREAD[suffix]} files are not supported in this version; convert it to a standard 3DGS .ply"
-        )
     with reading(path):
-        return READERS.get(suffix, _read_ply)(path, skip_invalid)
+        return _format_of(path).read(path, skip_invalid)
+
+
+def check_written_suffix(path: Path) -> str:
+    """The suffix of a file of Gaussians that can be written, in lower case. Raises InputError."""
+    suffix = path.suffix.lower()
+    if suffix not in WRITTEN_SUFFIXES:
+        raise InputError(f"cannot write {path}: expected a name that ends in {', '.join(WRITTEN_SUFFIXES)}")
+    return suffix
+
+
+def write_stored(
+    path: str | Path, fields: Fields, origin: tuple[float, float, float], comments: Sequence[str] = ()
+) -> list[str]:
+    """Writes the float64 fields of N >= 1 valid Gaussians in the format that the name ends in; returns what is lost, a
+    line each. Raises InputError."""
+    path = checked_path(path)
+    suffix = check_written_suffix(path)
+    format = next(format for format in FORMATS if suffix in format.suffixes)
+    if format.write is None:
+        ply.write(path, fields, origin, comments)
+        return []
+    lost = format.write(path, fields)
+    if any(origin):
+        lost.append(f"centres are given from the origin {origin}, which a {suffix} cannot hold")
+    if comments:
+        lost.append(f"a {suffix} holds no comments: the framing, and what the scene was made by, are only in a .ply")
+    return lost
