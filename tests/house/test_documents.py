@@ -134,12 +134,16 @@ def _small_bench(words: list[str]) -> list[str]:
 
 def _run_lightfield_gs(words: list[str]) -> None:
     words = _with_small_panel(words)
-    if words[0] == "fit":
-        words = [*words, *SHORT_FIT]
+    if words[0] in SHORTENED:
+        words = [*words, *SHORTENED[words[0]]]
     assert cli.main(_small_bench(words) if words[0] == "bench" else words) == 0, words
 
 
-SHORT_FIT = ("--steps", "4", "--gaussians", "200", "--device", "cpu")
+SHORTENED = {
+    "fit": ("--steps", "4", "--gaussians", "200", "--device", "cpu"),
+    "quilt": ("--size", "96x96"),
+    "video": ("--turntable", "0.1"),  # seconds
+}
 SHORT_RUN = "--stages [{steps:~1,~image_size_px:~32,~objects:~2}] --targets 1 --validation_objects 1 --validate_every 1"
 SHORTER = {
     "training.data.make_small": "--objects 1",
