@@ -35,8 +35,11 @@ def quilt(
     fan spans where the rig has none (None: layout.panel's of 40 degrees). Pixels that belong to no tile are black.
     Raises InputError.
     """
+    expect("gaussians", gaussians, Gaussians)
     expect("layout", layout, QuiltLayout)
     expect("rig", rig, Rig)
+    if panel is not None:
+        expect("panel", panel, Panel)
     width, height = layout.tile_px()
     fan = _fan(layout, panel, width, height)
     out = torch.zeros(layout.height_px or 0, layout.width_px or 0, 3, dtype=torch.uint8, device=gaussians.device)

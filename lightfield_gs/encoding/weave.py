@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import dense_tensor
-from lightfield_gs.base.checks import expect, real_number, shown
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Views
 from lightfield_gs.encoding.sorted_plan import checked_view_map
@@ -90,7 +90,7 @@ def weave(
     is larger than it will be seen averaged first, and where sizes agree copies. Raises InputError.
     """
     source = _source(views)
-    _check(panel, interpolation, place, background)
+    _check(panel, interpolation, place, background, device)
     seen_aspect = source.width_px / source.height_px if aspect is None else real_number("aspect", aspect, 0.01, 100)
     window = window_of(panel, (source.width_px, source.height_px), seen_aspect, fit, crop, shift)
     table = None if view_map is None else checked_view_map(view_map, panel, source.count)
@@ -222,15 +222,16 @@ def _source(views: np.ndarray | Tensor | ViewSource) -> ViewSource:
     return views
 
 
-def _check(panel: Panel, interpolation: str, place: str, background: tuple[float, float, float]) -> None:
+def _check(panel: Panel, interpolation: str, place: str, background: tuple[float, float, float], device: str) -> None:
     expect("panel", panel, Panel)
     for name, value, known in (
         ("interpolation", interpolation, INTERPOLATIONS),
         ("place", place, ("integer", "continuous")),
+        ("device", device, ("cpu", "cuda") if torch.cuda.is_available() else ("cpu",)),
     ):
-        if value not in known:
+        if not isinstance(value, str) or value not in known:
             raise InputError(f"{name} must be {' or '.join(known)}, got {shown(value)}")
-    if len(background) != 3:
+    if not is_row(background, 3):
         raise InputError(f"background: expected red, green and blue, got {shown(background)}")
     for part in background:
         real_number("background", part, 0, 1)

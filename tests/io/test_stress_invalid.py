@@ -157,8 +157,39 @@ CALLS = {
     ),
     "from_depth": (lf.from_depth, dict(image=PHOTO, depth=DEPTH, focal_px=(4.0, 4.0), principal_point_px=(2.0, 1.5))),
     "interlace": (lf.interlace, dict(views=VIEWS, panel=PANEL)),
+    "Look": (lf.Look, dict(focus=2.0, depth_amount=0.5, cone_deg=20.0, zoom=1.5, pan=(0.1, -0.2))),
+    "Look.applied": (lf.Look(focus=2.0).applied, dict(rig=RIG, panel=PANEL, gaussians=SCENE)),
+    "QuiltLayout": (lf.QuiltLayout, dict(columns=2, rows=3, aspect=1.5, width_px=16, height_px=12)),
+    "depth_report": (lf.depth_report, dict(gaussians=SCENE, panel=PANEL, rig=RIG)),
     "load_photo": (lf.load_photo, dict(path="nowhere.png", mask="nowhere.png", remove_background=False, whole=True)),
     "prune": (lf.prune, dict(gaussians=SCENE, panel=PANEL, rig=RIG, contribution_cut=0.01)),
+    "quilt": (
+        lf.quilt,
+        dict(
+            gaussians=SCENE,
+            layout=lf.QuiltLayout(2, 1, 1.0, 16, 8),
+            rig=RIG,
+            panel=PANEL,
+            background=(1, 1, 1),
+            antialiased=False,
+        ),
+    ),
+    "weave": (
+        lf.weave,
+        dict(
+            views=VIEWS,
+            panel=PANEL,
+            interpolation="nearest",
+            place="integer",
+            view_map=PANEL.view_map(),
+            aspect=2.0,
+            fit="contain",
+            crop=(0.1, 0.0, 0.0, 0.1),
+            shift=0.1,
+            background=(0, 0, 0),
+            device="cpu",
+        ),
+    ),
     "render": (
         render,
         dict(gaussians=SCENE, cameras=CAMERAS.to(torch.float32), background=(1, 1, 1), alpha=True, depth=True),
@@ -215,7 +246,11 @@ def outcome(call, arguments):
 
 def test_every_public_name_is_tried():
     tried = {name.split(".")[0].split()[0] for name in CALLS}
-    assert tried == set(lf.__all__) - {"InputError", "build_info"}
+    assert tried == set(lf.__all__) - {
+        "DepthReport",
+        "InputError",
+        "build_info",
+    }  # a result, an error, and no arguments
 
 
 @pytest.mark.parametrize("name", CALLS)
