@@ -23,6 +23,7 @@ from lightfield_gs.show.page.routes import shown_routes, steering_routes
 from lightfield_gs.show.page.stage import Stage
 from lightfield_gs.show.preview import write_preview
 
+pytestmark = pytest.mark.not_sanitized  # a sanitizer that is loaded before a browser stops it
 REST = "document.querySelector('#panes')?.getAttribute('aria-busy') === 'false'"
 PIXELS = """(pane) => {
   const canvas = document.querySelector(`[data-pane=${pane}] canvas`);
