@@ -15,9 +15,9 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression
-from lightfield_gs.io.atomic import atomic_path, check_folder, make_folder, remove_file
+from lightfield_gs.io.atomic import check_folder, make_folder, remove_file
 from lightfield_gs.io.images import write_image
-from lightfield_gs.io.json_file import read_object
+from lightfield_gs.io.json_file import read_object, write_json
 
 MANIFEST = "frames.json"
 _LIMIT_BYTES = 16 << 20
@@ -69,8 +69,7 @@ class FrameFolder:
         make_folder(self.path)
         for path in self._left_over():
             remove_file(path)
-        with atomic_path(self.path / MANIFEST) as temporary:
-            temporary.write_text(json.dumps(self._manifest, indent=1) + "\n", encoding="utf-8")
+        write_json(self._manifest, self.path / MANIFEST)
         self._room = threading.BoundedSemaphore(2 * self._writers)
         self._pool = ThreadPoolExecutor(self._writers, thread_name_prefix="frames")
         self._failed: BaseException | None = None
