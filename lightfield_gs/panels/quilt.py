@@ -140,8 +140,8 @@ def layout_of_panel(panel: Panel, tiles: tuple[int, int] | None = None) -> Quilt
     if views > panel.views:
         assume(
             f"a quilt of {found.columns} x {found.rows} = {views} views for the {panel.views} of panel {panel.name}, "
-            f"of which {best.columns} x {best.rows} would leave tiles of {best.tile_px()[0]} x {best.tile_px()[1]} pixels "
-            f"(to have those: --tiles {best.columns}x{best.rows})"
+            f"of which {best.columns} x {best.rows} would leave tiles of {best.tile_px()[0]} x {best.tile_px()[1]} "
+            f"pixels (to have those: --tiles {best.columns}x{best.rows})"
         )
     return found
 

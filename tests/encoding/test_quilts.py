@@ -188,14 +188,15 @@ def test_a_view_map_takes_the_place_of_the_lens():
     assert np.array_equal(got, np.where(table < 0, 255, expected))
 
 
+@pytest.mark.parametrize("width", [0.0, 1.5])
 @pytest.mark.parametrize("inverted", [False, True])
-def test_the_weave_of_a_quilt_is_what_classic_draws(inverted):
+def test_the_weave_of_a_quilt_is_what_classic_draws(inverted, width):
     panel = replace(PANEL, invert_views=inverted)
     gaussians, layout = scene(), layout_of_panel(panel)
     rig = Rig.frame(gaussians, panel)
-    image = quilt(gaussians, layout, rig, panel).numpy()
+    image = quilt(gaussians, layout, rig, panel, view_filter=width).numpy()
     got = weave(QuiltViews(image, layout, "quilt"), panel)
-    difference = (got.int() - encode(gaussians, panel, rig, "classic").int()).abs()
+    difference = (got.int() - encode(gaussians, panel, rig, "classic", view_filter=width).int()).abs()
     assert difference.max() <= (1 if inverted else 0)  # mirrored offsets may differ in the last bit
 
 
