@@ -33,6 +33,7 @@ def render_views(
     """Pictures [K, H, W, 3] of the cameras at the view coordinates x [K] of a panel, of the rig's size, without
     gradients. antialiased, view_filter: see `encode`. Raises InputError."""
     expect("gaussians", gaussians, Gaussians)
+    expect("antialiased", antialiased, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         gaussians.validate()  # on CUDA looking at values would wait for the device

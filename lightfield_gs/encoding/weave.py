@@ -76,7 +76,7 @@ def weave(
     """The image [H, W, 3] of a panel from M views of any size, in their type: uint8, uint16 or float32 (0..1).
 
     views: [M, h, w, 3], the left-most camera's first, as quilts have them, or a ViewSource, of which at most 1 GiB is
-    held at a time.
+    held at a time, or twice as many views as a sub-pixel mixes where that is more.
     interpolation: between the two views beside a sub-pixel that falls between them: "linear" mixes them, "nearest"
     takes one. place: "integer": of the panel's integer view; "continuous": of its exact x. Where M is the panel's N,
     integer places need no interpolation: every sub-pixel is that of one view, as `interlace` has it.
