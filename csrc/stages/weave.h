@@ -25,8 +25,8 @@ struct WeaveWindow {
   double shift = 0;
 };
 
-// Pictures first .. first + held - 1 of the M, [held, H, W, 3]. Sub-pixels whose first view is one of the first `own` of
-// them are drawn, the others left as they are.
+// Pictures first .. first + held - 1 of the M, [held, H, W, 3]. Sub-pixels whose first view is one of the first `own`
+// of them are drawn, the others left as they are.
 template <class T>
 struct WeaveViews {
   const T* pixels = nullptr;

@@ -34,9 +34,11 @@ Tap tap_at(double place, int64_t size, double least, double most) {
 
 template <class T>
 T stored(float value) {
-  if constexpr (std::is_same_v<T, float>) return value;
-  // Ties to even, the rounding mode that a process starts with
-  else return T(std::lrint(std::clamp(value, 0.0f, float(T(-1)))));
+  if constexpr (std::is_same_v<T, float>) {
+    return value;
+  } else {  // ties to even, the rounding mode that a process starts with
+    return T(std::lrint(std::clamp(value, 0.0f, float(T(-1)))));
+  }
 }
 
 inline float mixed(float a, float b, float weight) { return a + weight * (b - a); }
@@ -81,8 +83,8 @@ class Weaver {
     for (int64_t k = 0; k < mix.count; ++k) {
       if (mix.weights[k] == 0) continue;
       const int64_t view = mix.first + k;
-      const Tap tap = window_.shift == 0 ? columns_[size_t(column)]
-                                         : across(places_[size_t(column)] - shifts_[size_t(view)]);
+      const Tap tap =
+          window_.shift == 0 ? columns_[size_t(column)] : across(places_[size_t(column)] - shifts_[size_t(view)]);
       if (!tap.inside) continue;
       const float colour = sample(view - views_.first, down, tap, channel);
       // A running mean: where all views agree, it is their colour to the bit
