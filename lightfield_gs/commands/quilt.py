@@ -15,7 +15,7 @@ from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.encode import package_versions, scene_hash
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter, settle_drawing
 from lightfield_gs.commands.options.look import add_depth_report, add_look, apply_look, report_depth
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel
 from lightfield_gs.commands.options.photo import add_depth
@@ -75,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add_skip_invalid(add)
     add_antialiased(add)
+    add_view_filter(add)
     add_background(add)
     add("--device", choices=DEVICES, default="auto", help="where network and rasterizer run (default auto)")
     add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
@@ -137,7 +138,8 @@ def run(args: argparse.Namespace) -> None:
         rig, looks = apply_look(args, chosen, frame, gaussians)
         more += looks + report_depth(args, rig, frame, gaussians)
         tile, fan_rig = layout.fitted(frame, rig)
-        image = quilt(gaussians, layout, fan_rig, tile, background=args.background, antialiased=args.antialiased).cpu()
+        drawn_as = {name: getattr(args, name) for name in ("background", "antialiased", "view_filter")}
+        image = quilt(gaussians, layout, fan_rig, tile, **drawn_as).cpu()
         watch.lap("views")
         of_file = fan_rig.relative_to([-part for part in gaussians.origin])
         write_image(args.output, image.numpy(), _metadata(args, gaussians, layout, tile, of_file), args.compression)
@@ -236,6 +238,7 @@ def _metadata(
         "views": layout.views,
         "tile_px": [width, height],
         "cone_deg": rig.cone_deg or panel.cone_deg,
+        **({"view_filter": args.view_filter} if args.view_filter else {}),
     }
     scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
     return {

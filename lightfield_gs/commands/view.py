@@ -9,7 +9,7 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter, settle_drawing
 from lightfield_gs.commands.options.look import add_look, apply_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
 from lightfield_gs.commands.options.photo import add_depth
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_look(add)
     add_skip_invalid(add)
     add_antialiased(add)
+    add_view_filter(add)
     add_background(add)
     add("--device", choices=DEVICES, default="auto", help="where it is drawn (default auto: cuda where there is a GPU)")
     add_serving(add)
@@ -59,7 +60,7 @@ def run(args: argparse.Namespace) -> None:
         drawn_so = settle_drawing(args, file)
         rig, said = choose_rig(given, args, panel, gaussians, file)
         rig, look = apply_look(args, rig, panel, gaussians)
-    stage = Stage(gaussians, panel, rig, args.background, args.antialiased, args.input.name)
+    stage = Stage(gaussians, panel, rig, args.background, args.antialiased, args.input.name, args.view_filter)
     print(f"{args.input}: {gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
     print("\n".join([watch.line(), *drawn_so, *said, *look]))
     serve(args, steering_routes(stage, exports(stage)), "/")
