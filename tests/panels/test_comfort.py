@@ -4,9 +4,10 @@ import json
 import math
 from dataclasses import replace
 
+import look_cases
 import numpy as np
 import pytest
-from test_look import sheet
+from look_cases import RIG, sheet
 
 from lightfield_gs import Look, depth_report
 from lightfield_gs.base.errors import InputError
@@ -17,8 +18,7 @@ from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.panels.unseen import share_past
 from lightfield_gs.scene.gaussians import Gaussians
 
-PANEL = Panel(96, 60, 8, 9.8, 0.1, cone_deg=40, viewing_distance_mm=700, pixel_pitch_mm=4.0)
-RIG = Rig(np.eye(4), (96.0, 100.0), (45.0, 28.0), zero_depth=2.0)
+PANEL = replace(look_cases.PANEL, viewing_distance_mm=700, pixel_pitch_mm=4.0)
 NEAR, FAR = 1.5, 4.0
 SCENE = sheet((NEAR, 0.9, 0.3, 0.6), (FAR, 0.9, -1, 2))
 
