@@ -40,7 +40,7 @@ def test_it_is_the_depth_of_what_the_photograph_shows(tmp_path, capsys):
     width, height = capture.sizes_px[1]
     assert z.shape == (height, width) and numbers.focal_px == pytest.approx(capture.intrinsics[1, 0])
     middle = int(capture.intrinsics[1, 2])
-    assert z[:, : middle - 2] == pytest.approx(DEPTH, abs=0.02) and np.isnan(z[:, middle + 2 :]).all()
+    assert z[:, : middle - 3] == pytest.approx(DEPTH, abs=0.02) and np.isnan(z[:, middle + 3 :]).all()
 
     capsys.readouterr()
     refused = {"--name other.png": "expected one of its photographs", f"--output {tmp_path / 'd.png'}": "ends in .npz"}

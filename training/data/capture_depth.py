@@ -21,12 +21,14 @@ from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.files import read_scene
 from training.command import with_line_errors
 
-_COVERED = 0.5  # alpha from which on a pixel shows a surface
+_COVERED = 0.1  # alpha from which on a pixel has a depth: what is dark in a photograph may be hardly covered by a fit
+_WINDOW_PX = 7  # side of the windows whose medians the depths are, so that specks and small gaps are gone
 
 
 def write_capture_depth(capture: Path, scene: Path, name: str, output: Path) -> tuple[float, float]:
     """Writes an .npz with `depth`, float16 [H, W], the view-space z of what the photograph shows, scene units, NaN
-    where the scene shows nothing, and `focallength_px`; returns the smallest and the largest z.
+    where the scene shows nothing, and `focallength_px`; returns the smallest and the largest z. Depths are medians of
+    7 x 7 pixels.
 
     The photograph's lens distortion is left out. Raises InputError for files that cannot be read or written, for a
     name that the capture does not have, and where the scene shows nothing there.
@@ -49,12 +51,21 @@ def write_capture_depth(capture: Path, scene: Path, name: str, output: Path) -> 
     )
     with torch.no_grad():
         _, alpha, depth = render(gaussians, cameras, alpha=True, depth=True)
-    z = torch.where(alpha[0] >= _COVERED, depth[0], torch.nan).numpy()
+    z = _medians(torch.where(alpha[0] >= _COVERED, depth[0], torch.nan)).numpy()
     if np.isnan(z).all():
         raise InputError(f"{scene}: shows nothing where {name} was taken; is it fitted to {capture}?")
     with atomic_path(output) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, depth=z.astype(np.float16), focallength_px=np.float32(fx))
     return float(np.nanmin(z)), float(np.nanmax(z))
+
+
+def _medians(z: torch.Tensor) -> torch.Tensor:
+    """The median of what is not NaN in the window around each pixel [H, W]; NaN where half of the window is."""
+    reach = _WINDOW_PX // 2
+    windows = torch.nn.functional.pad(z[None, None], [reach] * 4, mode="replicate")[0, 0]
+    windows = windows.unfold(0, _WINDOW_PX, 1).unfold(1, _WINDOW_PX, 1).flatten(2)
+    is_seen = windows.isfinite().double().mean(2) > 0.5
+    return torch.where(is_seen, windows.nanmedian(2).values, torch.nan)
 
 
 @with_line_errors("training.data.capture_depth")
