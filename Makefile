@@ -21,10 +21,12 @@ demo: setup
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
 	$(BIN)/lightfield-gs simulate demo/cat.png $(DEMO_EYES) -o demo/cat-eyes.png
 	$(BIN)/lightfield-gs encode $(CAPTURE)/fitted.spz --rig $(CAPTURE)/fitted.rig.yaml --background 0,0,0 \
-	  --zoom 1.5 --pan 0.02,-0.03 -o demo/scene.png --preview demo/scene-preview --depth-report
+	  --focus 0.45,0.55 --depth-amount 0.6 --zoom 1.5 --pan 0.02,-0.03 -o demo/scene.png --preview demo/scene-preview \
+	  --depth-report
 	$(BIN)/lightfield-gs simulate demo/scene.png $(DEMO_EYES) -o demo/scene-eyes.png
 	$(BIN)/lightfield-gs encode $(CAPTURE)/images/DSC_0426.jpg --depth $(CAPTURE)/DSC_0426.depth.npz \
-	  --depth-amount 0.5 --zoom 1.65 --pan 0.02,-0.03 -o demo/depth.png --preview demo/depth-preview --depth-report
+	  --focus 0.45,0.55 --depth-amount 0.5 --zoom 1.75 --pan 0.02,-0.03 -o demo/depth.png --preview demo/depth-preview \
+	  --depth-report
 	$(BIN)/lightfield-gs simulate demo/depth.png $(DEMO_EYES) -o demo/depth-eyes.png
 	@echo "demo/*-eyes.png: what eyes at -15, 0 and +15 degrees see of a photo of one object (cat), of a scene that was"
 	@echo "fitted to photographs (scene), and of one photograph with its depth (depth); demo/preview, demo/scene-preview and"
