@@ -21,7 +21,7 @@ demo: setup
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
 	$(BIN)/lightfield-gs simulate demo/cat.png $(DEMO_EYES) -o demo/cat-eyes.png
 	$(BIN)/lightfield-gs encode $(CAPTURE)/fitted.spz --rig $(CAPTURE)/fitted.rig.yaml --background 0,0,0 \
-	  --focus 0.45,0.55 --depth-amount 0.6 --zoom 1.5 --pan 0.02,-0.03 -o demo/scene.png --preview demo/scene-preview \
+	  --focus 4.1 --depth-amount 0.6 --zoom 1.5 --pan 0.02,-0.03 -o demo/scene.png --preview demo/scene-preview \
 	  --depth-report
 	$(BIN)/lightfield-gs simulate demo/scene.png $(DEMO_EYES) -o demo/scene-eyes.png
 	$(BIN)/lightfield-gs encode $(CAPTURE)/images/DSC_0426.jpg --depth $(CAPTURE)/DSC_0426.depth.npz \
