@@ -23,6 +23,7 @@ COMPENSATION_FIELDS: int
 SUBPIXEL_BLOCK: int
 STEP_COLUMNS: int
 NOISE_PURPOSE: int
+DROPOUT_PURPOSE: int
 MOST_LOG_SCALE: float
 MOST_LOGIT: float
 
@@ -216,6 +217,11 @@ class _Stages:
             seed: int,
         ) -> None: ...
 
+    class Dropout:
+        def __init__(
+            self, *, shares: Address, rows: int, step: Address, seed: int, count: int, factors: Address
+        ) -> None: ...
+
     @staticmethod
     def project_dense(
         gaussians: _Stages.Gaussians, cameras: _Stages.Cameras, out: _Stages.Splats, threads: int
@@ -330,6 +336,8 @@ class _Stages:
     def update(job: _Stages.Update, threads: int) -> None: ...
     @staticmethod
     def normals(seed: int, step: int, purpose: int, count: int, out: Address, threads: int) -> None: ...
+    @staticmethod
+    def dropout(job: _Stages.Dropout, threads: int) -> None: ...
 
 float32: type[_Stages]
 float64: type[_Stages]
@@ -562,5 +570,7 @@ class _Cuda:
     def uniforms(seed: int, step: int, purpose: int, count: int, out: Address, stream: Address) -> None: ...
     @staticmethod
     def normals(seed: int, step: int, purpose: int, count: int, out: Address, stream: Address) -> None: ...
+    @staticmethod
+    def dropout(job: _Stages.Dropout, stream: Address) -> None: ...
 
 cuda: type[_Cuda]

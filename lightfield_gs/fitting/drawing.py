@@ -30,7 +30,7 @@ def view_job(
         tensor.index_select(0, chosen)[None] for tensor in (world_to_camera, views.intrinsics, views.limits)
     )
     means, quaternions, scales, opacities, sh = (field[None] for field in gaussians.fields().values())
-    return DenseJob(
+    return DenseJob.of(
         means,
         quaternions,
         scales,

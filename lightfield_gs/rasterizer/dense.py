@@ -26,12 +26,12 @@ def dense_forward(
     *arguments: Any, stats: Stats | None = None, threads: int | None = None, aperture: Aperture = PINHOLE
 ) -> _Images:
     """render_dense without autograd; see there. Also fills `stats`. aperture: of all cameras."""
-    return cast(_Images, tuple(DenseJob(*arguments, stats=stats, threads=threads, aperture=aperture).draw()))
+    return cast(_Images, tuple(DenseJob.of(*arguments, stats=stats, threads=threads, aperture=aperture).draw()))
 
 
 def dense_forward_with_splats(*arguments: Any) -> tuple[Tensor, ...]:
     """dense_forward, and behind its images the splats that they consist of, [B * V, N, SPLAT_FIELDS]."""
-    job = DenseJob(*arguments)
+    job = DenseJob.of(*arguments)
     return (*cast(_Images, job.draw()), job.splats)
 
 
@@ -75,8 +75,21 @@ def render_dense(
     # Tensors that are parts of others are copied here, once: the reverse would copy them again while the device waits
     tensors = tuple(t.contiguous() for t in given)
     if _is_for_cuda(means) and _is_plain(tensors):
-        return in_two_nodes(tensors, width, height, antialiased, screen)
+        return in_two_nodes(tensors[:5], tensors[5], tensors[6:], width, height, antialiased, screen)
     return _RenderDense.apply(*tensors, width, height, antialiased, screen)[:3]
+
+
+def render_scene(
+    fields: tuple[Tensor, ...], background: Tensor, views: tuple[Tensor, ...], options: tuple[Any, ...]
+) -> _Images:
+    """render_dense of one scene, whose five fields [N, ...] have no B: on CUDA without the nodes of autograd and the
+    call of an operator that giving them one would take. views: world_to_camera, intrinsics and limits; options: the
+    arguments that follow them, from width to screen."""
+    if _is_for_cuda(fields[0]) and _is_plain((*fields, background, *views)):
+        fields, views = (tuple(t.contiguous() for t in tensors) for tensors in (fields, views))
+        return in_two_nodes(fields, background.contiguous(), views, *options)
+    batch = (field.unsqueeze(0) for field in fields)
+    return torch.ops.lightfield_gs.render_dense(*batch, background, *views, *options)
 
 
 _library = torch.library.Library("lightfield_gs", "FRAGMENT")
@@ -100,7 +113,7 @@ def _with_state(
     screen: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """render_dense, and the State that spares the reverse to project, order and bin once more."""
-    job = DenseJob(
+    job = DenseJob.of(
         means,
         quaternions,
         scales,
@@ -174,7 +187,7 @@ def _of_state(
     """Gradients of render_dense's first seven arguments and, of `screen_numbers` 2 or 4, of its screen, from what
     render_dense_with_state returned and the gradients of its images. cameras: whether that of world_to_camera is asked
     for; zeros where it is not."""
-    job = DenseJob(
+    job = DenseJob.of(
         means,
         quaternions,
         scales,
@@ -192,10 +205,10 @@ def _of_state(
     found = job.backward(
         DenseImages(image, alpha, depth), DenseImages(g_image, g_alpha, g_depth), Wanted(screen_numbers, cameras)
     )
-    g_background = found.background_parts.view(*job.lead, -1, 3).sum(2)
-    g_screen = found.screen.view(*job.lead, means.shape[1], screen_numbers)
+    g_background = found.background_parts.view(*job.arguments.lead, -1, 3).sum(2)
+    g_screen = found.screen.view(*job.arguments.lead, means.shape[1], screen_numbers)
     g_means, g_quaternions, g_scales, g_opacities, g_sh = found.fields
-    g_cameras = found.cameras.view(*job.lead, 4, 4) if cameras else torch.zeros_like(world_to_camera)
+    g_cameras = found.cameras.view(*job.arguments.lead, 4, 4) if cameras else torch.zeros_like(world_to_camera)
     return g_means, g_quaternions, g_scales, g_opacities, g_sh, g_background, g_cameras, g_screen
 
 

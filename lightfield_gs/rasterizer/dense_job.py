@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any, NamedTuple, cast
 
@@ -70,45 +71,45 @@ class DenseArguments:
         poses, optics, edges = (t.data_ptr() for t in self.cameras_tensors)
         self.cameras = scene.core.Cameras(*lead, width, height, poses, optics, edges, antialiased, *aperture)
 
-    def of_sums(self, sums: Tensor, wanted: Wanted) -> DenseGradients:
-        """On CUDA, what follows from the sums that DenseJob.sums found, but for the background."""
+    def without_values(self) -> DenseArguments:
+        """The same, but it keeps no tensors alive: see Scene.without_values."""
+        other = copy.copy(self)
+        other.scene, other.cameras_tensors = self.scene.without_values(), []
+        return other
+
+    def of_sums(self, sums: Tensor, wanted: Wanted) -> tuple[list[Tensor], Tensor, Tensor]:
+        """On CUDA, what follows from the sums that DenseJob.sums found: gradients of the fields, of the cameras and of
+        the splats' places, as DenseGradients has them."""
         with self.scene.guard:
             return project_dense_backward(self.scene, self.cameras, sums, wanted)
 
 
-class DenseJob(DenseArguments):
-    """The checked arguments of render_dense, and a workspace that is ready for the composite or its reverse.
+class DenseJob:
+    """Arguments of render_dense, and a workspace that is ready for the composite or its reverse.
 
     Without `state` project, order and bin run here; with it the workspace consists of what a render of the same
     arguments left. room: on CUDA, how many (tile, splat) pairs there is room for: then nothing waits for the device,
-    and `pairs_on_device` has to be looked at. aperture: of all cameras. Raises InputError.
+    and `pairs_on_device` has to be looked at. Raises InputError.
     """
 
     def __init__(
         self,
-        means: Tensor,
-        quaternions: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        sh: Tensor,
+        arguments: DenseArguments,
         background: Tensor,
-        *views: Any,
+        *,
         stats: Stats | None = None,
         threads: int | None = None,
         state: State | None = None,
         room: int | None = None,
-        aperture: Aperture = PINHOLE,
     ):
-        """views: the arguments of render_dense that follow the background."""
-        super().__init__(means, quaternions, scales, opacities, sh, *views, aperture=aperture)
-        scene, self.stats = self.scene, stats or Stats()
-        self.background = check("background", background, (*self.lead, 3), means)
-        with scene.guard:
+        self.arguments, self.scene, self.stats = arguments, arguments.scene, stats or Stats()
+        self.background = check("background", background, (*arguments.lead, 3), self.scene)
+        with self.scene.guard:
             self.work = workspace_of(
-                scene,
-                self.images,
-                self.width,
-                self.height,
+                self.scene,
+                arguments.images,
+                arguments.width,
+                arguments.height,
                 self.stats,
                 threads or torch.get_num_threads(),
                 state=state,
@@ -116,8 +117,26 @@ class DenseJob(DenseArguments):
             )
             if state is None:
                 with self.stats.stage("project"):
-                    self.work.project_dense(self.cameras)
+                    self.work.project_dense(arguments.cameras)
                 self.work.order_and_bin()
+
+    @classmethod
+    def of(
+        cls,
+        means: Tensor,
+        quaternions: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        sh: Tensor,
+        background: Tensor,
+        *views: Any,
+        aperture: Aperture = PINHOLE,
+        **options: Any,
+    ) -> DenseJob:
+        """The job of the arguments of render_dense: views are those that follow the background. aperture: of all
+        cameras. options: of DenseJob."""
+        arguments = DenseArguments(means, quaternions, scales, opacities, sh, *views, aperture=aperture)
+        return cls(arguments, background, **options)
 
     @property
     def pairs_on_device(self) -> Tensor:
@@ -135,14 +154,14 @@ class DenseJob(DenseArguments):
         with scene.guard, self.stats.stage("composite"):
             image, alpha, depth = (scene.new(*shape) for shape in self._shapes())
             native = scene.core.DenseImages(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
-            self.work.composite_dense(self.cameras, self.background, native)
+            self.work.composite_dense(self.arguments.cameras, self.background, native)
         return DenseImages(image, alpha, depth)
 
     def backward(self, images: DenseImages, gradients: DenseImages, wanted: Wanted) -> DenseGradients:
         """What follows from the gradients of the images that draw() returned."""
         of_images, of_gradients = self._natives(images, gradients)
         with self.scene.guard:
-            return self.work.dense_backward(self.cameras, self.background, of_images, of_gradients, wanted)
+            return self.work.dense_backward(self.arguments.cameras, self.background, of_images, of_gradients, wanted)
 
     def sums(self, images: DenseImages, gradients: DenseImages, absolute: bool) -> tuple[Tensor, Tensor]:
         """On CUDA, the first half of backward(): sums over each splat's pairs [I, N, SPLAT_SUMS], from which a
@@ -160,14 +179,13 @@ class DenseJob(DenseArguments):
 
     def _checked(self, prefix: str, images: DenseImages) -> DenseImages:
         """The same, contiguous."""
-        like = self.scene.tensors[0]
         image, alpha, depth = (
-            None if tensor is None else check(prefix + name, tensor, shape, like)
+            None if tensor is None else check(prefix + name, tensor, shape, self.scene)
             for name, tensor, shape in zip(images._fields, images, self._shapes())
         )
         assert image is not None
         return DenseImages(image, alpha, depth)
 
     def _shapes(self) -> list[tuple[int, ...]]:
-        size = (*self.lead, self.height, self.width)
+        size = (*self.arguments.lead, self.arguments.height, self.arguments.width)
         return [(*size, 3), size, size]

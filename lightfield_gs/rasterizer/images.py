@@ -12,7 +12,7 @@ from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.background import background_tensor
-from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_splats, dense_with_splats
+from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_splats, dense_with_splats, render_scene
 from lightfield_gs.rasterizer.screen import radii_px
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
@@ -169,18 +169,23 @@ def render(
             f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
             f"cameras {list(cameras.world_to_camera.shape)}"
         )
-    tensors = [t if batched else t.unsqueeze(0) for t in gaussians.fields().values()]
     colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
-    inputs: list[Tensor] = [*tensors, colour, *views]
+    fields = tuple(gaussians.fields().values())
     options: list[Any] = [cameras.width_px, cameras.height_px, antialiased]
     if screen is not None:
         screen = _checked_screen(screen, gaussians, cameras.count)
-    draw: Callable[..., tuple[Tensor, ...]]
-    if torch.is_grad_enabled() and (screen is not None or any(t.requires_grad for t in inputs)):
-        draw, options = dense_with_splats if radii else torch.ops.lightfield_gs.render_dense, [*options, screen]
-    else:  # at the first call of an operator with a reverse torch spends a second on imports
-        draw = dense_forward_with_splats if radii else dense_forward
-    image, coverage, weighted_depth, *splats = draw(*inputs, *options)
+    needs_gradients = screen is not None or any(t.requires_grad for t in (*fields, colour, *views))
+    splats: list[Tensor] = []
+    if torch.is_grad_enabled() and needs_gradients and not radii and not batched:
+        image, coverage, weighted_depth = render_scene(fields, colour, (*views,), (*options, screen))
+    else:
+        draw: Callable[..., tuple[Tensor, ...]]
+        if torch.is_grad_enabled() and needs_gradients:
+            draw, options = dense_with_splats if radii else torch.ops.lightfield_gs.render_dense, [*options, screen]
+        else:  # at the first call of an operator with a reverse torch spends a second on imports
+            draw = dense_forward_with_splats if radii else dense_forward
+        batch = fields if batched else [field.unsqueeze(0) for field in fields]
+        image, coverage, weighted_depth, *splats = draw(*batch, colour, *views, *options)
     out = [image]
     if alpha:
         out.append(coverage)

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 from contextlib import AbstractContextManager, nullcontext
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
+
+
+class Place(Protocol):
+    """Where values are, and of which type: a tensor, or a Scene."""
+
+    @property
+    def dtype(self) -> torch.dtype: ...
+    @property
+    def device(self) -> torch.device: ...
 
 
 def _devices() -> str:
@@ -26,7 +36,7 @@ def _core_of(tensor: Tensor) -> type[_core._Stages]:
     raise InputError(f"the rasterizer takes float32 or float64 tensors, got {tensor.dtype}")
 
 
-def check(name: str, tensor: Tensor, shape: tuple[int, ...], like: Tensor) -> Tensor:
+def check(name: str, tensor: Tensor, shape: tuple[int, ...], like: Place) -> Tensor:
     """`tensor` contiguous, after checking its shape, and dtype and device against `like`."""
     if tensor.shape != shape:
         raise InputError(f"{name} must be {list(shape)}, got {list(tensor.shape)}")
@@ -58,6 +68,7 @@ class Scene:
         if sh.dim() != 4 or sh.shape[2] not in (1, 4, 9, 16):
             raise InputError(f"sh must be [scenes, N, 1 | 4 | 9 | 16, 3], got {list(sh.shape)}")
         self.core, self.batch, self.count = _core_of(means), batch, count
+        self.dtype, self.device = means.dtype, means.device
         self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[sh.shape[2]]
         self.tensors = [
             check("means", means, (batch, count, 3), means),
@@ -67,11 +78,18 @@ class Scene:
             check("sh", sh, (batch, count, sh.shape[2], 3), means),
         ]
 
+    def without_values(self) -> Scene:
+        """The same, but it keeps no tensors alive: enough for a composite and its reverse, which read splats."""
+        other = copy.copy(self)
+        other.tensors = []
+        return other
+
     @property
     def guard(self) -> AbstractContextManager:
         """Selects the device of the Gaussians; another one each time, for torch's is not made to be entered twice."""
-        device = self.tensors[0].device
-        return torch.cuda.device(device) if device.type == "cuda" else nullcontext()
+        if self.device.type != "cuda" or self.device.index == torch.cuda.current_device():
+            return nullcontext()
+        return torch.cuda.device(self.device)
 
     def native(self) -> _core._Stages.Gaussians:
         """Their addresses for the core, which hold as long as this scene does."""
@@ -80,7 +98,7 @@ class Scene:
     def new(self, *shape: int, dtype: torch.dtype | None = None, zero: bool = False) -> Tensor:
         """A tensor on the scene's device, of its dtype unless one is given; without values, or all zero."""
         make = torch.zeros if zero else torch.empty
-        return make(shape, dtype=dtype or self.tensors[0].dtype, device=self.tensors[0].device)
+        return make(shape, dtype=dtype or self.dtype, device=self.device)
 
     def gradients(self, zero: bool) -> tuple[list[Tensor], _core._Stages.Gaussians]:
         """Tensors for the gradients of the five fields, all zero or without values, and the core's view of them."""
@@ -104,7 +122,7 @@ class State(NamedTuple):
     def check(self, images: int, scene: Scene, colour_order: int, least_bytes: int) -> State:
         """Itself; raises InputError if it is not of such a render."""
         splats, colours = (
-            check(f"state: {name}", t, shape, scene.tensors[0])
+            check(f"state: {name}", t, shape, scene)
             for name, t, shape in zip(self._fields, self, self.shapes(images, scene.count, colour_order))
         )
         size = self.lists.numel()

@@ -38,7 +38,7 @@ class CudaWorkspace:
         self.room = room
         self.scene, self.images, self.stats, self.items = scene, images, stats, images * scene.count
         self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
-        self.stream = torch.cuda.current_stream(scene.tensors[0].device).cuda_stream
+        self.stream = torch.cuda.current_stream(scene.device).cuda_stream
         self.ranges_bytes = 16 * self.image.tiles()  # a range of pairs for each tile
         self.lists_bytes = self.ranges_bytes + 8 * self.items  # these, and a range of slots for each splat
         if state is None:
@@ -210,7 +210,8 @@ class CudaWorkspace:
         wanted: Wanted,
     ) -> DenseGradients:
         sums, g_background = self.composite_dense_backward(background, images, gradients, wanted.absolute)
-        return project_dense_backward(self.scene, cameras, sums, wanted)._replace(background_parts=g_background)
+        fields, g_cameras, screen = project_dense_backward(self.scene, cameras, sums, wanted)
+        return DenseGradients(fields, g_background, g_cameras, screen)
 
     def lens_backward(
         self, view: NativeView, background: Tensor, image: Tensor, g_image: Tensor
@@ -240,12 +241,12 @@ class CudaWorkspace:
 
 def project_dense_backward(
     scene: Scene, cameras: _core._Stages.Cameras, sums: Tensor, wanted: Wanted
-) -> DenseGradients:
-    """The second half of CudaWorkspace.dense_backward, which needs nothing of the forward; it knows nothing of the
-    background. sums: [I, N, SPLAT_SUMS]."""
+) -> tuple[list[Tensor], Tensor, Tensor]:
+    """The second half of CudaWorkspace.dense_backward, which needs nothing of the forward: gradients of fields, cameras
+    and places as DenseGradients has them. sums: [I, N, SPLAT_SUMS]."""
     cuda, images = _core.cuda, sums.shape[0]
     out, native = scene.gradients(zero=False)
-    views = scene.new(images if wanted.cameras else 0, cuda.view_blocks(scene.count), 3, 4)
+    views = scene.new(images, cuda.view_blocks(scene.count), 3, 4) if wanted.cameras else None
     screen = scene.new(images, scene.count, wanted.screen_numbers)
     cuda.project_dense_backward(
         scene.native(),
@@ -254,7 +255,8 @@ def project_dense_backward(
         native,
         screen.data_ptr() if wanted.screen_numbers else 0,
         wanted.absolute,
-        views.data_ptr() if wanted.cameras else 0,
+        0 if views is None else views.data_ptr(),
         torch.cuda.current_stream(sums.device).cuda_stream,
     )
-    return DenseGradients(out, scene.new(0, 3), functional.pad(views.sum(1), (0, 0, 0, 1)), screen)
+    g_cameras = scene.new(0, 4, 4) if views is None else functional.pad(views.sum(1), (0, 0, 0, 1))
+    return out, g_cameras, screen

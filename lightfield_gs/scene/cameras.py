@@ -110,9 +110,8 @@ class Cameras:
         if self.jacobian_limits is not None:
             return self.jacobian_limits
         centre, focal = self._centres(), self.focal_px
-        before, beyond = _edges(*self._size(), centre.dtype, centre.device)
-        edges = torch.stack([-(centre + before) / focal, (beyond - centre) / focal], -1)
-        return functional.pad(edges.flatten(-2), (0, 1))
+        edges = _edges(*self._size(), centre.dtype, centre.device) - centre.unsqueeze(-1)
+        return functional.pad((edges / focal.unsqueeze(-1)).flatten(-2), (0, 1))
 
     def select(self, views: slice | list[int] | torch.Tensor) -> Cameras:
         """The cameras at these places along C."""
@@ -154,16 +153,12 @@ class Cameras:
 
 
 @lru_cache(maxsize=64)
-def _edges(
-    width_px: int, height_px: int, dtype: torch.dtype, device: torch.device
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """How far the Jacobian's limits lie before the image and where they end beyond it, [2] each, pixels. They are made
-    once, for copying numbers to a device waits for that every time."""
+def _edges(width_px: int, height_px: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """Where the Jacobian's limits lie in the image, pixels: before the first and behind the last column, then row,
+    [2, 2]. Made once, for copying numbers to a device waits for that every time."""
     with torch.inference_mode(False):  # they may be part of a graph of gradients later
-        before, beyond = (
-            torch.tensor([share * width_px, share * height_px], dtype=dtype, device=device) for share in (0.15, 1.15)
-        )
-    return before, beyond
+        sides = [[-0.15 * size, 1.15 * size] for size in (width_px, height_px)]
+        return torch.tensor(sides, dtype=dtype, device=device)
 
 
 def _of_matrices(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

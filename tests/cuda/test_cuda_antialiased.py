@@ -1,4 +1,4 @@
-"""Anti-aliased scenes on CUDA, against the oracle and the CPU. Needs a GPU."""
+"""Anti-aliased scenes and filtered views on CUDA, against the oracle and the CPU. Needs a GPU."""
 
 from __future__ import annotations
 
@@ -11,13 +11,20 @@ from test_cuda import BACKGROUND, LENS, PANELS, far_apart, most_apart, on_gpu, r
 
 from lightfield_gs import Encoder, Panel, encode, prune, reference, render
 
+SOFTER = [
+    dict(antialiased=True),
+    dict(view_filter=cases.VIEW_FILTER),
+    dict(antialiased=True, view_filter=cases.VIEW_FILTER),
+]
+
 
 @pytest.mark.parametrize("views", ["integer", "continuous"])
 @pytest.mark.parametrize("panel", PANELS)
 @pytest.mark.parametrize("degree", [0, 1, 3])
-def test_every_method_draws_what_the_cpu_does(degree, panel, views):
+@pytest.mark.parametrize("softer", SOFTER)
+def test_every_method_draws_what_the_cpu_does(softer, degree, panel, views):
     scene, panel = cases.fine(degree), Panel(**{**LENS, **PANELS[panel]})
-    options = dict(views=views, background=BACKGROUND, antialiased=True)
+    options = dict(views=views, background=BACKGROUND, **softer)
     # Of sub-pixels in other places there are too many continuous views to draw one after the other
     for method in ("direct",) if panel.subpixel_cells == MIRRORED and views == "continuous" else ("direct", "sorted"):
         expected, found = (
@@ -29,7 +36,8 @@ def test_every_method_draws_what_the_cpu_does(degree, panel, views):
 
 
 @pytest.mark.parametrize("quality", ["exact", "fast"])
-def test_frames_keep_80_db_and_say_which_kernel_drew_them(quality):
+@pytest.mark.parametrize("softer", SOFTER)
+def test_frames_keep_80_db_and_say_which_kernel_drew_them(softer, quality):
     scene, panel, stats = cases.fine(1), Panel(**LENS), {}
     random = np.random.default_rng(1)
     where = [random.integers(0, size, 4000) for size in (panel.height_px, panel.width_px, 3)]
@@ -41,13 +49,13 @@ def test_frames_keep_80_db_and_say_which_kernel_drew_them(quality):
             background=BACKGROUND,
             output="float32",
             quality=quality,
-            antialiased=True,
             stats=stats,
+            **softer,
         )
         .cpu()
         .numpy()
     )
-    want = reference.subpixel_colours(scene, panel, rig(panel), *where, background=BACKGROUND, antialiased=True)
+    want = reference.subpixel_colours(scene, panel, rig(panel), *where, background=BACKGROUND, **softer)
     assert ((image[tuple(where)] - want) ** 2).mean() < {"exact": 1e-8, "fast": 1e-4}[quality]
     assert stats["kernel"] in ("pixel-quadratic", "pixel-quadratic-small", "ordinal")
 
@@ -65,10 +73,12 @@ def test_an_encoder_a_view_and_pruning_do_the_same():
     assert abs(counts[0] - counts[1]) <= 0.01 * scene.count
 
 
-@pytest.mark.parametrize("sensor", ["lens", "dense"])
+@pytest.mark.parametrize(
+    ("sensor", "softer"), [*(("lens", softer) for softer in SOFTER), ("dense", dict(antialiased=True))]
+)
 @pytest.mark.parametrize("scene", [lambda: cases.fine(1), cases.beams])
-def test_gradients_are_those_of_float64(sensor, scene):
-    found = cases.gradients(on_gpu(scene()), sensor, torch.float32, antialiased=True)
-    for name, expected in cases.gradients(scene(), sensor, torch.float64, antialiased=True).items():
+def test_gradients_are_those_of_float64(sensor, softer, scene):
+    found = cases.gradients(on_gpu(scene()), sensor, torch.float32, **softer)
+    for name, expected in cases.gradients(scene(), sensor, torch.float64, **softer).items():
         error = (found[name].cpu().double() - expected).norm() / expected.norm()
         assert error < (1e-5 if name == "image" else 5e-3), name

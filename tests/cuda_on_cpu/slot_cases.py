@@ -41,7 +41,7 @@ def _arguments(dtype: torch.dtype) -> list[Tensor]:
 
 def images_and_gradients(dtype: torch.dtype, room: int | None = None) -> tuple[dict[str, Tensor], DenseJob]:
     """The images, and gradients of a loss on them, those of places with absolute values behind; room: see DenseJob."""
-    job = DenseJob(*_arguments(dtype), SIDE_PX, SIDE_PX, room=room)
+    job = DenseJob.of(*_arguments(dtype), SIDE_PX, SIDE_PX, room=room)
     images, random = job.draw(), torch.Generator().manual_seed(7)
     given = DenseImages(*(torch.randn(image.shape, generator=random).to(image) for image in images))
     found = job.backward(images, given, Wanted(4))

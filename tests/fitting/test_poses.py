@@ -52,7 +52,7 @@ def test_the_gradient_of_a_motion_is_that_of_the_image():
     optics = [tensor.double()[None] for tensor in (cameras.intrinsics(), cameras.limits())]
 
     def drawn(twists: Tensor) -> tuple[DenseJob, DenseImages]:
-        job = DenseJob(*fields, background, moved(poses, twists)[None], *optics, 24, 16)
+        job = DenseJob.of(*fields, background, moved(poses, twists)[None], *optics, 24, 16)
         return job, job.draw()
 
     job, images = drawn(torch.zeros(2, 6, dtype=DOUBLE))

@@ -109,9 +109,9 @@ def test_the_picture_comes_near_the_mean_of_the_pictures_within_a_view():
     views = (cameras.world_to_camera[None], cameras.intrinsics()[None], cameras.limits()[None])
     one = [t[:, 20:21] for t in views]
     size, black = (shown.width_px, shown.height_px), torch.zeros(1, 41, 3, dtype=torch.float64)
-    mean = DenseJob(*tensors, black, *views, *size).draw().image[0].mean(0)
+    mean = DenseJob.of(*tensors, black, *views, *size).draw().image[0].mean(0)
     sharp, filtered = (
-        DenseJob(*tensors, black[:, :1], *one, *size, aperture=view_aperture(shown, fan, width)).draw().image[0, 0]
+        DenseJob.of(*tensors, black[:, :1], *one, *size, aperture=view_aperture(shown, fan, width)).draw().image[0, 0]
         for width in (0.0, 1.0)
     )
     assert psnr(filtered, mean.numpy()) > psnr(sharp, mean.numpy()) + 6
@@ -186,7 +186,7 @@ def test_gradients_of_ordinary_images_with_an_aperture(antialiased):
     random = torch.Generator().manual_seed(3)
 
     def job(fields, pose):
-        return DenseJob(*fields, background, pose, *fixed, 40, 30, antialiased, aperture=aperture)
+        return DenseJob.of(*fields, background, pose, *fixed, 40, 30, antialiased, aperture=aperture)
 
     drawn = job(fields, pose).draw()
     weights = torch.randn(drawn.image.shape, dtype=torch.float64, generator=random)
