@@ -108,7 +108,8 @@ def run(args: argparse.Namespace) -> None:
         if args.preview is not None:
             from lightfield_gs.show.preview import write_preview
 
-            write_preview(args.preview, image, gaussians, panel, cast("Rig", rig), args.background, args.antialiased)
+            drawn_as = args.background, args.antialiased, args.view_filter
+            write_preview(args.preview, image, gaussians, panel, cast("Rig", rig), *drawn_as)
             watch.lap("preview")
     _say(args, panel, gaussians.count, stats, watch.line(), said)
 

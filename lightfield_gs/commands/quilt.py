@@ -14,7 +14,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
 from lightfield_gs.commands.options.framed import files_read, load_framed
 from lightfield_gs.commands.options.look import add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel
@@ -71,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_scene(add, "cut the object out of a photo with rembg")
     add_antialiased(add)
+    add_view_filter(add)
     add_background(add)
     add("--device", choices=DEVICES, default="auto", help="where network and rasterizer run (default auto)")
     add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
@@ -130,7 +131,8 @@ def run(args: argparse.Namespace) -> None:
         framed = load_framed(args, frame, given, device, watch)
         gaussians = framed.gaussians
         tile, fan_rig = layout.fitted(frame, framed.rig)
-        image = quilt(gaussians, layout, fan_rig, tile, background=args.background, antialiased=args.antialiased).cpu()
+        drawn_as = {name: getattr(args, name) for name in ("background", "antialiased", "view_filter")}
+        image = quilt(gaussians, layout, fan_rig, tile, **drawn_as).cpu()
         watch.lap("views")
         of_file = fan_rig.relative_to([-part for part in gaussians.origin])
         write_image(args.output, image.numpy(), _metadata(args, gaussians, layout, tile, of_file), args.compression)
@@ -224,6 +226,7 @@ def _metadata(
         "views": layout.views,
         "tile_px": [width, height],
         "cone_deg": rig.cone_deg or panel.cone_deg,
+        **({"view_filter": args.view_filter} if args.view_filter else {}),
     }
     return {
         "software": software(),

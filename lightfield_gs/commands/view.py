@@ -9,7 +9,7 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
 from lightfield_gs.commands.options.framed import load_framed
 from lightfield_gs.commands.options.look import add_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_look(add)
     add_scene(add, "cut the object out of a photo with rembg, as in `encode`")
     add_antialiased(add)
+    add_view_filter(add)
     add_background(add)
     add("--device", choices=DEVICES, default="auto", help="where it is drawn (default auto: cuda where there is a GPU)")
     add_serving(add)
@@ -52,7 +53,8 @@ def run(args: argparse.Namespace) -> None:
     watch.lap("start")
     with torch.no_grad():
         framed = load_framed(args, panel, given, device, watch)
-    stage = Stage(framed.gaussians, panel, framed.rig, args.background, args.antialiased, args.input.name)
+    drawn_as = args.background, args.antialiased, args.input.name, args.view_filter
+    stage = Stage(framed.gaussians, panel, framed.rig, *drawn_as)
     print(f"{args.input}: {framed.gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
     print("\n".join([watch.line(), *framed.said]))
     serve(args, steering_routes(stage, exports(stage)), "/")

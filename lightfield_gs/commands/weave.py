@@ -68,6 +68,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="integer",
         help="where a sub-pixel looks from: its integer view of the panel's N, or its exact place (default integer)",
     )
+    add(
+        "--view-filter",
+        type=within(0, 65536, "views"),
+        default=0.0,
+        metavar="VIEWS",
+        help="angular anti-aliasing: show the mean over a box of so many views of the panel; what stands far from it "
+        "flickers less as the eye moves, and is softer (default 0; 1 suits more views than the panel has, 2 as many)",
+    )
     _add_framing(add)
     add("--background", type=background, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each (default 0,0,0)")
     add("--device", choices=DEVICES, default="auto", help="where the views are woven (default auto)")
@@ -120,6 +128,7 @@ def run(args: argparse.Namespace) -> None:
         panel,
         interpolation=args.interpolation,
         place=args.views,
+        view_filter=args.view_filter,
         view_map=table,
         aspect=args.aspect or found.aspect,
         fit=args.fit,
@@ -138,7 +147,10 @@ def run(args: argparse.Namespace) -> None:
 
 def _words(args: argparse.Namespace, views, panel: Panel) -> str:
     """How views became those of the panel."""
-    if args.view_map is not None or views.count == panel.views and args.views == "integer":
+    exact = args.view_map is not None or views.count == panel.views and args.views == "integer"
+    if args.view_filter * (1 if args.view_map is not None else views.count / panel.views) > 1:
+        return f"{views.count} views for the panel's {panel.views}: means over {args.view_filter:g} views of the panel"
+    if exact:
         return "every sub-pixel is that of one view"
     return f"{views.count} views for the panel's {panel.views}: {args.interpolation} between them"
 
@@ -179,6 +191,7 @@ def _metadata(args: argparse.Namespace, panel: Panel, count: int) -> dict[str, s
         "source_views": count,
         "interpolation": args.interpolation,
         "views": args.views,
+        **({"view_filter": args.view_filter} if args.view_filter else {}),
         "fit": args.fit,
         "crop": list(args.crop),
         "shift": args.shift,
