@@ -10,8 +10,8 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.encode import package_versions
 from lightfield_gs.commands.options.panel import add_panel, load_panel
+from lightfield_gs.commands.options.provenance import package_versions, software
 from lightfield_gs.commands.options.values import background, numbers, whole, whole_numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
@@ -186,7 +186,6 @@ def _stored(path: Path, image):
 
 def _metadata(args: argparse.Namespace, panel: Panel, count: int) -> dict[str, str]:
     """What the image was made from and for; the values but "software" and "input" are JSON."""
-    versions = package_versions()
     weaving = {
         "method": "weave",
         "source_views": count,
@@ -198,9 +197,9 @@ def _metadata(args: argparse.Namespace, panel: Panel, count: int) -> dict[str, s
         "shift": args.shift,
     }
     return {
-        "software": f"lightfield-gs {versions['lightfield-gs']}",
+        "software": software(),
         "input": args.input.name,
         "panel": json.dumps(panel.to_dict()),
         "encoding": json.dumps(weaving),
-        "versions": json.dumps(versions),
+        "versions": json.dumps(package_versions()),
     }

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.photo import has_depth, photo_object, photo_scene
+from lightfield_gs.commands.options.photo import add_depth, has_depth, photo_object, photo_scene
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
 
@@ -21,6 +21,21 @@ if TYPE_CHECKING:
 
 _PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
 _DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
+
+
+def add_scene(
+    add: Callable[..., argparse.Action],
+    cutting: str,
+    mask: str = "cut-out of a photo, of its size: bright or opaque on the object",
+    of_mask: str = "IMAGE",
+) -> None:
+    """What is made of a photo, and what is left out of a file. cutting: help on --remove-background; mask, of_mask:
+    help and placeholder of --mask."""
+    add("--mask", type=Path, metavar=of_mask, help=mask)
+    add("--remove-background", action="store_true", help=cutting)
+    add_depth(add)
+    add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
+    add_skip_invalid(add)
 
 
 def add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
