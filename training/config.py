@@ -101,7 +101,7 @@ class TrainingConfig:
         procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of
             data; they are drawn about 32 at once, for as many steps as that makes.
         photographs: folder of photographs whose pieces most parts of procedural objects are clothed in; these then have
-            lobes, turned profiles and relief too. `python -m training.data.photograph_set` makes one. "": none.
+            lobes, turned profiles and relief too. `python -m training.data.gather_photographs` makes one. "": none.
         bfloat16: run the U-Net in bfloat16.
         device: cpu, cuda, or auto (cuda where there is one).
         compile: let torch.compile make kernels for the network, its loss and its batches, which takes a minute or two

@@ -24,8 +24,6 @@ from training.command import with_line_errors
 from training.data.background import CHOICES
 
 if TYPE_CHECKING:
-    import torch
-
     from lightfield_gs.models import SplatterNet
 
 # Prefix, name and decimals of the scores of a table's row.
@@ -113,7 +111,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def _scored(net: SplatterNet, data: Path, options: argparse.Namespace, device: torch.device) -> dict[str, Any]:
+def _scored(net: SplatterNet, data: Path, options: argparse.Namespace, device: str) -> dict[str, Any]:
     """The report on one folder, with what it was made by; notes what was left out or is in doubt."""
     from training.evaluation import score_folder
 

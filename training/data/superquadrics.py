@@ -15,8 +15,8 @@ from torch import Tensor
 # hole: radius of the middle of the profile, 0 (solid) .. 1. profile, section: the exponents p and q. taper, wave,
 # waves: the section grows by 1 + taper z + wave cos(waves z), z in -1..1. bend: how much further along x the ends lie
 # than the middle, scene units. lobe, lobes, turn: the section shrinks by 1 - lobe (1 - cos(lobes angle + turn)) / 2;
-# curve, curves, begin: likewise by 1 - curve (1 - sin(curves z + begin)) / 2, as on a lathe. relief: how far the surface
-# is moved in and out (training/data/relief.py), over the smallest half axis; here it tells what lies inside for sure.
+# curve, curves, begin: likewise by 1 - curve (1 - sin(curves z + begin)) / 2, as on a lathe. relief: how far the
+# surface is moved in and out (training/data/relief.py), over the smallest half axis; here it tells what is well inside.
 SHAPE = {
     "matrix": 9,
     "centre": 3,
