@@ -19,7 +19,7 @@ from lightfield_gs.commands.options.camera import add_camera, choose_rig, commen
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter, settle_drawing
 from lightfield_gs.commands.options.look import add_depth_report, add_look, apply_look, refuse_look, report_depth
 from lightfield_gs.commands.options.panel import add_panel, load_panel, why_no_eye
-from lightfield_gs.commands.options.photo import add_depth
+from lightfield_gs.commands.options.photo import add_depth, add_detail
 from lightfield_gs.commands.options.rig import load_cameras
 from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_options, check_scene_path, load_scene
 from lightfield_gs.commands.options.values import byte_size, threads
@@ -72,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)",
     )
     add_depth(add)
+    add_detail(add)
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add(
         "--save-gaussians",
@@ -148,7 +149,7 @@ def run(args: argparse.Namespace) -> None:
     given, views = read_given(args, panel), _views(args, panel)
     watch.lap("start")
     with torch.inference_mode():
-        gaussians, file = load_scene(args, device, watch)
+        gaussians, file = load_scene(args, device, watch, panel)
         drawn_so = settle_drawing(args, file)
         _note_slow_ways(args, panel, device)
         # Files of cameras are in the coordinates of the scene's file, and so is what is written of them

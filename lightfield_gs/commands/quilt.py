@@ -18,7 +18,7 @@ from lightfield_gs.commands.options.camera import add_camera, choose_rig, read_g
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
 from lightfield_gs.commands.options.look import add_depth_report, add_look, apply_look, report_depth
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel
-from lightfield_gs.commands.options.photo import add_depth
+from lightfield_gs.commands.options.photo import add_depth, add_detail
 from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_options, load_scene
 from lightfield_gs.commands.options.values import whole_numbers, within
 from lightfield_gs.io.atomic import check_output_path, check_outputs
@@ -72,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--mask", type=Path, metavar="IMAGE", help="cut-out of a photo, of its size: bright or opaque on the object")
     add("--remove-background", action="store_true", help="cut the object out of a photo with rembg")
     add_depth(add)
+    add_detail(add)
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add_skip_invalid(add)
     add_antialiased(add)
@@ -131,7 +132,7 @@ def run(args: argparse.Namespace) -> None:
     with torch.inference_mode():
         from lightfield_gs.encoding.quilt import quilt
 
-        gaussians, file = load_scene(args, device, watch)
+        gaussians, file = load_scene(args, device, watch, frame)
         said = settle_drawing(args, file)
         chosen, more = choose_rig(given, args, frame, gaussians, file)
         rig, looks = apply_look(args, chosen, frame, gaussians)

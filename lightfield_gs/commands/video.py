@@ -16,7 +16,7 @@ from lightfield_gs.commands.options.camera import add_camera
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background
 from lightfield_gs.commands.options.look import add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.photo import add_depth
+from lightfield_gs.commands.options.photo import add_depth, add_detail
 from lightfield_gs.commands.options.scene import add_skip_invalid
 from lightfield_gs.commands.options.values import threads
 from lightfield_gs.commands.options.video import Result, add_motion, add_result, checked_result
@@ -57,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--mask", type=Path, metavar="PATH", help="cut-out of a photo; of a sequence, a folder or a video of cut-outs")
     add("--remove-background", action="store_true", help="cut the object out of photos with rembg, as `encode` does")
     add_depth(add)
+    add_detail(add)
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add("--device", choices=DEVICES, default="auto", help="where network and rasterizer run (default auto)")
     add("--views", choices=VIEWS, default="integer", help="of native pictures, as `encode` has it (default integer)")

@@ -12,7 +12,7 @@ from lightfield_gs.commands.options.camera import add_camera, choose_rig, read_g
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
 from lightfield_gs.commands.options.look import add_look, apply_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.photo import add_depth
+from lightfield_gs.commands.options.photo import add_depth, add_detail
 from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_options, load_scene
 from lightfield_gs.commands.options.serving import add_serving, serve
 
@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--remove-background", action="store_true", help="cut the object out of a photo with rembg, as in `encode`")
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
     add_depth(add)
+    add_detail(add)
     add_look(add)
     add_skip_invalid(add)
     add_antialiased(add)
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> None:
 
     watch.lap("start")
     with torch.no_grad():
-        gaussians, file = load_scene(args, device, watch)
+        gaussians, file = load_scene(args, device, watch, panel)
         drawn_so = settle_drawing(args, file)
         rig, said = choose_rig(given, args, panel, gaussians, file)
         rig, look = apply_look(args, rig, panel, gaussians)

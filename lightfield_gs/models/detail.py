@@ -1,9 +1,9 @@
-"""Appearance at the photo's resolution on geometry at the network's: a sheet of small Gaussians over what the photo sees.
+"""Appearance at the photo's resolution on geometry at the network's: a sheet of small Gaussians over what is seen.
 
-The network's Gaussians are a translucent cloud some pixels deep, whose mean is a good surface and whose picture is soft.
-A sheet is laid along that surface: for each pixel of the network's grid factor x factor texels, Gaussians of their own,
-whose colours and opacities are the photo's. What the cloud has in front of the sheet fades, since the photo shows it
-already; what it has behind stays, and shows where other views look past the sheet.
+The network's Gaussians are a translucent cloud some pixels deep, whose mean is a good surface and whose picture is
+soft. A sheet is laid along that surface: for each pixel of the network's grid factor x factor texels, Gaussians of
+their own, whose colours and opacities are the photo's. What the cloud has in front of the sheet fades, since the photo
+shows it already; what it has behind stays, and shows where other views look past the sheet.
 
 Everything is done on the grid of pixels, without a rasterizer: shapes depend on no values, so that CUDA can capture it
 as a graph, and everything has gradients.

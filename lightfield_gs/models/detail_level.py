@@ -26,11 +26,7 @@ class DetailLevel:
 
 
 def detail_level(
-    detail: Detail | None,
-    config: ModelConfig,
-    photo_px: int,
-    panel: Panel | None = None,
-    budget: int = DEFAULT_BUDGET,
+    detail: Detail | None, config: ModelConfig, photo_px: int, panel: Panel | None = None, budget: int = DEFAULT_BUDGET
 ) -> DetailLevel | None:
     """The level that was asked for: 1, 2 or 4 texels to a side of a pixel, or "auto", the fewest that give all that a
     view of the panel and the photo, photo_px along its longer side, resolve, in at most `budget` Gaussians. None, for

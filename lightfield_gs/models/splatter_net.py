@@ -83,8 +83,10 @@ class SplatterNet(nn.Module):
         with torch.autocast(shown.device.type, enabled=False):
             return F.pixel_shuffle(self.head(features.float()), self.config.patch_px)
 
-    def detailed(self, cloud: Gaussians, images: Tensor, fine: Tensor, intrinsics: Tensor, level: DetailLevel) -> Gaussians:
-        """What forward gave for `images` and `intrinsics`, under a sheet in the colours of `fine`: see models/detail.py.
+    def detailed(
+        self, cloud: Gaussians, images: Tensor, fine: Tensor, intrinsics: Tensor, level: DetailLevel
+    ) -> Gaussians:
+        """What forward gave for `images` and `intrinsics`, under a sheet in the colours of `fine` (models/detail.py).
 
         fine: the same pictures at level.factor times their size, [B,4,H,W]. Differentiable.
         """
@@ -131,7 +133,7 @@ class SplatterNet(nn.Module):
     def seen_gaussians(
         self, cropped: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
     ) -> Gaussians:
-        """Gaussians of a cropped picture, but for those too faint to be drawn. Waits for the device. See all_gaussians."""
+        """all_gaussians of a cropped photo, but for those too faint to be drawn. Waits for the device."""
         gaussians = self.all_gaussians(cropped, self.photo_intrinsics(), fine, level)
         seen = gaussians.opacities >= OPACITY_CUT
         return of_tensors(field[seen].contiguous() for field in gaussians.fields().values())

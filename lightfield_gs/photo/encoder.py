@@ -39,9 +39,9 @@ class PhotoEncoder:
 
     net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
     ("uint8" or "float32") and quality are those of `encode`. look: how depth, size and place differ from the automatic
-    framing of each photo; it may be set between photos. detail, budget: those of SplatterNet.predict. On CUDA the U-Net runs in bfloat16, crop, network and
-    framing are CUDA graphs, captured for the first photo of each size, and the host waits for the device once a photo,
-    to learn where the object is. Raises InputError.
+    framing of each photo; it may be set between photos. detail, budget: those of SplatterNet.predict. On CUDA the U-Net
+    runs in bfloat16, crop, network and framing are CUDA graphs, captured for the first photo of each size, and the host
+    waits for the device once a photo, to learn where the object is. Raises InputError.
     """
 
     def __init__(
