@@ -68,10 +68,10 @@ def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tens
     height, width = pixels.mask.shape[2:]
     values = torch.cat([1 / cloud.means[..., 2:], cloud.sh[:, :, 1:].flatten(2)], 2).transpose(1, 2)
     grids = [field.unflatten(2, (height, width)) for field in values.chunk(layers, 2)]
-    sizes = (cloud.opacities * _areas(cloud, pixels))[:, None].chunk(layers, 2)
-    sizes = [size.unflatten(2, (height, width)) * pixels.mask + 1e-9 for size in sizes]
+    areas = (cloud.opacities * _areas(cloud, pixels))[:, None].chunk(layers, 2)
+    sizes = [area.unflatten(2, (height, width)) * pixels.mask + 1e-9 for area in areas]
     fogs = [_fog(size, grid[:, :1]) for size, grid in zip(sizes, grids)]
-    total: Tensor | float = 0.0
+    total = torch.zeros_like(torch.cat([grids[0], sizes[0]], 1))
     for size, grid in zip(sizes, grids):
         # Nearer is of a larger disparity
         before = sum(thick * torch.special.ndtr((mean - grid[:, :1]) / spread) for thick, mean, spread in fogs)

@@ -54,8 +54,9 @@ def along_surface(channels: Tensor, disparity: Tensor, footprint: Tensor, factor
                 for y, share_y in ((0, 1 - part_y), (side_y, part_y))
                 for x, share_x in ((0, 1 - part_x), (side_x, part_x))
             }
-            total = sum(weight * around[at][:, :-1] for at, weight in weights.items())
-            texels.append(total / sum(weights.values()))
+            shares = torch.stack(list(weights.values()))
+            values = torch.stack([around[at][:, :-1] for at in weights])
+            texels.append((shares * values).sum(0) / shares.sum(0))
         rows.append(torch.stack(texels, -1))
     return torch.stack(rows, 3).flatten(4, 5).flatten(2, 3)
 

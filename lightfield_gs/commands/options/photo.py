@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, DETAILS, MAP_ORIENTATIONS
+from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, DETAILS, MAP_ORIENTATIONS, Detail
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.values import numbers
 from lightfield_gs.photo.side_by_side import depth_side, halves, is_named_so
@@ -137,7 +137,7 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel:
     del picture
     network = SplatterNet.from_pretrained(args.checkpoint).to(device)
     watch.lap("load")
-    detail = None if args.detail == "none" else args.detail or "auto"
+    detail: Detail | None = None if args.detail == "none" else args.detail or "auto"
     budget = DEFAULT_BUDGET if args.detail_budget is None else args.detail_budget
     gaussians = network.predict(photo.pixels, detail, panel, budget)
     watch.lap("network")
