@@ -32,7 +32,8 @@ _OPTICAL_DEPTH, _MOST_OPAQUE = 1.8, 0.98
 _THICKNESS = 0.3  # standard deviation along the normal, texels
 # How much of what blur takes from the photo is put back beforehand, of colours and of outlines
 _SHARPER_COLOUR, _SHARPER_OUTLINE = 1.0, 2.0
-_FAINT = 0.02  # opacity of a photo's pixels up to which they are nothing
+# Opacities of a photo's pixels up to which they are the haze of a cut-out, and from which on they are the object
+_HAZE, _OBJECT = 0.1, 0.3
 # The cloud is averaged over its pixels with this deviation, in pixels: its Gaussians take turns in blocks of pixels
 _AVERAGED = 2.0
 _SOFTNESS = 1.5  # depth over which the cloud before the sheet fades, footprints
@@ -132,8 +133,8 @@ def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
     near = soft[:, :3] / soft[:, 3:].clamp_min(1e-3)
     colour = texels.colour + _SHARPER_COLOUR * (texels.colour - near)
     outline = (mask + _SHARPER_OUTLINE * (mask - soft[:, 3:])).clamp_min(0)
-    there = mask > _FAINT
-    return outline * there, torch.where(there, colour, texels.colour).clamp(0, 1)
+    there = ((mask - _HAZE) / (_OBJECT - _HAZE)).clamp(0, 1)
+    return outline * there, torch.where(there > 0, colour, texels.colour).clamp(0, 1)
 
 
 def _tangents(disparity: Tensor, texels: Pixels) -> tuple[Tensor, Tensor]:
