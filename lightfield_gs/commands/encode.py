@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> None:
     given, views = read_given(args, panel), views_given(args, panel)
     watch.lap("start")
     with torch.inference_mode():
-        gaussians, file, said = load_drawn(args, device, watch)
+        gaussians, file, said = load_drawn(args, panel, device, watch)
         _note_slow_ways(args, panel, device)
         # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
         rig: Rig | None = None

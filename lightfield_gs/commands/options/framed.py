@@ -42,17 +42,17 @@ class Framed:
 
 def load_framed(args: argparse.Namespace, panel: Panel, given: Given, device: str, watch: Stopwatch) -> Framed:
     """Loads the scene of a command, settles how it is drawn, and frames it. Raises InputError."""
-    gaussians, file, said = load_drawn(args, device, watch)
+    gaussians, file, said = load_drawn(args, panel, device, watch)
     rig, how = frame_scene(args, panel, given, gaussians, file)
     return Framed(gaussians, file, rig, said + how)
 
 
 def load_drawn(
-    args: argparse.Namespace, device: str, watch: Stopwatch
+    args: argparse.Namespace, panel: Panel, device: str, watch: Stopwatch
 ) -> tuple[Gaussians, SceneFile | None, list[str]]:
     """The Gaussians, on the device, what else their file holds (None of a photo), and lines on how they are drawn,
-    which is settled in args. Raises InputError."""
-    gaussians, file = load_scene(args, device, watch)
+    which is settled in args. panel: see load_scene. Raises InputError."""
+    gaussians, file = load_scene(args, device, watch, panel)
     return gaussians, file, settle_drawing(args, file)
 
 

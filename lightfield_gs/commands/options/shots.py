@@ -64,7 +64,7 @@ def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stop
     check_scene_options(args)
     given = read_given(args, panel)
     path = None if args.path is None else CameraPath.load(args.path, panel)
-    gaussians, file, said = load_drawn(args, device, watch)
+    gaussians, file, said = load_drawn(args, panel, device, watch)
     fps = args.fps or DEFAULT_FPS
     if path is not None:
         bare = path.relative_to(gaussians.origin).frames(float(fps), args.frames)
@@ -137,11 +137,11 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
             yield row[0][0], own
 
     def loaded(own: argparse.Namespace) -> Gaussians:
-        return load_scene(own, device, Stopwatch(0.0))[0]
+        return load_scene(own, device, Stopwatch(0.0), panel)[0]
 
     _, first = next(scenes([0]))
     check_scene_options(first)
-    gaussians, file = load_scene(first, device, watch)
+    gaussians, file = load_scene(first, device, watch, panel)
     if file is not None:
         raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
     said = settle_drawing(args, None)
