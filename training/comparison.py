@@ -21,6 +21,7 @@ from lightfield_gs.io.captures.views import ObjectViews
 from lightfield_gs.io.images import write_image
 from lightfield_gs.models import SplatterNet
 from lightfield_gs.models.crop import crop_resize, object_square
+from lightfield_gs.models.detail_level import DetailLevel
 from training.data.background import Choice
 from training.data.distance import OBJECT_DISTANCE, distance_doubt
 from training.data.images import find_cutout, read_view
@@ -92,16 +93,26 @@ def _on_white(frames: Tensor) -> Tensor:
     return frames[:, :3] + 1 - frames[:, 3:]
 
 
-def _predicted(net: SplatterNet, frame: Tensor, intrinsics: list[float]) -> Gaussians:
+def _predicted(
+    net: SplatterNet, frame: Tensor, intrinsics: list[float], detail: int | None, magnified: float
+) -> Gaussians:
     """What a network makes of the object in a frame [4,H,W], premultiplied, in its camera's axes; with leading 1.
 
     intrinsics: (fx, fy, cx, cy) of the frame in pixels. The network sees what it sees of a photo: the square round the
-    object from the frame as it is stored, resized to the network's own size.
+    object from the frame as it is stored, resized to the network's own size. detail: how many times finer the frame is
+    laid over what it predicts (see models/detail.py), None for not at all. magnified: width of one of the frame's
+    pixels where the Gaussians will be drawn.
     """
     square, size = object_square(frame[3]), net.config.image_size_px
     fx, fy, cx, cy = intrinsics
     seen_by = torch.tensor([square.intrinsics((fx, fy), (cx, cy), size)], device=frame.device)
-    return net(crop_resize(frame, square, size)[None], seen_by)
+    cropped = crop_resize(frame, square, size)[None]
+    cloud = net(cropped, seen_by)
+    if detail is None:
+        return cloud
+    fine = crop_resize(frame, square, detail * size)[None]
+    level = DetailLevel(detail, magnified * square.side / (detail * size))
+    return net.detailed(cloud, cropped, fine, seen_by, level)
 
 
 @torch.no_grad()
@@ -114,13 +125,14 @@ def compare_object(
     decoded: dict[Path, Tensor] | None = None,
     supersampling: int = 1,
     background: Choice = "auto",
+    detail: int | None = None,
 ) -> Comparison:
     """Predict an object from one view and render it from all.
 
     path: as find_objects names it. size_px: length of the longer side of the frames. source: see source_view. device:
-    where the network is; the tensors returned are there. decoded, supersampling, background: see score_folder. Raises
-    InputError for an object that cannot be read, has one view only, no such source, or cameras that roll, and for one
-    stored smaller than a size_px beyond SIZE_PX.
+    where the network is; the tensors returned are there. decoded, supersampling, background, detail: see score_folder.
+    Raises InputError for an object that cannot be read, has one view only, no such source, or cameras that roll, and
+    for one stored smaller than a size_px beyond SIZE_PX.
     """
     views, decoded = read_object(path), {} if decoded is None else decoded
     if len(views.image_paths) < 2:
@@ -139,7 +151,7 @@ def compare_object(
     frames = decoded[path] / 255
     scale = size_px / stored
     width, height = round(views.width_px * scale), round(views.height_px * scale)
-    gaussians = _predicted(net, frames[source], views.intrinsics[source].tolist())
+    gaussians = _predicted(net, frames[source], views.intrinsics[source].tolist(), detail, supersampling * scale)
     cameras = relative_cameras(views.camera_to_world, views.camera_to_world[source])
     cameras = torch.from_numpy(cameras).float().to(device)
     intrinsics = torch.from_numpy(views.intrinsics * scale).float().to(device)

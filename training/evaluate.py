@@ -77,6 +77,12 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
         help="longer side of the pictures that are compared, 16..4096 (default: 128)",
     )
     parser.add_argument(
+        "--detail",
+        type=int,
+        choices=(1, 2, 4),
+        help="lay the source's own pixels over the prediction, so many times finer than the network's (default: not)",
+    )
+    parser.add_argument(
         "--save-renders",
         type=Path,
         help="folder for pictures, in folders as the objects are: truth above prediction, by angle",
@@ -129,6 +135,7 @@ def _scored(net: SplatterNet, data: Path, options: argparse.Namespace, device: s
         source=options.source,
         background=options.background,
         size_px=options.size,
+        detail=options.detail,
     )
     for reason in report["skipped"].values():
         note(f"skipped {reason}")
@@ -141,6 +148,7 @@ def _scored(net: SplatterNet, data: Path, options: argparse.Namespace, device: s
         "data": str(data),
         "checkpoint": str(options.checkpoint or "pretrained"),
         "size_px": options.size,
+        "detail": options.detail,
         "supersampling": options.supersampling,
     }
 

@@ -70,6 +70,7 @@ def score_folder(
     source: Source = 0,
     background: Choice = "auto",
     size_px: int = SIZE_PX,
+    detail: int | None = None,
 ) -> dict[str, Any]:
     """Score a network on the objects at or below a folder, of this split where they come in splits.
 
@@ -82,7 +83,8 @@ def score_folder(
     save_renders: folder for one picture per object, in folders as the objects are. device: where the network is.
     decoded: keeps the images from call to call, for those who score the same objects again. supersampling: samples of a
     rendered pixel along each axis. source: see source_view. background: see find_cutout. size_px: length of the longer
-    side of the frames that are compared.
+    side of the frames that are compared. detail: how many times finer than the network's pictures the source is laid
+    over what it predicts (1, 2 or 4), None for not at all.
     Raises InputError where no object can be scored, and for a limit below 1.
     """
     bins: dict[int | None, list[dict[str, float]]] = defaultdict(list)
@@ -104,6 +106,7 @@ def score_folder(
                 supersampling=supersampling,
                 background=background,
                 size_px=size_px,
+                detail=detail,
             )
         except InputError as error:
             skipped[str(path.relative_to(data))] = str(error)

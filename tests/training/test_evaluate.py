@@ -129,6 +129,19 @@ def test_scores_at_another_size_are_of_the_stored_pixels(tmp_path, capsys):
     assert "textured:\nangle" in capsys.readouterr().out
 
 
+def test_detail_brings_the_source_view_nearer_to_the_photo(tmp_path):
+    """Of a checkerboard that an untrained network of 16 px cannot show."""
+    write_object(tmp_path / "a", angles=ANGLES[:2])
+    path = tmp_path / "a/rgb/000000.png"
+    frame = np.array(Image.open(path))
+    frame[..., :3] = 255 * (np.indices(frame.shape[:2]).sum(0) // 3 % 2)[..., None]
+    Image.fromarray(frame).save(path)
+    net = SplatterNet(ModelConfig.from_dict(TINY)).eval()
+    soft, sharp = (score_folder(net, tmp_path, detail=detail)["source"] for detail in (None, 4))
+    assert sharp["gradient_psnr_db"] > soft["gradient_psnr_db"] + 0.5
+    assert sharp["psnr_db"] > soft["psnr_db"] + 0.5
+
+
 def test_objects_that_cannot_be_scored_are_left_out_and_named(tmp_path, capsys):
     net = SplatterNet(ModelConfig.from_dict(TINY)).eval()
     net.save(tmp_path / "net.safetensors")
