@@ -107,6 +107,14 @@ def add_detail(add: Callable[..., argparse.Action]) -> None:
     add("--detail-budget", type=int, metavar="N", help="Gaussians at most for --detail auto (default 1500000)")
 
 
+def detail_given(args: argparse.Namespace) -> tuple[Detail | None, int]:
+    """Detail and budget of SplatterNet.predict, by the options."""
+    from lightfield_gs.models.detail_level import DEFAULT_BUDGET
+
+    detail: Detail | None = None if args.detail == "none" else args.detail or "auto"
+    return detail, DEFAULT_BUDGET if args.detail_budget is None else args.detail_budget
+
+
 def has_depth(args: argparse.Namespace) -> bool:
     """Whether the photo comes with its depths, in a file or beside it in the picture."""
     return args.depth is not None or args.rgbd is not None or is_named_so(args.input)
@@ -116,7 +124,7 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel:
     """The Gaussians of the object in a photo, by the network. Raises InputError."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.models import SplatterNet
-    from lightfield_gs.models.detail_level import DEFAULT_BUDGET, detail_level
+    from lightfield_gs.models.detail_level import detail_level
     from lightfield_gs.photo.load import photo_of
 
     picture = read_picture(args.input)
@@ -137,8 +145,7 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel:
     del picture
     network = SplatterNet.from_pretrained(args.checkpoint).to(device)
     watch.lap("load")
-    detail: Detail | None = None if args.detail == "none" else args.detail or "auto"
-    budget = DEFAULT_BUDGET if args.detail_budget is None else args.detail_budget
+    detail, budget = detail_given(args)
     gaussians = network.predict(photo.pixels, detail, panel, budget)
     watch.lap("network")
     level = detail_level(detail, network.config, max(photo.pixels.shape[:2]), panel, budget)
