@@ -15,6 +15,7 @@ DepthKind = Literal["distance", "disparity"]
 DepthInvalid = Literal["far", "hole"]
 DepthPart = Literal["right", "left", "top", "bottom"]
 MapOrientation = Literal["stored", "upright"]
+Fit = Literal["cover", "contain"]
 Compression = Literal["fast", "small"]
 Device = Literal["auto", "cpu", "cuda"]
 
@@ -29,6 +30,7 @@ DEPTH_KINDS: tuple[DepthKind, ...] = get_args(DepthKind)
 DEPTH_INVALID: tuple[DepthInvalid, ...] = get_args(DepthInvalid)
 DEPTH_PARTS: tuple[DepthPart, ...] = get_args(DepthPart)
 MAP_ORIENTATIONS: tuple[MapOrientation, ...] = get_args(MapOrientation)
+FITS: tuple[Fit, ...] = get_args(Fit)
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 DEVICES: tuple[Device, ...] = get_args(Device)
 

@@ -148,7 +148,7 @@ def run(args: argparse.Namespace) -> None:
     given, views = read_given(args, panel), _views(args, panel)
     watch.lap("start")
     with torch.inference_mode():
-        gaussians, file = load_scene(args, device, watch)
+        gaussians, file = load_scene(args, device, watch, panel)
         drawn_so = settle_drawing(args, file)
         _note_slow_ways(args, panel, device)
         # Files of cameras are in the coordinates of the scene's file, and so is what is written of them

@@ -131,7 +131,7 @@ def run(args: argparse.Namespace) -> None:
     with torch.inference_mode():
         from lightfield_gs.encoding.quilt import quilt
 
-        gaussians, file = load_scene(args, device, watch)
+        gaussians, file = load_scene(args, device, watch, frame)
         said = settle_drawing(args, file)
         chosen, more = choose_rig(given, args, frame, gaussians, file)
         rig, looks = apply_look(args, chosen, frame, gaussians)

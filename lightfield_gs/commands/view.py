@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> None:
 
     watch.lap("start")
     with torch.no_grad():
-        gaussians, file = load_scene(args, device, watch)
+        gaussians, file = load_scene(args, device, watch, panel)
         drawn_so = settle_drawing(args, file)
         rig, said = choose_rig(given, args, panel, gaussians, file)
         rig, look = apply_look(args, rig, panel, gaussians)

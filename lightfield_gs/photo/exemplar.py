@@ -72,9 +72,11 @@ class _Matches:
         self.height, self.width = level.hole.shape
         device = level.hole.device
         r = _RADIUS
-        self.offsets = torch.stack(
-            torch.meshgrid(torch.arange(-r, r + 1), torch.arange(-r, r + 1), indexing="ij"), 2
-        ).reshape(-1, 2).to(device)
+        self.offsets = (
+            torch.stack(torch.meshgrid(torch.arange(-r, r + 1), torch.arange(-r, r + 1), indexing="ij"), 2)
+            .reshape(-1, 2)
+            .to(device)
+        )
         # Source patches lie wholly within the source
         whole = functional.max_pool2d((~level.source)[None, None].float(), 2 * r + 1, 1, r)[0, 0] == 0
         whole[:r], whole[self.height - r :], whole[:, :r], whole[:, self.width - r :] = False, False, False, False
@@ -96,7 +98,9 @@ class _Matches:
 
     def _first(self, coarser: tuple[Tensor, Tensor] | None) -> Tensor:
         count = len(self.centres)
-        drawn = self.places[torch.randint(len(self.places), (count,), generator=self.random, device=self.centres.device)]
+        drawn = self.places[
+            torch.randint(len(self.places), (count,), generator=self.random, device=self.centres.device)
+        ]
         if coarser is None:
             return drawn
         matches, is_set = coarser

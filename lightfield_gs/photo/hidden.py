@@ -166,10 +166,10 @@ def _stripes(image: Tensor, depth: Tensor, runs: list[_Run], covered: Tensor) ->
     rows = torch.arange(image.shape[0], device=image.device)[:, None]
     total, mixed = image.new_zeros(image.shape[:2]), torch.zeros_like(image)
     for sign, run in zip((1, -1), runs):
-        weight = torch.where(run.source >= 0, 1 / run.distance.clamp_min(1), 0)
+        weight = torch.where(run.source >= 0, run.distance.clamp_min(1) ** -3, 0)  # hardly mixed: it is to be texture
         border = run.source.clamp_min(0)
         further = (border - sign * FRINGE).clamp(0, image.shape[1] - 1)
         same = (depth[rows, further] / depth[rows, border] - 1).abs() < _SAME
         mixed += weight[..., None] * image[rows, torch.where(same, further, border)]
         total += weight
-    return torch.where(covered[..., None], mixed / total.clamp_min(1e-12)[..., None], image)
+    return torch.where(covered[..., None], mixed / total.clamp_min(1e-20)[..., None], image)

@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import FITS
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.exemplar import complete
 
-FITS = ("cover", "contain")
 _TAIL = 0.05  # share of the pixels that lies before the near depth of the zero plane, and behind the far one
 _MORE = 4  # pixels beyond what the outermost views look past the photo
 _WIDEST = 1.5  # photos that may be made up on each side of one, the most
@@ -50,6 +51,8 @@ def place(
     is cropped; "contain": all of it is on the panel. widest_tan: tan(cone / 2) of the outermost views; None: the
     panel's. A point at z moves by f tan(cone/2) (1 - Z0/z) pixels of the photo in them.
     """
+    if fit not in FITS:
+        raise InputError(f"fit: expected {' or '.join(FITS)}, got {fit!r}")
     height, width = depth.shape
     shares = panel.width_px / width * focal_px[0] / focal_px[1], panel.height_px / height
     scale = max(shares) if fit == "cover" else min(shares)

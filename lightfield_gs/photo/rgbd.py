@@ -26,6 +26,7 @@ MAX_PIXELS = 1 << 24
 _NEAREST = 1e-12  # scene units
 _SPREAD = 0.65  # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
 _THICKNESS = 0.1  # standard deviation across the surface, in pixels
+_BETWEEN = 1.12  # ratio of depths at which the last pixel of a near surface is taken to be mixed
 _OPACITY = 0.99  # of each pixel that is opaque: the rasterizer makes no more of any
 
 
@@ -34,6 +35,16 @@ def focal_length_px(field_of_view_deg: float, height_px: int, width_px: int) -> 
     if not 0 < field_of_view_deg < 180:
         raise InputError(f"field of view: expected degrees between 0 and 180, got {field_of_view_deg}")
     return max(height_px, width_px) / 2 / math.tan(math.radians(field_of_view_deg) / 2)
+
+
+def known_camera(
+    focal_px: Sequence[float] | None, principal_point_px: Sequence[float] | None, height: int, width: int
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Focal lengths and principal point of a photo, those that are None as from_depth has them. Raises InputError."""
+    focal = _pair("focal_px", focal_px, (focal_length_px(FIELD_OF_VIEW_DEG, height, width),) * 2)
+    if min(focal) <= 0:
+        raise InputError(f"focal_px: expected pixels > 0, got {focal}")
+    return focal, _pair("principal_point_px", principal_point_px, (width / 2, height / 2))
 
 
 @torch.no_grad()
@@ -74,10 +85,7 @@ def from_depth(
     depth = torch.where(measured, depth, torch.nan)
     if not bool(measured.any()):
         raise InputError("depth: expected distances > 0, no opaque pixel of the photo has one")
-    focal = _pair("focal_px", focal_px, (focal_length_px(FIELD_OF_VIEW_DEG, height, width),) * 2)
-    centre = _pair("principal_point_px", principal_point_px, (width / 2, height / 2))
-    if min(focal) <= 0:
-        raise InputError(f"focal_px: expected pixels > 0, got {focal}")
+    focal, centre = known_camera(focal_px, principal_point_px, height, width)
     depth = snap_mixed(depth, focal)
     found = find_hidden(image[..., :3], depth, focal)
     behind = filled(found, depth)
@@ -105,8 +113,9 @@ def _layers(
     own = matte.is_near
     rows, columns = matte.rows, matte.columns
     colours[rows, columns] = torch.where(own[:, None], matte.near, matte.far)
-    # The steps of a smoothed edge would be seen from the side as spikes
-    level = torch.where(own, torch.minimum(depth[rows, columns], matte.depth), depth[rows, columns])
+    # What a smoothed edge leaves between both surfaces would be seen from the side as spikes
+    mixed = own & edges(depth, focal)[rows, columns] & (depth[rows, columns] > _BETWEEN * matte.depth)
+    level = torch.where(mixed, matte.depth, depth[rows, columns])
     depth = depth.clone()
     depth[rows, columns] = level
     seen = opacity.clone()
@@ -141,9 +150,7 @@ def _elements(
     rays = _rays(columns + 0.5, rows + 0.5, focal, centre)
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
-    return _surface_elements(
-        rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns]
-    )
+    return _surface_elements(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns])
 
 
 def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:

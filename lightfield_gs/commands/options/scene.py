@@ -16,11 +16,12 @@ from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
 
 if TYPE_CHECKING:
+    from lightfield_gs.panels.panel import Panel
     from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
 _PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
-_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
+_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics", "fit")
 
 
 def add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
@@ -76,8 +77,12 @@ def say_origin(path: Path, gaussians: Gaussians) -> None:
         print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
 
 
-def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> tuple[Gaussians, SceneFile | None]:
-    """The Gaussians of the input, on the device, and what else its file holds; None of a photo."""
+def load_scene(
+    args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel | None = None
+) -> tuple[Gaussians, SceneFile | None]:
+    """The Gaussians of the input, on the device, and what else its file holds; None of a photo. panel: that a photo with
+    depths is to fill."""
+    args.shown_on = panel
     if _is_scene_file(args):
         file = read_noted(args.input, args.skip_invalid)
         say_origin(args.input, file.gaussians)

@@ -21,10 +21,10 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.encode import scene_hash
 from lightfield_gs.commands.options.camera import axes_of, choose_rig, read_given
 from lightfield_gs.commands.options.drawn import settle_drawing
+from lightfield_gs.commands.options.fit import photo_rig
 from lightfield_gs.commands.options.look import apply_look, report_depth
 from lightfield_gs.commands.options.scene import check_scene_options, load_scene
 from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
-from lightfield_gs.panels import framing
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import stated_up, upright
@@ -37,7 +37,7 @@ from lightfield_gs.video.turntable import MOST_FRAMES, turntable
 
 _PHOTO_DEGREES = 20.0
 # Options that decide what the scene of a picture is; of a folder of frames, they belong to its job
-_OF_PICTURES = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "rgbd", "map_orientation", "fov")
+_OF_PICTURES = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "rgbd", "map_orientation", "fov", "fit")
 _MORE_OF_PICTURES = ("intrinsics", "remove_background", "reframe", "focus", "depth_amount", "cone", "zoom", "pan")
 
 
@@ -63,7 +63,7 @@ def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stop
     check_scene_options(args)
     given = read_given(args, panel)
     path = None if args.path is None else CameraPath.load(args.path, panel)
-    gaussians, file = load_scene(args, device, watch)
+    gaussians, file = load_scene(args, device, watch, panel)
     said = settle_drawing(args, file)
     fps = args.fps or DEFAULT_FPS
     if path is not None:
@@ -138,15 +138,15 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
             yield row[0][0], own
 
     def loaded(own: argparse.Namespace) -> Gaussians:
-        return load_scene(own, device, Stopwatch(0.0))[0]
+        return load_scene(own, device, Stopwatch(0.0), panel)[0]
 
     _, first = next(scenes([0]))
     check_scene_options(first)
-    gaussians, file = load_scene(first, device, watch)
+    gaussians, file = load_scene(first, device, watch, panel)
     if file is not None:
         raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
     said = settle_drawing(args, None)
-    chosen, how = choose_rig(given, args, panel, gaussians, None)
+    chosen, how = choose_rig(given, first, panel, gaussians, None)
     rig, looks = apply_look(args, chosen, panel, gaussians)
     looks += report_depth(args, rig, panel, gaussians)
 
@@ -158,7 +158,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
                     gaussians = loaded(own)
                     framed = rig
                     if args.reframe:
-                        framed, _ = apply_look(args, framing.frame_photo(gaussians, panel), panel, gaussians)
+                        framed, _ = apply_look(args, photo_rig(own, panel, gaussians), panel, gaussians)
             yield number, gaussians, framed
 
     fps = args.fps or pictures.fps or DEFAULT_FPS
