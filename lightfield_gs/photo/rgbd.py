@@ -26,7 +26,7 @@ MAX_PIXELS = 1 << 24
 _NEAREST = 1e-12  # scene units
 _SPREAD = 0.65  # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
 _THICKNESS = 0.1  # standard deviation across the surface, in pixels
-_BETWEEN = 1.12  # ratio of depths at which the last pixel of a near surface is taken to be mixed
+_STEEPEST_RIM = 1.0  # slope of the last pixels before an edge: steeper ones would be seen from the side as spikes
 _OPACITY = 0.99  # of each pixel that is opaque: the rasterizer makes no more of any
 
 
@@ -113,11 +113,6 @@ def _layers(
     own = matte.is_near
     rows, columns = matte.rows, matte.columns
     colours[rows, columns] = torch.where(own[:, None], matte.near, matte.far)
-    # What a smoothed edge leaves between both surfaces would be seen from the side as spikes
-    mixed = own & edges(depth, focal)[rows, columns] & (depth[rows, columns] > _BETWEEN * matte.depth)
-    level = torch.where(mixed, matte.depth, depth[rows, columns])
-    depth = depth.clone()
-    depth[rows, columns] = level
     seen = opacity.clone()
     # A pixel lets through what lies behind it only where that is known
     soft = own & found.hole[rows, columns]
@@ -147,10 +142,17 @@ def _elements(
     z, across, down = (
         values[rows, columns] for values in (depth, slopes(depth, focal[0]), slopes(depth.T, focal[1]).T)
     )
+    limit = torch.where(_rim(depth, focal)[rows, columns], _STEEPEST_RIM, torch.inf)
+    across, down = (torch.minimum(torch.maximum(slope, -limit), limit) for slope in (across, down))
     rays = _rays(columns + 0.5, rows + 0.5, focal, centre)
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
     return _surface_elements(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns])
+
+
+def _rim(depth: Tensor, focal: tuple[float, float]) -> Tensor:
+    """The pixels that have another surface beside them, or are next to one that has, bool [H, W]."""
+    return torch.nn.functional.max_pool2d(edges(depth, focal)[None, None].float(), 3, 1, 1)[0, 0] > 0
 
 
 def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:
