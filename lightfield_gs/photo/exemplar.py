@@ -133,8 +133,8 @@ class _Matches:
         """What the neighbours have, and with `searches` places drawn closer and closer to the match."""
         every = torch.arange(len(self.centres), device=self.centres.device)
         self.cost = self._cost(self.match, every)
-        for step in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-            step = torch.tensor(step, device=self.cells.device)
+        for way in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+            step = torch.tensor(way, device=self.cells.device)
             beside = self.cells + step
             inside = (beside >= 0).all(1) & (beside[:, 0] < self.shape[0]) & (beside[:, 1] < self.shape[1])
             beside = beside.clamp_min(0)

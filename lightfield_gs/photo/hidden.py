@@ -131,7 +131,8 @@ def _beside(covered: Tensor, depth: Tensor) -> Tensor:
 def _continued(
     disparity: Tensor, depth: Tensor, focal_px: tuple[float, float], runs: list[_Run], covered: Tensor
 ) -> tuple[Tensor, list[Tensor]]:
-    """The disparity of what goes on, [H, W], and its steps along columns and rows; of the photo's where nothing does."""
+    """The disparity of what goes on, [H, W], and its steps along columns and rows; of the photo's
+    where nothing does."""
     steps = [_slope(disparity, depth, dim, focal_px[1 - dim]) for dim in (0, 1)]
     rows = torch.arange(depth.shape[0], device=depth.device)[:, None]
     total, guess, slope = torch.zeros_like(depth), torch.zeros_like(depth), [torch.zeros_like(depth) for _ in steps]

@@ -67,8 +67,8 @@ def place(
     zero = 2 / (1 / near + 1 / far)
     tan = math.tan(math.radians(panel.cone_deg) / 2) if widest_tan is None else widest_tan
     sides = torch.cat([depth[:, 0], depth[:, -1]])
-    sides = sides[torch.isfinite(sides)].double().cpu().numpy()
-    moves = np.abs(1 - zero / np.quantile(sides, [0.02, 0.98])).max() if len(sides) else 0.0
+    known = sides[torch.isfinite(sides)].double().cpu().numpy()
+    moves = np.abs(1 - zero / np.quantile(known, [0.02, 0.98])).max() if len(known) else 0.0
     shown = panel.width_px / sizes[0] / zoom, panel.height_px / sizes[1] / zoom
     across = (shown[0] - width) / 2 + focal_px[0] * tan * moves + _MORE
     down = (shown[1] - height) / 2 + _MORE
@@ -85,7 +85,11 @@ def place(
 
 def made_up(image: Tensor, depth: Tensor, margin_px: tuple[int, int, int, int]) -> tuple[Tensor, Tensor, Tensor]:
     """The image [H, W, 3] and depth map [H, W] with a margin (left, top, right, bottom) of the same texture, and the
-    pixels that are it, bool; image: what it hides is filled. The depths are those of the photo's border, the smoother the farther from it."""
+    pixels that are it, bool.
+
+    image, depth: of the surfaces that lie behind what stands in front, as hidden.filled has them. The depths are those
+    of the photo's border, the smoother the farther from it.
+    """
     left, top, right, bottom = margin_px
     height, width = depth.shape
     rows = torch.arange(-top, height + bottom, device=image.device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -85,13 +86,13 @@ def _surroundings(
     sums = [image.new_zeros(len(rows), 6) for _ in range(2)]
     for down in range(-_WINDOW, _WINDOW + 1):
         for right in range(-_WINDOW, _WINDOW + 1):
-            weight = torch.exp(torch.tensor(-(down**2 + right**2) / 2 / _SPREAD**2)).item()
+            share = math.exp(-(down**2 + right**2) / 2 / _SPREAD**2)
             r, c = rows + down, columns + right
             inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
             at = r.clamp(0, height - 1) * width + c.clamp(0, width - 1)
             value, w = values[at], usable[at]
             for total, side in zip(sums, (w > middle, w <= middle)):
-                own = weight * (inside & side).to(value)[:, None]
+                own = share * (inside & side).to(value)[:, None]
                 total[:, :5] += own * value
                 total[:, 5:] += own
     surfaces = []

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-_ITERATIONS = 400
+_ITERATIONS = 60  # the first guess is close, and what is far inside a hole is hardly ever seen
 _TOLERANCE = 1e-4  # of the residual, of what it was at first: a thousandth of a colour step is not seen
 _ANCHOR = 1e-5  # weight of the first guess beside that of a neighbour: decides only where nothing else holds a hole
 

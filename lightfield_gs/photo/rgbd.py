@@ -94,7 +94,7 @@ def from_depth(
         colours, z, outside = made_up(behind, 1 / found.disparity, margin_px)
         corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
         full = torch.full_like(z, _OPACITY)
-        parts.append(_elements(*outside.nonzero().unbind(1), z, full, colours, focal, corner))
+        parts.append(_elements(outside.nonzero(), z, full, colours, focal, corner))
     return of_tensors(torch.cat(fields) for fields in zip(*parts))
 
 
@@ -117,28 +117,28 @@ def _layers(
     # A pixel lets through what lies behind it only where that is known
     soft = own & found.hole[rows, columns]
     seen[rows[soft], columns[soft]] *= opacity_of_coverage(matte.alpha[soft], _SPREAD, _OPACITY) / _OPACITY
-    parts = [_elements(*torch.isfinite(depth).nonzero().unbind(1), depth, seen, colours, focal, centre)]
+    parts = [_elements(torch.isfinite(depth).nonzero(), depth, seen, colours, focal, centre)]
     before = ~own & (matte.alpha > 0)
     r, c = rows[before], columns[before]
     rim, front, cover = depth.clone(), colours.clone(), opacity.clone()
     rim[r, c], front[r, c] = matte.depth[before], matte.near[before]
     cover[r, c] *= opacity_of_coverage(matte.alpha[before], _SPREAD, _OPACITY) / _OPACITY
-    parts.append(_elements(r, c, rim, cover, front, focal, centre))
+    parts.append(_elements(torch.stack([r, c], 1), rim, cover, front, focal, centre))
     covered = found.hole & ~found.fringe
-    parts.append(_elements(*covered.nonzero().unbind(1), 1 / found.disparity, opacity, behind, focal, centre))
+    parts.append(_elements(covered.nonzero(), 1 / found.disparity, opacity, behind, focal, centre))
     return parts
 
 
 def _elements(
-    rows: Tensor,
-    columns: Tensor,
+    places: Tensor,
     depth: Tensor,
     opacity: Tensor,
     colours: Tensor,
     focal: tuple[float, float],
     centre: tuple[float, float],
 ) -> tuple[Tensor, ...]:
-    """The Gaussians of these pixels of a surface; depth, opacity: [H, W], colours: [H, W, 3]."""
+    """The Gaussians of these pixels [M, 2] (row, column) of a surface; depth, opacity: [H, W], colours: [H, W, 3]."""
+    rows, columns = places.unbind(1)
     z, across, down = (
         values[rows, columns] for values in (depth, slopes(depth, focal[0]), slopes(depth.T, focal[1]).T)
     )

@@ -25,8 +25,8 @@ def add_fit(add: Callable[..., argparse.Action]) -> None:
     add(
         "--fit",
         choices=FITS,
-        help="how a photo with depths fills a panel of another shape: cover crops it, contain shows all of it and makes "
-        "up the rest of its own texture (default: cover, unless more than a third would be cropped)",
+        help="how a photo with depths fills a panel of another shape: cover crops it, contain shows all of it and "
+        "makes up the rest of its own texture (default: cover, unless more than a third would be cropped)",
     )
 
 

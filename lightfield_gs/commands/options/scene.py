@@ -80,8 +80,10 @@ def say_origin(path: Path, gaussians: Gaussians) -> None:
 def load_scene(
     args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel | None = None
 ) -> tuple[Gaussians, SceneFile | None]:
-    """The Gaussians of the input, on the device, and what else its file holds; None of a photo. panel: that a photo with
-    depths is to fill."""
+    """The Gaussians of the input, on the device, and what else its file holds; None of a photo.
+
+    panel: that a photo with depths is to fill. Raises InputError.
+    """
     args.shown_on = panel
     if _is_scene_file(args):
         file = read_noted(args.input, args.skip_invalid)
