@@ -21,7 +21,7 @@ _STAIRS = 6  # pixels within which several edges are one: the steps of a smoothe
 _BEHIND = 0.985  # disparity of what is hidden, at most, as a share of the disparity of what hides it
 _SLOPE_WINDOW = 9  # pixels over which the slope of a surface is taken before it goes on behind another one
 _SAME = 0.1  # relative difference of depths up to which a pixel close by is of the same surface
-_BENT = 0.3  # by how much of its disparity a surface may become nearer or farther where it goes on
+_BENT = 0.15  # by how much of its disparity a surface may become nearer or farther where it goes on
 
 
 @dataclass(frozen=True)
@@ -138,9 +138,9 @@ def _continued(
     total, guess, slope = torch.zeros_like(depth), torch.zeros_like(depth), [torch.zeros_like(depth) for _ in steps]
     for sign, run in zip((1, -1), runs):
         weight = torch.where(run.source >= 0, 1 / run.distance.clamp_min(1), 0)
-        column = run.source.clamp_min(0)
+        column, further = _clean_border(depth, run, sign)
         value = disparity[rows, column]
-        moved = value + sign * run.distance * steps[1][rows, column]
+        moved = value + sign * (run.distance + further) * steps[1][rows, column]
         moved = torch.minimum(torch.maximum(moved, value * (1 - _BENT)), value * (1 + _BENT))
         total += weight
         guess += weight * moved.nan_to_num(0)
@@ -149,6 +149,17 @@ def _continued(
     total = total.clamp_min(1e-12)
     guess = torch.where(covered, guess / total, disparity.nan_to_num(0))
     return guess, [torch.where(covered, own / total, step) for own, step in zip(slope, steps)]
+
+
+def _clean_border(depth: Tensor, run: _Run, sign: int) -> tuple[Tensor, Tensor]:
+    """The column of the pixel that is continued, beyond the mixed ones where those are of the same surface, and how
+    many pixels it is from the last one, [H, W] each. sign: 1 where the surface goes on to the right, else -1."""
+    rows = torch.arange(depth.shape[0], device=depth.device)[:, None]
+    border = run.source.clamp_min(0)
+    further = (border - sign * FRINGE).clamp(0, depth.shape[1] - 1)
+    same = (depth[rows, further] / depth[rows, border] - 1).abs() < _SAME
+    column = torch.where(same, further, border)
+    return column, (column - border).abs()
 
 
 def _slope(disparity: Tensor, depth: Tensor, dim: int, focal_px: float) -> Tensor:
@@ -168,9 +179,6 @@ def _stripes(image: Tensor, depth: Tensor, runs: list[_Run], covered: Tensor) ->
     total, mixed = image.new_zeros(image.shape[:2]), torch.zeros_like(image)
     for sign, run in zip((1, -1), runs):
         weight = torch.where(run.source >= 0, run.distance.clamp_min(1) ** -3, 0)  # hardly mixed: it is to be texture
-        border = run.source.clamp_min(0)
-        further = (border - sign * FRINGE).clamp(0, image.shape[1] - 1)
-        same = (depth[rows, further] / depth[rows, border] - 1).abs() < _SAME
-        mixed += weight[..., None] * image[rows, torch.where(same, further, border)]
+        mixed += weight[..., None] * image[rows, _clean_border(depth, run, sign)[0]]
         total += weight
     return torch.where(covered[..., None], mixed / total.clamp_min(1e-20)[..., None], image)
