@@ -10,14 +10,14 @@ from torch import Tensor
 
 # Neighbours belong to one surface up to this slope, depth per sideways length: tan 85 degrees. A steeper step is an
 # edge between two surfaces, which opens by some 4 pixels over a cone of 40 degrees.
-_STEEPEST = 11.4
+STEEPEST = 11.4
 _SNAP_PASSES = 3  # each takes one pixel off both ends of a smoothed edge
 
 
-def joined(depth: Tensor, focal_px: float) -> Tensor:
+def joined(depth: Tensor, focal_px: float, steepest: float = STEEPEST) -> Tensor:
     """Whether each pixel and its right neighbour belong to one surface, bool [H, W-1]."""
     left, right = depth[:, :-1], depth[:, 1:]
-    return (right - left).abs() * focal_px <= _STEEPEST * torch.minimum(left, right)
+    return (right - left).abs() * focal_px <= steepest * torch.minimum(left, right)
 
 
 def edges(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
@@ -34,12 +34,12 @@ def edges(depth: Tensor, focal_px: tuple[float, float]) -> Tensor:
     return result
 
 
-def slopes(depth: Tensor, focal_px: float) -> Tensor:
+def slopes(depth: Tensor, focal_px: float, steepest: float = STEEPEST) -> Tensor:
     """Depth per sideways length from column to column, [H, W], dimensionless.
 
     The mean of the steps to those neighbours that belong to the surface, 0 where none does.
     """
-    whole = joined(depth, focal_px)
+    whole = joined(depth, focal_px, steepest)
     steps = torch.where(whole, depth[:, 1:] - depth[:, :-1], 0)
     both = [
         torch.nn.functional.pad(values, (1, 0)) + torch.nn.functional.pad(values, (0, 1))

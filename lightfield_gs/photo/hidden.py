@@ -72,8 +72,13 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     # Held at what is seen of the far surfaces: everything that is not hole. Where the guess is torn, two surfaces meet.
     linked = [joined_with(1 / guess.clamp_min(1e-30), dim, focal_px[1 - dim]) for dim in (0, 1)]
     bent = solve_membrane(guess[..., None], hole, linked, slope)[..., 0]
-    nearest = torch.where(covered, _BEHIND * disparity, torch.inf)
+    # In the fringe the depths may be mixed as the colours are: the farthest close by is that of the far surface
+    far = torch.where(hole & ~fringe, bent, torch.where(disparity > 0, disparity, torch.inf))
+    far = -torch.nn.functional.max_pool2d(-far[None, None], 2 * FRINGE + 1, 1, FRINGE)[0, 0]
+    nearest = torch.where(covered, _BEHIND * disparity, torch.where(fringe, far, torch.inf))
     bent = torch.minimum(bent.clamp(guess * (1 - _BENT), guess * (1 + _BENT)), nearest)
+    known = disparity[disparity > 0]
+    bent = bent.clamp(known.min(), known.max())
     return Hidden(hole, fringe, torch.where(hole, bent, disparity), colours, linked)
 
 

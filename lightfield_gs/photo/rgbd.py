@@ -14,7 +14,7 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
-from lightfield_gs.photo.depth_edges import edges, slopes, snap_mixed
+from lightfield_gs.photo.depth_edges import STEEPEST, edges, slopes, snap_mixed
 from lightfield_gs.photo.hidden import Hidden, filled, find_hidden
 from lightfield_gs.photo.margin import made_up
 from lightfield_gs.photo.matting import find_matte, opacity_of_coverage
@@ -26,6 +26,7 @@ MAX_PIXELS = 1 << 24
 _NEAREST = 1e-12  # scene units
 _SPREAD = 0.65  # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
 _THICKNESS = 0.1  # standard deviation across the surface, in pixels
+_STEEPEST_HIDDEN = 60.0  # slope up to which what nobody has seen stays closed
 _STEEPEST_RIM = 1.0  # slope of the last pixels before an edge: steeper ones would be seen from the side as spikes
 _OPACITY = 0.99  # of each pixel that is opaque: the rasterizer makes no more of any
 
@@ -94,7 +95,7 @@ def from_depth(
         colours, z, outside = made_up(behind, 1 / found.disparity, margin_px)
         corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
         full = torch.full_like(z, _OPACITY)
-        parts.append(_elements(outside.nonzero(), z, full, colours, focal, corner))
+        parts.append(_elements(outside.nonzero(), z, full, colours, focal, corner, torn=False))
     return of_tensors(torch.cat(fields) for fields in zip(*parts))
 
 
@@ -124,8 +125,7 @@ def _layers(
     rim[r, c], front[r, c] = matte.depth[before], matte.near[before]
     cover[r, c] *= opacity_of_coverage(matte.alpha[before], _SPREAD, _OPACITY) / _OPACITY
     parts.append(_elements(torch.stack([r, c], 1), rim, cover, front, focal, centre))
-    covered = found.hole & ~found.fringe
-    parts.append(_elements(covered.nonzero(), 1 / found.disparity, opacity, behind, focal, centre))
+    parts.append(_elements(found.hole.nonzero(), 1 / found.disparity, opacity, behind, focal, centre, torn=False))
     return parts
 
 
@@ -136,14 +136,21 @@ def _elements(
     colours: Tensor,
     focal: tuple[float, float],
     centre: tuple[float, float],
+    torn: bool = True,
 ) -> tuple[Tensor, ...]:
-    """The Gaussians of these pixels [M, 2] (row, column) of a surface; depth, opacity: [H, W], colours: [H, W, 3]."""
+    """The Gaussians of these pixels [M, 2] (row, column) of a surface; depth, opacity: [H, W], colours: [H, W, 3].
+
+    torn: whether it is open at edges.
+    """
     rows, columns = places.unbind(1)
+    steepest = STEEPEST if torn else _STEEPEST_HIDDEN
     z, across, down = (
-        values[rows, columns] for values in (depth, slopes(depth, focal[0]), slopes(depth.T, focal[1]).T)
+        values[rows, columns]
+        for values in (depth, slopes(depth, focal[0], steepest), slopes(depth.T, focal[1], steepest).T)
     )
-    limit = torch.where(_rim(depth, focal)[rows, columns], _STEEPEST_RIM, torch.inf)
-    across, down = (torch.minimum(torch.maximum(slope, -limit), limit) for slope in (across, down))
+    if torn:
+        limit = torch.where(_rim(depth, focal)[rows, columns], _STEEPEST_RIM, torch.inf)
+        across, down = (torch.minimum(torch.maximum(slope, -limit), limit) for slope in (across, down))
     rays = _rays(columns + 0.5, rows + 0.5, focal, centre)
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
