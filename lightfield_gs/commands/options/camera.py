@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.commands.options.fit import photo_rig
+from lightfield_gs.commands.options.placing import photo_rig
 from lightfield_gs.commands.options.rig import load_rig
 from lightfield_gs.commands.options.values import camera_choice
 from lightfield_gs.panels.panel import Panel

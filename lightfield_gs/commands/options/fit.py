@@ -1,76 +1,201 @@
-"""How a photo with depths fills a panel of another shape: --fit, its rig, and the margin that is made up."""
+"""Options of `lightfield-gs fit`: the capture, what is optimised, and what happens beside."""
 
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any
 
-from lightfield_gs.base.options import FITS
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEVICES
+from lightfield_gs.commands.options.values import background, whole, within
+from lightfield_gs.fitting.settings import DENSITIES, MASKS
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from lightfield_gs.panels.rig import Rig
-    from lightfield_gs.photo.margin import Placed
-    from lightfield_gs.scene.gaussians import Gaussians
-
-_MOST_CROPPED = 0.34  # share of the photo beyond which all of it is shown when nothing was said
-_TRANSPARENT = 0.5  # alpha below which a pixel of the photo's border is cut out: nothing is made up around a cut-out
+Add = Callable[..., argparse.Action]
+_BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "random": None}
+_MOST = 10_000_000
 
 
-def add_fit(add: Callable[..., argparse.Action]) -> None:
+def every_or_none(text: str) -> int | None:
+    """ "8" -> 8, "none" -> None."""
+    return None if text == "none" else whole(2, 1 << 30)(text)
+
+
+def backdrop(text: str) -> tuple[float, ...] | None:
+    """ "white" -> (1.0, 1.0, 1.0), "random" -> None, "0,0.5,1" -> (0.0, 0.5, 1.0)."""
+    return _BACKGROUNDS[text] if text in _BACKGROUNDS else background(text)
+
+
+def add_capture(parser: argparse.ArgumentParser) -> None:
+    """What is read of a capture, and how."""
+    group = parser.add_argument_group("capture")
+    add = group.add_argument
+    add("--images", type=Path, metavar="FOLDER", help="folder of photographs, absolute or in CAPTURE (default: images)")
     add(
-        "--fit",
-        choices=FITS,
-        help="how a photo with depths fills a panel of another shape: cover crops it, contain shows all of it and "
-        "makes up the rest of its own texture (default: cover, unless more than a third would be cropped)",
+        "--mask-folder",
+        type=Path,
+        metavar="FOLDER",
+        help="of masks named as the photographs, white where these count (default: masks)",
+    )
+    add(
+        "--masks",
+        choices=MASKS,
+        default="ignore",
+        help="what is black in masks, or transparent in photographs: anything may be there (ignore), or the scene is "
+        "to be transparent there (alpha); default ignore",
+    )
+    size = group.add_mutually_exclusive_group().add_argument
+    size(
+        "--scale",
+        type=within(1e-3, 1),
+        metavar="SHARE",
+        help="0..1, shrinks photographs to this share of their width (default 1)",
+    )
+    size(
+        "--longest-px",
+        type=whole(16, 1 << 20),
+        metavar="PIXELS",
+        help="shrinks photographs whose longer side has more pixels",
+    )
+    test = parser.add_argument_group("held-out photographs").add_mutually_exclusive_group().add_argument
+    test(
+        "--test-every",
+        type=every_or_none,
+        default=8,
+        metavar="N",
+        help="holds out the middle one of every N photographs, in the order of their names, to score the "
+        "scene by; none: fits to all (default 8)",
+    )
+    test("--test-list", type=Path, metavar="FILE", help="holds out those that a text file names, one a line")
+    add(
+        "--sfm",
+        action="store_true",
+        help="CAPTURE is a folder of photographs whose cameras are not known: pycolmap finds them first "
+        "(pip install 'lightfield-gs[sfm]'), and keeps them in the folder of the run",
     )
 
 
-def place_photo(
-    args: argparse.Namespace, image: Tensor, depth: Tensor, focal: tuple[float, float], centre: tuple[float, float]
-) -> tuple[tuple[int, int, int, int], list[str]]:
-    """The margin that from_depth makes up, and words on it; the rig is kept in args.placed for `photo_rig`.
+def add_optimisation(parser: argparse.ArgumentParser) -> None:
+    """What becomes FitSettings."""
+    add = parser.add_argument_group("fit").add_argument
+    add(
+        "--steps",
+        type=whole(1, _MOST),
+        default=30_000,
+        metavar="N",
+        help="how many; schedules scale with them (default 30000)",
+    )
+    add(
+        "--gaussians",
+        type=whole(1, 2**31 - 1),
+        default=300_000,
+        metavar="N",
+        help="how many the scene has at the end, by --density adaptive at most (default 300000)",
+    )
+    add(
+        "--density",
+        choices=DENSITIES,
+        default="mcmc",
+        help="how Gaussians come and go: mcmc: moved to where they are needed (Kheradmand et al. 2024); adaptive: "
+        "cloned, split and removed (Kerbl et al. 2023); default mcmc",
+    )
+    add("--absolute-gradients", action="store_true", help="--density adaptive by absolute gradients (Ye et al. 2024)")
+    add(
+        "--sh-degree",
+        type=int,
+        choices=range(4),
+        default=3,
+        help="of the spherical harmonics, 0..3: how much colours may change with the direction they are seen from; "
+        "0: not at all (default 3)",
+    )
+    add("--views-per-step", type=whole(1, 1024), default=1, metavar="N", help="photographs in each step (default 1)")
+    add(
+        "--exposure",
+        action="store_true",
+        help="fits an affine change of colours for each photograph as well, where exposure or white balance differ",
+    )
+    add(
+        "--dropout",
+        type=within(0.0, 0.9),
+        metavar="SHARE",
+        help="each step leaves out a random part of the Gaussians, growing from 0 to this share at the end, 0..0.9: "
+        "against what few photographs let stand before the views between them (default: 0.2 for up to 12 photographs, "
+        "less for more, none from 48 on)",
+    )
+    add("--poses", action="store_true", help="refines the cameras' poses as well, where they are off by some pixels")
+    add(
+        "--background",
+        type=backdrop,
+        default=_BACKGROUNDS["black"],
+        metavar="COLOUR",
+        help="what is behind the scene in the fit, and then in encode: black, white, R,G,B in 0..1, or random, another "
+        "one at each step (default black)",
+    )
+    add(
+        "--antialiased",
+        action="store_true",
+        help="fits for drawing with anti-aliasing; encode and prune draw the scene so",
+    )
+    add("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N", help="of random numbers, 0 or more (default 0)")
+    add(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help="where the scene is fitted (default auto: cuda where there is a GPU and this build can use it)",
+    )
 
-    image: [H, W, 4]; depth: [H, W], z. args.shown_on: the panel, None where it is not known. Of a photo whose border is
-    cut out nothing is made up.
-    """
-    panel: Panel | None = getattr(args, "shown_on", None)
-    args.placed = None
-    alpha = image[..., 3]
-    border = min(float(part.min()) for part in (alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]))
-    if panel is None or border < _TRANSPARENT or not bool(((depth > 0) & depth.isfinite()).any()):
-        return (0, 0, 0, 0), []
-    from lightfield_gs.photo.margin import place
 
-    def placed(fit: str) -> Placed:
-        return place(
-            depth, focal, centre, panel, fit, widest_tan=_widest_tan(args, panel), zoom=getattr(args, "zoom", None) or 1
-        )
-
-    fit = args.fit or FITS[0]
-    found = placed(fit)
-    if args.fit is None and found.cropped > _MOST_CROPPED:
-        fit = FITS[1]
-        found = placed(fit)
-    args.placed = found
-    words = f"fit {fit}: {found.cropped:.0%} of it cropped, {found.made_up:.0%} of the panel made up"
-    return found.margin_px, [words + ("" if args.fit else " (assumed; --fit cover, --fit contain)")]
-
-
-def photo_rig(args: argparse.Namespace, panel: Panel, gaussians: Gaussians) -> Rig:
-    """The rig of a photo: as it was placed, or fitted to what it shows. Raises InputError."""
-    from lightfield_gs.panels import framing
-
-    placed: Placed | None = getattr(args, "placed", None)
-    return framing.frame_photo(gaussians, panel) if placed is None else placed.rig
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """What becomes Habits."""
+    add = parser.add_argument_group("run").add_argument
+    add(
+        "--run",
+        type=Path,
+        metavar="FOLDER",
+        help="folder of checkpoints, scores and pictures (default: beside the output, scene.fit for scene.ply); a fit "
+        "that was stopped goes on from there",
+    )
+    add("--fresh", action="store_true", help="starts over, and removes the checkpoint in the folder of the run")
+    for name, words in (
+        ("checkpoint", "checkpoints (default: so that they take 2 %% of the time)"),
+        ("evaluate", "scores of the held-out photographs (default: a tenth of --steps)"),
+        ("picture", "pictures of a view beside its photograph, held out if any is (default: one at the end)"),
+    ):
+        add(f"--{name}-every", type=whole(1, _MOST), metavar="N", help=f"steps between {words}")
+    add(
+        "--stop-early",
+        action="store_true",
+        help="ends once the held-out PSNR has not improved over the last 3 evaluations",
+    )
+    add("--tensorboard", action="store_true", help="scalars for TensorBoard in the folder of the run")
 
 
-def _widest_tan(args: argparse.Namespace, panel: Panel) -> float:
-    """tan(cone / 2) of the outermost views, as --cone and --depth-amount have it."""
-    cone = panel.cone_deg if getattr(args, "cone", None) is None else args.cone
-    amount = 1.0 if getattr(args, "depth_amount", None) is None else args.depth_amount
-    return amount * math.tan(math.radians(cone) / 2)
+def settings_given(args: argparse.Namespace) -> dict[str, Any]:
+    """The fields of FitSettings, by the options."""
+    names = (
+        "steps",
+        "gaussians",
+        "density",
+        "absolute_gradients",
+        "sh_degree",
+        "exposure",
+        "poses",
+        "dropout",
+        "background",
+    )
+    others = {"views": args.views_per_step, "masks": args.masks}
+    return {name: getattr(args, name) for name in (*names, "antialiased", "seed")} | others
+
+
+def names_in(path: Path | None) -> list[str] | None:
+    """The photographs that a text file names, one a line; empty lines and those that begin with # are none."""
+    from lightfield_gs.io.text_file import read_text
+
+    if path is None:
+        return None
+    lines = [line.strip() for line in read_text(path, 1 << 24, "a list of photographs").splitlines()]
+    names = [line for line in lines if line and not line.startswith("#")]
+    if not names:
+        raise InputError(f"{path}: expected names of photographs, one a line, got none")
+    return names

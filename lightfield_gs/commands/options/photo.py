@@ -13,7 +13,7 @@ from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, MAP_ORIENTATIONS
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.fit import add_fit, place_photo
+from lightfield_gs.commands.options.placing import add_fit, place_photo
 from lightfield_gs.commands.options.values import numbers
 from lightfield_gs.photo.side_by_side import depth_side, halves, is_named_so
 

@@ -21,8 +21,8 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.encode import scene_hash
 from lightfield_gs.commands.options.camera import axes_of, choose_rig, read_given
 from lightfield_gs.commands.options.drawn import settle_drawing
-from lightfield_gs.commands.options.fit import photo_rig
 from lightfield_gs.commands.options.look import apply_look, report_depth
+from lightfield_gs.commands.options.placing import photo_rig
 from lightfield_gs.commands.options.scene import check_scene_options, load_scene
 from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
 from lightfield_gs.panels.panel import Panel
