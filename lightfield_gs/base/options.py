@@ -17,6 +17,7 @@ DepthPart = Literal["right", "left", "top", "bottom"]
 MapOrientation = Literal["stored", "upright"]
 Fit = Literal["cover", "contain"]
 Compression = Literal["fast", "small"]
+Detail = Literal["auto", 1, 2, 4]
 Device = Literal["auto", "cpu", "cuda"]
 
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -32,6 +33,7 @@ DEPTH_PARTS: tuple[DepthPart, ...] = get_args(DepthPart)
 MAP_ORIENTATIONS: tuple[MapOrientation, ...] = get_args(MapOrientation)
 FITS: tuple[Fit, ...] = get_args(Fit)
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
+DETAILS: tuple[Detail, ...] = get_args(Detail)
 DEVICES: tuple[Device, ...] = get_args(Device)
 
 # Arguments that only one method of `encode` takes; the options of the command have the same names
