@@ -14,7 +14,10 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
-from lightfield_gs.photo.depth_edges import continue_behind, slopes, snap_mixed
+from lightfield_gs.photo.depth_edges import STEEPEST, edges, slopes, snap_mixed
+from lightfield_gs.photo.hidden import Hidden, filled, find_hidden
+from lightfield_gs.photo.margin import made_up
+from lightfield_gs.photo.matting import find_matte, opacity_of_coverage
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
@@ -23,6 +26,8 @@ MAX_PIXELS = 1 << 24
 _NEAREST = 1e-12  # scene units
 _SPREAD = 0.65  # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
 _THICKNESS = 0.1  # standard deviation across the surface, in pixels
+_STEEPEST_HIDDEN = 60.0  # slope up to which what nobody has seen stays closed
+_STEEPEST_RIM = 1.0  # slope of the last pixels before an edge: steeper ones would be seen from the side as spikes
 _OPACITY = 0.99  # of each pixel that is opaque: the rasterizer makes no more of any
 
 
@@ -33,12 +38,24 @@ def focal_length_px(field_of_view_deg: float, height_px: int, width_px: int) -> 
     return max(height_px, width_px) / 2 / math.tan(math.radians(field_of_view_deg) / 2)
 
 
+def known_camera(
+    focal_px: Sequence[float] | None, principal_point_px: Sequence[float] | None, height: int, width: int
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Focal lengths and principal point of a photo, those that are None as from_depth has them. Raises InputError."""
+    focal = _pair("focal_px", focal_px, (focal_length_px(FIELD_OF_VIEW_DEG, height, width),) * 2)
+    if min(focal) <= 0:
+        raise InputError(f"focal_px: expected pixels > 0, got {focal}")
+    return focal, _pair("principal_point_px", principal_point_px, (width / 2, height / 2))
+
+
 @torch.no_grad()
 def from_depth(
     image: np.ndarray | Tensor,
     depth: np.ndarray | Tensor,
     focal_px: Sequence[float] | None = None,
     principal_point_px: Sequence[float] | None = None,
+    *,
+    margin_px: tuple[int, int, int, int] = (0, 0, 0, 0),
 ) -> Gaussians:
     """The Gaussians of a photo whose depths are known: one per pixel, in its camera's axes (OpenCV, at the origin).
 
@@ -46,17 +63,19 @@ def from_depth(
     pixel (not its distance along the ray), scene units; anything but 1e-12..1e12 means that nothing was measured.
     Arrays or tensors; the work is done on the image's device.
     focal_px: (fx, fy), pixels; None: the longer side takes 60 degrees. principal_point_px: (cx, cy), pixels from the
-    outer corner of the first pixel; None: the middle.
+    outer corner of the first pixel; None: the middle. margin_px: (left, top, right, bottom), pixels around the photo
+    that are made up of its texture, as `lightfield_gs.photo.margin.place` says for a panel.
 
     Each Gaussian lies in the surface, with a standard deviation of 0.65 pixels as its own camera sees it: its
     covariance is that of the pixel through the inverse of the projection's Jacobian (Zwicker et al., "EWA splatting",
     2002, the other way round), so that a slanted surface stays closed when seen from the side. Where a surface would
-    be seen at less than 5 degrees it is torn instead; there the far side goes on behind the near one, by a quarter of
-    the image's width at most, as stripes of its border's colour, for cameras beside this one. Smoothed edges of the
-    depth map are made sharp first.
+    be seen at less than 5 degrees it is torn instead, and smoothed edges of the depth map are made sharp first. Behind
+    an edge the far side goes on in a second layer, its depth smoothly and its colours as a picture (photo/hidden.py,
+    photo/exemplar.py); outlines are soft where the photo's are (photo/matting.py).
 
     Returns float32 Gaussians of SH degree 0: those of the pixels row by row, without what has no depth or no opacity,
-    then the hidden ones. Raises InputError on other shapes, types or values, or where no pixel has a depth.
+    then those of outlines, of what is hidden, and of the margin. Raises InputError on other shapes, types or values, or
+    where no pixel has a depth.
     """
     image, depth = _checked_image(image), _checked_depth(depth)
     height, width = depth.shape
@@ -67,43 +86,80 @@ def from_depth(
     depth = torch.where(measured, depth, torch.nan)
     if not bool(measured.any()):
         raise InputError("depth: expected distances > 0, no opaque pixel of the photo has one")
-    focal = _pair("focal_px", focal_px, (focal_length_px(FIELD_OF_VIEW_DEG, height, width),) * 2)
-    centre = _pair("principal_point_px", principal_point_px, (width / 2, height / 2))
-    if min(focal) <= 0:
-        raise InputError(f"focal_px: expected pixels > 0, got {focal}")
+    focal, centre = known_camera(focal_px, principal_point_px, height, width)
     depth = snap_mixed(depth, focal)
-    parts = (_visible(image, depth, opacity, focal, centre), _hidden(image, depth, opacity, focal, centre))
+    found = find_hidden(image[..., :3], depth, focal)
+    behind = filled(found, depth)
+    parts = _layers(image, depth, opacity, found, behind, focal, centre)
+    if any(margin_px):
+        colours, z, outside = made_up(behind, 1 / found.disparity, margin_px)
+        corner = centre[0] + margin_px[0], centre[1] + margin_px[1]
+        full = torch.full_like(z, _OPACITY)
+        parts.append(_elements(outside.nonzero(), z, full, colours, focal, corner, torn=False))
     return of_tensors(torch.cat(fields) for fields in zip(*parts))
 
 
-def _visible(
-    image: Tensor, depth: Tensor, opacity: Tensor, focal: tuple[float, float], centre: tuple[float, float]
+def _layers(
+    image: Tensor,
+    depth: Tensor,
+    opacity: Tensor,
+    found: Hidden,
+    behind: Tensor,
+    focal: tuple[float, float],
+    centre: tuple[float, float],
+) -> list[tuple[Tensor, ...]]:
+    """The Gaussians of what is seen, of the soft outlines before it, and of what it hides."""
+    colours = image[..., :3].clone()
+    matte = find_matte(colours, depth, edges(depth, focal))
+    own = matte.is_near
+    rows, columns = matte.rows, matte.columns
+    colours[rows, columns] = torch.where(own[:, None], matte.near, matte.far)
+    seen = opacity.clone()
+    # A pixel lets through what lies behind it only where that is known
+    soft = own & found.hole[rows, columns]
+    seen[rows[soft], columns[soft]] *= opacity_of_coverage(matte.alpha[soft], _SPREAD, _OPACITY) / _OPACITY
+    parts = [_elements(torch.isfinite(depth).nonzero(), depth, seen, colours, focal, centre)]
+    before = ~own & (matte.alpha > 0)
+    r, c = rows[before], columns[before]
+    rim, front, cover = depth.clone(), colours.clone(), opacity.clone()
+    rim[r, c], front[r, c] = matte.depth[before], matte.near[before]
+    cover[r, c] *= opacity_of_coverage(matte.alpha[before], _SPREAD, _OPACITY) / _OPACITY
+    parts.append(_elements(torch.stack([r, c], 1), rim, cover, front, focal, centre))
+    parts.append(_elements(found.hole.nonzero(), 1 / found.disparity, opacity, behind, focal, centre, torn=False))
+    return parts
+
+
+def _elements(
+    places: Tensor,
+    depth: Tensor,
+    opacity: Tensor,
+    colours: Tensor,
+    focal: tuple[float, float],
+    centre: tuple[float, float],
+    torn: bool = True,
 ) -> tuple[Tensor, ...]:
-    """The Gaussians of the pixels that have a depth."""
-    rows, columns = torch.isfinite(depth).nonzero().unbind(1)
+    """The Gaussians of these pixels [M, 2] (row, column) of a surface; depth, opacity: [H, W], colours: [H, W, 3].
+
+    torn: whether it is open at edges.
+    """
+    rows, columns = places.unbind(1)
+    steepest = STEEPEST if torn else _STEEPEST_HIDDEN
     z, across, down = (
-        values[rows, columns] for values in (depth, slopes(depth, focal[0]), slopes(depth.T, focal[1]).T)
+        values[rows, columns]
+        for values in (depth, slopes(depth, focal[0], steepest), slopes(depth.T, focal[1], steepest).T)
     )
+    if torn:
+        limit = torch.where(_rim(depth, focal)[rows, columns], _STEEPEST_RIM, torch.inf)
+        across, down = (torch.minimum(torch.maximum(slope, -limit), limit) for slope in (across, down))
     rays = _rays(columns + 0.5, rows + 0.5, focal, centre)
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
-    return _surface_elements(
-        rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], image[rows, columns, :3]
-    )
+    return _surface_elements(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns])
 
 
-def _hidden(
-    image: Tensor, depth: Tensor, opacity: Tensor, focal: tuple[float, float], centre: tuple[float, float]
-) -> tuple[Tensor, ...]:
-    """The Gaussians of the far surfaces that go on behind edges, parallel to the image."""
-    more = continue_behind(depth, focal[0])
-    z = depth[more.rows, more.columns]
-    x, y = torch.eye(3, device=z.device)[:2]
-    tangents = (more.widths[:, None] * x, (focal[0] / focal[1] * y).expand(len(z), 3))
-    means = _rays(more.centres, more.rows + 0.5, focal, centre) * z[:, None]
-    return _surface_elements(
-        means, tangents, z / focal[0], opacity[more.rows, more.columns], image[more.rows, more.colour_columns, :3]
-    )
+def _rim(depth: Tensor, focal: tuple[float, float]) -> Tensor:
+    """The pixels that have another surface beside them, or are next to one that has, bool [H, W]."""
+    return torch.nn.functional.max_pool2d(edges(depth, focal)[None, None].float(), 3, 1, 1)[0, 0] > 0
 
 
 def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:

@@ -15,6 +15,7 @@ import lightfield_gs as lf
 from lightfield_gs import cli
 from lightfield_gs.io.images import read_image, read_info, write_image
 from lightfield_gs.photo.depth import depth_map, read_depth, read_numbers
+from lightfield_gs.photo.margin import place
 from lightfield_gs.show.preview import to_integers
 
 Z = np.array([[0.5, 1.0, 2.0], [4.0, 1.5, 0.8]])
@@ -176,8 +177,8 @@ def test_encode_of_a_photo_with_depth_is_the_library_call(folder, capsys):
         "encode photo.png --depth depth.exr --intrinsics 50,50,30,20 -o o.exr --panel p.yaml "
         "--device cpu --save-rig r.yaml --save-gaussians g.ply",
     )
-    gaussians = lf.from_depth(photo, depth, (50, 50), (30, 20))
-    rig = lf.Rig.frame(gaussians, PANEL, np.eye(4))
+    placed = place(torch.from_numpy(depth), (50, 50), (30, 20), PANEL, "cover")
+    gaussians, rig = lf.from_depth(photo, depth, (50, 50), (30, 20), margin_px=placed.margin_px), placed.rig
     expected = lf.encode(gaussians, PANEL, rig, output="float32").numpy()
     assert np.array_equal(read_image("o.exr"), expected) and "depth" in out and "network" not in out
     assert lf.Rig.from_yaml("r.yaml").to_dict() == rig.to_dict()
@@ -259,10 +260,15 @@ def test_a_command_says_what_it_took_the_photo_for(folder, capsys):
     np.savez("d.npz", depth=depth, focallength_px=np.float32(50))
     out = run(capsys, "encode photo.png --depth d.npz -o o.png --panel p.yaml --save-gaussians g.ply").splitlines()[0]
     near, far = np.nanmin(depth), depth[np.isfinite(depth)].max()
-    assert out == (
-        f"photo.png: 60 x 40, whole picture, depth by d.npz: distance as z {near:.4g}..{far:.4g}, 1.2% "
-        f"infinitely far (put at {2 * far:.4g}), 0.5% not measured, focal length 50 px, of d.npz"
+    assert (
+        out
+        == (
+            f"photo.png: 60 x 40, whole picture, depth by d.npz: distance as z {near:.4g}..{far:.4g}, 1.2% "
+            f"infinitely far (put at {2 * far:.4g}), 0.5% not measured, focal length 50 px, of d.npz, "
+        )
+        + out[out.index("fit ") :]
     )
+    assert out.endswith("(assumed; --fit cover, --fit contain)")
     means = lf.Gaussians.load("g.ply").means
     assert float(means[0, 2]) == pytest.approx(2 * far, rel=1e-5)
     assert float(means[0, 0] / means[0, 2]) == pytest.approx(-29.5 / 50, rel=1e-5)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.commands.options.placing import photo_rig
 from lightfield_gs.commands.options.rig import load_rig
 from lightfield_gs.commands.options.values import camera_choice
 from lightfield_gs.panels.panel import Panel
@@ -127,14 +128,12 @@ def choose_rig(
 
     Raises InputError.
     """
-    from lightfield_gs.panels import framing
-
     if given.rig is not None:
         return given.rig.relative_to(gaussians.origin), given.said
     if given.pose is not None:
         return _looking(given.pose, given.focal_px, given.principal_point_px, panel, gaussians), given.said
     if file is None:
-        return framing.frame_photo(gaussians, panel), []
+        return photo_rig(args, panel, gaussians), []
     own = None if args.up else _own_camera(args.input, file, panel, gaussians)
     return own or _automatic(args, panel, gaussians, file)
 

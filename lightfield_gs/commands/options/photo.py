@@ -13,6 +13,7 @@ from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, DETAILS, MAP_ORIENTATIONS, Detail
 from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.placing import add_fit, place_photo
 from lightfield_gs.commands.options.values import numbers
 from lightfield_gs.photo.side_by_side import depth_side, halves, is_named_so
 
@@ -93,6 +94,7 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
         help="in place of --fov: focal lengths and principal "
         "point of the photo, in its pixels, from the outer corner of the first",
     )
+    add_fit(add)
 
 
 def add_detail(add: Callable[..., argparse.Action]) -> None:
@@ -166,7 +168,7 @@ def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaus
 
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.photo.load import photo_of
-    from lightfield_gs.photo.rgbd import check_depth_size, from_depth
+    from lightfield_gs.photo.rgbd import check_depth_size, from_depth, known_camera
 
     picture = read_picture(args.input)
     side = None if args.depth is not None else args.rgbd or depth_side(picture.pixels)
@@ -189,9 +191,11 @@ def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaus
     height, width = photo.pixels.shape[:2]
     focal, centre, camera, notes = _camera(args, height, width, depth.focal_px)
     watch.lap("load")
-    gaussians = from_depth(torch.from_numpy(photo.floats()).to(device), depth.z, focal, centre)
+    image = torch.from_numpy(photo.floats()).to(device)
+    margin, placed = place_photo(args, image, torch.from_numpy(depth.z), *known_camera(focal, centre, height, width))
+    gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin)
     watch.lap("depth")
-    _say(args, photo, [depth.said, camera], depth.notes + notes)
+    _say(args, photo, [depth.said, camera, *placed], depth.notes + notes)
     return gaussians
 
 

@@ -30,7 +30,7 @@ _PHOTO_OPTIONS = (
     "detail",
     "detail_budget",
 )
-_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
+_DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics", "fit")
 
 
 def add_scene(
@@ -107,8 +107,10 @@ def load_scene(
 ) -> tuple[Gaussians, SceneFile | None]:
     """The Gaussians of the input, on the device, and what else its file holds; None of a photo.
 
-    panel: where it will be shown, which decides how finely a photo is taken.
+    panel: where it will be shown, which decides how finely a photo is taken, and what one with
+    depths is to fill.
     """
+    args.shown_on = panel
     if _is_scene_file(args):
         file = read_noted(args.input, args.skip_invalid)
         say_origin(args.input, file.gaussians)

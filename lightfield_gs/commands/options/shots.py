@@ -22,10 +22,10 @@ from lightfield_gs.commands.options.camera import axes_of, read_given
 from lightfield_gs.commands.options.drawn import settle_drawing
 from lightfield_gs.commands.options.framed import frame_scene, load_drawn
 from lightfield_gs.commands.options.look import apply_look, report_depth
+from lightfield_gs.commands.options.placing import photo_rig
 from lightfield_gs.commands.options.provenance import scene_hash
 from lightfield_gs.commands.options.scene import check_scene_options, load_scene
 from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
-from lightfield_gs.panels import framing
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import stated_up, upright
@@ -38,7 +38,7 @@ from lightfield_gs.video.turntable import MOST_FRAMES, turntable
 
 _PHOTO_DEGREES = 20.0
 # Options that decide what the scene of a picture is; of a folder of frames, they belong to its job
-_OF_PICTURES = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "rgbd", "map_orientation", "fov")
+_OF_PICTURES = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "rgbd", "map_orientation", "fov", "fit")
 _MORE_OF_PICTURES = ("intrinsics", "remove_background", "reframe", "focus", "depth_amount", "cone", "zoom", "pan")
 
 
@@ -145,7 +145,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     if file is not None:
         raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
     said = settle_drawing(args, None)
-    rig, how = frame_scene(args, panel, given, gaussians, None)
+    rig, how = frame_scene(first, panel, given, gaussians, None)
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
         for number, own in scenes(numbers) if numbers else ():
@@ -155,7 +155,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
                     gaussians = loaded(own)
                     framed = rig
                     if args.reframe:
-                        framed, _ = apply_look(args, framing.frame_photo(gaussians, panel), panel, gaussians)
+                        framed, _ = apply_look(args, photo_rig(own, panel, gaussians), panel, gaussians)
             yield number, gaussians, framed
 
     fps = args.fps or pictures.fps or DEFAULT_FPS

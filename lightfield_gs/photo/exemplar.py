@@ -1,0 +1,182 @@
+"""Holes of a picture filled with its own texture: a patch of the picture for each place, from coarse to fine.
+
+The completion of Wexler et al. ("Space-time completion of video", 2007), with the matches found as in Barnes et al.
+("PatchMatch", 2009), all places at once.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+_RADIUS = 3  # of a patch, pixels
+_STRIDE = 2  # of the places that have patches
+_COARSEST = 40  # pixels of the shorter side, about, at which it begins
+_DEPTH_WEIGHT = 4.0  # of a difference of log disparity beside one of colour: a patch comes from its own surface
+_ROUNDS = (2, 3, 4, 6)  # of matching and voting, from the finest level on; the last for all coarser ones
+_SEARCHED = 2  # levels from the finest on that only pass matches on, without a random search
+
+
+class _Level:
+    """A picture of the pyramid. image: [3, H, W]; hole, source: bool [H, W]; guide: [H, W]."""
+
+    def __init__(self, image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> None:
+        self.image, self.hole, self.source, self.guide = image, hole, source, guide
+
+    def halved(self) -> _Level:
+        """Half as large; a hole where any of four pixels is one, a source where all four are."""
+
+        def pool(values: Tensor) -> Tensor:
+            return functional.avg_pool2d(values[None], 2, 2, ceil_mode=True, count_include_pad=False)[0]
+
+        hole, source = (pool(mask[None].float())[0] for mask in (self.hole, self.source))
+        return _Level(pool(self.image), hole > 0, source == 1, pool(self.guide[None])[0])
+
+
+def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tensor:
+    """What patches of the source say of the image [H, W, 3], in its hole and a patch's radius around it, [H, W, 3].
+
+    hole, source: bool [H, W]; the colours in the hole are a smooth first guess. guide: [H, W], log disparity: a patch
+    comes rather from the same depth. The same input gives the same picture.
+    """
+    levels = [_Level(image.movedim(2, 0).contiguous(), hole, source & ~hole, guide)]
+    while min(levels[-1].hole.shape) >= 2 * _COARSEST:
+        levels.append(levels[-1].halved())
+    random = torch.Generator(device=image.device).manual_seed(0)
+    matches: tuple[Tensor, Tensor] | None = None
+    voted = levels[0].image
+    for number in reversed(range(len(levels))):
+        level = levels[number]
+        if not bool(level.hole.any()):
+            continue
+        search = _Matches(level, matches, random)
+        if search.centres.numel() == 0:
+            continue
+        rounds = _ROUNDS[min(number, len(_ROUNDS) - 1)]
+        for turn in range(rounds):
+            if turn or matches is None:
+                search.improve(number >= _SEARCHED)
+            elif number >= _SEARCHED:
+                search.improve(True)
+            search.vote()
+        matches, voted = search.grid(), search.voted
+    return voted.movedim(0, 2)
+
+
+class _Matches:
+    """For each place near the hole, the source patch that is most like it."""
+
+    def __init__(self, level: _Level, coarser: tuple[Tensor, Tensor] | None, random: torch.Generator) -> None:
+        self.level, self.random = level, random
+        self.height, self.width = level.hole.shape
+        device = level.hole.device
+        r = _RADIUS
+        self.offsets = (
+            torch.stack(torch.meshgrid(torch.arange(-r, r + 1), torch.arange(-r, r + 1), indexing="ij"), 2)
+            .reshape(-1, 2)
+            .to(device)
+        )
+        # Source patches lie wholly within the source
+        whole = functional.max_pool2d((~level.source)[None, None].float(), 2 * r + 1, 1, r)[0, 0] == 0
+        whole[:r], whole[self.height - r :], whole[:, :r], whole[:, self.width - r :] = False, False, False, False
+        self.whole = whole
+        self.places = whole.nonzero()
+        near = functional.max_pool2d(level.hole[None, None].float(), 2 * r + 1, 1, r)[0, 0] > 0
+        rows, columns = (torch.arange(0, size, _STRIDE, device=device) for size in level.hole.shape)
+        chosen = near[rows][:, columns]
+        self.shape = chosen.shape
+        self.number = torch.full(chosen.shape, -1, dtype=torch.int64, device=device)
+        cells = chosen.nonzero()
+        self.number[chosen] = torch.arange(len(cells), device=device)
+        self.cells, self.centres = cells, cells * _STRIDE
+        if len(self.places) == 0:
+            self.centres = self.centres[:0]
+            return
+        self.match = self._first(coarser)
+        self.cost = self._cost(self.match, torch.arange(len(cells), device=device))
+
+    def _first(self, coarser: tuple[Tensor, Tensor] | None) -> Tensor:
+        count = len(self.centres)
+        drawn = self.places[
+            torch.randint(len(self.places), (count,), generator=self.random, device=self.centres.device)
+        ]
+        if coarser is None:
+            return drawn
+        matches, is_set = coarser
+        at = torch.minimum(self.cells // 2, torch.tensor(is_set.shape, device=self.cells.device) - 1)
+        moved = matches[at[:, 0], at[:, 1]] * 2 + self.centres - at * 2 * _STRIDE
+        usable = is_set[at[:, 0], at[:, 1]] & self._is_place(moved)
+        return torch.where(usable[:, None], moved, drawn)
+
+    def _is_place(self, places: Tensor) -> Tensor:
+        inside = (places >= 0).all(1) & (places[:, 0] < self.height) & (places[:, 1] < self.width)
+        clamped = self._within(places)
+        return inside & self.whole[clamped[:, 0], clamped[:, 1]]
+
+    def _within(self, places: Tensor) -> Tensor:
+        return torch.stack([places[..., 0].clamp(0, self.height - 1), places[..., 1].clamp(0, self.width - 1)], -1)
+
+    def _flat(self, places: Tensor) -> Tensor:
+        inside = self._within(places[:, None] + self.offsets)
+        return inside[..., 0] * self.width + inside[..., 1]
+
+    def _cost(self, match: Tensor, which: Tensor) -> Tensor:
+        """Mean squared difference of colours, and of depths, of patches."""
+        image, guide = self.level.image.reshape(3, -1), self.level.guide.flatten()
+        here, there = self._flat(self.centres[which]), self._flat(match)
+        cost = ((image[:, here] - image[:, there]) ** 2).sum(0).mean(1)
+        apart = guide[here[:, self.offsets.shape[0] // 2]] - guide[there[:, self.offsets.shape[0] // 2]]
+        return cost + (_DEPTH_WEIGHT * apart).square().clamp_max(2.0) * 0.05
+
+    def improve(self, searches: bool) -> None:
+        """What the neighbours have, and with `searches` places drawn closer and closer to the match."""
+        every = torch.arange(len(self.centres), device=self.centres.device)
+        self.cost = self._cost(self.match, every)
+        for way in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+            step = torch.tensor(way, device=self.cells.device)
+            beside = self.cells + step
+            inside = (beside >= 0).all(1) & (beside[:, 0] < self.shape[0]) & (beside[:, 1] < self.shape[1])
+            beside = beside.clamp_min(0)
+            other = self.number[beside[:, 0].clamp_max(self.shape[0] - 1), beside[:, 1].clamp_max(self.shape[1] - 1)]
+            candidate = self.match[other.clamp_min(0)] - step * _STRIDE
+            self._try(candidate, inside & (other >= 0))
+        radius = max(self.height, self.width) / 2
+        while searches and radius >= 1:
+            drawn = torch.rand(self.match.shape, generator=self.random, device=self.match.device) * 2 - 1
+            self._try(self.match + (drawn * radius).round().long(), None)
+            radius /= 2
+
+    def _try(self, candidate: Tensor, allowed: Tensor | None) -> None:
+        usable = self._is_place(candidate) & (candidate != self.match).any(1)
+        which = (usable if allowed is None else usable & allowed).nonzero()[:, 0]
+        cost = self._cost(candidate[which], which)
+        better = cost < self.cost[which]
+        self.match[which[better]] = candidate[which[better]]
+        self.cost[which[better]] = cost[better]
+
+    def vote(self) -> None:
+        """Each pixel of the hole becomes the mean of what the patches over it say, the likest ones counting most."""
+        image = self.level.image.reshape(3, -1)
+        scale = self.cost.quantile(0.5) if len(self.cost) < 1 << 20 else self.cost.median()
+        weight = torch.exp(-self.cost / (2 * scale.clamp_min(1e-6)))[:, None].expand(-1, len(self.offsets))
+        near = torch.exp(-(self.offsets**2).sum(1) / 4.0)  # a patch knows best what is in its middle
+        weight = (weight * near + 1e-9).flatten()
+        goal = self.centres[:, None] + self.offsets
+        inside = (goal >= 0).all(2) & (goal[..., 0] < self.height) & (goal[..., 1] < self.width)
+        weight = weight * inside.flatten()
+        goal = self._within(goal)
+        goal, source = (goal[..., 0] * self.width + goal[..., 1]).flatten(), self._flat(self.match).flatten()
+        total = image.new_zeros(image.shape[1]).index_add_(0, goal, weight)
+        hole, voted = self.level.hole.flatten() & (total > 0), image.clone()
+        for channel, said in zip(image, voted):
+            mixed = torch.zeros_like(channel).index_add_(0, goal, weight * channel[source])
+            torch.where(total > 0, mixed / total.clamp_min(1e-30), channel, out=said)
+            channel[hole] = said[hole]
+        self.voted = voted.view_as(self.level.image)
+
+    def grid(self) -> tuple[Tensor, Tensor]:
+        """The matches of the grid of places, [h, w, 2], and where there are any."""
+        matches = torch.zeros((*self.shape, 2), dtype=torch.int64, device=self.match.device)
+        matches[self.cells[:, 0], self.cells[:, 1]] = self.match
+        return matches, self.number >= 0
