@@ -17,6 +17,7 @@ from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_N
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter, settle_drawing
+from lightfield_gs.commands.options.estimated import depth_file, depth_model, is_estimated
 from lightfield_gs.commands.options.look import add_depth_report, add_look, apply_look, refuse_look, report_depth
 from lightfield_gs.commands.options.panel import add_panel, load_panel, why_no_eye
 from lightfield_gs.commands.options.photo import add_depth
@@ -359,11 +360,13 @@ def _metadata(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig:
     for name, path in (
         ("cameras", args.cameras),
         ("view_map", args.view_map),
-        ("depth", args.depth),
+        ("depth", depth_file(args)),
         ("camera", args.camera and args.camera[0]),
     ):
         if path is not None:
             encoding[name] = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    if is_estimated(args):
+        encoding["depth"] = {"model": depth_model(args)}
     versions = package_versions()
     maker = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
     return {

@@ -79,12 +79,15 @@ def frame(
     return rig
 
 
-def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
+def frame_photo(gaussians: Gaussians, panel: Panel, *, on_subject: bool = False) -> Rig:
     """The rig of a photo, whose Gaussians are in the axes of its camera: the whole of what it shows, however wide.
 
-    Raises InputError as `frame`.
+    on_subject: the zero plane is in the subject, what is nearest of what is seen in the middle of the picture, and not
+    at the harmonic mean of near and far. Raises InputError as `frame`.
     """
-    return fit(extent(_checked(gaussians, panel)).tolist(), panel, np.eye(4))
+    rig = fit(extent(_checked(gaussians, panel)).tolist(), panel, np.eye(4))
+    found = visible.subject_depth(gaussians.detach(), panel, rig) if on_subject else None
+    return rig if found is None else replace(rig, zero_depth=found)
 
 
 def look_from(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.commands.options.estimated import is_estimated
 from lightfield_gs.commands.options.rig import load_rig
 from lightfield_gs.commands.options.values import camera_choice
 from lightfield_gs.panels.panel import Panel
@@ -134,7 +135,7 @@ def choose_rig(
     if given.pose is not None:
         return _looking(given.pose, given.focal_px, given.principal_point_px, panel, gaussians), given.said
     if file is None:
-        return framing.frame_photo(gaussians, panel), []
+        return framing.frame_photo(gaussians, panel, on_subject=is_estimated(args)), []
     own = None if args.up else _own_camera(args.input, file, panel, gaussians)
     return own or _automatic(args, panel, gaussians, file)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.estimated import depth_file, is_estimated
 from lightfield_gs.commands.options.photo import has_depth, photo_object, photo_scene
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
-_PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "rgbd", "map_orientation")
+_PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "depth_model", "rgbd", "map_orientation")
 _DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
 
 
@@ -43,7 +44,11 @@ def check_scene_options(args: argparse.Namespace) -> None:
         _refuse(args, ("checkpoint",), "is for the network, which --depth does without")
     if args.depth is not None:
         _refuse(args, ("rgbd",), "takes the place of --depth")
-    if args.mask is None and args.depth is None:
+    if is_estimated(args):
+        _refuse(args, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
+    else:
+        _refuse(args, ("depth_model",), "is for --depth auto")
+    if args.mask is None and depth_file(args) is None:
         _refuse(args, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
     if args.intrinsics is not None and min(args.intrinsics[:2]) <= 0:
         raise InputError(
