@@ -132,7 +132,7 @@ def _checked_limits(limits: tuple[float, float]) -> tuple[float, float]:
 def _folder(model: str, say: Callable[[str], None] | None) -> str:
     """The folder with the model's files, which are fetched where they are not here. Raises InputError."""
     if Path(model).is_dir():
-        return model
+        return str(Path(model).resolve())
     try:
         from huggingface_hub import snapshot_download
         from huggingface_hub.errors import HFValidationError
