@@ -12,10 +12,25 @@ CAPTURE := lightfield_gs/data/banana
 
 setup: $(VENV)/.installed
 
-# The 8K light-field image of a photo, and what an eye sees of it.
+# The best that there is, in a minute or two: the 8K light-field images of a photo of one object, of a scene that was
+# fitted to photographs, and of one of these photographs with its depth; and what eyes 15 degrees to the left, in the
+# middle and 15 degrees to the right see of them from 2 m.
+DEMO_EYES := --eyes -536,536,3
 demo: setup
 	mkdir -p demo
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
+	$(BIN)/lightfield-gs simulate demo/cat.png $(DEMO_EYES) -o demo/cat-eyes.png
+	$(BIN)/lightfield-gs encode $(CAPTURE)/fitted.spz --rig $(CAPTURE)/fitted.rig.yaml --background 0,0,0 \
+	  --focus 4.1 --depth-amount 0.6 --zoom 1.5 --pan 0.02,-0.03 -o demo/scene.png --preview demo/scene-preview \
+	  --depth-report
+	$(BIN)/lightfield-gs simulate demo/scene.png $(DEMO_EYES) -o demo/scene-eyes.png
+	$(BIN)/lightfield-gs encode $(CAPTURE)/images/DSC_0426.jpg --depth $(CAPTURE)/DSC_0426.depth.npz \
+	  --focus 0.45,0.55 --depth-amount 0.5 --zoom 1.75 --pan 0.02,-0.03 -o demo/depth.png --preview demo/depth-preview \
+	  --depth-report
+	$(BIN)/lightfield-gs simulate demo/depth.png $(DEMO_EYES) -o demo/depth-eyes.png
+	@echo "demo/*-eyes.png: what eyes at -15, 0 and +15 degrees see of a photo of one object (cat), of a scene that was"
+	@echo "fitted to photographs (scene), and of one photograph with its depth (depth); demo/preview, demo/scene-preview and"
+	@echo "demo/depth-preview: look-around.html follows the mouse"
 
 # A scene fitted to 14 photographs, for what the panel shows of it, and its image: two minutes on two cores. The centre
 # camera is one with others to both sides, and a photograph between them is held out.

@@ -23,6 +23,7 @@ COMPENSATION_FIELDS: int
 SUBPIXEL_BLOCK: int
 STEP_COLUMNS: int
 NOISE_PURPOSE: int
+DROPOUT_PURPOSE: int
 MOST_LOG_SCALE: float
 MOST_LOGIT: float
 
@@ -112,6 +113,26 @@ class ViewMap:
 class SubpixelLists:
     def __init__(self, tile: SubpixelTile, starts: Address, codes: Address) -> None: ...
 
+class WeaveWindow:
+    def __init__(
+        self,
+        *,
+        left: float,
+        top: float,
+        width: float,
+        height: float,
+        low_x: float,
+        low_y: float,
+        high_x: float,
+        high_y: float,
+        shift: float,
+    ) -> None: ...
+
+class WeaveFan:
+    def __init__(
+        self, map: ViewMap, places: Address, continuous: bool, inverted: bool, views: int, box: float
+    ) -> None: ...
+
 def band_count(height_px: int) -> int: ...
 def pair_gradient_size(colour_order: int, compensated: bool = ...) -> int: ...
 def dense_pair_gradient_size(absolute: bool) -> int: ...
@@ -125,6 +146,42 @@ def plan_sorted_count(
 ) -> None: ...
 def plan_sorted_fill(
     map: ViewMap, tile: SubpixelTile, places: Address, views: int, starts: Address, codes: Address, threads: int
+) -> None: ...
+def weave_uint8(
+    pixels: Address,
+    first: int,
+    own: int,
+    held: int,
+    height_px: int,
+    width_px: int,
+    window: WeaveWindow,
+    fan: WeaveFan,
+    out: Address,
+    threads: int,
+) -> None: ...
+def weave_uint16(
+    pixels: Address,
+    first: int,
+    own: int,
+    held: int,
+    height_px: int,
+    width_px: int,
+    window: WeaveWindow,
+    fan: WeaveFan,
+    out: Address,
+    threads: int,
+) -> None: ...
+def weave_float32(
+    pixels: Address,
+    first: int,
+    own: int,
+    held: int,
+    height_px: int,
+    width_px: int,
+    window: WeaveWindow,
+    fan: WeaveFan,
+    out: Address,
+    threads: int,
 ) -> None: ...
 
 # --- the stages of the CPU, in float and in double: float32 and float64 are alike
@@ -214,6 +271,11 @@ class _Stages:
             beta2: float,
             epsilon: float,
             seed: int,
+        ) -> None: ...
+
+    class Dropout:
+        def __init__(
+            self, *, shares: Address, rows: int, step: Address, seed: int, count: int, factors: Address
         ) -> None: ...
 
     @staticmethod
@@ -330,6 +392,8 @@ class _Stages:
     def update(job: _Stages.Update, threads: int) -> None: ...
     @staticmethod
     def normals(seed: int, step: int, purpose: int, count: int, out: Address, threads: int) -> None: ...
+    @staticmethod
+    def dropout(job: _Stages.Dropout, threads: int) -> None: ...
 
 float32: type[_Stages]
 float64: type[_Stages]
@@ -562,5 +626,7 @@ class _Cuda:
     def uniforms(seed: int, step: int, purpose: int, count: int, out: Address, stream: Address) -> None: ...
     @staticmethod
     def normals(seed: int, step: int, purpose: int, count: int, out: Address, stream: Address) -> None: ...
+    @staticmethod
+    def dropout(job: _Stages.Dropout, stream: Address) -> None: ...
 
 cuda: type[_Cuda]

@@ -1,23 +1,12 @@
 """The command line from outside: what tests of it run on, and what they expect of every command."""
 
 import torch
+from panel_cases import template_panel
 
 from lightfield_gs import cli
-from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.gaussians import Gaussians
 
-PANEL = Panel(
-    width_px=96,
-    height_px=60,
-    views=12,
-    line_number=9.848282191911,
-    slant_tan=1 / 6,
-    phase=-3.5,
-    cone_deg=30,
-    viewing_distance_mm=600,
-    pixel_pitch_mm=0.3,
-    name="small",
-)
+PANEL = template_panel(96, 60, 12, phase=-3.5, cone_deg=30, viewing_distance_mm=600, pixel_pitch_mm=0.3, name="small")
 
 
 def scene(count=60, seed=0) -> Gaussians:

@@ -2,13 +2,11 @@
 
 import numpy as np
 import torch
+from panel_cases import template_panel
 
-from lightfield_gs import Panel
 from lightfield_gs.models import ModelConfig, SplatterNet
 
-PANEL = Panel(
-    width_px=397, height_px=231, views=24, line_number=9.848282191911, slant_tan=1 / 6, phase=-2161.2, cone_deg=40.0
-)
+PANEL = template_panel(397, 231, 24, phase=-2161.2)
 TINY = {
     "image_size_px": 32,
     "features": 16,

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import torch
+from panel_cases import TEMPLATE_LENS
 
 from lightfield_gs import reference
 from lightfield_gs.panels.panel import Panel
@@ -65,15 +66,7 @@ def dense_views(batch: int, views: int, width: int, height: int) -> tuple[torch.
     )
 
 
-BASE_PANEL = dict(
-    width_px=110,
-    height_px=46,
-    views=96,
-    line_number=9.848282191911,
-    slant_tan=1 / 6,
-    phase=-2161.204484657574,
-    cone_deg=40.0,
-)
+BASE_PANEL = dict(TEMPLATE_LENS, width_px=110, height_px=46, views=96, phase=-2161.204484657574, cone_deg=40.0)
 # As a 16-inch Looking Glass of the third generation has them
 CELLS = (((-0.31, 0.25), (0.28, 0.25), (0.0, -0.25)), ((-0.31, -0.25), (0.28, -0.25), (0.0, 0.25)))
 MIRRORED = (((-1 / 3, 0.0), (0.0, 0.0), (1 / 3, 0.0)), ((1 / 3, 0.1), (0.0, 0.0), (-1 / 3, 0.0)))

@@ -2,19 +2,11 @@
 
 import numpy as np
 import torch
+from panel_cases import plain_panel
 
-from lightfield_gs import Gaussians, Panel
+from lightfield_gs import Gaussians
 
-PANEL = Panel(
-    width_px=160,
-    height_px=80,
-    views=8,
-    line_number=9.8,
-    slant_tan=0.1,
-    cone_deg=20,
-    viewing_distance_mm=600,
-    pixel_pitch_mm=1.8,
-)
+PANEL = plain_panel(160, 80, cone_deg=20, viewing_distance_mm=600, pixel_pitch_mm=1.8)
 UPRIGHT = np.eye(4)
 
 

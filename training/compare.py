@@ -81,6 +81,7 @@ def _run_of(common: TrainingConfig, name: str, arm: Arm, data_root: Path) -> Tra
         data=[str(data_root / folder) for folder in run.data],
         target_data=[str(data_root / folder) for folder in run.target_data],
         validation=str(data_root / run.validation) if run.validation else "",
+        photographs=str(data_root / run.photographs) if run.photographs else "",
     )
 
 

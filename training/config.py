@@ -100,6 +100,8 @@ class TrainingConfig:
         targets: target views per object, beside the source view itself.
         procedural: share of the examples of each step, 0..1, that show random objects made on the device in place of
             data; they are drawn about 32 at once, for as many steps as that makes.
+        photographs: folder of photographs whose pieces most parts of procedural objects are clothed in; these then have
+            lobes, turned profiles and relief too. `python -m training.data.gather_photographs` makes one. "": none.
         bfloat16: run the U-Net in bfloat16.
         device: cpu, cuda, or auto (cuda where there is one).
         compile: let torch.compile make kernels for the network, its loss and its batches, which takes a minute or two
@@ -133,6 +135,7 @@ class TrainingConfig:
     neighbour_deg: float = 180.0
     targets: int = 3
     procedural: float = 0.0
+    photographs: str = ""
     bfloat16: bool = True
     device: Literal["auto", "cpu", "cuda"] = "auto"
     compile: bool = False
@@ -204,7 +207,8 @@ class TrainingConfig:
             "compile",
         ):
             del fields[name]
-        return fields | {name: [Path(folder).name for folder in fields[name]] for name in _FOLDERS}
+        names = {name: [Path(folder).name for folder in fields[name]] for name in _FOLDERS}
+        return fields | names | {"photographs": Path(self.photographs).name}
 
     def differences(self, stored: object) -> list[str]:
         """Names of the fields in which this run differs from the one whose identity() was stored as JSON.

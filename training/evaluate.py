@@ -1,8 +1,12 @@
 """Score a checkpoint: `python -m training.evaluate --data DIR [--checkpoint F] [--save-renders DIR] --json F`.
 
-Writes PSNR and SSIM of the network and of two floors, copying the input and showing it as a flat card, as JSON, and
-prints them as a table: over all novel views, per angle, and of the source view. The protocol is described in
-training/evaluation.py. Objects that cannot be scored are left out, each with a note.
+Writes PSNR, SSIM and sharpness (PSNR of gradients) of the network and of two floors, copying the input and showing it
+as a flat card, as JSON, and prints them as a table: over all novel views, per angle, and of the source view. The
+protocol is described in training/evaluation.py. Several folders, such as plain and textured objects, are scored apart.
+Objects that cannot be scored are left out, each with a note.
+
+Scores are of pictures of 128 px unless --size says otherwise. At 512, of objects stored so large, they tell how much of
+a photo's detail comes through: the network still sees the object as it sees a photo's, cropped to its own size.
 """
 
 from __future__ import annotations
@@ -11,23 +15,36 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from lightfield_gs.base.checks import whole_number
 from lightfield_gs.base.complaint import note
+from lightfield_gs.base.errors import InputError
 from training.command import with_line_errors
 from training.data.background import CHOICES
+
+if TYPE_CHECKING:
+    from lightfield_gs.models import SplatterNet
+
+# Prefix, name and decimals of the scores of a table's row.
+_COLUMNS = [
+    (shown, name, digits)
+    for shown in ("", "copy_", "card_")
+    for name, digits in (("psnr_db", 2), ("ssim", 3), ("gradient_psnr_db", 2))
+]
 
 
 def _table(report: dict[str, Any]) -> str:
     """The report as lines of text."""
     from training.evaluation import labelled
 
-    lines = ["angle   views   PSNR dB   SSIM   copy PSNR dB   copy SSIM   card PSNR dB   card SSIM"]
+    titles = [f"{shown}{title}" for shown in ("", "copy ", "card ") for title in ("PSNR dB", "SSIM", "sharp dB")]
+    lines = ["   ".join(["angle   views", *titles])]
     for label, row in labelled(report):
-        floors = "".join(
-            f"   {row[f'{floor}_psnr_db']:12.2f}   {row[f'{floor}_ssim']:9.3f}" for floor in ("copy", "card")
-        )
-        lines.append(f"{label:<7} {row['views']:>5}   {row['psnr_db']:7.2f}   {row['ssim']:.3f}{floors}")
+        scores = [
+            f"{row[f'{shown}{name}']:{len(title)}.{digits}f}" for (shown, name, digits), title in zip(_COLUMNS, titles)
+        ]
+        lines.append("   ".join([f"{label:<7} {row['views']:>5}", *scores]))
     return "\n".join(lines)
 
 
@@ -38,13 +55,13 @@ def _source(text: str) -> int | str:
     return text if text == "middle" else int(text)
 
 
-@with_line_errors("training.evaluate")
-def main(arguments: list[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m training.evaluate", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--data", type=Path, required=True, help="folder of objects: SRN layout or transforms.json")
+    parser.add_argument(
+        "--data", type=Path, required=True, nargs="+", help="folders of objects: SRN layout or transforms.json"
+    )
     parser.add_argument(
         "--split",
         choices=("train", "val", "test"),
@@ -52,6 +69,19 @@ def main(arguments: list[str] | None = None) -> int:
         help="views of objects that come in splits, transforms_<split>.json (default: val)",
     )
     parser.add_argument("--checkpoint", type=Path, help="safetensors file; default: the one in the package")
+    parser.add_argument(
+        "--size",
+        type=int,
+        default=128,
+        metavar="PX",
+        help="longer side of the pictures that are compared, 16..4096 (default: 128)",
+    )
+    parser.add_argument(
+        "--detail",
+        type=int,
+        choices=(1, 2, 4),
+        help="lay the source's own pixels over the prediction, so many times finer than the network's (default: not)",
+    )
     parser.add_argument(
         "--save-renders",
         type=Path,
@@ -83,43 +113,70 @@ def main(arguments: list[str] | None = None) -> int:
         default="auto",
         help="of images without alpha and masks (default: auto, found for each object)",
     )
-    parser.add_argument("--limit", type=int, help="score only so many objects, spread evenly over the folder")
-    options = parser.parse_args(arguments)
-    from lightfield_gs.base.device import choose_device
-    from lightfield_gs.io.atomic import atomic_path, check_output_path
-    from lightfield_gs.models import SplatterNet
+    parser.add_argument("--limit", type=int, help="score only so many objects of a folder, spread evenly over it")
+    return parser.parse_args(arguments)
+
+
+def _scored(net: SplatterNet, data: Path, options: argparse.Namespace, device: str) -> dict[str, Any]:
+    """The report on one folder, with what it was made by; notes what was left out or is in doubt."""
     from training.evaluation import score_folder
 
-    check_output_path(options.json)
-    device = choose_device(options.device)
-    net = SplatterNet.from_pretrained(options.checkpoint).to(device)
+    renders = options.save_renders
+    if renders is not None and len(options.data) > 1:
+        renders = renders / data.name
     report = score_folder(
         net,
-        options.data,
+        data,
         limit=options.limit,
-        save_renders=options.save_renders,
+        save_renders=renders,
         split=options.split,
         device=device,
         supersampling=options.supersampling,
         source=options.source,
         background=options.background,
+        size_px=options.size,
+        detail=options.detail,
     )
     for reason in report["skipped"].values():
         note(f"skipped {reason}")
     if report["doubts"]:
         name, doubt = next(iter(report["doubts"].items()))
         note(f"{len(report['doubts'])} objects may be scored in vain, such as {name}: {doubt}")
-    report |= {
+    return report | {
         "source_view": options.source,
         "background": options.background,
-        "data": str(options.data),
+        "data": str(data),
         "checkpoint": str(options.checkpoint or "pretrained"),
+        "size_px": options.size,
+        "detail": options.detail,
         "supersampling": options.supersampling,
     }
+
+
+@with_line_errors("training.evaluate")
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    options = _options(arguments)
+    from lightfield_gs.base.device import choose_device
+    from lightfield_gs.io.atomic import atomic_path, check_output_path
+    from lightfield_gs.models import SplatterNet
+
+    whole_number("--size", options.size, 16, 4096)
+    names = [data.resolve().name for data in options.data]
+    if len(set(names)) < len(names):
+        raise InputError(f"--data: expected folders of different names, got {', '.join(names)}")
+    check_output_path(options.json)
+    device = choose_device(options.device)
+    net = SplatterNet.from_pretrained(options.checkpoint).to(device)
+    reports = {name: _scored(net, data, options, device) for name, data in zip(names, options.data)}
     with atomic_path(options.json) as temporary:
-        temporary.write_text(json.dumps(report, indent=1) + "\n")
-    print(_table(report))
-    print(f"{report['objects']} objects scored from view {options.source}, {len(report['skipped'])} skipped")
+        written = reports if len(reports) > 1 else next(iter(reports.values()))
+        temporary.write_text(json.dumps(written, indent=1) + "\n")
+    for name, report in reports.items():
+        if len(reports) > 1:
+            print(f"{name}:")
+        print(_table(report))
+        print(f"{report['objects']} objects scored from view {options.source}, {len(report['skipped'])} skipped")
     return 0
 
 

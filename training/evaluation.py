@@ -2,9 +2,10 @@
 
 Protocol: the source is view 0 unless said otherwise, cropped to the object from the stored image; all views are
 rendered into their full frames at size_px on white, clamped to 0..1, and compared with the stored images averaged down
-to that size. PSNR and SSIM are means over images; those of the source view itself stand apart. Beside them stand two
-floors, what needs no network: "copy", the source image itself offered as every other view, and "card", the source image
-as a flat card at OBJECT_DISTANCE, the depth of the object's middle.
+to that size. PSNR, SSIM and the PSNR of gradients, which tells soft pictures from sharp ones, are means over images;
+those of the source view itself stand apart. Beside them stand two floors, what needs no network: "copy", the source
+image itself offered as every other view, and "card", the source image as a flat card at OBJECT_DISTANCE, the depth of
+the object's middle.
 
 The rasterizer widens all Gaussians by 0.3 px^2 of variance (Kerbl et al. 2023), which objects of 50 px feel and those
 on a panel do not. Supersampling draws n times as finely and averages, as the stored images are averaged, and so
@@ -15,144 +16,26 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 from tqdm import tqdm
 
 from lightfield_gs.base.checks import whole_number
-from lightfield_gs.base.errors import InputError, named
-from lightfield_gs.io.atomic import make_folder
-from lightfield_gs.io.captures.views import ObjectViews
-from lightfield_gs.io.images import write_image
+from lightfield_gs.base.errors import InputError
 from lightfield_gs.models import SplatterNet
-from lightfield_gs.models.crop import crop_resize, object_square
-from lightfield_gs.reference.metrics import psnr_db, ssim
+from lightfield_gs.reference.metrics import gradient_psnr_db, psnr_db, ssim
+from training.comparison import SIZE_PX, Comparison, Source, compare_object, save_comparison
 from training.data.background import Choice
-from training.data.distance import OBJECT_DISTANCE, distance_doubt
-from training.data.images import find_cutout, read_view
-from training.data.objects import find_objects, folder_of, read_object
-from training.data.plan import relative_cameras
+from training.data.objects import find_objects, folder_of
 from training.ranges import MOST
-from training.rendering import render_card, render_views
 
-SIZE_PX = 128
 BIN_DEG = 5
-Source = int | Literal["middle"]
-_METRICS = ("psnr_db", "ssim", "copy_psnr_db", "copy_ssim", "card_psnr_db", "card_ssim")
-
-
-@dataclass
-class Comparison:
-    """One object with V views, the source being one of them.
-
-    source: its number. doubt: set where the cameras stand elsewhere than the network expects. azimuths_deg: [V], from
-    the source. truth, rendered, card: [V,3,H,W] on white, 0..1.
-    """
-
-    name: str
-    source: int
-    doubt: str | None
-    azimuths_deg: np.ndarray
-    truth: Tensor
-    rendered: Tensor
-    card: Tensor
-
-
-def azimuths_from_source(camera_to_world: np.ndarray, source: int = 0) -> np.ndarray:
-    """Azimuth [V] of each view about the vertical axis, relative to the source, in degrees within -180..180.
-
-    The vertical axis is the one at right angles to the x axes of all cameras, since upright cameras keep theirs level.
-    Where these are parallel, cameras stand above each other, and the source's own vertical will do.
-    Raises InputError when there is none (cameras that roll): such views have no azimuth.
-    """
-    source_up = -camera_to_world[source, :3, 1]
-    _, spread, axes = np.linalg.svd(camera_to_world[:, :3, 0])
-    spread = np.append(spread, (0.0, 0.0))  # two cameras span a plane at most
-    if spread[2] > 0.02 * spread[0]:
-        raise InputError("the cameras roll: expected upright cameras (level x axes) to measure azimuths")
-    up = axes[2] * np.sign(axes[2] @ source_up) if spread[1] > 1e-3 * spread[0] else source_up
-    level = camera_to_world[:, :3, 2] - np.outer(camera_to_world[:, :3, 2] @ up, up)
-    return np.degrees(np.arctan2(level @ np.cross(level[source], up), level @ level[source]))
-
-
-def source_view(path: Path, camera_to_world: np.ndarray, source: Source) -> int:
-    """The number of the source view among those of an object [V,4,4]: itself, or, in the "middle", the one whose
-    direction is nearest to the mean of all.
-
-    Raises InputError where there is no such view, beginning with the object's path.
-    """
-    if source == "middle":
-        directions = camera_to_world[:, :3, 2]
-        return int((directions @ directions.mean(0)).round(9).argmax())
-    if not 0 <= source < len(camera_to_world):
-        raise InputError(f"{path}: expected a source view of 0..{len(camera_to_world) - 1}, got {source}")
-    return source
-
-
-def _frames(views: ObjectViews, background: Choice) -> Tensor:
-    """All views of an object as premultiplied RGBA, uint8 [V,4,H,W]."""
-    cutout = find_cutout(views, background)
-    frames = np.stack([read_view(views, index, cutout) for index in range(len(views.image_paths))])
-    return torch.from_numpy(frames).permute(0, 3, 1, 2)
-
-
-def _on_white(frames: Tensor) -> Tensor:
-    """Premultiplied RGBA [V,4,H,W] on white: [V,3,H,W]."""
-    return frames[:, :3] + 1 - frames[:, 3:]
-
-
-@torch.no_grad()
-def compare_object(
-    net: SplatterNet,
-    path: Path,
-    size_px: int = SIZE_PX,
-    source: Source = 0,
-    device: torch.device | str = "cpu",
-    decoded: dict[Path, Tensor] | None = None,
-    supersampling: int = 1,
-    background: Choice = "auto",
-) -> Comparison:
-    """Predict an object from one view and render it from all.
-
-    path: as find_objects names it. size_px: length of the longer side of the frames. source: see source_view. device:
-    where the network is; the tensors returned are there. decoded, supersampling, background: see score_folder. Raises
-    InputError for an object that cannot be read, has one view only, no such source, or cameras that roll.
-    """
-    views, decoded = read_object(path), {} if decoded is None else decoded
-    if len(views.image_paths) < 2:
-        raise InputError(f"{path}: expected at least two views, one to predict the others from, got one")
-    source = source_view(path, views.camera_to_world, source)
-    with named(path):
-        azimuths = azimuths_from_source(views.camera_to_world, source)
-    if path not in decoded:
-        decoded[path] = _frames(views, background).to(device)
-    frames = decoded[path] / 255
-    scale = size_px / max(views.width_px, views.height_px)
-    width, height = round(views.width_px * scale), round(views.height_px * scale)
-    square = object_square(frames[source, 3])
-    fx, fy, cx, cy = views.intrinsics[source].tolist()
-    net_size = net.config.image_size_px
-    source_intrinsics = torch.tensor([square.intrinsics((fx, fy), (cx, cy), net_size)], device=device)
-    gaussians = net(crop_resize(frames[source], square, net_size)[None], source_intrinsics)
-    cameras = relative_cameras(views.camera_to_world, views.camera_to_world[source])
-    cameras = torch.from_numpy(cameras).float().to(device)
-    intrinsics = torch.from_numpy(views.intrinsics * scale).float().to(device)
-    white = torch.ones(1, len(frames), 3, device=device)
-    images, _ = render_views(
-        gaussians, cameras[None], supersampling * intrinsics[None], supersampling * width, supersampling * height, white
-    )
-    images = F.interpolate(images[0].clamp(0, 1), size=(height, width), mode="area")
-    truth = F.interpolate(frames, size=(height, width), mode="area")
-    card = render_card(truth[source], intrinsics[source], OBJECT_DISTANCE, cameras, intrinsics)
-    return Comparison(
-        views.name, source, distance_doubt(views.camera_to_world), azimuths, _on_white(truth), images, _on_white(card)
-    )
+_SCORES = {"psnr_db": psnr_db, "ssim": ssim, "gradient_psnr_db": gradient_psnr_db}
+_METRICS = tuple(f"{shown}{name}" for shown in ("", "copy_", "card_") for name in _SCORES)
 
 
 def _scores(comparison: Comparison) -> Iterator[tuple[int | None, dict[str, float]]]:
@@ -162,7 +45,7 @@ def _scores(comparison: Comparison) -> Iterator[tuple[int | None, dict[str, floa
     columns = [
         score(images, truth).tolist()
         for images in (comparison.rendered, copies, comparison.card)
-        for score in (psnr_db, ssim)
+        for score in _SCORES.values()
     ]
     for index, (azimuth, *values) in enumerate(zip(comparison.azimuths_deg, *columns)):
         angle = None if index == comparison.source else round(abs(azimuth) / BIN_DEG) * BIN_DEG
@@ -186,18 +69,22 @@ def score_folder(
     supersampling: int = 1,
     source: Source = 0,
     background: Choice = "auto",
+    size_px: int = SIZE_PX,
+    detail: int | None = None,
 ) -> dict[str, Any]:
     """Score a network on the objects at or below a folder, of this split where they come in splits.
 
-    Returns objects, and psnr_db, ssim, copy_psnr_db, copy_ssim, card_psnr_db, card_ssim and views (their number) over
-    all novel views; bins: the same for each angle_deg (azimuth to either side, rounded to 5 degrees) of novel views;
-    source: the same for the source views; object_psnr_db: of each object by its path, over its novel views. skipped:
-    why, for the path of each object that could not be scored; these count in nothing else. doubts: for the paths of
-    scored objects whose cameras stand elsewhere than the network expects.
+    Returns objects, and psnr_db, ssim, gradient_psnr_db, the same of the floors (copy_psnr_db, card_psnr_db ...) and
+    views (their number) over all novel views; bins: the same for each angle_deg (azimuth to either side, rounded to 5
+    degrees) of novel views; source: the same for the source views; object_psnr_db: of each object by its path, over its
+    novel views. skipped: why, for the path of each object that could not be scored; these count in nothing else.
+    doubts: for the paths of scored objects whose cameras stand elsewhere than the network expects.
     limit: score so many of them only, spread evenly over the folder; None: all.
     save_renders: folder for one picture per object, in folders as the objects are. device: where the network is.
     decoded: keeps the images from call to call, for those who score the same objects again. supersampling: samples of a
-    rendered pixel along each axis. source: see source_view. background: see find_cutout.
+    rendered pixel along each axis. source: see source_view. background: see find_cutout. size_px: length of the longer
+    side of the frames that are compared. detail: how many times finer than the network's pictures the source is laid
+    over what it predicts (1, 2 or 4), None for not at all.
     Raises InputError where no object can be scored, and for a limit below 1.
     """
     bins: dict[int | None, list[dict[str, float]]] = defaultdict(list)
@@ -218,6 +105,8 @@ def score_folder(
                 decoded=decoded,
                 supersampling=supersampling,
                 background=background,
+                size_px=size_px,
+                detail=detail,
             )
         except InputError as error:
             skipped[str(path.relative_to(data))] = str(error)
@@ -254,14 +143,3 @@ def labelled(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     """The rows of a table of what score_folder returned: the source views, each angle, all novel views."""
     angles = [(f"{row['angle_deg']} deg", row) for row in report["bins"]]
     return [("source", report["source"]), *angles, ("all", report)]
-
-
-def save_comparison(comparison: Comparison, path: Path, columns: int = 9) -> None:
-    """Write a picture: truth above render, views by azimuth; the source image first. At most `columns` views."""
-    order = np.argsort(comparison.azimuths_deg, kind="stable")
-    order = order[order != comparison.source]
-    picked = order[np.linspace(0, len(order) - 1, min(columns, len(order))).round().astype(int)]
-    source = comparison.truth[comparison.source]
-    rows = [torch.cat([source, *images[picked]], 2) for images in (comparison.truth, comparison.rendered)]
-    make_folder(path.parent)
-    write_image(path, (torch.cat(rows, dim=1).permute(1, 2, 0) * 255).round().to(torch.uint8).cpu().numpy())

@@ -26,6 +26,7 @@ from training.data.partners import find_partners
 from training.data.plan import BatchPlan, BatchPlanner
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
+from training.data.textures import read_photographs
 from training.distributed import Team, join_team
 from training.evaluation import score_folder
 from training.log import RunLog
@@ -56,7 +57,12 @@ def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> Batc
         [poses[partner] for partner in partners],
     )
     return BatchPlanner(
-        ResidentViews(sets + target_sets, team.device), sampler, config.augmentation, partners, config.procedural
+        ResidentViews(sets + target_sets, team.device),
+        sampler,
+        config.augmentation,
+        partners,
+        config.procedural,
+        read_photographs(Path(config.photographs)) if config.photographs else None,
     )
 
 

@@ -24,6 +24,9 @@ class LossWeights:
         log_colour: of the logarithm of each image's squared colour error, which is what PSNR averages: images count
             alike however large their errors. Its slope at an error of 0.002 (27 dB) is that of the squared error itself
             when its weight is 0.002 times as large.
+        gradient: of the squared error of the colours' differences between neighbouring pixels, the one that
+            gradient_psnr_db is made of: a soft picture of a sharp thing costs more than its squared error says. Worth
+            most with targets as large as the source pictures (target_px), which have the detail.
         ssim: of 1 - SSIM.
         alpha: of the squared error of the object's outline.
         translucency: of what is half transparent. Where the network cannot know whether a pixel is object, squared
@@ -34,6 +37,7 @@ class LossWeights:
 
     colour: float = 1.0
     log_colour: float = 0.0
+    gradient: float = 0.0
     ssim: float = 0.05
     alpha: float = 0.1
     translucency: float = 0.0
@@ -71,6 +75,12 @@ def roughness(means: Tensor, source: Tensor) -> Tensor:
     return total
 
 
+def gradient_error(images: Tensor, wanted: Tensor) -> Tensor:
+    """The mean squared error of the differences to the right and to the lower neighbour, of images [...,H,W]."""
+    errors = images - wanted
+    return (errors.diff(dim=-1).square().mean() + errors.diff(dim=-2).square().mean()) / 2
+
+
 def translucency(alpha: Tensor) -> Tensor:
     """How far pixels are from being object or background: the mean of alpha (1 - alpha), 0 to 1/4.
 
@@ -98,6 +108,8 @@ def total_loss(
     terms = {"colour": errors.mean(), "alpha": (alpha - targets[:, :, 3]).square().mean()}
     if weights.log_colour:
         terms["log_colour"] = (errors + _LEAST_ERROR).log().mean()
+    if weights.gradient:
+        terms["gradient"] = gradient_error(images, wanted)
     if weights.ssim:
         terms["ssim"] = 1 - ssim(images, wanted).mean()
     if weights.translucency:

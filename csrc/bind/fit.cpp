@@ -86,10 +86,24 @@ void bind_normals(py::module_ m) {
 }
 
 template <class T>
+void bind_dropout(py::module_ m) {
+  py::class_<Dropout<T>>(m, "Dropout")
+      .def(py::init([](Address shares, int64_t rows, Address step, uint64_t seed, int64_t count, Address factors) {
+             return Dropout<T>{at<T>(shares), rows, at<int64_t>(step), seed, count, at<T>(factors)};
+           }),
+           py::kw_only(), py::arg("shares"), py::arg("rows"), py::arg("step"), py::arg("seed"), py::arg("count"),
+           py::arg("factors"));
+  m.def(
+      "dropout", [](const Dropout<T>& job, int threads) { dropout<T>(job, threads); }, NoGil(), py::arg("job"),
+      py::arg("threads"));
+}
+
+template <class T>
 void bind_fit_stages(py::module_ m) {
   bind_photo_loss<T>(m);
   bind_update<T>(m);
   bind_normals<T>(m);
+  bind_dropout<T>(m);
 }
 
 std::array<uint32_t, 4> philox_words(const std::array<uint32_t, 4>& counter, const std::array<uint32_t, 2>& key) {
@@ -102,6 +116,7 @@ std::array<uint32_t, 4> philox_words(const std::array<uint32_t, 4>& counter, con
 void bind_fit(py::module_ root) {
   root.attr("STEP_COLUMNS") = kStepColumns;
   root.attr("NOISE_PURPOSE") = kNoisePurpose;
+  root.attr("DROPOUT_PURPOSE") = kDropoutPurpose;
   root.attr("MOST_LOG_SCALE") = kMostLogScale;
   root.attr("MOST_LOGIT") = kMostLogit;
   root.def(

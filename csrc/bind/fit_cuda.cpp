@@ -32,6 +32,9 @@ void bind_fit_cuda(py::module_ cuda) {
       },
       NoGil(), py::arg("seed"), py::arg("step"), py::arg("purpose"), py::arg("count"), py::arg("out"),
       py::arg("stream"));
+  cuda.def(
+      "dropout", [](const Dropout<float>& job, Address stream) { cuda::dropout(job, at<void>(stream)); }, NoGil(),
+      py::arg("job"), py::arg("stream"));
 }
 
 }  // namespace lfgs

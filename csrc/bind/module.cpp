@@ -26,6 +26,7 @@ PYBIND11_MODULE(_core, m) {
   bind_cpu(m);
   bind_sorted(m);
   bind_fit(m);
+  bind_weave(m);
 #ifdef LFGS_WITH_CUDA
   py::module_ cuda = m.def_submodule("cuda");
   bind_cuda(cuda);

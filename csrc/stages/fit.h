@@ -3,6 +3,7 @@
 
 #include <cstdint>
 
+#include "math/fit/dropout.h"
 #include "math/fit/photo_loss.h"
 #include "math/fit/philox.h"
 #include "math/fit/update.h"
@@ -22,5 +23,7 @@ void update(const Update<T>& job, int threads);
 void uniforms(const RandomStream& stream, int64_t count, double* out, int threads);
 template <class T>
 void normals(const RandomStream& stream, int64_t count, T* out, int threads);
+template <class T>
+void dropout(const Dropout<T>& job, int threads);
 
 }  // namespace lfgs

@@ -16,6 +16,7 @@ DepthInvalid = Literal["far", "hole"]
 DepthPart = Literal["right", "left", "top", "bottom"]
 MapOrientation = Literal["stored", "upright"]
 Compression = Literal["fast", "small"]
+Detail = Literal["auto", 1, 2, 4]
 Device = Literal["auto", "cpu", "cuda"]
 
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -30,6 +31,7 @@ DEPTH_INVALID: tuple[DepthInvalid, ...] = get_args(DepthInvalid)
 DEPTH_PARTS: tuple[DepthPart, ...] = get_args(DepthPart)
 MAP_ORIENTATIONS: tuple[MapOrientation, ...] = get_args(MapOrientation)
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
+DETAILS: tuple[Detail, ...] = get_args(Detail)
 DEVICES: tuple[Device, ...] = get_args(Device)
 
 # Arguments that only one method of `encode` takes; the options of the command have the same names

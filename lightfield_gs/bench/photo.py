@@ -14,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 
+from lightfield_gs.base.options import Detail
 from lightfield_gs.bench.tables import aligned, in_ms
 from lightfield_gs.bench.timing import timed
 from lightfield_gs.models import ModelConfig, SplatterNet
@@ -39,15 +40,22 @@ def network(name: str | None) -> SplatterNet:
 
 
 def row(
-    path: str | Path, model: str | None, panel: Panel, device: str, repeats: int | None, threads: int | None
+    path: str | Path,
+    model: str | None,
+    panel: Panel,
+    device: str,
+    repeats: int | None,
+    threads: int | None,
+    detail: tuple[Detail | None, int],
 ) -> dict[str, Any]:
-    """Medians of a photo, ms: decode, the stages, total; and ms_min, ms_max of the total. Raises InputError."""
+    """Medians of a photo, ms: decode, the stages, total; and ms_min, ms_max of the total. detail: that of PhotoEncoder,
+    and its budget. Raises InputError."""
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(threads or before)
         decoded, decode_ms = timed(partial(load_photo, path), False, repeats)
         rgba = np.round(255 * decoded).astype(np.uint8)
-        encoder = PhotoEncoder(network(model).to(device), panel)
+        encoder = PhotoEncoder(network(model).to(device), panel, detail=detail[0], budget=detail[1])
         encoder(rgba)  # loads and captures
         image, total_ms = timed(partial(encoder, rgba), device == "cuda", repeats, ahead=False)
         stages = _stages(encoder, rgba, len(total_ms))
@@ -56,6 +64,7 @@ def row(
             "height_px": rgba.shape[0],
             "width_px": rgba.shape[1],
             "model": model or PRETRAINED.name,
+            "detail": detail[0],
             "gaussians": cast(Gaussians, encoder.gaussians).count,  # of the photo just drawn
             "panel": panel.name,
             "device": device,
@@ -82,20 +91,40 @@ def _stages(encoder: PhotoEncoder, rgba: np.ndarray, runs: int) -> dict[str, flo
 
 
 def rows(
-    photos: list[str], model: str | None, panel: Panel, device: str, repeats: int | None, threads: list[int | None]
+    photos: list[str],
+    model: str | None,
+    panel: Panel,
+    device: str,
+    repeats: int | None,
+    threads: list[int | None],
+    detail: tuple[Detail | None, int],
 ) -> list[dict[str, Any]]:
     """A row for each photo and number of threads. Raises InputError."""
-    return [row(path, model, panel, device, repeats, count) for path in photos for count in threads]
+    return [row(path, model, panel, device, repeats, count, detail) for path in photos for count in threads]
 
 
 def table(found: list[dict[str, Any]]) -> str:
     """The rows as text, a line each."""
-    head = ("photo", "size", "model", "Gaussians", "device", "threads", "decode", *STAGES, "total ms", "min", "max")
+    head = (
+        "photo",
+        "size",
+        "model",
+        "detail",
+        "Gaussians",
+        "device",
+        "threads",
+        "decode",
+        *STAGES,
+        "total ms",
+        "min",
+        "max",
+    )
     lines = [
         (
             r["photo"],
             f"{r['width_px']} x {r['height_px']}",
             r["model"],
+            str(r["detail"] or "none"),
             str(r["gaussians"]),
             r["device"],
             str(r["threads"]),

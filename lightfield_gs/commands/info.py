@@ -73,8 +73,8 @@ def describe(
 def _scene(path: Path, skip_invalid: bool, up: str | None) -> list[tuple[str, object]]:
     import torch
 
-    from lightfield_gs.commands.encode import scene_hash
     from lightfield_gs.commands.options.camera import axes_of, brought_along
+    from lightfield_gs.commands.options.provenance import scene_hash
     from lightfield_gs.commands.options.scene import read_noted
 
     file = read_noted(path, skip_invalid)

@@ -11,6 +11,7 @@ from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, choose_rig, comments_of, read_given
 from lightfield_gs.commands.options.drawn import add_antialiased, add_view_filter, settle_drawing
+from lightfield_gs.commands.options.framed import files_read
 from lightfield_gs.commands.options.look import add_look, apply_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
 from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_path, read_noted, say_origin
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> None:
     check_scene_path(args.output)
     if args.save_rig is not None:
         check_output_path(args.save_rig)
-    check_outputs((args.output, args.save_rig), (args.input, args.rig, args.panel, args.camera and args.camera[0]))
+    check_outputs((args.output, args.save_rig), files_read(args))
     panel = load_panel(args)
     device = choose_device(args.device)
 

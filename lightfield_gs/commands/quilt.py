@@ -13,13 +13,13 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEFAULT_CONE_DEG, DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.encode import package_versions, scene_hash
-from lightfield_gs.commands.options.camera import add_camera, choose_rig, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
-from lightfield_gs.commands.options.look import add_depth_report, add_look, apply_look, report_depth
+from lightfield_gs.commands.options.camera import add_camera, read_given
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
+from lightfield_gs.commands.options.framed import files_read, load_framed
+from lightfield_gs.commands.options.look import add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_device_serial, add_viewing_distance, load_panel
-from lightfield_gs.commands.options.photo import add_depth
-from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_options, load_scene
+from lightfield_gs.commands.options.provenance import package_versions, scene_facts, software
+from lightfield_gs.commands.options.scene import add_scene, check_scene_options
 from lightfield_gs.commands.options.values import whole_numbers, within
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
@@ -69,12 +69,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the centre camera's picture beside its depth map too (right half, bright is near), as "
         "NAME_rgbd.png",
     )
-    add("--mask", type=Path, metavar="IMAGE", help="cut-out of a photo, of its size: bright or opaque on the object")
-    add("--remove-background", action="store_true", help="cut the object out of a photo with rembg")
-    add_depth(add)
-    add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
-    add_skip_invalid(add)
+    add_scene(add, "cut the object out of a photo with rembg")
     add_antialiased(add)
+    add_view_filter(add)
     add_background(add)
     add("--device", choices=DEVICES, default="auto", help="where network and rasterizer run (default auto)")
     add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
@@ -131,13 +128,11 @@ def run(args: argparse.Namespace) -> None:
     with torch.inference_mode():
         from lightfield_gs.encoding.quilt import quilt
 
-        gaussians, file = load_scene(args, device, watch)
-        said = settle_drawing(args, file)
-        chosen, more = choose_rig(given, args, frame, gaussians, file)
-        rig, looks = apply_look(args, chosen, frame, gaussians)
-        more += looks + report_depth(args, rig, frame, gaussians)
-        tile, fan_rig = layout.fitted(frame, rig)
-        image = quilt(gaussians, layout, fan_rig, tile, background=args.background, antialiased=args.antialiased).cpu()
+        framed = load_framed(args, frame, given, device, watch)
+        gaussians = framed.gaussians
+        tile, fan_rig = layout.fitted(frame, framed.rig)
+        drawn_as = {name: getattr(args, name) for name in ("background", "antialiased", "view_filter")}
+        image = quilt(gaussians, layout, fan_rig, tile, **drawn_as).cpu()
         watch.lap("views")
         of_file = fan_rig.relative_to([-part for part in gaussians.origin])
         write_image(args.output, image.numpy(), _metadata(args, gaussians, layout, tile, of_file), args.compression)
@@ -145,12 +140,12 @@ def run(args: argparse.Namespace) -> None:
             of_file.to_yaml(args.save_rig)
         watch.lap("write")
         if args.save_rgbd is not None:
-            more.append(_write_rgbd(args, gaussians, frame, rig))
+            framed.said.append(_write_rgbd(args, gaussians, frame, framed.rig))
             watch.lap("RGB-D")
     width, height = layout.tile_px()
     print(f"{args.output}: {layout.views} views of {width} x {height} pixels, {gaussians.count} Gaussians")
     print(watch.line())
-    print("".join(f"{line}\n" for line in said + more), end="")
+    print("".join(f"{line}\n" for line in framed.said), end="")
 
 
 def chosen_layout(args: argparse.Namespace, panel: Panel | None) -> QuiltLayout:
@@ -200,8 +195,7 @@ def _check_files(args: argparse.Namespace, layout: QuiltLayout) -> None:
         args.save_rgbd = check_image_path(path if path.suffix else path.with_name(f"{path.name}.png"))
     if args.save_rig is not None:
         check_output_path(args.save_rig)
-    read = (args.input, args.rig, args.panel, args.mask, args.depth, args.checkpoint, args.camera and args.camera[0])
-    check_outputs((args.output, args.save_rig, args.save_rgbd), read)
+    check_outputs((args.output, args.save_rig, args.save_rgbd), files_read(args))
 
 
 def _write_rgbd(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig) -> str:
@@ -214,13 +208,9 @@ def _write_rgbd(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, ri
     longer = max(panel.width_px / rig.focal_px[0], panel.height_px / rig.focal_px[1])
     angle = 2 * math.degrees(math.atan(longer / 2))
     depths = {"kind": "disparity", "near": near, "far": far, "field_of_view_deg": angle}
-    metadata = {"software": _software(), "input": args.input.name, "depth": json.dumps(depths)}
+    metadata = {"software": software(), "input": args.input.name, "depth": json.dumps(depths)}
     write_image(args.save_rgbd, image.cpu().numpy(), metadata, args.compression)
     return f"{args.save_rgbd}: read it with --depth-range {near:.6g},{far:.6g} --fov {angle:.5g}"
-
-
-def _software() -> str:
-    return f"lightfield-gs {package_versions()['lightfield-gs']}"
 
 
 def _metadata(
@@ -236,13 +226,13 @@ def _metadata(
         "views": layout.views,
         "tile_px": [width, height],
         "cone_deg": rig.cone_deg or panel.cone_deg,
+        **({"view_filter": args.view_filter} if args.view_filter else {}),
     }
-    scene = {"gaussians": gaussians.count, "sh_degree": gaussians.sh_degree, "sha256": scene_hash(gaussians)}
     return {
-        "software": _software(),
+        "software": software(),
         "input": args.input.name,
         "quilt": json.dumps(tiles),
         "rig": json.dumps(rig.to_dict()),
-        "scene": json.dumps(scene),
+        "scene": json.dumps(scene_facts(gaussians)),
         "versions": json.dumps(package_versions()),
     }

@@ -14,10 +14,11 @@ from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background
+from lightfield_gs.commands.options.framed import files_read
 from lightfield_gs.commands.options.look import add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.photo import add_depth
-from lightfield_gs.commands.options.scene import add_skip_invalid
+from lightfield_gs.commands.options.provenance import software
+from lightfield_gs.commands.options.scene import add_scene
 from lightfield_gs.commands.options.values import threads
 from lightfield_gs.commands.options.video import Result, add_motion, add_result, checked_result
 from lightfield_gs.commands.quilt import framed_for
@@ -53,11 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_camera(add)
     add_look(add)
     add_depth_report(add)
-    add_skip_invalid(add)
-    add("--mask", type=Path, metavar="PATH", help="cut-out of a photo; of a sequence, a folder or a video of cut-outs")
-    add("--remove-background", action="store_true", help="cut the object out of photos with rembg, as `encode` does")
-    add_depth(add)
-    add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
+    cut_outs = "cut-out of a photo; of a sequence, a folder or a video of cut-outs"
+    add_scene(add, "cut the object out of photos with rembg, as `encode` does", cut_outs, "PATH")
     add("--device", choices=DEVICES, default="auto", help="where network and rasterizer run (default auto)")
     add("--views", choices=VIEWS, default="integer", help="of native pictures, as `encode` has it (default integer)")
     add("--quality", choices=QUALITY_NAMES, default="exact", help="less time for more error, of native pictures")
@@ -73,9 +71,7 @@ def run(args: argparse.Namespace) -> None:
     result = checked_result(args, panel)
     if result.layout is not None:
         panel = framed_for(result.layout, panel)
-    camera_file = args.camera and args.camera[0]
-    read = (args.input, args.rig, args.panel, args.path, args.mask, args.depth, args.checkpoint, camera_file)
-    check_outputs((result.path,), read)
+    check_outputs((result.path,), files_read(args))
     device = choose_device(args.device)
     if args.bridge is not None:
         from lightfield_gs.show.bridge import cast, check_bridge
@@ -138,19 +134,18 @@ def _sink(args: argparse.Namespace, panel: Panel, result: Result, shots, size_px
         return VideoFile(result.path, shots.count, size_px, shots.fps, result.codec, args.crf)
     import json
 
-    from lightfield_gs.commands.encode import package_versions
     from lightfield_gs.video.frame_folder import FrameFolder
 
-    software = f"lightfield-gs {package_versions()['lightfield-gs']}"
+    maker = software()
     native = {"panel": json.dumps(panel.to_dict())} if result.kind == "native" else {}
 
     def metadata(number: int) -> dict[str, str]:
         rig = shots.rig_of_file(number)
         more = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
-        return {"software": software, "input": args.input.name, **native, **more, "frame": str(number)}
+        return {"software": maker, "input": args.input.name, **native, **more, "frame": str(number)}
 
     job = {
-        "software": software,
+        "software": maker,
         "kind": result.kind,
         "size": list(size_px),
         "quilt": None if result.layout is None else asdict(result.layout),

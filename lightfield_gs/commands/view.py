@@ -8,12 +8,12 @@ from pathlib import Path
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.options import DEVICES
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.camera import add_camera, choose_rig, read_given
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background, settle_drawing
-from lightfield_gs.commands.options.look import add_look, apply_look
+from lightfield_gs.commands.options.camera import add_camera, read_given
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
+from lightfield_gs.commands.options.framed import load_framed
+from lightfield_gs.commands.options.look import add_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.photo import add_depth
-from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_options, load_scene
+from lightfield_gs.commands.options.scene import add_scene, check_scene_options
 from lightfield_gs.commands.options.serving import add_serving, serve
 
 
@@ -27,13 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("input", type=Path, metavar="INPUT", help="a photo or a file of Gaussians, as `encode` takes it")
     add_panel(add, "for framing, and for the eye on the page")
     add_camera(add)
-    add("--mask", type=Path, metavar="IMAGE", help="cut-out of a photo, of its size: bright or opaque on the object")
-    add("--remove-background", action="store_true", help="cut the object out of a photo with rembg, as in `encode`")
-    add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
-    add_depth(add)
     add_look(add)
-    add_skip_invalid(add)
+    add_scene(add, "cut the object out of a photo with rembg, as in `encode`")
     add_antialiased(add)
+    add_view_filter(add)
     add_background(add)
     add("--device", choices=DEVICES, default="auto", help="where it is drawn (default auto: cuda where there is a GPU)")
     add_serving(add)
@@ -55,11 +52,9 @@ def run(args: argparse.Namespace) -> None:
 
     watch.lap("start")
     with torch.no_grad():
-        gaussians, file = load_scene(args, device, watch)
-        drawn_so = settle_drawing(args, file)
-        rig, said = choose_rig(given, args, panel, gaussians, file)
-        rig, look = apply_look(args, rig, panel, gaussians)
-    stage = Stage(gaussians, panel, rig, args.background, args.antialiased, args.input.name)
-    print(f"{args.input}: {gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
-    print("\n".join([watch.line(), *drawn_so, *said, *look]))
+        framed = load_framed(args, panel, given, device, watch)
+    drawn_as = args.background, args.antialiased, args.input.name, args.view_filter
+    stage = Stage(framed.gaussians, panel, framed.rig, *drawn_as)
+    print(f"{args.input}: {framed.gaussians.count} Gaussians on panel {panel.name}, drawn on {device}")
+    print("\n".join([watch.line(), *framed.said]))
     serve(args, steering_routes(stage, exports(stage)), "/")

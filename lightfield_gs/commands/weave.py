@@ -10,8 +10,8 @@ from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.encode import package_versions
 from lightfield_gs.commands.options.panel import add_panel, load_panel
+from lightfield_gs.commands.options.provenance import package_versions, software
 from lightfield_gs.commands.options.values import background, numbers, whole, whole_numbers, within
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.io.images import check_image_path, write_image
@@ -68,6 +68,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="integer",
         help="where a sub-pixel looks from: its integer view of the panel's N, or its exact place (default integer)",
     )
+    add(
+        "--view-filter",
+        type=within(0, 65536, "views"),
+        default=0.0,
+        metavar="VIEWS",
+        help="angular anti-aliasing: show the mean over a box of so many views of the panel; what stands far from it "
+        "flickers less as the eye moves, and is softer (default 0; 1 suits more views than the panel has, 2 as many)",
+    )
     _add_framing(add)
     add("--background", type=background, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each (default 0,0,0)")
     add("--device", choices=DEVICES, default="auto", help="where the views are woven (default auto)")
@@ -120,6 +128,7 @@ def run(args: argparse.Namespace) -> None:
         panel,
         interpolation=args.interpolation,
         place=args.views,
+        view_filter=args.view_filter,
         view_map=table,
         aspect=args.aspect or found.aspect,
         fit=args.fit,
@@ -138,7 +147,10 @@ def run(args: argparse.Namespace) -> None:
 
 def _words(args: argparse.Namespace, views, panel: Panel) -> str:
     """How views became those of the panel."""
-    if args.view_map is not None or views.count == panel.views and args.views == "integer":
+    exact = args.view_map is not None or views.count == panel.views and args.views == "integer"
+    if args.view_filter * (1 if args.view_map is not None else views.count / panel.views) > 1:
+        return f"{views.count} views for the panel's {panel.views}: means over {args.view_filter:g} views of the panel"
+    if exact:
         return "every sub-pixel is that of one view"
     return f"{views.count} views for the panel's {panel.views}: {args.interpolation} between them"
 
@@ -174,20 +186,20 @@ def _stored(path: Path, image):
 
 def _metadata(args: argparse.Namespace, panel: Panel, count: int) -> dict[str, str]:
     """What the image was made from and for; the values but "software" and "input" are JSON."""
-    versions = package_versions()
     weaving = {
         "method": "weave",
         "source_views": count,
         "interpolation": args.interpolation,
         "views": args.views,
+        **({"view_filter": args.view_filter} if args.view_filter else {}),
         "fit": args.fit,
         "crop": list(args.crop),
         "shift": args.shift,
     }
     return {
-        "software": f"lightfield-gs {versions['lightfield-gs']}",
+        "software": software(),
         "input": args.input.name,
         "panel": json.dumps(panel.to_dict()),
         "encoding": json.dumps(weaving),
-        "versions": json.dumps(versions),
+        "versions": json.dumps(package_versions()),
     }

@@ -9,6 +9,7 @@ from torch import Tensor
 from lightfield_gs.base.arrays import Colour, bytes_of
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.views import render_views
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.rig import Rig
@@ -28,11 +29,13 @@ def quilt(
     *,
     background: Colour = (1.0, 1.0, 1.0),
     antialiased: bool = False,
+    view_filter: float = 0.0,
 ) -> Tensor:
     """The quilt uint8 [H, W, 3] of a scene: a view each of the rig's fan, the left-most camera's at the bottom left.
 
     layout: with its size in pixels. rig: at the resolution of a tile (see QuiltLayout.fitted). panel: whose cone the
-    fan spans where the rig has none (None: layout.panel's of 40 degrees). Pixels that belong to no tile are black.
+    fan spans where the rig has none (None: layout.panel's of 40 degrees). antialiased, view_filter: see `encode`, in
+    views of the quilt. Pixels that belong to no tile are black.
     Raises InputError.
     """
     expect("gaussians", gaussians, Gaussians)
@@ -47,8 +50,15 @@ def quilt(
     places = np.arange(layout.views)[::-1] + 0.5
     each = max(1, _PIXELS // (width * height))
     for first in range(0, layout.views, each):
-        cameras = rig.cameras_at(fan, places[first : first + each])
-        pictures = render(gaussians, cameras, background=background, antialiased=antialiased)
+        pictures = render_views(
+            gaussians,
+            fan,
+            rig,
+            places[first : first + each],
+            background=background,
+            antialiased=antialiased,
+            view_filter=view_filter,
+        )
         for view, picture in enumerate(bytes_of(pictures), first):
             out[layout.tile(view)] = picture
     return out

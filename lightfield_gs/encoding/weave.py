@@ -20,13 +20,14 @@ from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Views
 from lightfield_gs.encoding.sorted_plan import checked_view_map
+from lightfield_gs.encoding.weave_fan import Fan
+from lightfield_gs.encoding.weave_passes import Held, NativePasses, TorchPasses, full_scale, stored
 from lightfield_gs.encoding.weave_places import Fit, Window, window_of
-from lightfield_gs.encoding.weave_samples import Taps, reduced_picture, sampled, taps_across, taps_down
-from lightfield_gs.panels.panel import Panel
+from lightfield_gs.encoding.weave_samples import reduced_picture
+from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 
 Interpolation = Literal["linear", "nearest"]
 INTERPOLATIONS: tuple[Interpolation, ...] = ("linear", "nearest")
-_ROWS = 16  # of the panel that are woven at a time
 _GROUP_BYTES = 1 << 30  # of views that are held at a time
 _TYPES = (torch.uint8, torch.uint16, torch.float32)
 
@@ -63,6 +64,7 @@ def weave(
     *,
     interpolation: Interpolation = "linear",
     place: Views = "integer",
+    view_filter: float = 0.0,
     view_map: np.ndarray | None = None,
     aspect: float | None = None,
     fit: Fit = "cover",
@@ -74,10 +76,15 @@ def weave(
     """The image [H, W, 3] of a panel from M views of any size, in their type: uint8, uint16 or float32 (0..1).
 
     views: [M, h, w, 3], the left-most camera's first, as quilts have them, or a ViewSource, of which at most 1 GiB is
-    held at a time.
+    held at a time, or twice as many views as a sub-pixel mixes where that is more.
     interpolation: between the two views beside a sub-pixel that falls between them: "linear" mixes them, "nearest"
     takes one. place: "integer": of the panel's integer view; "continuous": of its exact x. Where M is the panel's N,
     integer places need no interpolation: every sub-pixel is that of one view, as `interlace` has it.
+    view_filter: angular anti-aliasing: how many views of the panel wide a box around its place each sub-pixel is the
+    mean over, 0 (none) to 65536. It keeps what stands far from the panel from flickering as the eye moves, and makes it
+    softer (Halle, "Holographic stereograms as discrete imaging systems", 1994; Zwicker et al., "Antialiasing for
+    automultiscopic 3D displays", 2006). Each view stands for the places nearest to it: with as many views as the panel
+    has, 1 does nothing, 2 mixes 1/4, 1/2, 1/4 of three; with twice as many, 1 is the mean of the two that it has.
     view_map: int32 [H, W, 3] in place of the panel's lens: which of the M views, 0 being the right-most camera's, or
     -1 for the background.
     aspect: width by height of a view as it is seen (None: of square pixels). fit: "cover" fills the panel and cuts off
@@ -91,83 +98,34 @@ def weave(
     """
     source = _source(views)
     _check(panel, interpolation, place, background, device)
+    width = real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS)
     seen_aspect = source.width_px / source.height_px if aspect is None else real_number("aspect", aspect, 0.01, 100)
     window = window_of(panel, (source.width_px, source.height_px), seen_aspect, fit, crop, shift)
     table = None if view_map is None else checked_view_map(view_map, panel, source.count)
+    fan = Fan(panel, source.count, place == "continuous", table, _box(panel, source.count, table, interpolation, width))
     first = _picture(source, 0, window, device)
     out = torch.empty(panel.height_px, panel.width_px, 3, dtype=first.dtype, device=device)
     plain = torch.tensor(background, dtype=torch.float64, device=device)
-    out[:] = _stored(plain * _full_scale(first.dtype), first.dtype)
-    nearest = interpolation == "nearest"
-    taps = taps_across(window, source.count, device), taps_down(window, device)
-    for start, stack in _groups(source, window, first, device):
-        end = source.count if start + len(stack) == source.count else start + len(stack) - 1
-        for rows, places in _places(panel, source.count, place == "continuous", table):
-            at = torch.from_numpy(places).to(device)
-            low = (at + 0.5 if nearest else at).floor().clamp_(0, source.count - 1).to(torch.int64)
-            mine = (at >= 0) & (low >= start) & (low < end)
-            share = None if nearest else (at - low).clamp_(0, 1).float()
-            share = share if share is not None and bool((share > 0).any()) else None
-            if share is None and window.copies:
-                _copy_rows(out, rows, low, mine, stack, start)
-            else:
-                _mix_rows(out, rows, low, share, mine, stack, start, source.count, taps)
+    out[:] = stored(plain * full_scale(first.dtype), first.dtype)
+    passes = NativePasses(fan, window) if device == "cpu" else TorchPasses(fan, window, device)
+    for held in _groups(source, window, first, device, fan.most_mixed):
+        passes.draw(out, held)
     return out
 
 
-def _copy_rows(out: Tensor, rows: slice, low: Tensor, mine: Tensor, stack: Tensor, start: int) -> None:
-    """Draws those sub-pixels of some rows that are `mine`: those of their view at the same place."""
-    # torch gathers no uint16: by their bits
-    bits = torch.int16 if stack.dtype == torch.uint16 else stack.dtype
-    slot = (low - start).clamp_(0, len(stack) - 1)
-    values = stack.view(bits)[:, rows].gather(0, slot[None])[0]
-    drawn = out[rows].view(bits)
-    drawn.copy_(torch.where(mine, values, drawn))
+def _box(panel: Panel, count: int, table: np.ndarray | None, interpolation: str, width: float) -> float:
+    """How many of the views wide each sub-pixel averages, see Fan, by `weave`'s interpolation and view_filter."""
+    wide = width if table is not None else width * count / panel.views
+    return min(float(count), max(wide, 1.0 if interpolation == "linear" else 0.0))
 
 
-def _mix_rows(
-    out: Tensor,
-    rows: slice,
-    low: Tensor,
-    share: Tensor | None,
-    mine: Tensor,
-    stack: Tensor,
-    start: int,
-    count: int,
-    taps: tuple[Taps, Taps],
-) -> None:
-    """Draws those sub-pixels of some rows that are `mine`: of view `low`, and `share` of the next one."""
-    most = len(stack) - 1
-    values, inside = sampled(stack, (low - start).clamp(0, most), low, rows, *taps)
-    if share is not None:
-        upper = (low + 1).clamp_max(count - 1)
-        other, beside = sampled(stack, (upper - start).clamp(0, most), upper, rows, *taps)
-        # Where only one of the two reaches, it alone is shown
-        share = torch.where(inside & beside, share, beside.to(share))
-        values, inside = values.lerp_(other, share), inside | beside
-    drawn = out[rows]
-    bits = torch.int16 if out.dtype == torch.uint16 else out.dtype
-    drawn.view(bits).copy_(torch.where(mine & inside, _stored(values, out.dtype).view(bits), drawn.view(bits)))
-
-
-def _stored(values: Tensor, dtype: torch.dtype) -> Tensor:
-    """float64 values as they are stored; integers are rounded, ties to even."""
-    if dtype == torch.float32:
-        return values.to(dtype)
-    return values.round().clamp(0, _full_scale(dtype)).to(torch.int32).to(dtype)
-
-
-def _full_scale(dtype: torch.dtype) -> float:
-    return {torch.uint8: 255.0, torch.uint16: 65535.0}.get(dtype, 1.0)
-
-
-def _groups(source: ViewSource, window: Window, first: Tensor, device: str) -> Iterator[tuple[int, Tensor]]:
-    """Views in groups that fit into memory, [G, h, w, 3], and the number of the first of each; each group but the
-    first begins with the last view of the one before."""
+def _groups(source: ViewSource, window: Window, first: Tensor, device: str, most_mixed: int) -> Iterator[Held]:
+    """Views in groups that fit into memory. Each group but the first begins with the last views of the one before: as
+    many as a sub-pixel mixes, less one."""
     if isinstance(source, _Stack) and source.views.device == first.device and source.views.shape[1:] == first.shape:
-        yield 0, source.views.contiguous()  # they are all held anyway
+        yield Held(source.views.contiguous(), 0, source.count)  # they are all held anyway
         return
-    each = max(2, _GROUP_BYTES // max(1, first.numel() * first.element_size()))
+    each = max(2 * most_mixed, _GROUP_BYTES // max(1, first.numel() * first.element_size()))
     start = 0
     while True:
         end = min(source.count, start + each)
@@ -180,10 +138,11 @@ def _groups(source: ViewSource, window: Window, first: Tensor, device: str) -> I
                     f"{picture.dtype}, view 0 {list(first.shape)} {first.dtype}"
                 )
             stack[number - start] = picture
-        yield start, stack
+        own = len(stack) if end == source.count else len(stack) - (most_mixed - 1)
+        yield Held(stack, start, own)
         if end == source.count:
             return
-        start = end - 1
+        start += own
         del stack
 
 
@@ -193,25 +152,6 @@ def _picture(source: ViewSource, number: int, window: Window, device: str) -> Te
     if picture.dtype not in _TYPES:
         raise InputError(f"views: expected uint8, uint16 or float32, got {picture.dtype}")
     return reduced_picture(picture, window)
-
-
-def _places(panel: Panel, count: int, continuous: bool, table: np.ndarray | None) -> Iterator[tuple[slice, np.ndarray]]:
-    """Chunks of rows and where their sub-pixels stand among the views, float64 [R, W, 3]: 0 is the left-most camera's;
-    -1 where nothing is shown. At either end of the fan the outermost view goes on."""
-    for rows, phase in panel.phase_rows(_ROWS):
-        if table is not None:
-            numbers = table[rows].astype(np.float64)
-            yield rows, np.where(numbers < 0, -1.0, count - 1 - numbers)
-            continue
-        views = panel.views
-        if continuous:
-            x = panel.view_position(phase)
-            at = x if panel.invert_views else views - x
-        else:
-            # By whole numbers first, so that views of as many fall exactly on one
-            n = panel.view_index(phase).astype(np.float64)
-            at = (n if panel.invert_views else views - 1 - n) + 0.5
-        yield rows, np.clip((at * count - 0.5 * views) / views, 0.0, count - 1.0)
 
 
 def _source(views: np.ndarray | Tensor | ViewSource) -> ViewSource:

@@ -34,12 +34,6 @@ class Window:
     panel_px: tuple[int, int]
     view_px: tuple[int, int]
 
-    @property
-    def copies(self) -> bool:
-        """Whether every pixel of the panel is the one at the same place of a view."""
-        shown = (self.left, self.top, self.width, self.height, self.shift)
-        return self.panel_px == self.view_px and shown == (0.0, 0.0, 1.0, 1.0, 0.0)
-
 
 def window_of(
     panel: Panel,

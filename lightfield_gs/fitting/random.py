@@ -21,6 +21,7 @@ class Purpose(IntEnum):
     """What random numbers are drawn for: those of one purpose have nothing to do with those of another."""
 
     NOISE = _core.NOISE_PURPOSE  # of MCMC on positions, drawn by the update itself
+    DROPOUT = _core.DROPOUT_PURPOSE  # of which Gaussians a step leaves out, drawn by the native stage as well
     INITIAL = 16  # which points a fit begins with, and where random ones are
     ORDER = 17  # of the photographs in an epoch
     BACKGROUND = 18

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.fitting.dropout import share_at_end
 from lightfield_gs.fitting.random import Purpose, uniforms
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.update import update_table
@@ -20,11 +21,13 @@ _ALWAYS = 1 << 32  # the share of a photograph that is in every epoch
 @dataclass(frozen=True)
 class Schedule:
     """order [steps,V] int64: the photographs of each step; numbers [steps,11]: see update_table; backgrounds
-    [steps,3]. All follow from the settings and the shares of the photographs: a checkpoint need not hold them."""
+    [steps,3]; dropouts [steps]: the share of the Gaussians that a step leaves out, None where none does. All follow
+    from the settings and the shares of the photographs: a checkpoint need not hold them."""
 
     order: Tensor
     numbers: Tensor
     backgrounds: Tensor
+    dropouts: Tensor | None
 
     @classmethod
     def of(
@@ -54,7 +57,9 @@ class Schedule:
         else:
             backgrounds = torch.tensor([settings.background]).expand(steps, 3)
         order = _order(settings, photographs, shares)
-        return cls(order.to(device), numbers, backgrounds.contiguous().to(device))
+        most = share_at_end(settings, photographs, shares)
+        dropouts = (most / steps * torch.arange(steps)).to(device) if most > 0 else None
+        return cls(order.to(device), numbers, backgrounds.contiguous().to(device), dropouts)
 
 
 def _order(settings: FitSettings, photographs: int, shares: Sequence[float] | None) -> Tensor:

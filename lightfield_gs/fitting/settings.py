@@ -28,6 +28,7 @@ _RANGES: dict[str, tuple[Any, Any]] = {  # of the others; of numbers that are no
     "initial_scale": (1e-6, 1e6),
     "min_opacity": (1e-6, 0.4),
     "growth": (1.0, 1e3),
+    "dropout": (0.0, 0.9),
 }
 
 
@@ -53,6 +54,9 @@ class FitSettings:
 
     # The loss: (1 - ssim_share) L1 + ssim_share (1 - SSIM)
     ssim_share: float = 0.2
+    # The share of the Gaussians that a step leaves out: grows from 0 to this at the end. None: by the number of
+    # photographs, see dropout.py
+    dropout: float | None = None
     # Rates of Adam. That of positions is in units of the scene's extent, and falls by means_decay over the fit
     rate_means: float = 1.6e-4
     means_decay: float = 0.01

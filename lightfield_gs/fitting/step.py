@@ -8,13 +8,14 @@ has looked and made room.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from lightfield_gs.fitting.drawing import view_job
+from lightfield_gs.fitting.dropout import dropout
 from lightfield_gs.fitting.exposure import Exposure
 from lightfield_gs.fitting.fields import Fields
 from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
@@ -107,19 +108,30 @@ class Step:
         background = self.schedule.backgrounds.index_select(0, self.counters.step).expand(len(chosen), 3).contiguous()
         from_where = views.world_to_camera if poses is None else poses.world_to_camera
         gaussians, antialiased = self.fields.gaussians(), self.settings.antialiased
+        factors = self._dropout()
+        if factors is not None:
+            gaussians = replace(gaussians, opacities=gaussians.opacities * factors)
         job = view_job(gaussians, views, chosen, from_where, background, antialiased, room=self.room)
         images = job.draw()
         loss, g_image, g_exposure = self._compared(images.image[0], chosen, background)
         wanted = Wanted(self.tally.screen_numbers, cameras=poses is not None)
         gradients = job.backward(images, DenseImages(g_image[None], None, None), wanted)
         self._note(job)
+        of_fields = Gradients(*(g[0] for g in gradients.fields))
+        if factors is not None:
+            of_fields = of_fields._replace(opacities=of_fields.opacities * factors)
         return _Found(
-            Gradients(*(g[0] for g in gradients.fields)),
+            of_fields,
             self.tally.measured(job.splats, gradients.screen, views),
             loss[None],
             g_exposure,
             loss.new_zeros(0) if poses is None else poses.gathered(gradients.cameras, chosen).to(loss.dtype),
         )
+
+    def _dropout(self) -> Tensor | None:
+        """The factors of the opacities in this step; None: none is left out."""
+        shares = self.schedule.dropouts
+        return None if shares is None else dropout(shares, self.counters.step, self.settings.seed, self.fields.count)
 
     def _compared(self, image: Tensor, chosen: Tensor, background: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The loss of images [V,H,W,3], over the number of views of the step; its gradients with respect to them, and

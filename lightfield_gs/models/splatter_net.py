@@ -18,13 +18,17 @@ from torch import Tensor, nn
 from lightfield_gs.base.arrays import dense_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import Detail
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.models import crop
 from lightfield_gs.models.checkpoint import read_weights, save_weights
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
+from lightfield_gs.models.detail import with_detail
+from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
 from lightfield_gs.models.initializer import describe_pixels, mirror_image, network_input
 from lightfield_gs.models.unet import UNet
+from lightfield_gs.panels.panel import Panel
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
@@ -79,29 +83,58 @@ class SplatterNet(nn.Module):
         with torch.autocast(shown.device.type, enabled=False):
             return F.pixel_shuffle(self.head(features.float()), self.config.patch_px)
 
+    def detailed(
+        self, cloud: Gaussians, images: Tensor, fine: Tensor, intrinsics: Tensor, level: DetailLevel
+    ) -> Gaussians:
+        """What forward gave for `images` and `intrinsics`, under a sheet in the colours of `fine` (models/detail.py).
+
+        fine: the same pictures at level.factor times their size, [B,4,H,W]. Differentiable.
+        """
+        texels = describe_pixels(fine, level.factor * intrinsics)
+        return with_detail(
+            cloud, describe_pixels(images, intrinsics), texels, self.config.layers, level.factor, level.texel_px
+        )
+
     @torch.no_grad()
-    def predict(self, rgba: np.ndarray | Tensor) -> Gaussians:
+    def predict(
+        self,
+        rgba: np.ndarray | Tensor,
+        detail: Detail | None = None,
+        panel: Panel | None = None,
+        budget: int = DEFAULT_BUDGET,
+    ) -> Gaussians:
         """Gaussians of the object in a photo, in its camera's axes (at the origin, z forward; object near z = 1.3).
 
         rgba: [H,W,4] float in 0..1 or uint8, colours not premultiplied, any size and aspect. The photo is cropped to
         the object as in training; its camera is taken to look at the middle of that crop with the focal length
-        config.photo_focal. Gaussians that cannot be seen are left out. Raises InputError for other shapes, types or
-        values, or an empty mask. PhotoEncoder goes on to the image of a panel, and faster on CUDA.
+        config.photo_focal. Gaussians that cannot be seen are left out.
+        detail: lays the photo over them at 1, 2 or 4 times the network's resolution, or at what the panel shows, in at
+        most `budget` Gaussians, "auto"; None leaves it at the network's own. panel: where it will be shown.
+        Raises InputError for other shapes, types or values, or an empty mask. PhotoEncoder goes on to the image of a
+        panel, and faster on CUDA.
         """
-        return self.seen_gaussians(self.crop_photo(checked_photo(rgba)))
+        photo = checked_photo(rgba)
+        expect("panel", panel, Panel, type(None))
+        level = detail_level(detail, self.config, max(photo.shape[:2]), panel, budget)
+        fine = self.crop_photo(photo, level.factor) if level is not None else None
+        return self.seen_gaussians(self.crop_photo(photo), fine, level)
 
-    def crop_photo(self, photo: Tensor) -> Tensor:
-        """The object of what checked_photo returned as the network takes it, [4,S,S] premultiplied, on its device.
+    def crop_photo(self, photo: Tensor, factor: int = 1) -> Tensor:
+        """The object of what checked_photo returned as the network takes it, [4,S,S] premultiplied, on its device, S
+        being `factor` times the network's size.
 
         Raises InputError for values outside 0..1 or an empty mask.
         """
         photo = photo.to(self.device)
         check_values(in_range(photo))
-        return crop.crop_resize_premultiplied(photo, crop.object_square(photo[..., 3]), self.config.image_size_px)
+        size = factor * self.config.image_size_px
+        return crop.crop_resize_premultiplied(photo, crop.object_square(photo[..., 3]), size)
 
-    def seen_gaussians(self, cropped: Tensor) -> Gaussians:
-        """Gaussians of a cropped picture, but for those too faint to be drawn. Waits for the device."""
-        gaussians = self.all_gaussians(cropped, self.photo_intrinsics())
+    def seen_gaussians(
+        self, cropped: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
+    ) -> Gaussians:
+        """all_gaussians of a cropped photo, but for those too faint to be drawn. Waits for the device."""
+        gaussians = self.all_gaussians(cropped, self.photo_intrinsics(), fine, level)
         seen = gaussians.opacities >= OPACITY_CUT
         return of_tensors(field[seen].contiguous() for field in gaussians.fields().values())
 
@@ -115,10 +148,13 @@ class SplatterNet(nn.Module):
         return torch.tensor([[self.config.photo_focal * size] * 2 + [size / 2] * 2], device=self.device)
 
     @torch.no_grad()
-    def all_gaussians(self, cropped: Tensor, intrinsics: Tensor) -> Gaussians:
+    def all_gaussians(
+        self, cropped: Tensor, intrinsics: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
+    ) -> Gaussians:
         """All layers * H * W Gaussians of one cropped picture [4,H,W], premultiplied, those that are unseen included.
 
-        intrinsics: [1,4], see forward.
+        intrinsics: [1,4], see forward. fine, level: the same picture at level.factor times the size, for detail; then
+        the Gaussians of its pixels come first.
         """
         was_training = self.training
         self.eval()
@@ -126,6 +162,8 @@ class SplatterNet(nn.Module):
             batch = self(cropped[None], intrinsics)
         finally:
             self.train(was_training)
+        if fine is not None and level is not None:
+            batch = self.detailed(batch, cropped[None], fine[None], intrinsics, level)
         fields = (batch.means, F.normalize(batch.quaternions, dim=-1), batch.scales, batch.opacities, batch.sh)
         return of_tensors(field[0].contiguous() for field in fields)
 

@@ -9,7 +9,7 @@ from typing import Any
 from lightfield_gs.base.checks import expect
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.unseen import look_at
+from lightfield_gs.panels.unseen import look_at, words_on_past
 from lightfield_gs.scene.gaussians import Gaussians
 
 EYE_SEPARATION_MM = 63.0  # mean of adults (Dodgson, "Variation and extrema of human interpupillary distance", 2004)
@@ -18,7 +18,6 @@ EYE_SEPARATION_MM = 63.0  # mean of adults (Dodgson, "Variation and extrema of h
 # 53(3), 030201, 2009).
 COMFORT_DEG = 1.0
 _RULE = "the one-degree rule, Lambooij et al. 2009"
-_MUCH_UNSEEN = 0.02  # share of an outermost view that nobody overlooks
 
 
 @dataclass(frozen=True)
@@ -98,11 +97,8 @@ class DepthReport:
             out.append(
                 f"the depth strains the eyes: {self._angles()}; give a smaller --depth-amount{way}, or another --focus"
             )
-        if max(self.unseen) > _MUCH_UNSEEN:
-            out.append(
-                f"the outermost views look past what the scene knows: {max(self.unseen):.1%} of the scene's place is "
-                "background there; give a smaller --cone or --depth-amount, or a larger --zoom"
-            )
+        if (words := words_on_past(max(self.unseen))) is not None:
+            out.append(words)
         return out
 
     def _comfort(self) -> str:

@@ -11,6 +11,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import MAX_PIXELS, MAX_SIDE_PX
@@ -117,17 +118,52 @@ QUILT_PRESETS = {
 
 
 _MOST_SIDE_PX = 8192  # of the quilt of a panel, where tiles of the panel's own size would make it larger
+_LEAST_SHARE = 0.5  # of the resolution that a square quilt would have, below which other numbers of views are taken
 
 
 def layout_of_panel(panel: Panel, tiles: tuple[int, int] | None = None) -> QuiltLayout:
     """A quilt with the views of a panel, or so many columns and rows of `tiles`: each of the panel's size, or smaller
-    where the quilt would then be wider or higher than 8192 pixels; as square as the number of views allows."""
-    views, width, height = panel.views, panel.width_px, panel.height_px
-    ways = [tiles] if tiles else [(count, views // count) for count in range(1, views + 1) if views % count == 0]
-    columns, rows = min(ways, key=lambda way: abs(math.log(way[0] * width / (way[1] * height))))
-    scale = min(1.0, _MOST_SIDE_PX / (columns * width), _MOST_SIDE_PX / (rows * height))
-    size = [count * max(1, math.floor(scale * side)) for count, side in ((columns, width), (rows, height))]
-    return QuiltLayout(columns, rows, width / height, *size)
+    where the quilt would then be wider or higher than 8192 pixels; as square as the number of views allows.
+
+    A quilt has columns x rows views. Where the panel's number allows but narrow strips (a prime one, 1 x N), whose
+    tiles would have less than half the resolution, the quilt has the next number of views that does better: displays
+    and `weave` take quilts of any number and mix neighbouring views. That is told (Assumption).
+    """
+    if tiles is not None:
+        return _with_tiles(panel, *tiles)
+    best = _squarest(panel, panel.views)
+    found, views = best, panel.views
+    least = _LEAST_SHARE * min(1.0, _MOST_SIDE_PX / math.sqrt(panel.views * panel.width_px * panel.height_px))
+    while _scale(panel, found.columns, found.rows) < least and views < MAX_VIEWS:
+        views += 1
+        found = _squarest(panel, views)
+    if views > panel.views:
+        assume(
+            f"a quilt of {found.columns} x {found.rows} = {views} views for the {panel.views} of panel {panel.name}, "
+            f"of which {best.columns} x {best.rows} would leave tiles of {best.tile_px()[0]} x {best.tile_px()[1]} "
+            f"pixels (to have those: --tiles {best.columns}x{best.rows})"
+        )
+    return found
+
+
+def _squarest(panel: Panel, views: int) -> QuiltLayout:
+    """The layout of so many views that is the most square."""
+    width, height = panel.width_px, panel.height_px
+    ways = [(count, views // count) for count in range(1, views + 1) if views % count == 0]
+    return _with_tiles(panel, *min(ways, key=lambda way: abs(math.log(way[0] * width / (way[1] * height)))))
+
+
+def _with_tiles(panel: Panel, columns: int, rows: int) -> QuiltLayout:
+    scale = _scale(panel, columns, rows)
+    size = [
+        count * max(1, math.floor(scale * side)) for count, side in ((columns, panel.width_px), (rows, panel.height_px))
+    ]
+    return QuiltLayout(columns, rows, panel.width_px / panel.height_px, *size)
+
+
+def _scale(panel: Panel, columns: int, rows: int) -> float:
+    """How large tiles can be, against the panel."""
+    return min(1.0, _MOST_SIDE_PX / (columns * panel.width_px), _MOST_SIDE_PX / (rows * panel.height_px))
 
 
 def stated_layout(path: str | Path) -> QuiltLayout | None:

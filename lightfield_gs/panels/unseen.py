@@ -17,6 +17,8 @@ from lightfield_gs.scene.gaussians import Gaussians
 _SIZE_PX = 256  # width of the pictures that are compared
 _OPAQUE = 0.5  # alpha from which on a pixel shows a surface; half the largest where none is so opaque
 _DEPTH_TAIL = 0.01  # share of the pixels that is left out at either end of the depths
+_HOLES = 0.01  # share of the centre view that may be background where a scene fills it
+_MUCH_UNSEEN = 0.02  # share of an outermost view that nobody overlooks
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,9 @@ def look_at(gaussians: Gaussians, panel: Panel, rig: Rig) -> Seen:
     Raises InputError where nothing is seen.
     """
     check_single(gaussians)
-    small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
+    small_rig = reduced(panel, rig, _SIZE_PX)[1]
     outermost = [0.5, panel.views - 0.5]
-    cameras = small_rig.cameras_at(small_panel, [panel.views / 2, *outermost])
-    with torch.no_grad():
-        _, alphas, depths = render(plain(gaussians.detach()), cameras, alpha=True, depth=True)
-    alpha, depth = alphas.double().cpu().numpy(), depths[0].double().cpu().numpy()
+    alpha, depth = _pictures(gaussians, panel, rig, [panel.views / 2, *outermost])
     opaque = min(_OPAQUE, float(alpha[0].max()) / 2)
     surface = (alpha[0] >= opaque) & (depth > 0)
     if not surface.any():
@@ -59,6 +58,40 @@ def look_at(gaussians: Gaussians, panel: Panel, rig: Rig) -> Seen:
         goes_on = _between(surface, moves)
         shares.append(float((goes_on & (seen < opaque)).sum() / max(1, goes_on.sum())))
     return Seen(float(near), float(far), (shares[0], shares[1]))
+
+
+def share_past(gaussians: Gaussians, panel: Panel, rig: Rig) -> float | None:
+    """How much of an outermost view is background, 0..1, the larger share of the two, where the scene fills the centre
+    view. None where it does not: what is background in a view of an object alone may well be air.
+
+    One picture 256 pixels wide tells the latter, three the former. gaussians: in the rig's coordinates.
+    """
+    check_single(gaussians)
+    centre, _ = _pictures(gaussians, panel, rig, [panel.views / 2])
+    if (centre < _OPAQUE).mean() > _HOLES:
+        return None
+    outermost, _ = _pictures(gaussians, panel, rig, [0.5, panel.views - 0.5])
+    return float((outermost < _OPAQUE).mean((1, 2)).max())
+
+
+def words_on_past(share: float) -> str | None:
+    """What to change where that much of an outermost view is background; None where nobody would see it."""
+    if share <= _MUCH_UNSEEN:
+        return None
+    return (
+        f"the outermost views look past what the scene knows: {share:.1%} of the scene's place is background there; "
+        "give a smaller --cone or --depth-amount, or a larger --zoom"
+    )
+
+
+def _pictures(gaussians: Gaussians, panel: Panel, rig: Rig, places: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Alpha [n, H, W] of small pictures at these view coordinates, and depth [H, W] of the first one."""
+    small_panel, small_rig = reduced(panel, rig, _SIZE_PX)
+    with torch.no_grad():
+        _, alphas, depths = render(
+            plain(gaussians.detach()), small_rig.cameras_at(small_panel, places), alpha=True, depth=True
+        )
+    return alphas.double().cpu().numpy(), depths[0].double().cpu().numpy()
 
 
 def _between(surface: np.ndarray, moves: np.ndarray) -> np.ndarray:

@@ -13,10 +13,11 @@ from torch import Tensor
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import Output, QualityName, Views
+from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.models import crop
+from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
 from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
 from lightfield_gs.panels import framing
 from lightfield_gs.panels.lens import lens_view
@@ -38,9 +39,9 @@ class PhotoEncoder:
 
     net: on the device to work on; its weights are copied when the encoder is made. panel, views, background, output
     ("uint8" or "float32") and quality are those of `encode`. look: how depth, size and place differ from the automatic
-    framing of each photo; it may be set between photos. On CUDA the U-Net runs in bfloat16, crop, network and
-    framing are CUDA graphs, captured for the first photo of each size, and the host waits for the device once a photo,
-    to learn where the object is. Raises InputError.
+    framing of each photo; it may be set between photos. detail, budget: those of SplatterNet.predict. On CUDA the U-Net
+    runs in bfloat16, crop, network and framing are CUDA graphs, captured for the first photo of each size, and the host
+    waits for the device once a photo, to learn where the object is. Raises InputError.
     """
 
     def __init__(
@@ -53,6 +54,8 @@ class PhotoEncoder:
         output: Output = "uint8",
         quality: QualityName | Quality = "exact",
         look: Look | None = None,
+        detail: Detail | None = None,
+        budget: int = DEFAULT_BUDGET,
     ):
         self.quality = Quality.of(quality)
         check_options("direct", views, output)
@@ -67,7 +70,8 @@ class PhotoEncoder:
         if net.device.type == "cuda":
             # torch takes memory_format of a module too, which its stub does not know
             self.net.unet.to(torch.bfloat16, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.look = look
+        self.look, self.detail, self.budget = look, detail, budget
+        self._level(1)  # raises what any photo would
         self.gaussians: Gaussians | None = None
         self.rig: Rig | None = None
         self._captured: _Capture | None = None
@@ -90,11 +94,16 @@ class PhotoEncoder:
             stats.update(stages_ms=dict(counters.stages_ms))
         return image
 
+    def _level(self, photo_px: int) -> DetailLevel | None:
+        return detail_level(self.detail, self.net.config, photo_px, self.panel, self.budget)
+
     def _draw_on_cpu(self, photo: Tensor, stats: Stats) -> Tensor:
         with stats.stage("crop"):
             cropped = self.net.crop_photo(photo)
+            level = self._level(max(photo.shape[:2]))
+            fine = self.net.crop_photo(photo, level.factor) if level is not None else None
         with stats.stage("network"):
-            self.gaussians = self.net.seen_gaussians(cropped)
+            self.gaussians = self.net.seen_gaussians(cropped, fine, level)
         with stats.stage("framing"):
             self.rig = self._looked(framing.frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
@@ -111,7 +120,7 @@ class PhotoEncoder:
     def _draw_on_cuda(self, photo: Tensor, stats: Stats) -> Tensor:
         with torch.cuda.device(self.net.device):
             if self._captured is None or not self._captured.takes(photo):
-                self._captured = _Capture(self.net, photo)
+                self._captured = _Capture(self.net, photo, self._level(max(photo.shape[:2])))
             captured = self._captured
             with stats.stage("crop"):
                 captured.crop(photo)
@@ -139,13 +148,15 @@ class PhotoEncoder:
 class _Capture:
     """Crop, network and framing of photos of one size and type as CUDA graphs."""
 
-    def __init__(self, net: SplatterNet, photo: Tensor):
-        self.net, self.intrinsics = net, net.photo_intrinsics()
+    def __init__(self, net: SplatterNet, photo: Tensor, level: DetailLevel | None):
+        self.net, self.intrinsics, self.level = net, net.photo_intrinsics(), level
         self.host = torch.empty(photo.shape, dtype=photo.dtype, pin_memory=True)
         self.photo = torch.empty(photo.shape, dtype=photo.dtype, device=net.device)
         self.photo.copy_(photo)
-        self._crop, (self.cropped, self.checks) = _captured(self._cropped)
-        self._network, self.gaussians = _captured(lambda: net.all_gaussians(self.cropped, self.intrinsics))
+        self._crop, (self.cropped, self.fine, self.checks) = _captured(self._cropped)
+        self._network, self.gaussians = _captured(
+            lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level)
+        )
         self._framing, self.numbers = _captured(lambda: torch.cat([self.checks, framing.extent(self.gaussians)]))
 
     def takes(self, photo: Tensor) -> bool:
@@ -172,11 +183,14 @@ class _Capture:
         crop.check_object(has_object)
         return framing.fit(extent, panel, np.eye(4))
 
-    def _cropped(self) -> tuple[Tensor, Tensor]:
+    def _cropped(self) -> tuple[Tensor, Tensor | None, Tensor]:
         image = crop.premultiplied(self.photo)
         square = crop.object_square_on_device(image[3])
         checks = torch.stack([in_range(self.photo), crop.has_object(image[3])])
-        return crop.crop_resize_on_device(image, square, self.net.config.image_size_px), checks
+        size, fine = self.net.config.image_size_px, None
+        if self.level is not None:
+            fine = crop.crop_resize_on_device(image, square, size * self.level.factor)
+        return crop.crop_resize_on_device(image, square, size), fine, checks
 
 
 def _captured(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:

@@ -25,7 +25,7 @@ def workspace_of(
 ) -> Workspace:
     """For `images` images of one size. lens, colour_order, compensated, state: see workspace.Splats; room: see
     dense_job.DenseJob."""
-    if scene.tensors[0].is_cuda:
+    if scene.device.type == "cuda":
         return CudaWorkspace(
             scene, images, width, height, colour_order, stats, lens, state, compensated=compensated, room=room
         )

@@ -9,13 +9,13 @@ from typing import cast
 
 import numpy as np
 
+from lightfield_gs.encoding.views import render_views
 from lightfield_gs.io.atomic import atomic_path, make_folder, remove_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.comfort import EYE_SEPARATION_MM
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.panels.simulate import simulate, unknown_of
-from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.look_around import write_look_around_page
 
@@ -37,6 +37,7 @@ def write_preview(
     rig: Rig,
     background: tuple[float, float, float] = (1.0, 1.0, 1.0),
     antialiased: bool = False,
+    view_filter: float = 0.0,
 ) -> list[Path]:
     """Writes previews of an encoded light field into `folder` (made if absent) and returns their paths.
 
@@ -46,11 +47,11 @@ def write_preview(
     look-around.html: the same views in a page of its own, which follow the mouse, a finger or a tilted device.
     left-eye.png, right-eye.png: `image` [H, W, 3] through the lenses, the eyes 63 mm apart at the viewing distance;
     only where the panel knows its viewing distance and pixel pitch. Elsewhere those of an earlier preview are removed.
-    Views are rendered at a reduced size; antialiased: see `render`. Raises InputError.
+    Views are rendered at a reduced size; antialiased, view_filter: see `encode`. Raises InputError.
     """
     folder = make_folder(folder)
     paths = [folder / name for name in FILES[:3]]
-    frames = look_around(gaussians, panel, rig, background, antialiased)
+    frames = look_around(gaussians, panel, rig, background, antialiased, view_filter)
     with ThreadPoolExecutor(1) as beside:  # the animation keeps one core busy for as long as all else takes
         animation = beside.submit(_write_webp, paths[1], frames)
         write_image(paths[0], contact_sheet(frames))
@@ -79,6 +80,7 @@ def look_around(
     rig: Rig,
     background: tuple[float, float, float] = (1.0, 1.0, 1.0),
     antialiased: bool = False,
+    view_filter: float = 0.0,
 ) -> list[np.ndarray]:
     """Views spread over the fan, left-most camera first, each uint8 [h, w, 3]: 24, or 12 of a large scene on a CPU."""
     small_panel, small_rig = reduced(panel, rig, math.isqrt(_FRAME_PIXELS * panel.width_px // panel.height_px))
@@ -89,8 +91,15 @@ def look_around(
     views: list[np.ndarray] = []
     each = max(1, min(8, _MOST_SPLATS // max(1, gaussians.count)))
     for first in range(0, len(positions), each):
-        cameras = small_rig.cameras_at(small_panel, positions[first : first + each])
-        rendered = render(gaussians, cameras, background=background, antialiased=antialiased)
+        rendered = render_views(
+            gaussians,
+            small_panel,
+            small_rig,
+            positions[first : first + each],
+            background=background,
+            antialiased=antialiased,
+            view_filter=view_filter,
+        )
         views += (to_integers(view.cpu().numpy(), 8) for view in rendered)
     return views
 

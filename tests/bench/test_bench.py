@@ -21,6 +21,7 @@ from lightfield_gs.rasterizer.images import render
 from lightfield_gs.rasterizer.quality import EXACT, QUALITIES, Quality
 from lightfield_gs.scene.gaussians import Gaussians
 
+PANEL = Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2)
 KEYS = {
     "scene",
     "gaussians",
@@ -235,7 +236,7 @@ def test_cost_of_harmonics_is_within_one_scene_cone_and_method():
 
 
 def test_paper_prints_a_line_for_each_scene_and_keeps_the_numbers(tmp_path, capsys):
-    Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
+    PANEL.to_yaml(tmp_path / "small.yaml")
     path = tmp_path / "paper.json"
     assert (
         command.run(
@@ -356,7 +357,7 @@ def test_training_step_names_how_many_times_as_fast_ours_is():
 
 
 def test_photo_rows(tmp_path, capsys):
-    Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
+    PANEL.to_yaml(tmp_path / "small.yaml")
     path = tmp_path / "photo.json"
     assert (
         command.run(
@@ -389,7 +390,7 @@ def test_photo_rows(tmp_path, capsys):
 def test_pareto_rows_table_and_plot(tmp_path, capsys, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr("lightfield_gs.bench.pareto.oracle_samples", partial(oracle.oracle_samples, count=500))
-    Panel(width_px=96, height_px=48, views=6, line_number=6.3, slant_tan=0.2).to_yaml(tmp_path / "small.yaml")
+    PANEL.to_yaml(tmp_path / "small.yaml")
     path, picture = tmp_path / "pareto.json", tmp_path / "pareto.png"
     assert (
         command.run(

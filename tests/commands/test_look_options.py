@@ -91,5 +91,11 @@ def test_what_was_steered_gets_notes_unasked(folder, capsys):
     sheet.save("sheet.ply")
     Rig(np.eye(4), (90.0, 90.0), (48.0, 30.0), 3.0).to_yaml("r.yaml")
     assert "look" not in run(capsys, "encode sheet.ply -o o.png --panel p.yaml --rig r.yaml")
+    # What fills the picture of the centre camera, and not those beside it, is noted in any case
+    Rig(np.eye(4), (180.0, 180.0), (48.0, 30.0), 1.5).to_yaml("near.yaml")
+    for command in ("encode sheet.ply -o o.png", "quilt sheet.ply -o q --tiles 4x3 --size 96x96"):
+        assert cli.main(f"{command} --panel p.yaml --rig near.yaml".split()) == 0
+        noted = capsys.readouterr().err
+        assert noted.startswith("note: the outermost views look past what the scene knows: ") and noted.count("\n") == 1
     assert cli.main("encode sheet.ply -o o.png --panel p.yaml --rig r.yaml --focus 0.8 --zoom 2".split()) == 0
     assert re.match(r"note: the outermost views look past what the scene knows: ", capsys.readouterr().err)

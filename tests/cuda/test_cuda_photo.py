@@ -16,8 +16,8 @@ if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
 
 
-def of_the_cpu(net: SplatterNet, rgba: np.ndarray, **options) -> tuple[torch.Tensor, Rig]:
-    gaussians = net.cpu().predict(rgba)
+def of_the_cpu(net: SplatterNet, rgba: np.ndarray, detail=None, **options) -> tuple[torch.Tensor, Rig]:
+    gaussians = net.cpu().predict(rgba, detail, PANEL)
     rig = Rig.frame(gaussians, PANEL, np.eye(4))
     return encode(gaussians, PANEL, rig, **options), rig
 
@@ -39,6 +39,14 @@ def test_the_trained_network_draws_what_the_cpu_draws():
     rgba = photo(400, 300)
     found = PhotoEncoder(SplatterNet.from_pretrained().cuda(), PANEL)(rgba)
     assert psnr_db(found, of_the_cpu(SplatterNet.from_pretrained(), rgba)[0]) > 38
+
+
+@pytest.mark.parametrize("detail", [1, 2, "auto"])
+def test_a_photo_is_laid_over_the_prediction_as_on_the_cpu(detail):
+    rgba = photo(300, 300)
+    encoder = PhotoEncoder(tiny_net().cuda(), PANEL, detail=detail)
+    for _ in range(2):
+        assert psnr_db(encoder(rgba), of_the_cpu(tiny_net(), rgba, detail)[0]) > 35
 
 
 def test_photos_of_one_size_are_replayed_and_others_captured():

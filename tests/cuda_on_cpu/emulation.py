@@ -46,4 +46,5 @@ def _use_cuda_fit() -> None:
     core.float32.photo_loss = lambda job, threads: cuda.photo_loss(job, 0)
     core.float32.update = lambda job, threads: cuda.update(job, 0)
     core.float32.normals = lambda *arguments: cuda.normals(*arguments[:-1], 0)
+    core.float32.dropout = lambda job, threads: cuda.dropout(job, 0)
     core.uniforms = lambda *arguments: cuda.uniforms(*arguments[:-1], 0)

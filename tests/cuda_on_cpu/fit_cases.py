@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from lightfield_gs.fitting.dropout import dropout
 from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 from lightfield_gs.fitting.random import normals, uniforms
 from lightfield_gs.fitting.update import Gradients, RawFields, activated, update, update_table
@@ -89,6 +90,9 @@ def numbers(dtype: torch.dtype, device: str) -> dict[str, Tensor]:
     return {
         "uniforms": uniforms(**stream, count=1501).cpu(),
         "normals": normals(**stream, count=2051, dtype=dtype).cpu(),
+        "dropout": dropout(
+            torch.tensor([0.5, 0.2], device=device), torch.tensor(1, device=device), 2**40 + 3, 1030
+        ).cpu(),
     }
 
 

@@ -7,8 +7,10 @@ import pytest
 import torch
 from command_line import PANEL, complaint, run, scene
 
-from lightfield_gs import InputError, QuiltLayout, encode, interlace, quilt, weave
+from lightfield_gs import InputError, Panel, QuiltLayout, encode, interlace, quilt, weave
+from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.encoding.view_sets import QuiltViews, open_views
+from lightfield_gs.encoding.weave_passes import TorchPasses
 from lightfield_gs.io.images import read_image, write_image
 from lightfield_gs.panels.quilt import QUILT_PRESETS, layout_of_panel, stated_layout, with_suffix
 from lightfield_gs.panels.rig import Rig
@@ -44,6 +46,22 @@ def test_presets_fill_their_quilts_but_for_what_no_tile_takes():
     assert QUILT_PRESETS["16"].tile_px() == (819, 455)
     assert QUILT_PRESETS["16"].tile(0) == (slice(3641, 4096), slice(0, 819))
     assert layout_of_panel(PANEL).views == PANEL.views and layout_of_panel(PANEL).tile_px() == SIZE[::-1]
+
+
+def test_numbers_of_views_without_factors_have_a_quilt_all_the_same():
+    panel = Panel.load("65in-8k-96v")
+    assert layout_of_panel(panel).views == 96
+    for views, columns, rows in ((97, 7, 14), (53, 6, 9), (94, 5, 19), (2, 1, 2)):
+        odd = replace(panel, views=views)
+        if columns * rows == views:
+            found = layout_of_panel(odd)
+        else:
+            with pytest.warns(Assumption, match=f"{columns} x {rows} = {columns * rows} views for the {views} of"):
+                found = layout_of_panel(odd)
+        assert (found.columns, found.rows) == (columns, rows)
+        assert layout_of_panel(odd, (1, views)).views == views
+    # Small tiles fit side by side: nothing is lost
+    assert layout_of_panel(replace(PANEL, views=13)).tile_px() == SIZE[::-1]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -116,7 +134,50 @@ def test_views_are_woven_in_groups_as_at_once(monkeypatch):
         count = len(views)
         tiles = QuiltViews(views[::-1].reshape(-1, *views.shape[2:]), QuiltLayout(1, count, 1.6), "quilt")
         monkeypatch.setattr(module, "_GROUP_BYTES", 3 * views[0].size)
-        assert torch.equal(weave(tiles, PANEL), weave(views, PANEL))
+        for width in (0, 2.5):
+            assert torch.equal(weave(tiles, PANEL, view_filter=width), weave(views, PANEL, view_filter=width))
+
+
+@pytest.mark.parametrize("place", ["integer", "continuous"])
+@pytest.mark.parametrize("interpolation", ["linear", "nearest"])
+def test_torch_weaves_as_native_code_does(place, interpolation):
+    """What CUDA tensors are woven with, here on the CPU."""
+    for count, dtype, width in ((7, np.uint8, 0.0), (30, np.float32, 3.3), (12, np.uint16, 2.0)):
+        views = noise(count, 34, 50, 3) if dtype == np.uint8 else noise(count, 34, 50, 3, dtype=np.uint16)
+        views = (views / 65535).astype(np.float32) if dtype == np.float32 else views
+        options = dict(place=place, interpolation=interpolation, view_filter=width, shift=0.1, fit="contain")
+        got = weave(views, PANEL, **options).numpy()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("lightfield_gs.encoding.weave.NativePasses", lambda *of: TorchPasses(*of, "cpu"))
+            expected = weave(views, PANEL, **options).numpy()
+        assert np.abs(got.astype(np.float64) - expected).max() <= (1e-6 if dtype == np.float32 else 1)
+
+
+@pytest.mark.parametrize("place", ["integer", "continuous"])
+@pytest.mark.parametrize(("count", "width"), [(12, 2.0), (24, 1.0), (60, 2.7), (5, 4.0)])
+def test_the_view_filter_is_the_mean_over_a_box_of_views(count, width, place):
+    """Plain views of which one is bright: the share of the box that lies nearest to it."""
+    bright, box = count // 3, max(width * count / PANEL.views, 1.0)
+    views = np.zeros((count, 4, 4, 3), np.float32)
+    views[bright] = 1
+    x = PANEL.view_map(continuous=place == "continuous") + (0.5 if place == "integer" else 0.0)
+    at = np.clip(count * (1 - x / PANEL.views) - 0.5, 0, count - 1)
+    shared = np.minimum(at + box / 2, bright + 0.5) - np.maximum(at - box / 2, bright - 0.5)
+    got = weave(views, PANEL, place=place, view_filter=width, fit="stretch").numpy()
+    assert np.abs(got - shared.clip(0) / box).max() < 1e-6
+
+
+def test_the_view_filter_takes_detail_between_views_away_and_leaves_slow_change():
+    """Waves across the views, f a view: a box of two halves those at 1/4, and none is left of 1/2."""
+    q = np.arange(PANEL.views)
+    for frequency in (0.0, 1 / 12, 1 / 4, 1 / 2):
+        wave = np.cos(2 * np.pi * frequency * q).astype(np.float32)
+        views = np.broadcast_to(wave[:, None, None, None], (PANEL.views, *SIZE, 3)).copy()
+        at = PANEL.views - 1 - PANEL.view_map()
+        got = weave(views, PANEL, view_filter=2).numpy()
+        within = (at > 0) & (at < PANEL.views - 1)
+        assert np.abs(got - np.cos(np.pi * frequency) ** 2 * wave[at])[within].max() < 1e-6
+        assert np.array_equal(weave(views, PANEL, view_filter=1).numpy(), wave[at])
 
 
 def test_a_view_map_takes_the_place_of_the_lens():
@@ -127,14 +188,15 @@ def test_a_view_map_takes_the_place_of_the_lens():
     assert np.array_equal(got, np.where(table < 0, 255, expected))
 
 
+@pytest.mark.parametrize("width", [0.0, 1.5])
 @pytest.mark.parametrize("inverted", [False, True])
-def test_the_weave_of_a_quilt_is_what_classic_draws(inverted):
+def test_the_weave_of_a_quilt_is_what_classic_draws(inverted, width):
     panel = replace(PANEL, invert_views=inverted)
     gaussians, layout = scene(), layout_of_panel(panel)
     rig = Rig.frame(gaussians, panel)
-    image = quilt(gaussians, layout, rig, panel).numpy()
+    image = quilt(gaussians, layout, rig, panel, view_filter=width).numpy()
     got = weave(QuiltViews(image, layout, "quilt"), panel)
-    difference = (got.int() - encode(gaussians, panel, rig, "classic").int()).abs()
+    difference = (got.int() - encode(gaussians, panel, rig, "classic", view_filter=width).int()).abs()
     assert difference.max() <= (1 if inverted else 0)  # mirrored offsets may differ in the last bit
 
 

@@ -17,6 +17,7 @@ ROOMS = {  # and what each may include beside itself
     "cpu/fit": "base math/fit stages",
     "cpu/lens": "base scene math stages cpu",
     "cpu/sorted": "base scene math stages cpu",
+    "cpu/weave": "base scene stages",
     "cuda/common": "base scene math",
     "cuda/stages": "base scene math stages cuda/common",
     "cuda/dense": "base scene math stages cuda/common cuda/stages",

@@ -171,8 +171,11 @@ def _run_make(target: str, *settings: str) -> None:
         Path("demo").mkdir(exist_ok=True)
         for line in lines:
             words = shlex.split(line)[1:]
-            words[1] = str(ROOT / words[1]) if (ROOT / words[1]).exists() and not Path(words[1]).exists() else words[1]
-            _run_lightfield_gs(words)
+            _run_lightfield_gs([str(ROOT / word) if _is_of_the_checkout(word) else word for word in words])
+
+
+def _is_of_the_checkout(word: str) -> bool:
+    return "/" in word and (ROOT / word).exists() and not Path(word).exists()
 
 
 def _run_line(line: str) -> None:

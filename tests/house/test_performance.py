@@ -18,8 +18,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from panel_cases import template_panel
 
-from lightfield_gs import Panel, _core, build_info, encode, render
+from lightfield_gs import _core, build_info, encode, render
 from lightfield_gs.bench.scenes import benchmark_rig, load_scene
 
 STORED = Path(__file__).with_name("performance.json")
@@ -33,7 +34,7 @@ FRAMES = {
     for cone in (5.0, 40.0)
     for method in ("direct", "sorted")
 }
-PANEL = Panel(width_px=640, height_px=320, views=96, line_number=9.848282191911, slant_tan=1 / 6, cone_deg=40.0)
+PANEL = template_panel(640, 320, 96)
 
 pytestmark = pytest.mark.skipif(
     platform.machine() != "x86_64" or TARGET not in build_info()["simd_targets"],

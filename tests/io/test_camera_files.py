@@ -6,15 +6,16 @@ import math
 import numpy as np
 import pytest
 import torch
+from panel_cases import plain_panel
 from rasterizer_cases import random_scene, turned_pose
 
-from lightfield_gs import Cameras, InputError, Panel, render
+from lightfield_gs import Cameras, InputError, render
 from lightfield_gs.encoding.view_files import read_cameras
 from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.images import write_image
 
 POSES = [turned_pose(0.3, -0.2), turned_pose(-0.1, 0.4)]
-PANEL = Panel(width_px=200, height_px=100, views=4, line_number=9.8, slant_tan=0.1, cone_deg=30)
+PANEL = plain_panel(200, 100, 4, cone_deg=30)
 
 
 def inria(**changes) -> list[dict]:

@@ -172,6 +172,7 @@ CALLS = {
             panel=PANEL,
             background=(1, 1, 1),
             antialiased=False,
+            view_filter=0.0,
         ),
     ),
     "weave": (
@@ -181,6 +182,7 @@ CALLS = {
             panel=PANEL,
             interpolation="nearest",
             place="integer",
+            view_filter=2.0,
             view_map=PANEL.view_map(),
             aspect=2.0,
             fit="contain",

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from panel_cases import template_panel
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.calibration_fit import fit_lens
@@ -13,17 +14,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.patterns import bars, light_of_srgb, srgb_of_light
 from lightfield_gs.panels.simulate import simulate
 
-START = Panel(
-    width_px=960,
-    height_px=540,
-    views=48,
-    line_number=9.848282191911,
-    slant_tan=1 / 6,
-    phase=-310.4,
-    cone_deg=40,
-    viewing_distance_mm=600,
-    pixel_pitch_mm=0.2,
-)
+START = template_panel(960, 540, 48, phase=-310.4, viewing_distance_mm=600, pixel_pitch_mm=0.2)
 CORNERS = np.array([[92.3, 61.8], [694.1, 90.2], [668.7, 452.9], [121.4, 428.6]])
 EYES = ((0.0, 0.0, 600.0), (70.0, 20.0, 560.0))
 

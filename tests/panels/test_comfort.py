@@ -4,9 +4,10 @@ import json
 import math
 from dataclasses import replace
 
+import look_cases
 import numpy as np
 import pytest
-from test_look import sheet
+from look_cases import RIG, sheet
 
 from lightfield_gs import Look, depth_report
 from lightfield_gs.base.errors import InputError
@@ -14,10 +15,10 @@ from lightfield_gs.panels.comfort import EYE_SEPARATION_MM, place_of, sharp_dept
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import simulate
+from lightfield_gs.panels.unseen import share_past
 from lightfield_gs.scene.gaussians import Gaussians
 
-PANEL = Panel(96, 60, 8, 9.8, 0.1, cone_deg=40, viewing_distance_mm=700, pixel_pitch_mm=4.0)
-RIG = Rig(np.eye(4), (96.0, 100.0), (45.0, 28.0), zero_depth=2.0)
+PANEL = replace(look_cases.PANEL, viewing_distance_mm=700, pixel_pitch_mm=4.0)
 NEAR, FAR = 1.5, 4.0
 SCENE = sheet((NEAR, 0.9, 0.3, 0.6), (FAR, 0.9, -1, 2))
 
@@ -150,6 +151,10 @@ def test_what_nobody_has_seen_is_measured():
     hole, edge = pixels * (1 / NEAR - 1 / FAR), pixels * (1 / 2 - 1 / FAR)
     assert report.unseen == pytest.approx([(hole + edge) / 96] * 2, rel=0.15)
     assert any("past what the scene knows" in words for words in report.warnings())
+    # The photo fills the picture, so that it is certain; around a part of it there may well be air
+    assert share_past(photo, PANEL, RIG) == pytest.approx(max(report.unseen), abs=0.02)
+    assert share_past(SCENE, PANEL, RIG) < 0.01
+    assert share_past(sheet((NEAR, 0.9, 0.3, 0.6)), PANEL, RIG) is None
 
 
 def test_which_side_is_left():

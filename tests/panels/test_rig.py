@@ -5,22 +5,14 @@ import math
 import numpy as np
 import pytest
 import torch
+from panel_cases import plain_panel
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 
-PANEL = Panel(
-    width_px=480,
-    height_px=240,
-    views=8,
-    line_number=9.8,
-    slant_tan=0.1,
-    cone_deg=40,
-    viewing_distance_mm=1000,
-    pixel_pitch_mm=0.18,
-)
+PANEL = plain_panel(480, 240, viewing_distance_mm=1000, pixel_pitch_mm=0.18)
 
 
 def some_rig(**changes) -> Rig:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from panel_cases import TEMPLATE_LENS
 from rasterizer_cases import CELLS
 
 from lightfield_gs.base.errors import InputError
@@ -12,11 +13,10 @@ from lightfield_gs.panels.psf import Psf
 from lightfield_gs.panels.simulate import row_of_eyes, simulate, simulate_eyes
 
 BASE = dict(
+    TEMPLATE_LENS,
     width_px=600,
     height_px=300,
     views=96,
-    line_number=9.848282191911,
-    slant_tan=1 / 6,
     phase=-2161.2,
     cone_deg=40,
     viewing_distance_mm=2000,

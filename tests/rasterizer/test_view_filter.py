@@ -11,6 +11,8 @@ import torch
 from rasterizer_cases import all_subpixels, panel, random_scene, rig
 
 from lightfield_gs import Encoder, InputError, cli, encode, prune, reference
+from lightfield_gs.base.arrays import bytes_of
+from lightfield_gs.encoding.views import render_views
 from lightfield_gs.io.images import read_image, read_info
 from lightfield_gs.panels.lens import lens_view, view_aperture
 from lightfield_gs.panels.rig import Rig
@@ -20,6 +22,9 @@ from lightfield_gs.rasterizer.workspace import Wanted
 from lightfield_gs.reference.blend import LOW_PASS_PX2, Projection, Scene, square
 from lightfield_gs.reference.light_field import rig_eye
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.show.page.controls import Controls
+from lightfield_gs.show.page.stage import Stage
+from lightfield_gs.show.preview import contact_sheet, look_around
 
 BACKGROUND = (0.1, 0.6, 0.3)
 WIDTH = 12.0  # of the 96 views of panel(), which has few pixels
@@ -213,6 +218,15 @@ def test_an_encoder_and_pruning_do_the_same():
     assert 0 < kept.count < scene.count and (pruned - whole).abs().mean() <= 1e-3 + 1e-4
 
 
+def test_the_page_does_the_same():
+    shown, scene = panel(width_px=96, height_px=54), deep_scene().to(torch.float32)
+    fan, options = rig(shown), {"background": BACKGROUND, "view_filter": WIDTH}
+    stage = Stage(scene, shown, fan, BACKGROUND, view_filter=WIDTH)
+    assert np.array_equal(stage.native(Controls())[0], encode(scene, shown, stage._rig(Controls()), **options).numpy())
+    want = bytes_of(render_views(scene, shown, stage._rig(Controls()), [shown.views / 2], **options))[0]
+    assert np.array_equal(stage.eye(Controls(), shown.width_px, still=False).pixels, want)
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -236,11 +250,63 @@ def test_the_commands_take_the_option(tmp_path, monkeypatch, capsys):
     rig(shown).to_yaml("rig.yaml"), shown.to_yaml("panel.yaml"), scene.save("scene.ply")
     stored, fan = Gaussians.load("scene.ply"), Rig.from_yaml("rig.yaml")
     common = "--panel panel.yaml --rig rig.yaml --device cpu --view-filter 12"
-    assert cli.main(f"encode scene.ply -o made.png {common}".split()) == 0
+    assert cli.main(f"encode scene.ply -o made.png --preview views {common}".split()) == 0
     made, metadata = read_image("made.png", as_stored=True), read_info("made.png").metadata
     assert np.array_equal(made, encode(stored, shown, fan, view_filter=WIDTH).numpy())
     assert json.loads(metadata["encoding"])["view_filter"] == WIDTH
+    sheets = [contact_sheet(look_around(stored, shown, fan, view_filter=width)) for width in (WIDTH, 0)]
+    assert np.array_equal(read_image("views/views.png", as_stored=True), sheets[0]) and not np.array_equal(*sheets)
     assert cli.main(f"prune scene.ply -o less.ply --contribution-cut 1e-3 {common}".split()) == 0
     assert torch.equal(Gaussians.load("less.ply").means, prune(stored, shown, fan, 1e-3, view_filter=WIDTH).means)
     assert cli.main("encode scene.ply -o m.png --cameras c.json --method sorted --view-filter 1".split())
     assert "--view-filter is about a rig" in capsys.readouterr().err
+
+
+def test_what_limits_the_filter_is_that_splats_are_blended_one_by_one():
+    """The share of light that a swept splat takes is right by itself, but blending takes what several of them cover for
+    independent. Those that stand one behind the other cover the same place at the same time: too much is covered, by
+    Jensen's inequality, for 1 - (1 - a)^k is concave in a. Those side by side cover it in turn: too little is."""
+    shown = panel(views=4, cone_deg=16.0, width_px=120, height_px=60)
+    fan = rig(shown)
+    one = deep_scene(1, size=0.01)
+    one.means[:] = fan_place(fan, 3 * fan.zero_depth)
+    one.scales[:], one.opacities[:] = 0.01, 0.6
+
+    def covered(scene: Gaussians) -> tuple[torch.Tensor, torch.Tensor]:
+        """With the filter [H, W], and within the view [41, H, W]."""
+        cameras = fan.cameras_at(shown, np.append(2 + (np.arange(41) + 0.5) / 41, 2.5)).to(scene.means)
+        tensors = [t.unsqueeze(0) for t in scene.fields().values()]
+        views = (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())
+        found = []
+        for part, aperture in (
+            (slice(41, 42), view_aperture(shown, fan, 1.0)),
+            (slice(41), view_aperture(shown, fan, 0)),
+        ):
+            some = [t[None, part] for t in views]
+            black = torch.zeros(1, some[0].shape[1], 3, dtype=torch.float64)
+            job = DenseJob.of(*tensors, black, *some, shown.width_px, shown.height_px, aperture=aperture)
+            found.append(job.draw().alpha[0])
+        return found[0][0], found[1]
+
+    def together(steps_px: list[float]) -> Gaussians:
+        """Copies so many pixels further to the right each."""
+        fields = {name: torch.cat([field] * len(steps_px)) for name, field in one.fields().items()}
+        right = torch.as_tensor(fan.world_to_camera, dtype=torch.float64)[0, :3]
+        apart = torch.tensor(steps_px, dtype=torch.float64) * 3 * fan.zero_depth / fan.focal_px[0]
+        return Gaussians(**{**fields, "means": fields["means"] + apart[:, None] * right})
+
+    filtered, within = covered(one)
+    assert float(filtered.sum() / within.mean(0).sum()) == pytest.approx(1, abs=0.02)
+    stacked, of_stack = covered(together([0.0] * 6))
+    torch.testing.assert_close(of_stack, 1 - (1 - within) ** 6)
+    assert float(stacked.sum() / of_stack.mean(0).sum()) > 1.2
+    one.opacities[:] = 0.99
+    row, of_row = covered(together([2.0 * k for k in range(-10, 11)]))
+    middle = slice(58, 62)
+    assert float(row[:, middle].sum() / of_row.mean(0)[:, middle].sum()) < 0.97
+
+
+def fan_place(fan: Rig, depth: float) -> torch.Tensor:
+    """The point of the scene that lies before the centre camera of a rig at a depth."""
+    pose = torch.as_tensor(fan.world_to_camera, dtype=torch.float64)
+    return (torch.tensor([0, 0, depth], dtype=torch.float64) - pose[:3, 3]) @ pose[:3, :3]

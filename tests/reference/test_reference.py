@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from panel_cases import template_panel
 
 from lightfield_gs import reference
 from lightfield_gs.base.harmonics import harmonics, rotations
@@ -15,7 +16,7 @@ from lightfield_gs.panels.rig import Rig
 from lightfield_gs.reference.blend import Projection, Scene
 from lightfield_gs.scene.gaussians import Gaussians
 
-PANEL = Panel(width_px=64, height_px=48, views=8, line_number=9.848282191911, slant_tan=1 / 6, phase=-3.25, cone_deg=40)
+PANEL = template_panel(64, 48, 8, phase=-3.25)
 RIG = Rig(np.eye(4), (64, 70), (30.5, 25.25), 2.0)
 SH_CONSTANT = math.sqrt(1 / (4 * math.pi))
 

@@ -16,10 +16,10 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from training.blender import render
 from training.blender.plan import fan, main, make_plan
+from training.comparison import azimuths_from_source
 from training.data.images import read_view
 from training.data.objects import find_objects, read_object
 from training.data.validate import problems
-from training.evaluation import azimuths_from_source
 
 PANEL = Panel.load("65in-8k-96v")
 SCRIPT = Path(render.__file__)

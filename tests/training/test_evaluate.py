@@ -12,9 +12,10 @@ from srn_scene import HEIGHT, WIDTH, look_at, write_object
 from lightfield_gs import Gaussians, InputError
 from lightfield_gs.models import ModelConfig, SplatterNet
 from training import evaluate
+from training.comparison import azimuths_from_source, compare_object
 from training.data.objects import read_object
 from training.data.plan import relative_cameras
-from training.evaluation import azimuths_from_source, compare_object, labelled, score_folder
+from training.evaluation import labelled, score_folder
 from training.rendering import render_card, render_views
 
 ANGLES = ((0, 0), (-10, 0), (5, 6), (10, -6), (4, 0))
@@ -99,6 +100,46 @@ def test_the_objects_of_a_limit_are_spread_over_the_folder(tmp_path):
     for limit in (0, -2):
         with pytest.raises(InputError, match="limit must be 1"):
             score_folder(net, tmp_path, limit=limit)
+
+
+def test_scores_at_another_size_are_of_the_stored_pixels(tmp_path, capsys):
+    """Copying at the stored size is compared pixel by pixel; objects that would be magnified are left out."""
+    write_object(tmp_path / "plain/a", angles=ANGLES[:2])
+    write_object(tmp_path / "textured/a", angles=ANGLES[:2])
+    for path in (tmp_path / "plain/a/rgb").iterdir():
+        Image.open(path).resize((4 * WIDTH, 4 * HEIGHT), Image.Resampling.NEAREST).save(path)
+    (tmp_path / "plain/a/intrinsics.txt").write_text(
+        f"280 {2 * WIDTH} {2 * HEIGHT} 0\n0 0 0\n1\n{4 * HEIGHT} {4 * WIDTH}\n"
+    )
+    net = SplatterNet(ModelConfig.from_dict(TINY)).eval()
+    report = score_folder(net, tmp_path / "plain", size_px=256)
+    pixels = [np.asarray(Image.open(tmp_path / f"plain/a/rgb/{i:06d}.png")).astype(float) / 255 for i in range(2)]
+    first, second = (frame[..., :3] * frame[..., 3:] + 1 - frame[..., 3:] for frame in pixels)
+    assert report["copy_psnr_db"] == pytest.approx(-10 * np.log10(((first - second) ** 2).mean()), abs=0.01)
+    steps = [np.diff(first - second, axis=axis).ravel() for axis in (0, 1)]
+    expected = -10 * np.log10((np.concatenate(steps) ** 2).mean())
+    assert report["copy_gradient_psnr_db"] == pytest.approx(expected, abs=0.01)
+    with pytest.raises(InputError, match="at least 256 px on the longer side, got 64"):
+        score_folder(net, tmp_path / "textured", size_px=256)
+    net.save(tmp_path / "net.safetensors")
+    options = ["--checkpoint", str(tmp_path / "net.safetensors"), "--json", str(tmp_path / "s.json"), "--size", "96"]
+    assert evaluate.main(["--data", str(tmp_path / "plain"), str(tmp_path / "textured"), *options]) == 0
+    scores = json.loads((tmp_path / "s.json").read_text())
+    assert list(scores) == ["plain", "textured"] and scores["plain"]["size_px"] == 96
+    assert "textured:\nangle" in capsys.readouterr().out
+
+
+def test_detail_brings_the_source_view_nearer_to_the_photo(tmp_path):
+    """Of a checkerboard that an untrained network of 16 px cannot show."""
+    write_object(tmp_path / "a", angles=ANGLES[:2])
+    path = tmp_path / "a/rgb/000000.png"
+    frame = np.array(Image.open(path))
+    frame[..., :3] = 255 * (np.indices(frame.shape[:2]).sum(0) // 3 % 2)[..., None]
+    Image.fromarray(frame).save(path)
+    net = SplatterNet(ModelConfig.from_dict(TINY)).eval()
+    soft, sharp = (score_folder(net, tmp_path, detail=detail)["source"] for detail in (None, 4))
+    assert sharp["gradient_psnr_db"] > soft["gradient_psnr_db"] + 0.5
+    assert sharp["psnr_db"] > soft["psnr_db"] + 0.5
 
 
 def test_objects_that_cannot_be_scored_are_left_out_and_named(tmp_path, capsys):

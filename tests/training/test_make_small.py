@@ -11,11 +11,11 @@ import yaml
 
 from lightfield_gs.base.errors import InputError
 from training.compare import read_experiment
+from training.comparison import azimuths_from_source
 from training.data.images import read_view
 from training.data.make_small import FOCAL_PX, SIZE_PX, main, make_small
 from training.data.objects import MAKE_SMALL, find_objects, read_object
 from training.data.validate import problems
-from training.evaluation import azimuths_from_source
 from training.train import read_config
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs/training"

@@ -15,22 +15,27 @@ from training.data.procedural import draw_pictures, steps_of_block
 from training.data.procedural_plan import CELLS, DISTANCE, NUMBERS, ProceduralPlan, draw_objects, orbit
 from training.data.resident import ResidentViews
 from training.data.sampler import ViewSampler
-from training.data.superquadrics import SHAPE, lengths, lies_inside, profile_points, section_points
+from training.data.superquadrics import SHAPE, lengths, lies_inside, named, profile_points, section_points
+from training.data.textures import PIECE_PX, Photographs
 
 pytestmark = pytest.mark.long_file
 
 CONE_DEG = (30.0, 12.0)
 
 
-def _plan(count: int, sizes: tuple[int, int] = (32, 32), views: int = 3, seed: int = 0) -> ProceduralPlan:
+def _plan(
+    count: int, sizes: tuple[int, int] = (32, 32), views: int = 3, seed: int = 0, photographs: Photographs | None = None
+) -> ProceduralPlan:
     rows = np.random.default_rng(seed).random((count, NUMBERS))
     framing = np.ones((count, 1 + views)), np.zeros((count, 1 + views, 2))
-    return draw_objects(rows, CONE_DEG, sizes, framing, np.ones((count, views, 3)))
+    return draw_objects(rows, CONE_DEG, sizes, framing, np.ones((count, views, 3)), photographs)
 
 
 def _random_parts(count: int) -> dict[str, torch.Tensor]:
     """Numbers of SHAPE, but for the placement, of parts of all kinds."""
     u = torch.from_numpy(np.random.default_rng(1).random((8, count)))
+    v = torch.from_numpy(np.random.default_rng(4).random((6, count)))
+    irregular = torch.arange(count) % 2 == 1
     return {
         "half": (0.05 + 0.3 * u[:3]).T,
         "hole": torch.where(u[3] < 0.4, 0.5 + u[3], 0.0),
@@ -40,14 +45,24 @@ def _random_parts(count: int) -> dict[str, torch.Tensor]:
         "wave": 0.1 * u[7],
         "waves": 1 + 6 * u[0],
         "bend": 0.3 * u[1],
+        "lobe": torch.where(irregular, 0.4 * v[0], 0.0),
+        "lobes": (2 + 6 * v[1]).floor(),
+        "turn": 6 * v[2],
+        "curve": torch.where(irregular, 0.5 * v[3], 0.0),
+        "curves": 2 + 7 * v[4],
+        "begin": 6 * v[5],
+        "relief": torch.zeros(count),
     }
 
 
 def _field(part: dict[str, torch.Tensor], points: torch.Tensor) -> torch.Tensor:
-    """Barr's inside-outside function with his taper and bend undone: 1 on the surface."""
+    """Barr's inside-outside function with his taper and bend, lobes and turned profile undone: 1 on the surface."""
     x, y, z = (points / part["half"]).unbind(-1)
     x = x - part["bend"] * (z**2 - 0.5) / part["half"][..., 0]
     growth = 1 + part["taper"] * z + part["wave"] * torch.cos(part["waves"] * z)
+    growth = growth * (1 - part["curve"] / 2 + part["curve"] / 2 * torch.sin(part["curves"] * z + part["begin"]))
+    angle = torch.complex(x, y).angle()
+    growth = growth * (1 - part["lobe"] / 2 + part["lobe"] / 2 * torch.cos(part["lobes"] * angle + part["turn"]))
     section = ((x / growth).abs() ** part["section"] + (y / growth).abs() ** part["section"]) ** (1 / part["section"])
     ring = ((section - part["hole"]) / (1 - part["hole"])).abs()
     return ring ** part["profile"] + z.abs() ** part["profile"]
@@ -165,9 +180,17 @@ def test_the_first_target_is_the_source_view():
     torch.testing.assert_close(source, targets[:, 0], atol=1e-5, rtol=0)
 
 
-def test_unseen_surfels_make_no_difference(monkeypatch):
+def _photographs() -> Photographs:
+    """A coloured piece and a grey one."""
+    noise = torch.from_numpy(np.random.default_rng(0).integers(256, size=(2, PIECE_PX, PIECE_PX, 3), dtype=np.uint8))
+    noise[1] = noise[1, ..., :1]
+    return Photographs(noise)
+
+
+@pytest.mark.parametrize("photographs", [None, _photographs()], ids=["regular", "clothed"])
+def test_unseen_surfels_make_no_difference(monkeypatch, photographs):
     """What is left out faces away from all cameras, or lies in another part."""
-    plan = _plan(4, (48, 48))
+    plan = _plan(4, (48, 48), photographs=photographs)
     expected, surfels = draw_pictures(plan)[0], procedural._surfels(plan)
     kept = procedural._visible(surfels, plan)
     assert kept["filled"].sum() < 0.8 * plan.ends[:, -1].sum()
@@ -180,6 +203,19 @@ def test_unseen_surfels_make_no_difference(monkeypatch):
     everything |= {"part": torch.where(real, surfels["part"], 0), "filled": real.float()}
     monkeypatch.setattr(procedural, "_visible", lambda *_: everything)
     assert (draw_pictures(plan)[0] - expected).abs().mean() < 0.01
+
+
+def test_photographs_change_skins_and_shapes_and_nothing_else():
+    regular, clothed = _plan(4), _plan(4, photographs=_photographs())
+    for name in ("sides", "shifts", "world_to_camera", "light"):
+        torch.testing.assert_close(getattr(clothed, name), getattr(regular, name))
+    irregular = named(clothed.shapes, SHAPE)
+    assert not any(named(regular.shapes, SHAPE)[name].any() for name in ("lobe", "curve", "relief"))
+    assert all(irregular[name].any() for name in ("lobe", "curve", "relief"))
+    source, _, targets, _ = draw_pictures(clothed)
+    torch.testing.assert_close(source, targets[:, 0], atol=1e-5, rtol=0)
+    assert (source[:, :3] <= source[:, 3:] + 1e-5).all() and 0.02 < source[:, 3].mean() < 0.95
+    assert (source - draw_pictures(regular)[0]).abs().mean() > 0.02
 
 
 def test_cameras_stand_in_the_cone_and_look_at_the_object():

@@ -19,13 +19,13 @@ from training_runs import losses, run_config, start
 from lightfield_gs import InputError
 from lightfield_gs.base.paths import config_names, config_path
 from lightfield_gs.models import ModelConfig, SplatterNet
-from lightfield_gs.reference.metrics import psnr_db, ssim
+from lightfield_gs.reference.metrics import gradient_psnr_db, psnr_db, ssim
 from training import average, train
 from training.checkpoints import cut_log, load_checkpoint
 from training.config import OptimizerConfig, Stage, TrainingConfig
 from training.data.plan import Augmentation
 from training.distributed import join_team
-from training.losses import LossWeights, composite, roughness, total_loss, translucency
+from training.losses import LossWeights, composite, gradient_error, roughness, total_loss, translucency
 from training.schedule import WeightAverage, learning_rate
 from training.trainer import Trainer
 
@@ -83,6 +83,20 @@ def test_the_logarithm_of_errors_is_that_of_each_image():
     weights = LossWeights(colour=0, log_colour=0.5, ssim=0, alpha=0)
     total, _ = total_loss(images, targets[:, :, 3], targets, backgrounds, *scene, weights)
     assert float(total) == pytest.approx(0.5 * (math.log(0.01 + 1e-4) + math.log(0.09 + 1e-4)) / 2, rel=1e-5)
+
+
+def test_the_gradient_term_is_what_sharpness_is_scored_by():
+    images, wanted = torch.rand(2, 3, 4, 20, 20)[:, :, :3].unbind(0)
+    scores = gradient_psnr_db(images, wanted)
+    assert float(gradient_error(images, wanted)) == pytest.approx(float((10 ** (-scores / 10)).mean()), rel=1e-5)
+    scene = torch.ones(1, 256, 3), torch.zeros(1, 4, 16, 16)
+    targets, backgrounds = torch.zeros(1, 2, 4, 16, 16), torch.zeros(1, 2, 3)
+    alternating = (torch.arange(16) % 2).float().expand(1, 2, 3, 16, 16)  # all differences along rows are 1
+    weights = LossWeights(colour=0, ssim=0, alpha=0, gradient=3)
+    total, terms = total_loss(alternating, targets[:, :, 3], targets, backgrounds, *scene, weights)
+    assert float(terms["gradient"]) == pytest.approx(0.5) and float(total) == pytest.approx(1.5)
+    flat, _ = total_loss(0 * alternating + 0.4, targets[:, :, 3], targets, backgrounds, *scene, weights)
+    assert float(flat) == 0
 
 
 def test_translucency_turns_doubt_about_an_outline_into_a_decision():

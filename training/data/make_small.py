@@ -86,13 +86,19 @@ def _write_object(root: Path, name: str, numbers: np.ndarray, angles: dict[str, 
 
 def _write_views(folder: Path, pictures: np.ndarray, poses: np.ndarray) -> None:
     """Pictures [V,S,S,4] and camera-to-world matrices [V,4,4] in SRN layout."""
-    for part in ("rgb", "pose"):
-        make_folder(folder / part)
-    for index, (picture, pose) in enumerate(zip(pictures, poses)):
+    write_cameras(folder, poses, FOCAL_PX, SIZE_PX)
+    make_folder(folder / "rgb")
+    for index, picture in enumerate(pictures):
         write_image(folder / f"rgb/{index:06d}.png", picture, compression="small")
+
+
+def write_cameras(folder: Path, poses: np.ndarray, focal_px: float, size_px: int) -> None:
+    """The cameras of an object in SRN layout: camera-to-world matrices [V,4,4], square frames about their middle."""
+    make_folder(folder / "pose")
+    for index, pose in enumerate(poses):
         np.savetxt(folder / f"pose/{index:06d}.txt", pose.reshape(1, 16), fmt="%.9g")
-    middle = SIZE_PX / 2
-    (folder / "intrinsics.txt").write_text(f"{FOCAL_PX} {middle} {middle} 0.\n0. 0. 0.\n1.\n{SIZE_PX} {SIZE_PX}\n")
+    middle = size_px / 2
+    (folder / "intrinsics.txt").write_text(f"{focal_px} {middle} {middle} 0.\n0. 0. 0.\n1.\n{size_px} {size_px}\n")
 
 
 @with_line_errors("training.data.make_small")

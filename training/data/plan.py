@@ -21,6 +21,7 @@ from training.data.procedural import ProceduralBlock, ProceduralExamples, steps_
 from training.data.procedural_plan import NUMBERS, draw_objects, rotation
 from training.data.resident import ResidentViews
 from training.data.sampler import Choice, ViewSampler
+from training.data.textures import Photographs
 from training.ranges import check_ranges
 
 
@@ -129,7 +130,7 @@ class BatchPlanner:
 
     views: whose first objects are the sampler's. partners: for each of those the number of the object whose views its
     targets are; None: its own. procedural: share of the examples, 0..1, that show procedural objects in place of what
-    the sampler drew.
+    the sampler drew. photographs: their skins.
     """
 
     def __init__(
@@ -139,8 +140,10 @@ class BatchPlanner:
         augmentation: Augmentation,
         partners: np.ndarray | None = None,
         procedural: float = 0.0,
+        photographs: Photographs | None = None,
     ) -> None:
         self.views, self.sampler, self.augmentation, self.procedural = views, sampler, augmentation, procedural
+        self._photographs = photographs
         self._first_target = views.first_view if partners is None else views.first_view[partners]
         self._window_px = tuple(int(views.rectangles[:, side].max(initial=1)) for side in (4, 3))
         self._block = lru_cache(maxsize=1)(self._new_block)
@@ -184,8 +187,9 @@ class BatchPlanner:
         seeds = np.concatenate([self.sampler.rng(step, 3).random((made.sum(), NUMBERS))[rows] for step in numbers])
         steps_drawn = [self._draw(step, count, wanted) for step in numbers]
         drawn = {name: np.concatenate([one[name] for one in steps_drawn]) for name in steps_drawn[0]}
+        framing, backgrounds = self._framing(drawn), self._backgrounds(drawn)
         return ProceduralBlock(
-            draw_objects(seeds, self.sampler.cone_deg, sizes, self._framing(drawn), self._backgrounds(drawn))
+            draw_objects(seeds, self.sampler.cone_deg, sizes, framing, backgrounds, self._photographs)
         )
 
     def _plan_views(

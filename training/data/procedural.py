@@ -18,7 +18,9 @@ from lightfield_gs.models.crop import MARGIN
 from lightfield_gs.scene.gaussians import Gaussians
 from training.data.fusing import fused
 from training.data.procedural_plan import CELLS, LOOK, ProceduralPlan
+from training.data.relief import raised
 from training.data.superquadrics import SHAPE, lies_inside, named
+from training.data.textures import SKIN, worn
 from training.data.transfer import on_device
 from training.rendering import render_views
 
@@ -126,6 +128,8 @@ def _surfels(plan: ProceduralPlan) -> dict[str, Tensor]:
     along = torch.cat([radius_step * x, height_step], -1)
     along[..., :1] += shift_step
     across = F.pad(radius * x_step, (0, 1))
+    if plan.photographs is not None:
+        local, along, across = raised(_gathered(plan.reliefs, part.clamp_max(parts - 1)), local, along, across)
     matrix = cell["matrix"].unflatten(-1, (3, 3))
     point, along, across = ((matrix * vector[..., None, :]).sum(-1) for vector in (local, along, across))
     normal = F.normalize(torch.linalg.cross(across, along), dim=-1, eps=1e-20) * cell["sense"][..., None]
@@ -176,7 +180,7 @@ def _visible(surfels: dict[str, Tensor], plan: ProceduralPlan, compiled: bool = 
 
 
 def _coloured(surfels: dict[str, Tensor], plan: ProceduralPlan) -> tuple[Tensor, Tensor]:
-    """Colours [B,N,3] without light, two of a part mixed by its pattern, and gloss [B,N]."""
+    """Colours [B,N,3] without light, two of a part mixed by its pattern or those of its skin, and gloss [B,N]."""
     look = named(_gathered(plan.looks, surfels["part"]), LOOK)
     waves = look["waves"].unflatten(-1, (3, 3))
     phase = (waves * surfels["local"][..., None, :]).sum(-1) + look["phases"]
@@ -186,7 +190,15 @@ def _coloured(surfels: dict[str, Tensor], plan: ProceduralPlan) -> tuple[Tensor,
     facing = (surfels["normal"] * F.normalize(waves[..., 0, :], dim=-1)).sum(-1)
     values = torch.stack([torch.full_like(first, -10), gradient, first, first * second * third, veins, facing], -1)
     share = torch.sigmoid(look["contrast"] * (values * look["weights"]).sum(-1))
-    return torch.lerp(look["base"], look["second"], share[..., None]), look["gloss"]
+    colours = torch.lerp(look["base"], look["second"], share[..., None])
+    if plan.photographs is not None:
+        skin = _gathered(plan.skins, surfels["part"])
+        matrix = _gathered(plan.cells, surfels["part"])[..., : CELLS["matrix"]].unflatten(-1, (3, 3))
+        facing = (matrix * surfels["normal"][..., None]).sum(-2)
+        pieces = plan.photographs.on(colours.device)
+        skinned = worn(skin, pieces, surfels["local"], facing, look["base"], look["second"])
+        colours = torch.lerp(colours, skinned, named(skin, SKIN)["share"][..., None])
+    return colours, look["gloss"]
 
 
 def _lit(colours: Tensor, gloss: Tensor, normal: Tensor, light: Tensor) -> Tensor:

@@ -13,7 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from training.data.relief import RELIEF, draw_relief, irregular, regular
 from training.data.superquadrics import SHAPE, lengths, profile_points, section_points
+from training.data.textures import SKIN, Photographs, draw_skin
+from training.data.uniform import Numbers
 
 DISTANCE = 1.3  # from the source camera to the object's middle, scene units, as in the project's data
 _PARTS, _GROUPS = 12, 6
@@ -27,6 +30,7 @@ CELLS = {"matrix": 9, "centre": 3, "sense": 1, "start": 1, "columns": 1, "first_
 # contrast: how abruptly the colours change. gloss: share of the highlight.
 LOOK = {"base": 3, "second": 3, "waves": 9, "phases": 3, "weights": 6, "contrast": 1, "gloss": 1}
 NUMBERS = 1024  # uniform numbers that one object takes, at most
+_FURTHER = 400  # the last of them, for relief and skin
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,8 @@ class ProceduralPlan:
     """B objects of P parts, before I = 1 + V cameras: the input picture, then the targets, the first the source too.
 
     ends: int64 [B,P], cells of a part and all before it. shapes, cells, looks: [B,P,F] in the order of
-    superquadrics.SHAPE, CELLS and LOOK. profiles: [R,6], for each row of cells of each part profile_points in its
+    superquadrics.SHAPE, CELLS and LOOK. reliefs, skins: [B,P,F] in the order of RELIEF and SKIN, of no account without
+    photographs. profiles: [R,6], for each row of cells of each part profile_points in its
     middle and their change over the row. sections: [C,4], likewise section_points for each column.
     light: [B,5], the direction that light comes from (unit), share of light that comes from all round, exponent of
     highlights. world_to_camera: [B,V,4,4], the world being the source camera's axes. sides: [B,I] and shifts: [B,I,2],
@@ -46,6 +51,8 @@ class ProceduralPlan:
     shapes: Tensor
     cells: Tensor
     looks: Tensor
+    reliefs: Tensor
+    skins: Tensor
     profiles: Tensor
     sections: Tensor
     light: Tensor
@@ -56,25 +63,7 @@ class ProceduralPlan:
     surfels: int
     source_px: int
     target_px: int
-
-
-class _Numbers:
-    """Uniform numbers in [0, 1), a row per object, taken one after the other."""
-
-    def __init__(self, rows: np.ndarray) -> None:
-        self.rows, self.count, self._taken = rows, len(rows), 0
-
-    def __call__(self, *shape: int) -> np.ndarray:
-        """[B, *shape]."""
-        start, self._taken = self._taken, self._taken + int(np.prod(shape))
-        return self.rows[:, start : self._taken].reshape(self.count, *shape)
-
-    def between(self, low: float, high: float, *shape: int) -> np.ndarray:
-        return low + (high - low) * self(*shape)
-
-    def chosen(self, values: list[float], weights: list[float], *shape: int) -> np.ndarray:
-        """Some of the values, as often as their weights (which sum to 1) say."""
-        return np.asarray(values)[np.searchsorted(np.cumsum(weights)[:-1], self(*shape), side="right")]
+    photographs: Photographs | None = None
 
 
 def rotation(axis: int, radians: np.ndarray) -> np.ndarray:
@@ -101,7 +90,7 @@ def orbit(azimuth: np.ndarray, elevation: np.ndarray, tilt: np.ndarray, roll: np
     return out
 
 
-def _groups(u: _Numbers) -> dict[str, np.ndarray]:
+def _groups(u: Numbers) -> dict[str, np.ndarray]:
     """Groups of equal parts, [B,G,...]: how many copies (1, 2 mirrored, 4), half axes, shape; the first is the body."""
     first = np.arange(_GROUPS) == 0
     copies = np.where(first, 1, u.chosen([1, 2, 4], [0.5, 0.25, 0.25], _GROUPS))
@@ -148,7 +137,7 @@ def _groups(u: _Numbers) -> dict[str, np.ndarray]:
     }
 
 
-def _placed(u: _Numbers, groups: dict[str, np.ndarray]) -> np.ndarray:
+def _placed(u: Numbers, groups: dict[str, np.ndarray]) -> np.ndarray:
     """Centres [B,G,3] of the first copies: each group touches an earlier one; those with mirrored copies the body."""
     rows, centre, box = np.arange(u.count), np.zeros((u.count, _GROUPS, 3)), groups["box"]
     for group in range(1, _GROUPS):
@@ -172,12 +161,13 @@ def _placed(u: _Numbers, groups: dict[str, np.ndarray]) -> np.ndarray:
     return centre
 
 
-def _parts(u: _Numbers) -> dict[str, np.ndarray]:
+def _parts(u: Numbers, further: Numbers | None) -> dict[str, np.ndarray]:
     """The numbers of SHAPE but rows, columns and start, and the group of each part; [B,P,...], in the object's axes.
 
-    Places without a part have `exists` false.
+    Places without a part have `exists` false. further: numbers that make parts irregular; None: they are regular.
     """
     groups = _groups(u)
+    groups |= regular(groups) if further is None else irregular(further, groups)
     groups["centre"] = _placed(u, groups)
     ends = np.cumsum(groups["copies"], 1)
     slot = np.arange(_PARTS)
@@ -242,7 +232,7 @@ def _curve(points: Callable[[dict[str, Tensor], Tensor], Tensor], parts: dict[st
     return torch.cat([middle, after - before], -1)
 
 
-def _looks(u: _Numbers, parts: dict[str, np.ndarray]) -> np.ndarray:
+def _looks(u: Numbers, parts: dict[str, np.ndarray]) -> np.ndarray:
     """[B,P,F] in the order of LOOK; all parts of a group look alike, and take their colours from one palette."""
     palette = u(5, 3) ** 0.7  # about as bright as what people make
     grey = palette.mean(-1, keepdims=True)
@@ -262,20 +252,32 @@ def _looks(u: _Numbers, parts: dict[str, np.ndarray]) -> np.ndarray:
     return table
 
 
+def _skins(
+    further: Numbers | None, parts: dict[str, np.ndarray], photographs: Photographs | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """reliefs and skins of the plan."""
+    if further is None or photographs is None:
+        return tuple(np.zeros((*parts["exists"].shape, sum(layout.values()))) for layout in (RELIEF, SKIN))
+    return draw_relief(further, parts), draw_skin(further, parts["group"], _GROUPS, photographs)
+
+
 def draw_objects(
     rows: np.ndarray,
     cone_deg: tuple[float, float],
     sizes: tuple[int, int],
     framing: tuple[np.ndarray, np.ndarray],
     backgrounds: np.ndarray,
+    photographs: Photographs | None = None,
 ) -> ProceduralPlan:
     """The plan of B objects from uniform numbers, rows [B,NUMBERS] in [0, 1).
 
     cone_deg: largest azimuth and elevation of the targets about the source. sizes: source_px and target_px. framing:
-    sides and shifts, backgrounds: as in the plan.
+    sides and shifts, backgrounds: as in the plan. photographs: skins of most parts, which then are irregular too; None:
+    neither.
     """
-    u = _Numbers(rows)
-    parts = _parts(u)
+    u = Numbers(rows)
+    further = None if photographs is None else Numbers(rows[:, -_FURTHER:])
+    parts = _parts(u, further)
     tilt = np.radians(u.between(-8, 40, 1))
     roll = np.where(u(1) < 0.15, u.between(-np.pi, np.pi, 1), np.radians(u.between(-4, 4, 1)))
     source = rotation(2, roll) @ rotation(0, tilt) @ rotation(1, u.between(-np.pi, np.pi, 1))  # [B,1,3,3]
@@ -298,6 +300,7 @@ def draw_objects(
         shapes,
         cells,
         _looks(u, parts),
+        *_skins(further, parts, photographs),
         profiles,
         sections,
         shading,
@@ -306,5 +309,9 @@ def draw_objects(
         backgrounds,
     )
     return ProceduralPlan(
-        torch.from_numpy(ends), *(torch.as_tensor(values, dtype=torch.float32) for values in numbers), surfels, *sizes
+        torch.from_numpy(ends),
+        *(torch.as_tensor(values, dtype=torch.float32) for values in numbers),
+        surfels,
+        *sizes,
+        photographs,
     )

@@ -14,7 +14,9 @@ from torch import Tensor
 # matrix: local to source axes, orthonormal, it may mirror. centre: scene units. half: half axes x, y, z, scene units.
 # hole: radius of the middle of the profile, 0 (solid) .. 1. profile, section: the exponents p and q. taper, wave,
 # waves: the section grows by 1 + taper z + wave cos(waves z), z in -1..1. bend: how much further along x the ends lie
-# than the middle, scene units.
+# than the middle, scene units. lobe, lobes, turn: the section shrinks by 1 - lobe (1 - cos(lobes angle + turn)) / 2;
+# curve, curves, begin: likewise by 1 - curve (1 - sin(curves z + begin)) / 2, as on a lathe. relief: how far the
+# surface is moved in and out (training/data/relief.py), over the smallest half axis; here it tells what is well inside.
 SHAPE = {
     "matrix": 9,
     "centre": 3,
@@ -26,6 +28,13 @@ SHAPE = {
     "wave": 1,
     "waves": 1,
     "bend": 1,
+    "lobe": 1,
+    "lobes": 1,
+    "turn": 1,
+    "curve": 1,
+    "curves": 1,
+    "begin": 1,
+    "relief": 1,
 }
 _TINY = 1e-6
 _DEEP = 0.97  # of the way from the middle to the surface
@@ -73,11 +82,19 @@ def _profile(part: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
 def lengths(part: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     """Lengths of a part's profile and of its longest section, scene units, within some ten per cent."""
     across, up = _sides(*part["half"][..., :2].unbind(-1), part["section"])
-    return _profile(part)[2], 4 * (across + up) * (1 + part["taper"].abs() / 2 + part["wave"].abs())
+    profile = _profile(part)[2] * (1 + part["curve"] * part["curves"] / 8)
+    section = 4 * (across + up) * (1 + part["taper"].abs() / 2 + part["wave"].abs())
+    return profile, section * (1 + part["lobe"] * part["lobes"] / 4)
 
 
 def _growth(part: dict[str, Tensor], z: Tensor) -> Tensor:
-    return 1 + part["taper"] * z + part["wave"] * torch.cos(part["waves"] * z)
+    turned = 1 - part["curve"] * (1 - torch.sin(part["curves"] * z + part["begin"])) / 2
+    return (1 + part["taper"] * z + part["wave"] * torch.cos(part["waves"] * z)) * turned
+
+
+def _lobed(part: dict[str, Tensor], x: Tensor, y: Tensor) -> Tensor:
+    """How far the section reaches in the direction of (x, y), in units of half axes, over how far it would else."""
+    return 1 - part["lobe"] * (1 - torch.cos(part["lobes"] * torch.atan2(y, x) + part["turn"])) / 2
 
 
 def profile_points(part: dict[str, Tensor], s: Tensor) -> Tensor:
@@ -94,7 +111,8 @@ def section_points(part: dict[str, Tensor], t: Tensor) -> Tensor:
     """[..., 2]: x and y on the section of radius 1, scene units, at shares t of its border, 0..1."""
     half = part["half"][..., :2]
     across, up = _sides(*half.unbind(-1), part["section"])
-    return half * torch.stack(_superellipse(t * 4 * (across + up), across, up, part["section"]), -1)
+    x, y = _superellipse(t * 4 * (across + up), across, up, part["section"])
+    return half * _lobed(part, x, y)[..., None] * torch.stack([x, y], -1)
 
 
 def lies_inside(part: dict[str, Tensor], points: Tensor) -> Tensor:
@@ -102,6 +120,9 @@ def lies_inside(part: dict[str, Tensor], points: Tensor) -> Tensor:
     z = points[..., 2] / part["half"][..., 2]
     growth = _growth(part, z.clamp(-1, 1)).clamp_min(0.02)
     x = (points[..., 0] - part["bend"] * (z * z - 0.5)) / (part["half"][..., 0] * growth)
-    radius = _norm(x, points[..., 1] / (part["half"][..., 1] * growth), part["section"])
+    y = points[..., 1] / (part["half"][..., 1] * growth)
+    radius = _norm(x, y, part["section"]) / _lobed(part, x, y)
     radius = (radius - part["hole"]) / (1 - part["hole"])
-    return radius.abs().pow(part["profile"]) + z.abs().pow(part["profile"]) < _DEEP ** part["profile"]
+    return (
+        radius.abs().pow(part["profile"]) + z.abs().pow(part["profile"]) < (_DEEP - part["relief"]) ** part["profile"]
+    )

@@ -31,6 +31,15 @@ void normals(const RandomStream& stream, int64_t count, T* out, int threads) {
   });
 }
 
+template <class T>
+void dropout(const Dropout<T>& job, int threads) {
+  parallel_for_chunks((job.count + 3) / 4, kIndices, threads, [&](int64_t begin, int64_t end, int) {
+    for (int64_t index = begin; index < end; ++index) dropout4(job, index);
+  });
+}
+
+template void dropout<float>(const Dropout<float>&, int);
+template void dropout<double>(const Dropout<double>&, int);
 template void normals<float>(const RandomStream&, int64_t, float*, int);
 template void normals<double>(const RandomStream&, int64_t, double*, int);
 

@@ -6,6 +6,7 @@
 #include <cstdint>
 
 #include "cuda/stages/stages.h"
+#include "math/fit/dropout.h"
 #include "math/fit/philox.h"
 #include "math/fit/photo_loss.h"
 #include "math/fit/update.h"
@@ -19,5 +20,6 @@ void update(const Update<float>& job, Stream stream);
 
 void uniforms(const RandomStream& random, int64_t count, double* out, Stream stream);
 void normals(const RandomStream& random, int64_t count, float* out, Stream stream);
+void dropout(const Dropout<float>& job, Stream stream);
 
 }  // namespace lfgs::cuda

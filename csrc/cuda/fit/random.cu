@@ -27,6 +27,11 @@ __global__ void normals_kernel(RandomStream random, int64_t count, float* out) {
     if (4 * i + k < count) out[4 * i + k] = four[k];
 }
 
+__global__ void dropout_kernel(Dropout<float> job) {
+  const int64_t i = own_index();
+  if (4 * i < job.count) dropout4(job, i);
+}
+
 }  // namespace
 
 void uniforms(const RandomStream& random, int64_t count, double* out, Stream stream) {
@@ -39,6 +44,12 @@ void normals(const RandomStream& random, int64_t count, float* out, Stream strea
   if (count == 0) return;
   normals_kernel<<<unsigned(blocks_for(count, 4 * kThreads)), kThreads, 0, cudaStream_t(stream)>>>(random, count, out);
   check_launch("normals");
+}
+
+void dropout(const Dropout<float>& job, Stream stream) {
+  if (job.count == 0) return;
+  dropout_kernel<<<unsigned(blocks_for(job.count, 4 * kThreads)), kThreads, 0, cudaStream_t(stream)>>>(job);
+  check_launch("dropout");
 }
 
 }  // namespace lfgs::cuda

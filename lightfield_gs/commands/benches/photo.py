@@ -7,6 +7,7 @@ from typing import Any
 
 from lightfield_gs.bench import photo
 from lightfield_gs.commands.options import bench as options
+from lightfield_gs.commands.options.photo import add_detail, detail_given
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a checkpoint (.safetensors), or the configuration of an untrained network, a name or .yaml (default: the "
         "checkpoint inside)",
     )
+    add_detail(parser.add_argument)
     options.add_panel(parser)
     options.add_repeats(parser)
     options.add_machine(parser, several_threads=True)
@@ -26,6 +28,6 @@ def rows(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Rows of every photo and number of threads, and their text."""
     photos = [str(photo.EXAMPLE)] if args.photo is None else args.photo.split(",")
     options.check_photos(photos)
-    threads = options.thread_counts(args.threads)
-    found = photo.rows(photos, args.model, options.panel_of(args), args.device, args.repeats, threads)
+    threads, detail = options.thread_counts(args.threads), detail_given(args)
+    found = photo.rows(photos, args.model, options.panel_of(args), args.device, args.repeats, threads, detail)
     return {"rows": found}, photo.table(found)

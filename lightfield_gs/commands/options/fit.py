@@ -115,6 +115,14 @@ def add_optimisation(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="fits an affine change of colours for each photograph as well, where exposure or white balance differ",
     )
+    add(
+        "--dropout",
+        type=within(0.0, 0.9),
+        metavar="SHARE",
+        help="each step leaves out a random part of the Gaussians, growing from 0 to this share at the end, 0..0.9: "
+        "against what few photographs let stand before the views between them (default: 0.2 for up to 12 photographs, "
+        "less for more, none from 48 on)",
+    )
     add("--poses", action="store_true", help="refines the cameras' poses as well, where they are off by some pixels")
     add(
         "--background",
@@ -165,7 +173,17 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 def settings_given(args: argparse.Namespace) -> dict[str, Any]:
     """The fields of FitSettings, by the options."""
-    names = ("steps", "gaussians", "density", "absolute_gradients", "sh_degree", "exposure", "poses", "background")
+    names = (
+        "steps",
+        "gaussians",
+        "density",
+        "absolute_gradients",
+        "sh_degree",
+        "exposure",
+        "poses",
+        "dropout",
+        "background",
+    )
     others = {"views": args.views_per_step, "masks": args.masks}
     return {name: getattr(args, name) for name in (*names, "antialiased", "seed")} | others
 

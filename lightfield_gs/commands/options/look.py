@@ -61,16 +61,25 @@ def add_depth_report(add: Callable[..., argparse.Action]) -> None:
 
 
 def report_depth(args: argparse.Namespace, rig: Rig, panel: Panel, gaussians: Gaussians) -> list[str]:
-    """The lines of --depth-report, [] where it was not given; notes what looks wrong of a scene whose depth or place
-    was steered, or asked about. gaussians: in the rig's coordinates. Raises InputError where the rig shows nothing."""
-    if not args.depth_report and not is_given(args):
+    """The lines of --depth-report, [] where it was not given; notes where a scene that fills the picture does not fill
+    the outermost views, and all that looks wrong where depth or place were steered, or asked about.
+
+    gaussians: in the rig's coordinates. Raises InputError where it was asked about, and the rig shows nothing.
+    """
+    is_asked = getattr(args, "depth_report", False)  # not every command has it
+    if not is_asked and not is_given(args):
+        from lightfield_gs.panels.unseen import share_past, words_on_past
+
+        past = share_past(gaussians, panel, rig)
+        if past is not None and (words := words_on_past(past)) is not None:
+            note(words)
         return []
     from lightfield_gs.panels.comfort import depth_report
 
     report = depth_report(gaussians, panel, rig)
     for words in report.warnings():
         note(words)
-    return report.lines() if args.depth_report else []
+    return report.lines() if is_asked else []
 
 
 def is_given(args: argparse.Namespace) -> bool:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, MAP_ORIENTATIONS
+from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, DETAILS, MAP_ORIENTATIONS, Detail
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.estimated import AUTO, add_depth_model, depth_by_network, is_estimated
 from lightfield_gs.commands.options.values import numbers
@@ -19,6 +19,9 @@ from lightfield_gs.photo.side_by_side import depth_side, halves, is_named_so
 
 if TYPE_CHECKING:
     from lightfield_gs.io.images import Picture
+    from lightfield_gs.models.config import ModelConfig
+    from lightfield_gs.models.detail_level import DetailLevel
+    from lightfield_gs.panels.panel import Panel
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
     from lightfield_gs.photo.load import Photo
     from lightfield_gs.scene.gaussians import Gaussians
@@ -95,16 +98,37 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     )
 
 
+def add_detail(add: Callable[..., argparse.Action]) -> None:
+    """How finely the photo of an object is laid over what the network makes of it."""
+    add(
+        "--detail",
+        type=lambda text: int(text) if text.isdecimal() else text,
+        choices=(*DETAILS, "none"),
+        help="resolution of the photo on the object: 1, 2 or 4 times the network's, none for the network's own soft "
+        "colours, or auto, what a view of the panel can show (default auto)",
+    )
+    add("--detail-budget", type=int, metavar="N", help="Gaussians at most for --detail auto (default 1500000)")
+
+
+def detail_given(args: argparse.Namespace) -> tuple[Detail | None, int]:
+    """Detail and budget of SplatterNet.predict, by the options."""
+    from lightfield_gs.models.detail_level import DEFAULT_BUDGET
+
+    detail: Detail | None = None if args.detail == "none" else args.detail or "auto"
+    return detail, DEFAULT_BUDGET if args.detail_budget is None else args.detail_budget
+
+
 def has_depth(args: argparse.Namespace) -> bool:
     """Whether the photo comes with its depths, in a file or beside it in the picture, or they are to be estimated."""
     return args.depth is not None or args.rgbd is not None or is_named_so(args.input)
 
 
-def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaussians:
+def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel | None = None) -> Gaussians:
     """The Gaussians of the object in a photo, by the network; or of all that it shows, where no object is cut out and
     there is a network for its depths, which args.depth says then. Raises InputError."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.models import SplatterNet
+    from lightfield_gs.models.detail_level import detail_level
     from lightfield_gs.photo.load import NoCutOut, photo_of
 
     picture = read_picture(args.input)
@@ -121,15 +145,18 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gau
     except InputError as error:
         if side is not None:
             raise InputError(f"{error}; {hint}") from None
-        if not isinstance(error, NoCutOut) or args.checkpoint is not None:
+        of_network = (args.checkpoint, args.detail, args.detail_budget)
+        if not isinstance(error, NoCutOut) or any(value is not None for value in of_network):
             raise
         return _whole_instead(args, device, watch, error)
     del picture
     network = SplatterNet.from_pretrained(args.checkpoint).to(device)
     watch.lap("load")
-    gaussians = network.predict(photo.pixels)
+    detail, budget = detail_given(args)
+    gaussians = network.predict(photo.pixels, detail, panel, budget)
     watch.lap("network")
-    _say(args, photo, [], [f"{args.input}: {hint}"] if side else [])
+    level = detail_level(detail, network.config, max(photo.pixels.shape[:2]), panel, budget)
+    _say(args, photo, [_words(level, network.config)], [f"{args.input}: {hint}"] if side else [])
     return gaussians
 
 
@@ -150,6 +177,13 @@ def _whole_instead(args: argparse.Namespace, device: str, watch: Stopwatch, refu
         "one object give --mask FILE or --remove-background"
     )
     return gaussians
+
+
+def _words(level: DetailLevel | None, config: ModelConfig) -> str:
+    if level is None:
+        return "detail none: the network's own Gaussians"
+    side = level.factor * config.image_size_px
+    return f"detail {level.factor}: the object's square at {side} x {side} px"
 
 
 def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaussians:

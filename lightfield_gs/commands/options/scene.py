@@ -12,16 +12,43 @@ from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.estimated import depth_file, is_estimated
-from lightfield_gs.commands.options.photo import has_depth, photo_object, photo_scene
+from lightfield_gs.commands.options.photo import add_depth, add_detail, has_depth, photo_object, photo_scene
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
 
 if TYPE_CHECKING:
+    from lightfield_gs.panels.panel import Panel
     from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
 
-_PHOTO_OPTIONS = ("mask", "remove_background", "checkpoint", "depth", "depth_model", "rgbd", "map_orientation")
+_PHOTO_OPTIONS = (
+    "mask",
+    "remove_background",
+    "checkpoint",
+    "depth",
+    "depth_model",
+    "rgbd",
+    "map_orientation",
+    "detail",
+    "detail_budget",
+)
 _DEPTH_OPTIONS = ("depth_kind", "depth_range", "depth_scale", "depth_invalid", "fov", "intrinsics")
+
+
+def add_scene(
+    add: Callable[..., argparse.Action],
+    cutting: str,
+    mask: str = "cut-out of a photo, of its size: bright or opaque on the object",
+    of_mask: str = "IMAGE",
+) -> None:
+    """What is made of a photo, and what is left out of a file. cutting: help on --remove-background; mask, of_mask:
+    help and placeholder of --mask."""
+    add("--mask", type=Path, metavar=of_mask, help=mask)
+    add("--remove-background", action="store_true", help=cutting)
+    add_depth(add)
+    add_detail(add)
+    add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
+    add_skip_invalid(add)
 
 
 def add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
@@ -41,7 +68,7 @@ def check_scene_options(args: argparse.Namespace) -> None:
     if _is_scene_file(args) or not has_depth(args):
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
-        _refuse(args, ("checkpoint",), "is for the network, which --depth does without")
+        _refuse(args, ("checkpoint", "detail", "detail_budget"), "is for the network, which --depth does without")
     if args.depth is not None:
         _refuse(args, ("rgbd",), "takes the place of --depth")
     if is_estimated(args):
@@ -81,8 +108,13 @@ def say_origin(path: Path, gaussians: Gaussians) -> None:
         print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
 
 
-def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> tuple[Gaussians, SceneFile | None]:
-    """The Gaussians of the input, on the device, and what else its file holds; None of a photo."""
+def load_scene(
+    args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel
+) -> tuple[Gaussians, SceneFile | None]:
+    """The Gaussians of the input, on the device, and what else its file holds; None of a photo.
+
+    panel: where it will be shown, which decides how finely a photo is taken.
+    """
     if _is_scene_file(args):
         file = read_noted(args.input, args.skip_invalid)
         say_origin(args.input, file.gaussians)
@@ -90,7 +122,9 @@ def load_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> tuple
         watch.lap("load")
         return gaussians, file
     _note_quilt(args.input)
-    return (photo_scene if has_depth(args) else photo_object)(args, device, watch), None
+    if has_depth(args):
+        return photo_scene(args, device, watch), None
+    return photo_object(args, device, watch, panel), None
 
 
 def _note_quilt(path: Path) -> None:

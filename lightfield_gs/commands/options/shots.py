@@ -18,11 +18,12 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.encode import scene_hash
-from lightfield_gs.commands.options.camera import axes_of, choose_rig, read_given
+from lightfield_gs.commands.options.camera import axes_of, read_given
 from lightfield_gs.commands.options.drawn import settle_drawing
 from lightfield_gs.commands.options.estimated import depth_file, depth_model, is_estimated
+from lightfield_gs.commands.options.framed import frame_scene, load_drawn
 from lightfield_gs.commands.options.look import apply_look, report_depth
+from lightfield_gs.commands.options.provenance import scene_hash
 from lightfield_gs.commands.options.scene import check_scene_options, load_scene
 from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
 from lightfield_gs.panels import framing
@@ -64,19 +65,17 @@ def still_shots(args: argparse.Namespace, panel: Panel, device: str, watch: Stop
     check_scene_options(args)
     given = read_given(args, panel)
     path = None if args.path is None else CameraPath.load(args.path, panel)
-    gaussians, file = load_scene(args, device, watch)
-    said = settle_drawing(args, file)
+    gaussians, file, said = load_drawn(args, panel, device, watch)
     fps = args.fps or DEFAULT_FPS
     if path is not None:
         bare = path.relative_to(gaussians.origin).frames(float(fps), args.frames)
         rigs = [apply_look(args, rig, panel, gaussians)[0] for rig in bare]
         said.append(f"path: {args.path}, {len(path.rigs)} keyframes in {path.seconds:g} s")
+        said += report_depth(args, rigs[0], panel, gaussians)
     else:
-        chosen, how = choose_rig(given, args, panel, gaussians, file)
-        rig, looks = apply_look(args, chosen, panel, gaussians)
+        rig, how = frame_scene(args, panel, given, gaussians, file)
         rigs, words = _turntable(args, panel, rig, file, fps)
-        said += [*how, *looks, words]
-    said += report_depth(args, rigs[0], panel, gaussians)
+        said += [*how, words]
     back = [-part for part in gaussians.origin]
     of_file = [rig.relative_to(back) for rig in rigs]
     job = {
@@ -139,19 +138,17 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
             yield row[0][0], own
 
     def loaded(own: argparse.Namespace) -> Gaussians:
-        return load_scene(own, device, Stopwatch(0.0))[0]
+        return load_scene(own, device, Stopwatch(0.0), panel)[0]
 
     _, first = next(scenes([0]))
     check_scene_options(first)
-    gaussians, file = load_scene(first, device, watch)
+    gaussians, file = load_scene(first, device, watch, panel)
     if file is not None:
         raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
     if is_estimated(first):  # also where no object is cut out
         args.depth = first.depth
     said = settle_drawing(args, None)
-    chosen, how = choose_rig(given, args, panel, gaussians, None)
-    rig, looks = apply_look(args, chosen, panel, gaussians)
-    looks += report_depth(args, rig, panel, gaussians)
+    rig, how = frame_scene(args, panel, given, gaussians, None)
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
         for number, own in scenes(numbers) if numbers else ():
@@ -180,13 +177,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     words = "each by itself" if args.reframe else f"all as {first.input.name}, the first (each by itself: --reframe)"
     watch.lap("first picture")
     return Shots(
-        count,
-        fps,
-        False,
-        take,
-        lambda number: None if args.reframe else rig,
-        job,
-        [*said, *how, *looks, f"framing: {words}"],
+        count, fps, False, take, lambda number: None if args.reframe else rig, job, [*said, *how, f"framing: {words}"]
     )
 
 

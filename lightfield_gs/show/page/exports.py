@@ -34,6 +34,7 @@ def _native(stage: Stage, controls: Controls, path: Path) -> None:
         "background": list(stage.background),
         "quality": controls.quality,
         **({"antialiased": True} if stage.antialiased else {}),
+        **({"view_filter": stage.view_filter} if stage.view_filter else {}),
     }
     made_by = {"panel": stage.panel.to_dict(), "rig": stage.rig_of_file(controls).to_dict(), "encoding": encoding}
     write_image(path, image, {**_origin(stage), **{name: json.dumps(value) for name, value in made_by.items()}})
@@ -42,8 +43,16 @@ def _native(stage: Stage, controls: Controls, path: Path) -> None:
 def _quilt(stage: Stage, layout: QuiltLayout, controls: Controls, path: Path) -> None:
     """All views of the panel as a quilt, for `weave` and for Looking Glass's own programs."""
     panel, rig = layout.fitted(stage.panel, controls.rig(stage.base, stage.panel))
-    image = quilt(stage.gaussians, layout, rig, panel, background=stage.background, antialiased=stage.antialiased).cpu()
-    write_image(path, image.numpy(), _origin(stage))
+    image = quilt(
+        stage.gaussians,
+        layout,
+        rig,
+        panel,
+        background=stage.background,
+        antialiased=stage.antialiased,
+        view_filter=stage.view_filter,
+    )
+    write_image(path, image.cpu().numpy(), _origin(stage))
 
 
 def _origin(stage: Stage) -> dict[str, str]:

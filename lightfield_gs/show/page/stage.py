@@ -17,12 +17,12 @@ from lightfield_gs.base.arrays import bytes_of
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
+from lightfield_gs.encoding.views import render_views
 from lightfield_gs.panels.cells import PERIOD
 from lightfield_gs.panels.comfort import depth_report
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, reduced
 from lightfield_gs.panels.simulate import simulate, unknown_of
-from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.page.controls import Controls, orbited
 from lightfield_gs.show.preview import contact_sheet, to_integers
@@ -45,7 +45,7 @@ class Stage:
     """Draws what the page shows. One thread at a time may draw what moves, and one what rests.
 
     gaussians: one scene, on the device that draws. rig: how it was framed. background: three numbers in 0..1.
-    antialiased: see `encode`. name: of the input, for the title and for metadata.
+    antialiased, view_filter: see `encode`. name: of the input, for the title and for metadata.
     """
 
     def __init__(
@@ -56,9 +56,10 @@ class Stage:
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
         antialiased: bool = False,
         name: str = "scene",
+        view_filter: float = 0.0,
     ):
         self.gaussians, self.panel, self.base, self.name = gaussians, panel, rig, name
-        self.background, self.antialiased = background, antialiased
+        self.background, self.antialiased, self.view_filter = background, antialiased, view_filter
         self.is_live = gaussians.device.type == "cuda"
         self.version = 0  # counts what the page came to rest at
         self._settled, self._changed = Controls(), threading.Condition()
@@ -174,6 +175,7 @@ class Stage:
                 background=self.background,
                 quality=controls.quality,
                 antialiased=self.antialiased,
+                view_filter=self.view_filter,
                 stats=stats,
             )
         return image.cpu().numpy()
@@ -191,6 +193,7 @@ class Stage:
                     quality=controls.quality,
                     versioned=True,
                     antialiased=self.antialiased,
+                    view_filter=self.view_filter,
                 ),
             )
         encoder = self._moving[1]
@@ -204,10 +207,16 @@ class Stage:
         """What perfect lenses show to eyes at these places across the viewing zone, each uint8 [h, w, 3]."""
         panel, rig = reduced(self.panel, self._rig(controls), width_px)
         side = -1 if panel.invert_views else 1
-        cameras = rig.cameras_at(panel, [panel.views * (0.5 - side * eye) for eye in eyes])
-        with torch.no_grad():
-            views = render(self.gaussians, cameras, background=self.background, antialiased=self.antialiased)
-            return list(bytes_of(views).cpu().numpy())
+        views = render_views(
+            self.gaussians,
+            panel,
+            rig,
+            [panel.views * (0.5 - side * eye) for eye in eyes],
+            background=self.background,
+            antialiased=self.antialiased,
+            view_filter=self.view_filter,
+        )
+        return list(bytes_of(views).cpu().numpy())
 
     def _box(self, centre: tuple[float, float], size_px: tuple[int, int]) -> tuple[int, int, int, int]:
         """Left, top, width and height of a crop within the panel; the kinds of pixels repeat at its borders."""

@@ -1,0 +1,54 @@
+"""Ordinary pictures of the cameras of a rig, as the panel's views are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.arrays import Colour
+from lightfield_gs.base.checks import expect
+from lightfield_gs.encoding.arguments import check_view_filter
+from lightfield_gs.panels.lens import view_aperture
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.rasterizer.background import background_tensor
+from lightfield_gs.rasterizer.dense import dense_forward
+from lightfield_gs.scene.gaussians import Gaussians
+
+
+@torch.no_grad()
+def render_views(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    x: Sequence[float] | np.ndarray,
+    *,
+    background: Colour = (1.0, 1.0, 1.0),
+    antialiased: bool = False,
+    view_filter: float = 0.0,
+) -> Tensor:
+    """Pictures [K, H, W, 3] of the cameras at the view coordinates x [K] of a panel, of the rig's size, without
+    gradients. antialiased, view_filter: see `encode`. Raises InputError."""
+    expect("gaussians", gaussians, Gaussians)
+    expect("antialiased", antialiased, bool)
+    gaussians.validate_layout()
+    if not gaussians.means.is_cuda:
+        gaussians.validate()  # on CUDA looking at values would wait for the device
+    aperture = view_aperture(panel, rig, check_view_filter(view_filter))
+    cameras = rig.cameras_at(panel, x).to(gaussians.means)
+    fields = [field.unsqueeze(0) for field in gaussians.fields().values()]
+    images, _, _ = dense_forward(
+        *fields,
+        background_tensor(background, gaussians.means).expand(1, cameras.count, 3),
+        cameras.world_to_camera[None],
+        cameras.intrinsics()[None],
+        cameras.limits()[None],
+        cameras.width_px,
+        cameras.height_px,
+        antialiased,
+        aperture=aperture,
+    )
+    return images[0]

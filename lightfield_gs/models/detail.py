@@ -1,0 +1,175 @@
+"""Appearance at the photo's resolution on geometry at the network's: a sheet of small Gaussians over what is seen.
+
+The network's Gaussians are a translucent cloud some pixels deep, whose mean is a good surface and whose picture is
+soft. A sheet is laid along that surface: for each pixel of the network's grid factor x factor texels, Gaussians of
+their own, whose colours and opacities are the photo's. What the cloud has in front of the sheet fades, since the photo
+shows it already; what it has behind stays, and shows where other views look past the sheet.
+
+Everything is done on the grid of pixels, without a rasterizer: shapes depend on no values, so that CUDA can capture it
+as a graph, and everything has gradients.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
+from lightfield_gs.models.initializer import Pixels
+from lightfield_gs.models.upsample import along_surface, blurred, minmod
+from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+
+# Variance in px^2 by which the rasterizer widens every Gaussian (Kerbl et al. 2023)
+_WIDENING = 0.3
+# A texel's blur on the screen, its own and the rasterizer's, as a variance in texels^2, and the least of its own
+_BLUR, _LEAST_BLUR = 0.36, 0.2
+# Optical depth of the sheet, -log of what shines through it: high enough to cover the cloud, low enough that of texels
+# that overlap not only the nearest is seen, whose colour is that of a neighbour half the time
+_OPTICAL_DEPTH, _MOST_OPAQUE = 1.8, 0.98
+_THICKNESS = 0.3  # standard deviation along the normal, texels
+# How much of what blur takes from the photo is put back beforehand, of colours and of outlines
+_SHARPER_COLOUR, _SHARPER_OUTLINE = 1.0, 2.0
+# Opacities of a photo's pixels up to which they are the haze of a cut-out, and from which on they are the object
+_HAZE, _OBJECT = 0.1, 0.3
+# The cloud is averaged over its pixels with this deviation, in pixels: its Gaussians take turns in blocks of pixels
+_AVERAGED = 2.0
+_SOFTNESS = 1.5  # depth over which the cloud before the sheet fades, footprints
+_STEEPEST = 3.0  # footprints of depth from texel to texel up to which the sheet closes
+
+
+def with_detail(
+    cloud: Gaussians, pixels: Pixels, texels: Pixels, layers: int, factor: int, texel_px: float = 1.0
+) -> Gaussians:
+    """The sheet, then the network's Gaussians, faded where they lie before it: N = (factor^2 + layers) * H * W.
+
+    cloud: [B, layers * H * W, ...] as the network's composer gives it, in the axes of the photo's camera. pixels: those
+    of the network's input, [B,.,H,W]; texels: those of the photo at [B,.,factor * H,factor * W], whose footprint is as
+    much smaller. texel_px: width of a texel in pixels where it will be drawn. Differentiable.
+    """
+    disparity, harmonics = visible_surface(cloud, pixels, layers)
+    fine = along_surface(disparity, disparity, pixels.footprint, factor)
+    sheet = _sheet(fine, texels, texel_px)
+    if harmonics.shape[1]:
+        rest = _flat(along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
+        sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
+    fields = cloud.fields() | {"opacities": _faded(cloud, disparity, pixels, layers)}
+    return of_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, fields.values()))
+
+
+def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tensor, Tensor]:
+    """What the photo's camera sees of the cloud on average: disparities 1/z [B,1,H,W], and harmonics beyond the first
+    [B,3(K-1),H,W].
+
+    Near each pixel a layer is taken for a fog whose density along the line of sight is a normal distribution, so that
+    the optical depth before each Gaussian is known in closed form, and with it how much of it is seen.
+    """
+    height, width = pixels.mask.shape[2:]
+    values = torch.cat([1 / cloud.means[..., 2:], cloud.sh[:, :, 1:].flatten(2)], 2).transpose(1, 2)
+    grids = [field.unflatten(2, (height, width)) for field in values.chunk(layers, 2)]
+    areas = (cloud.opacities * _areas(cloud, pixels))[:, None].chunk(layers, 2)
+    sizes = [area.unflatten(2, (height, width)) * pixels.mask + 1e-9 for area in areas]
+    fogs = [_fog(size, grid[:, :1]) for size, grid in zip(sizes, grids)]
+    total = torch.zeros_like(torch.cat([grids[0], sizes[0]], 1))
+    for size, grid in zip(sizes, grids):
+        # Nearer is of a larger disparity
+        before = sum(thick * torch.special.ndtr((mean - grid[:, :1]) / spread) for thick, mean, spread in fogs)
+        seen = size * torch.exp(-before)
+        total = total + seen * torch.cat([grid, torch.ones_like(size)], 1)
+    means = blurred(total, _AVERAGED)
+    means = means[:, :-1] / means[:, -1:]
+    return means[:, :1], means[:, 1:]
+
+
+def _fog(size: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Optical depth, mean disparity and its standard deviation of a layer near each pixel, [B,1,H,W] each."""
+    thick, first, second = blurred(torch.cat([size, size * disparity, size * disparity.square()], 1), _AVERAGED).split(
+        1, 1
+    )
+    mean = first / thick
+    return thick, mean, (second / thick - mean.square()).clamp_min(1e-8).sqrt()
+
+
+def _areas(cloud: Gaussians, pixels: Pixels) -> Tensor:
+    """The integral [B,N] over the photo of each Gaussian of the height 1, in pixels of the network's grid."""
+    x, y, z = cloud.means.unbind(2)
+    axes = rotations(F.normalize(cloud.quaternions, dim=2)) * cloud.scales[:, :, None]
+    # The slopes x/z and y/z change by these for a standard deviation along each axis of the Gaussian
+    across, down = (axes[:, :, row] - (place / z)[..., None] * axes[:, :, 2] for row, place in ((0, x), (1, y)))
+    determinant = across.square().sum(2) * down.square().sum(2) - (across * down).sum(2).square()
+    return 2 * math.pi * determinant.clamp_min(1e-20).sqrt() / (z * pixels.footprint[:, :, 0, 0]).square()
+
+
+def _faded(cloud: Gaussians, disparity: Tensor, pixels: Pixels, layers: int) -> Tensor:
+    """Opacities [B,N] of the cloud, those before the sheet fainter."""
+    depth = (1 / disparity).flatten(1).repeat(1, layers)
+    mask = pixels.mask.flatten(1).repeat(1, layers)
+    behind = (cloud.means[..., 2] / depth - 1) / pixels.footprint[:, :, 0, 0]
+    return (cloud.opacities * (1 - mask * torch.sigmoid(-behind / _SOFTNESS))).clamp(0, 1)
+
+
+def _sheet(disparity: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, ...]:
+    """Means, quaternions, scales, opacities and constant harmonics of the texels at these disparities [B,1,H,W]."""
+    depth = 1 / disparity
+    size = texels.footprint * depth
+    own = max(_BLUR - _WIDENING / texel_px**2, _LEAST_BLUR)
+    blur = own + _WIDENING / texel_px**2
+    axes, stretch = _tangents(disparity, texels)
+    deviation = math.sqrt(own) * size
+    scales = torch.cat([deviation * stretch, deviation, _THICKNESS * size], 1)
+    mask, colour = _sharpened(texels, math.sqrt(blur))
+    opacity = (min(_OPTICAL_DEPTH / (2 * math.pi * blur), _MOST_OPAQUE) * mask).clamp(0, _MOST_OPAQUE)
+    means = torch.cat([texels.rays * depth, depth], 1)
+    constant = (_flat(colour)[:, :, None] - 0.5) / SH_CONSTANT
+    return _flat(means), _flat(axes), _flat(scales), opacity.flatten(1), constant
+
+
+def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
+    """Mask and colours that, blurred with this deviation in texels, are about those of the photo."""
+    mask = texels.mask
+    soft = blurred(torch.cat([texels.colour * mask, mask], 1), deviation)
+    near = soft[:, :3] / soft[:, 3:].clamp_min(1e-3)
+    colour = texels.colour + _SHARPER_COLOUR * (texels.colour - near)
+    outline = (mask + _SHARPER_OUTLINE * (mask - soft[:, 3:])).clamp_min(0)
+    there = ((mask - _HAZE) / (_OBJECT - _HAZE)).clamp(0, 1)
+    return outline * there, torch.where(there > 0, colour, texels.colour).clamp(0, 1)
+
+
+def _tangents(disparity: Tensor, texels: Pixels) -> tuple[Tensor, Tensor]:
+    """Rotations [B,4,H,W] to the surface's direction of descent, its level direction and its normal; and by how much
+    [B,1,H,W] texels lie farther apart along the first than across the line of sight."""
+    # dz/du in footprints, for z = 1/disparity; of both neighbours the less steep, so that edges stay open
+    slopes = []
+    for axis in (3, 2):
+        ahead = disparity.diff(dim=axis)
+        none = torch.zeros_like(disparity.narrow(axis, 0, 1))
+        step = minmod(torch.cat([ahead, none], axis), torch.cat([none, ahead], axis))
+        slopes.append((-step / (disparity * texels.footprint)).clamp(-_STEEPEST, _STEEPEST))
+    across, down = slopes
+    ray = torch.cat([texels.rays, torch.ones_like(disparity)], 1)
+    unit = torch.eye(3, dtype=ray.dtype, device=ray.device)[:, None, :, None, None]
+    tangent_x, tangent_y = unit[0] + across * ray, unit[1] + down * ray
+    # A surface that is level all over descends to the right: the small number decides, and keeps gradients finite
+    right = torch.where(across < 0, across - 1e-4, across + 1e-4)
+    length = (right.square() + down.square()).sqrt()
+    turn_x, turn_y = right.abs() / length, torch.where(across < 0, -down, down) / length
+    descent = turn_x * tangent_x + turn_y * tangent_y
+    stretch = descent.square().sum(1, keepdim=True).sqrt()
+    first, third = descent / stretch, F.normalize(torch.linalg.cross(tangent_x, tangent_y, dim=1), dim=1)
+    return _quaternions(first, torch.linalg.cross(third, first, dim=1), third), stretch
+
+
+def _quaternions(first: Tensor, second: Tensor, third: Tensor) -> Tensor:
+    """[B,4,H,W], w first, of the rotations with these columns [B,3,H,W], which turn by less than 180 degrees."""
+    w = (1 + first[:, 0] + second[:, 1] + third[:, 2]).clamp_min(1e-6).sqrt() / 2
+    x = (second[:, 2] - third[:, 1]) / (4 * w)
+    y = (third[:, 0] - first[:, 2]) / (4 * w)
+    z = (first[:, 1] - second[:, 0]) / (4 * w)
+    return torch.stack([w, x, y, z], 1)
+
+
+def _flat(channels: Tensor) -> Tensor:
+    """[B,C,H,W] to [B,H*W,C]."""
+    return channels.flatten(2).transpose(1, 2)

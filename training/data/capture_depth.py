@@ -1,0 +1,85 @@
+"""The depth map of a photograph of a capture, from a scene that was fitted to the capture:
+`python -m training.data.capture_depth --capture FOLDER --scene SCENE --name PHOTOGRAPH --output FILE.npz`.
+
+What `make demo` takes for a photograph with depth is made so: see lightfield_gs/data/banana/README.txt.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import atomic_path, check_output_path
+from lightfield_gs.io.captures.capture import read_capture
+from lightfield_gs.rasterizer.images import render
+from lightfield_gs.scene.cameras import Cameras
+from lightfield_gs.scene.files import read_scene
+from training.command import with_line_errors
+
+_COVERED = 0.1  # alpha from which on a pixel has a depth: what is dark in a photograph may be hardly covered by a fit
+_WINDOW_PX = 7  # side of the windows whose medians the depths are, so that specks and small gaps are gone
+
+
+def write_capture_depth(capture: Path, scene: Path, name: str, output: Path) -> tuple[float, float]:
+    """Writes an .npz with `depth`, float16 [H, W], the view-space z of what the photograph shows, scene units, NaN
+    where the scene shows nothing, and `focallength_px`; returns the smallest and the largest z. Depths are medians of
+    7 x 7 pixels.
+
+    The photograph's lens distortion is left out. Raises InputError for files that cannot be read or written, for a
+    name that the capture does not have, and where the scene shows nothing there.
+    """
+    if check_output_path(output).suffix.lower() != ".npz":
+        raise InputError(f"{output}: expected a name that ends in .npz")
+    photographs = read_capture(capture)
+    if name not in photographs.names:
+        raise InputError(f"{capture}: expected one of its photographs, {', '.join(photographs.names)}, got {name!r}")
+    index = photographs.names.index(name)
+    fx, fy, cx, cy = photographs.intrinsics[index]
+    gaussians = read_scene(scene).gaussians
+    pose = photographs.world_to_camera[index].copy()
+    pose[:3, 3] += pose[:3, :3] @ np.asarray(gaussians.origin)
+    cameras = Cameras(
+        torch.from_numpy(pose[None]).float(),
+        torch.tensor([[fx, fy]]).float(),
+        torch.tensor([[cx, cy]]).float(),
+        *photographs.sizes_px[index].tolist(),
+    )
+    with torch.no_grad():
+        _, alpha, depth = render(gaussians, cameras, alpha=True, depth=True)
+    z = _medians(torch.where(alpha[0] >= _COVERED, depth[0], torch.nan)).numpy()
+    if np.isnan(z).all():
+        raise InputError(f"{scene}: shows nothing where {name} was taken; is it fitted to {capture}?")
+    with atomic_path(output) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, depth=z.astype(np.float16), focallength_px=np.float32(fx))
+    return float(np.nanmin(z)), float(np.nanmax(z))
+
+
+def _medians(z: torch.Tensor) -> torch.Tensor:
+    """The median of what is not NaN in the window around each pixel [H, W]; NaN where half of the window is."""
+    reach = _WINDOW_PX // 2
+    windows = torch.nn.functional.pad(z[None, None], [reach] * 4, mode="replicate")[0, 0]
+    windows = windows.unfold(0, _WINDOW_PX, 1).unfold(1, _WINDOW_PX, 1).flatten(2)
+    is_seen = windows.isfinite().double().mean(2) > 0.5
+    return torch.where(is_seen, windows.nanmedian(2).values, torch.nan)
+
+
+@with_line_errors("training.data.capture_depth")
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m training.data.capture_depth", description=__doc__)
+    parser.add_argument("--capture", type=Path, required=True, help="a folder with photographs and their cameras")
+    parser.add_argument("--scene", type=Path, required=True, help="Gaussians that were fitted to it")
+    parser.add_argument("--name", required=True, help="of the photograph, as the capture has it")
+    parser.add_argument("--output", type=Path, required=True, help="the depth map, .npz")
+    args = parser.parse_args(arguments)
+    near, far = write_capture_depth(args.capture, args.scene, args.name, args.output)
+    print(f"{args.output}: depths {near:.4g} to {far:.4g}; `encode {args.name} --depth {args.output}` takes it")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,98 @@
+"""Gather photographs for random objects: `python -m training.data.gather_photographs --output data/photographs`.
+
+Random objects wear pieces of them. Takes those that scikit-image's wheel brings and that are in the public domain or
+under CC0 (`pip install scikit-image`; its documentation says so of each), and the package's own. Any folder of
+photographs will do in its place: the more they differ, the better. LICENCES.txt beside them says what each is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import secrets
+import shutil
+import sys
+from pathlib import Path
+
+import lightfield_gs
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.atomic import make_folder
+from training.command import with_line_errors
+
+# Of skimage/data in scikit-image 0.26: what its docstrings say of each.
+_OF_SCIKIT_IMAGE = {
+    "astronaut.png": "public domain (NASA)",
+    "brick.png": "CC0 (CC0Textures, Bricks25)",
+    "camera.png": "CC0 (Lav Varshney)",
+    "chelsea.png": "CC0 (Stefan van der Walt)",
+    "coffee.png": "CC0 (Rachel Michetti)",
+    "grass.png": "CC0 (linolafett)",
+    "gravel.png": "CC0 (CC0Textures, Gravel04)",
+    "hubble_deep_field.jpg": "public domain (NASA)",
+    "retina.jpg": "CC0 (Mikael Haggstrom)",
+    "rocket.jpg": "public domain (SpaceX)",
+}
+_OWN = {
+    "banana/images": "MIT, (c) 2019 Piero Toffanin (lightfield_gs/data/banana/LICENSE.txt)",
+    "cat.png": "MIT, (c) the authors of LGM (lightfield_gs/data/LICENCES.txt)",
+}
+
+
+def gather_photographs(output: Path) -> int:
+    """Makes the folder `output`, complete or not at all; returns how many photographs it has.
+
+    Raises InputError where it exists and is not empty or cannot be written, and where scikit-image is not installed or
+    has other files.
+    """
+    output = Path(output)
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise InputError(f"{output} exists: remove it, or name another folder")
+    spec = importlib.util.find_spec("skimage")
+    if spec is None or spec.origin is None:
+        raise InputError("the photographs come with scikit-image, which is not installed: pip install scikit-image")
+    data = Path(spec.origin).parent / "data"
+    missing = [name for name in _OF_SCIKIT_IMAGE if not (data / name).is_file()]
+    if missing:
+        raise InputError(f"{data}: expected {', '.join(missing)} there: pip install 'scikit-image>=0.20'")
+    temporary = make_folder(output.parent) / f".{output.name}.{secrets.token_hex(6)}"
+    try:
+        lines = _copied(temporary, data, _OF_SCIKIT_IMAGE, "scikit-image/")
+        lines += _copied(temporary, Path(lightfield_gs.__file__).parent / "data", _OWN, "lightfield_gs/data/")
+        (temporary / "LICENCES.txt").write_text("\n".join(["# file | from | licence", *lines, ""]))
+        os.replace(temporary, output)
+    except OSError as error:
+        raise InputError(f"cannot write {output}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return len(lines)
+
+
+def _copied(folder: Path, data: Path, licences: dict[str, str], origin: str) -> list[str]:
+    """Copies files, and those in folders, into one folder; returns a line on each."""
+    lines = []
+    for name, licence in licences.items():
+        path = data / name
+        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+            copy = name.split("/")[0] + "-" + file.name if path.is_dir() else file.name
+            shutil.copyfile(file, make_folder(folder) / copy)
+            lines.append(f"{copy} | {origin}{name} | {licence}")
+    return lines
+
+
+@with_line_errors("training.data.gather_photographs")
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m training.data.gather_photographs",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--output", type=Path, required=True, help="folder for the photographs")
+    options = parser.parse_args(arguments)
+    print(f"{options.output}: {gather_photographs(options.output)} photographs")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
