@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.quilt import QuiltLayout
     from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.photo.depth_network import depth_from_network
     from lightfield_gs.photo.encoder import PhotoEncoder
     from lightfield_gs.photo.load import load_photo
     from lightfield_gs.photo.rgbd import from_depth
@@ -44,6 +45,7 @@ _HOMES = {
     "Rig": "panels.rig",
     "SortedPlan": "encoding.sorted_plan",
     "SplatterNet": "models",
+    "depth_from_network": "photo.depth_network",
     "depth_report": "panels.comfort",
     "encode": "encoding.encode",
     "fit": "fitting.fit",
@@ -72,6 +74,7 @@ __all__ = [
     "SortedPlan",
     "SplatterNet",
     "build_info",
+    "depth_from_network",
     "depth_report",
     "encode",
     "fit",

@@ -51,4 +51,7 @@ def of_other_methods(method: str, **given: object) -> list[tuple[str, Method]]:
     return [(name, ONLY_FOR[name]) for name, value in given.items() if value is not None and ONLY_FOR[name] != method]
 
 
+# The network that estimates depth (Yang et al., "Depth Anything V2", 2024), by its name on huggingface.co. The larger
+# ones of its family may not be used commercially.
+DEPTH_MODEL = "depth-anything/Depth-Anything-V2-Small-hf"
 DEFAULT_CONE_DEG = 40.0  # of a panel that does not say what its views span

@@ -15,6 +15,7 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera, comments_of, read_given
 from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
 from lightfield_gs.commands.options.encode import add_file, add_method, add_views, bits_of, check_options, views_given
+from lightfield_gs.commands.options.estimated import depth_file, depth_model, is_estimated
 from lightfield_gs.commands.options.framed import files_read, frame_scene, load_drawn
 from lightfield_gs.commands.options.look import add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel, why_no_eye
@@ -235,11 +236,13 @@ def _metadata(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig:
     for name, path in (
         ("cameras", args.cameras),
         ("view_map", args.view_map),
-        ("depth", args.depth),
+        ("depth", depth_file(args)),
         ("camera", args.camera and args.camera[0]),
     ):
         if path is not None:
             encoding[name] = file_facts(path)
+    if is_estimated(args):
+        encoding["depth"] = {"model": depth_model(args)}
     maker = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
     return {
         "software": software(),

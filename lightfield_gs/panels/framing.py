@@ -87,6 +87,13 @@ def frame_photo(gaussians: Gaussians, panel: Panel) -> Rig:
     return fit(extent(_checked(gaussians, panel)).tolist(), panel, np.eye(4))
 
 
+def on_subject(rig: Rig, gaussians: Gaussians, panel: Panel) -> Rig:
+    """The rig with its zero plane in the subject, what is nearest of what is seen in the middle of the picture; as it
+    is where nothing is seen there."""
+    found = visible.subject_depth(gaussians.detach(), panel, rig)
+    return rig if found is None else replace(rig, zero_depth=found)
+
+
 def look_from(
     gaussians: Gaussians,
     panel: Panel,

@@ -17,7 +17,7 @@ from lightfield_gs.photo.pieces import object_pieces
 from lightfield_gs.photo.plain import PlainCut, cut_from_plain_background, plain_background_mask
 from lightfield_gs.photo.strips import strips
 
-__all__ = ["Photo", "load_photo", "photo_of", "plain_background_mask"]
+__all__ = ["NoCutOut", "Photo", "load_photo", "photo_of", "plain_background_mask"]
 _MIN_OBJECT_SHARE = 0.001  # of the pixels
 _OPAQUE = 0.2  # alpha from which on a pixel counts for the crop, as in models/crop.py
 _COVERS_ALL = 0.93  # alpha that covers this share of the pixels and more has rounded corners or a frame, and no object
@@ -27,6 +27,10 @@ _MOST_FADED, _MOST_HOLES, _MANY_HOLES = 0.12, 0.6, 0.3
 _FEW_LEVELS = 16  # of 255: a mask that is never as bright does not cut out, but numbers things
 _STRIP_PIXELS = 1 << 19  # that are joined at a time
 _OTHER_CUT_OUTS = "give RGBA, a cut-out with --mask FILE, or --remove-background (pip install 'lightfield-gs[rembg]')"
+
+
+class NoCutOut(InputError):
+    """Nothing says which part of a photo is the object."""
 
 
 @dataclass
@@ -147,9 +151,10 @@ def _from_background(path: str | Path, photo: Photo, alpha: np.ndarray | None) -
     cut = cut_from_plain_background(photo.pixels) if covered is None else _cut_within(photo.pixels, covered)
     if cut is None:
         if covered is None:
-            raise InputError(
+            raise NoCutOut(
                 f"{path} has no cut-out and no plain background; to show one object, {_OTHER_CUT_OUTS}; "
-                "to show the whole scene, give its distances with --depth FILE"
+                "to show the whole scene, give its distances with --depth FILE, or have them estimated with --depth "
+                "auto (pip install 'lightfield-gs[depth]')"
             )
         photo.notes.append(
             f"{path}: its alpha covers {covered.mean():.1%} of it, and its background is not plain: all "

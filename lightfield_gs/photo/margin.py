@@ -44,12 +44,14 @@ def place(
     *,
     widest_tan: float | None = None,
     zoom: float = 1.0,
+    on_near: bool = False,
 ) -> Placed:
     """The rig of the photo's camera that shows it on the panel, and the margin that all of its views need.
 
     depth: [H, W], z of the photo, scene units. fit: "cover": the photo fills the panel, what is too high or too wide
     is cropped; "contain": all of it is on the panel. widest_tan: tan(cone / 2) of the outermost views; None: the
-    panel's. A point at z moves by f tan(cone/2) (1 - Z0/z) pixels of the photo in them.
+    panel's. A point at z moves by f tan(cone/2) (1 - Z0/z) pixels of the photo in them. on_near: the zero plane may be
+    put anywhere from near on afterwards; the margin is enough for that.
     """
     if fit not in FITS:
         raise InputError(f"fit: expected {' or '.join(FITS)}, got {fit!r}")
@@ -68,7 +70,8 @@ def place(
     tan = math.tan(math.radians(panel.cone_deg) / 2) if widest_tan is None else widest_tan
     sides = torch.cat([depth[:, 0], depth[:, -1]])
     known = sides[torch.isfinite(sides)].double().cpu().numpy()
-    moves = np.abs(1 - zero / np.quantile(known, [0.02, 0.98])).max() if len(known) else 0.0
+    zeros = np.array([zero, near] if on_near else [zero])[:, None]
+    moves = np.abs(1 - zeros / np.quantile(known, [0.02, 0.98])).max() if len(known) else 0.0
     shown = panel.width_px / sizes[0] / zoom, panel.height_px / sizes[1] / zoom
     across = (shown[0] - width) / 2 + focal_px[0] * tan * moves + _MORE
     down = (shown[1] - height) / 2 + _MORE

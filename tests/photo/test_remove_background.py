@@ -8,6 +8,7 @@ from command_line import complaint
 
 import lightfield_gs as lf
 from lightfield_gs.io.images import write_image
+from lightfield_gs.photo import depth_network
 
 
 def busy_photo() -> np.ndarray:
@@ -35,6 +36,7 @@ def test_background_is_removed_when_asked_for(folder, capsys, monkeypatch):
 
     monkeypatch.setitem(sys.modules, "rembg", stand_in(remove))
     assert np.array_equal(lf.load_photo("busy.png", remove_background=True)[..., 3], alpha)
+    monkeypatch.setattr(depth_network, "is_installed", lambda: False)  # which would show the whole scene
     assert "--remove-background" in complaint(capsys, "encode busy.png -o o.png --panel p.yaml")
 
 

@@ -13,6 +13,7 @@ from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_INVALID, DEPTH_KINDS, DEPTH_PARTS, DETAILS, MAP_ORIENTATIONS, Detail
 from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.estimated import AUTO, add_depth_model, depth_by_network, is_estimated
 from lightfield_gs.commands.options.placing import add_fit, place_photo
 from lightfield_gs.commands.options.values import numbers
 from lightfield_gs.photo.side_by_side import depth_side, halves, is_named_so
@@ -38,10 +39,12 @@ def add_depth(add: Callable[..., argparse.Action]) -> None:
     add(
         "--depth",
         type=Path,
-        metavar="FILE",
+        metavar="FILE|auto",
         help="depth map of the photo, of its size: the whole scene is shown, "
-        "without the network; a grey .png (8 or 16 bits), .exr or .tif, or a .npy or .npz of numbers [H,W]",
+        "without the network; a grey .png (8 or 16 bits), .exr or .tif, or a .npy or .npz of numbers [H,W]; auto: a "
+        "network of transformers estimates it (pip install 'lightfield-gs[depth]'; downloads 99 MB once)",
     )
+    add_depth_model(add)
     add(
         "--depth-kind",
         choices=DEPTH_KINDS,
@@ -118,16 +121,17 @@ def detail_given(args: argparse.Namespace) -> tuple[Detail | None, int]:
 
 
 def has_depth(args: argparse.Namespace) -> bool:
-    """Whether the photo comes with its depths, in a file or beside it in the picture."""
+    """Whether the photo comes with its depths, in a file or beside it in the picture, or they are to be estimated."""
     return args.depth is not None or args.rgbd is not None or is_named_so(args.input)
 
 
 def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel | None = None) -> Gaussians:
-    """The Gaussians of the object in a photo, by the network. Raises InputError."""
+    """The Gaussians of the object in a photo, by the network; or of all that it shows, where no object is cut out and
+    there is a network for its depths, which args.depth says then. Raises InputError."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.models.detail_level import detail_level
-    from lightfield_gs.photo.load import photo_of
+    from lightfield_gs.photo.load import NoCutOut, photo_of
 
     picture = read_picture(args.input)
     side = depth_side(picture.pixels)
@@ -141,9 +145,12 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel:
             map_orientation=args.map_orientation,
         )
     except InputError as error:
-        if side is None:
+        if side is not None:
+            raise InputError(f"{error}; {hint}") from None
+        of_network = (args.checkpoint, args.detail, args.detail_budget)
+        if not isinstance(error, NoCutOut) or any(value is not None for value in of_network):
             raise
-        raise InputError(f"{error}; {hint}") from None
+        return _whole_instead(args, device, watch, error)
     del picture
     network = SplatterNet.from_pretrained(args.checkpoint).to(device)
     watch.lap("load")
@@ -155,6 +162,25 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel:
     return gaussians
 
 
+def _whole_instead(args: argparse.Namespace, device: str, watch: Stopwatch, refused: InputError) -> Gaussians:
+    """The Gaussians of a photo in which no object is cut out, with estimated depths. Raises `refused` where there is no
+    network for them."""
+    from lightfield_gs.photo.depth_network import is_installed
+
+    if not is_installed():
+        raise refused
+    args.depth = AUTO
+    try:
+        gaussians = photo_scene(args, device, watch)
+    except InputError as error:
+        raise InputError(f"{refused}; that was tried: {error}") from None
+    note(
+        f"{args.input} has no cut-out and no plain background: it is shown as a whole scene, as with --depth auto; for "
+        "one object give --mask FILE or --remove-background"
+    )
+    return gaussians
+
+
 def _words(level: DetailLevel | None, config: ModelConfig) -> str:
     if level is None:
         return "detail none: the network's own Gaussians"
@@ -162,7 +188,7 @@ def _words(level: DetailLevel | None, config: ModelConfig) -> str:
     return f"detail {level.factor}: the object's square at {side} x {side} px"
 
 
-def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaussians:
+def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel) -> Gaussians:
     """The Gaussians of all that a photo with depths shows. Raises InputError."""
     import torch
 
@@ -186,13 +212,18 @@ def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch) -> Gaus
         whole=True,
         map_orientation=args.map_orientation,
     )
-    depth = _depth_file(args, photo) if side is None else _depth_beside(args, picture, side)
+    if is_estimated(args):
+        watch.lap("load")
+        depth = depth_by_network(args, photo, device)
+    else:
+        depth = _depth_file(args, photo) if side is None else _depth_beside(args, picture, side)
     check_depth_size(str(args.depth), depth.z, photo.pixels)
     height, width = photo.pixels.shape[:2]
     focal, centre, camera, notes = _camera(args, height, width, depth.focal_px)
-    watch.lap("load")
+    watch.lap("depth network" if is_estimated(args) else "load")
     image = torch.from_numpy(photo.floats()).to(device)
-    margin, placed = place_photo(args, image, torch.from_numpy(depth.z), *known_camera(focal, centre, height, width))
+    known = known_camera(focal, centre, height, width)
+    margin, placed = place_photo(args, panel, image, torch.from_numpy(depth.z), *known)
     gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin)
     watch.lap("depth")
     _say(args, photo, [depth.said, camera, *placed], depth.notes + notes)

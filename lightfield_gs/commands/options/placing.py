@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.options import FITS
+from lightfield_gs.commands.options.estimated import is_estimated
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
@@ -31,24 +32,34 @@ def add_fit(add: Callable[..., argparse.Action]) -> None:
 
 
 def place_photo(
-    args: argparse.Namespace, image: Tensor, depth: Tensor, focal: tuple[float, float], centre: tuple[float, float]
+    args: argparse.Namespace,
+    panel: Panel,
+    image: Tensor,
+    depth: Tensor,
+    focal: tuple[float, float],
+    centre: tuple[float, float],
 ) -> tuple[tuple[int, int, int, int], list[str]]:
     """The margin that from_depth makes up, and words on it; the rig is kept in args.placed for `photo_rig`.
 
-    image: [H, W, 4]; depth: [H, W], z. args.shown_on: the panel, None where it is not known. Of a photo whose border is
-    cut out nothing is made up.
+    image: [H, W, 4]; depth: [H, W], z. Of a photo whose border is cut out nothing is made up.
     """
-    panel: Panel | None = getattr(args, "shown_on", None)
     args.placed = None
     alpha = image[..., 3]
     border = min(float(part.min()) for part in (alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]))
-    if panel is None or border < _TRANSPARENT or not bool(((depth > 0) & depth.isfinite()).any()):
+    if border < _TRANSPARENT or not bool(((depth > 0) & depth.isfinite()).any()):
         return (0, 0, 0, 0), []
     from lightfield_gs.photo.margin import place
 
     def placed(fit: str) -> Placed:
         return place(
-            depth, focal, centre, panel, fit, widest_tan=_widest_tan(args, panel), zoom=getattr(args, "zoom", None) or 1
+            depth,
+            focal,
+            centre,
+            panel,
+            fit,
+            widest_tan=_widest_tan(args, panel),
+            zoom=getattr(args, "zoom", None) or 1,
+            on_near=is_estimated(args),
         )
 
     fit = args.fit or FITS[0]
@@ -62,11 +73,13 @@ def place_photo(
 
 
 def photo_rig(args: argparse.Namespace, panel: Panel, gaussians: Gaussians) -> Rig:
-    """The rig of a photo: as it was placed, or fitted to what it shows. Raises InputError."""
+    """The rig of a photo: as it was placed, or fitted to what it shows; of one whose depths are a network's, whose
+    scale means little, with the panel in the subject. Raises InputError."""
     from lightfield_gs.panels import framing
 
     placed: Placed | None = getattr(args, "placed", None)
-    return framing.frame_photo(gaussians, panel) if placed is None else placed.rig
+    rig = framing.frame_photo(gaussians, panel) if placed is None else placed.rig
+    return framing.on_subject(rig, gaussians, panel) if is_estimated(args) else rig
 
 
 def _widest_tan(args: argparse.Namespace, panel: Panel) -> float:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.estimated import depth_file, is_estimated
 from lightfield_gs.commands.options.photo import add_depth, add_detail, has_depth, photo_object, photo_scene
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
@@ -25,6 +26,7 @@ _PHOTO_OPTIONS = (
     "remove_background",
     "checkpoint",
     "depth",
+    "depth_model",
     "rgbd",
     "map_orientation",
     "detail",
@@ -69,7 +71,11 @@ def check_scene_options(args: argparse.Namespace) -> None:
         _refuse(args, ("checkpoint", "detail", "detail_budget"), "is for the network, which --depth does without")
     if args.depth is not None:
         _refuse(args, ("rgbd",), "takes the place of --depth")
-    if args.mask is None and args.depth is None:
+    if is_estimated(args):
+        _refuse(args, ("depth_scale", "depth_invalid"), "is about a depth map in a file, and --depth auto has none")
+    else:
+        _refuse(args, ("depth_model",), "is for --depth auto")
+    if args.mask is None and depth_file(args) is None:
         _refuse(args, ("map_orientation",), "is about a mask or a depth map in a file of its own, and there is none")
     if args.intrinsics is not None and min(args.intrinsics[:2]) <= 0:
         raise InputError(
@@ -107,10 +113,8 @@ def load_scene(
 ) -> tuple[Gaussians, SceneFile | None]:
     """The Gaussians of the input, on the device, and what else its file holds; None of a photo.
 
-    panel: where it will be shown, which decides how finely a photo is taken, and what one with
-    depths is to fill.
+    panel: where it will be shown, which decides how finely a photo is taken, and what one with depths is to fill.
     """
-    args.shown_on = panel
     if _is_scene_file(args):
         file = read_noted(args.input, args.skip_invalid)
         say_origin(args.input, file.gaussians)
@@ -119,7 +123,7 @@ def load_scene(
         return gaussians, file
     _note_quilt(args.input)
     if has_depth(args):
-        return photo_scene(args, device, watch), None
+        return photo_scene(args, device, watch, panel), None
     return photo_object(args, device, watch, panel), None
 
 

@@ -20,6 +20,7 @@ from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import axes_of, read_given
 from lightfield_gs.commands.options.drawn import settle_drawing
+from lightfield_gs.commands.options.estimated import depth_file, depth_model, is_estimated
 from lightfield_gs.commands.options.framed import frame_scene, load_drawn
 from lightfield_gs.commands.options.look import apply_look, report_depth
 from lightfield_gs.commands.options.placing import photo_rig
@@ -144,6 +145,8 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     gaussians, file = load_scene(first, device, watch, panel)
     if file is not None:
         raise InputError(f"{first.input} is a file of Gaussians; a sequence takes pictures")
+    if is_estimated(first):  # also where no object is cut out
+        args.depth = first.depth
     said = settle_drawing(args, None)
     rig, how = frame_scene(first, panel, given, gaussians, None)
 
@@ -166,6 +169,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
         "rig": None if args.reframe else rig.to_dict(),
         **{name: part.digest() for name, part in beside.items() if part is not None},
         **{name: getattr(args, name) for name in (*_OF_PICTURES, *_MORE_OF_PICTURES)},
+        **({"depth_model": depth_model(args)} if is_estimated(args) else {}),
         "checkpoint": args.checkpoint and hashlib.sha256(args.checkpoint.read_bytes()).hexdigest(),
     }
     words = "each by itself" if args.reframe else f"all as {first.input.name}, the first (each by itself: --reframe)"
@@ -177,7 +181,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
 
 def _beside(args: argparse.Namespace, name: str, count: int) -> Sequence | None:
     """The pictures of --depth or --mask, one for each of the sequence. Raises InputError."""
-    path: Path | None = getattr(args, name)
+    path: Path | None = depth_file(args) if name == "depth" else getattr(args, name)
     if path is None:
         return None
     if not path.is_dir() and not is_sequence(path):

@@ -1,0 +1,253 @@
+"""The depth of a photo that comes without a depth map, estimated by a network of the optional package transformers."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.arrays import dense_tensor
+from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import DEPTH_KINDS, DEPTH_MODEL, DEVICES, DepthKind, Device
+from lightfield_gs.photo.depth import DepthMap
+from lightfield_gs.photo.estimated_depth import z_of_disparities, z_of_distances
+from lightfield_gs.photo.joint_upsampling import upsampled
+
+_ABOUT = {DEPTH_MODEL: "99 MB, Apache-2.0"}
+_INSTALL = "pip install 'lightfield-gs[depth]'"
+_OTHER_WAY = "or give a depth map with --depth FILE"
+_FILES = ("*.json", "*.safetensors")  # of a model; weights in other formats could run code when they are read
+_USUAL_SIDE_PX = 518  # of the photo as the network sees it, where its own processor does not say it
+# What the numbers of families are that do not say it in their configuration
+_KINDS: dict[str, DepthKind] = {
+    "depth_pro": "distance",
+    "dpt": "disparity",
+    "glpn": "distance",
+    "tipsv2_dpt": "distance",
+    "zoedepth": "distance",
+}
+
+
+def depth_from_network(
+    image: np.ndarray | Tensor,
+    model: str | Path = DEPTH_MODEL,
+    device: Device = "auto",
+    *,
+    kind: DepthKind | None = None,
+    limits: tuple[float, float] | None = None,
+) -> np.ndarray:
+    """View-space z [H, W] of each pixel of a photo, float32, as a network estimates it: a depth for `from_depth`.
+
+    image: [H, W, 3], or [H, W, 4] whose alpha is not looked at; uint8, or floating point in 0..1.
+    model: the name of a depth-estimation model on huggingface.co, or a folder with one (config.json,
+    preprocessor_config.json, *.safetensors). The default, Depth Anything V2 Small (Apache-2.0), is 99 MB; the package
+    huggingface_hub fetches it at first use and keeps it in its cache, and afterwards no network is needed.
+    device: "cpu", "cuda" or "auto".
+    kind: what the model's numbers are, "distance" (z) or "disparity" (a + b / z, a and b unknown). None: as its
+    configuration says.
+    limits: (near, far) of disparities, scene units; None: (1, 1.6). 1/z runs linearly from 1/far at the 1st percentile
+    of the numbers to 1/near at the 99th. Farther ones are put at far; nearer ones go on by a quarter of the range at
+    most. Distances are used as they are: scene units are the model's, metres as a rule.
+
+    The network sees the photo reduced to the size that it was trained on; its map is brought to the photo's size with
+    the photo's edges (joint bilateral upsampling, Kopf et al. 2007, by weighted medians). The same photo gives the same
+    bits on the same machine with as many threads. Float32 throughout; the last model is kept in memory.
+    Raises InputError: without the package or the weights, for a model that is none of depth, and for other images.
+    """
+    return estimated_depth(image, model, device, kind=kind, limits=limits).z
+
+
+def estimated_depth(
+    image: np.ndarray | Tensor,
+    model: str | Path = DEPTH_MODEL,
+    device: Device = "auto",
+    *,
+    kind: str | None = None,
+    limits: tuple[float, float] | None = None,
+    say: Callable[[str], None] | None = None,
+) -> DepthMap:
+    """What depth_from_network does, and words on it. say: is told what is fetched, before it is."""
+    pixels = _checked_pixels(image)
+    expect("model", model, str, Path)
+    for what, given, choices in (("depth kind", kind, (None, *DEPTH_KINDS)), ("device", device, DEVICES)):
+        if given not in choices:
+            raise InputError(f"{what}: expected one of {', '.join(str(one) for one in choices)}, got {given!r}")
+    limits = None if limits is None else _checked_limits(limits)
+    on = choose_device(device)
+    network = _network(_folder(str(model), say), on)
+    kind = kind or _kind(str(model), network.model.config)
+    if kind == "distance" and limits is not None:
+        raise InputError(f"{model} estimates distances, and --depth-range is for disparities; leave it out")
+    values = _predicted(str(model), network, pixels)
+    found = z_of_distances(values) if kind == "distance" else z_of_disparities(values, limits)
+    photo = torch.from_numpy(pixels).to(values.device).float() / 255
+    z = found.z(upsampled(found.disparities, photo, found.spread)).cpu().numpy()
+    name = Path(model).name if Path(model).is_dir() else model
+    return DepthMap(z, None, f"depth estimated by {name}: {found.said}", [f"{model}: {words}" for words in found.notes])
+
+
+def is_installed() -> bool:
+    """Whether the package is there that has the networks."""
+    import importlib.util
+
+    try:
+        return importlib.util.find_spec("transformers") is not None
+    except ValueError:  # of a stand-in without a specification
+        return False
+
+
+def _checked_pixels(image: np.ndarray | Tensor) -> np.ndarray:
+    """The colours of a photo as uint8 [H, W, 3], or InputError."""
+    pixels = dense_tensor("photo", image).detach().cpu()
+    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or 0 in pixels.shape:
+        raise InputError(f"photo: expected [H, W, 3] or [H, W, 4], got {list(pixels.shape)}")
+    pixels = pixels[..., :3]
+    if pixels.is_floating_point():
+        if not bool(torch.isfinite(pixels).all()) or float(pixels.min()) < 0 or float(pixels.max()) > 1:
+            raise InputError("photo: expected values in 0..1, got values outside or not finite")
+        pixels = (255 * pixels).round().to(torch.uint8)
+    elif pixels.dtype != torch.uint8:
+        raise InputError(f"photo: expected uint8 or floating point values in 0..1, got {pixels.dtype}")
+    return pixels.contiguous().numpy()
+
+
+def _checked_limits(limits: tuple[float, float]) -> tuple[float, float]:
+    if not is_row(limits, 2):
+        raise InputError(f"depth range: expected two numbers, near and far, got {shown(limits)}")
+    near, far = (real_number(f"depth range: {name}", part, 1e-6, 1e6) for name, part in zip(("near", "far"), limits))
+    if near >= far:
+        raise InputError(f"depth range: expected near < far, got {near:g},{far:g}")
+    return near, far
+
+
+def _folder(model: str, say: Callable[[str], None] | None) -> str:
+    """The folder with the model's files, which are fetched where they are not here. Raises InputError."""
+    if Path(model).is_dir():
+        return str(Path(model).resolve())
+    try:
+        from huggingface_hub import snapshot_download
+        from huggingface_hub.errors import HFValidationError
+    except ImportError as error:
+        raise _not_installed(error) from None
+    try:
+        folder = snapshot_download(model, allow_patterns=list(_FILES), local_files_only=True)
+        if all(any(Path(folder).glob(pattern)) for pattern in ("config.json", "preprocessor_config.json", _FILES[1])):
+            return folder
+    except HFValidationError:
+        raise InputError(
+            f"--depth-model: expected a name of huggingface.co, such as {DEPTH_MODEL}, or a folder; there is no "
+            f"folder {model}"
+        ) from None
+    except OSError:
+        pass  # it was never fetched
+    about = _ABOUT.get(model, f"its licence: huggingface.co/{model}")
+    if say is not None:
+        say(f"fetching the depth network {model} from huggingface.co, once ({about})")
+    try:
+        return snapshot_download(model, allow_patterns=list(_FILES))
+    except Exception as error:  # of the connection, the server or the disk: it may be anything
+        raise InputError(
+            f"the depth network {model} ({about}) is not on this machine and could not be fetched: {_words(error)}; "
+            f"fetch it with a connection once, or copy its folder here for --depth-model FOLDER, {_OTHER_WAY}"
+        ) from None
+
+
+@functools.lru_cache(maxsize=1)
+def _network(folder: str, device: str) -> Any:
+    """The pipeline of transformers for the model in a folder. Raises InputError."""
+    try:
+        with _quiet(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import transformers
+
+            # Never inside inference_mode, in which its weights could not be used outside
+            with torch.inference_mode(False):
+                return transformers.pipeline(
+                    "depth-estimation", model=folder, device=device, model_kwargs=dict(use_safetensors=True)
+                )
+    except ImportError as error:
+        raise _not_installed(error) from None
+    except Exception as error:  # of its files: it may be anything
+        raise InputError(
+            f"--depth-model {folder}: expected a depth-estimation model of transformers with weights in .safetensors: "
+            f"{_words(error)}"
+        ) from None
+
+
+def _not_installed(error: ImportError) -> InputError:
+    return InputError(
+        f"transformers, which has depth networks, could not be imported ({error}): {_INSTALL}; {_OTHER_WAY}"
+    )
+
+
+def _kind(model: str, config: Any) -> str:
+    """What the numbers of a model are."""
+    said = getattr(config, "depth_estimation_type", None)
+    if said in ("metric", "relative"):
+        return "distance" if said == "metric" else "disparity"
+    if config.model_type not in _KINDS:
+        raise InputError(f"{model} ({config.model_type}) does not say what its numbers are: give --depth-kind")
+    return _KINDS[config.model_type]
+
+
+@torch.no_grad()
+def _predicted(model: str, network: Any, pixels: np.ndarray) -> Tensor:
+    """The network's map [h, w] of a photo, about as large as the network sees it, float32."""
+    from PIL import Image
+
+    photo = Image.fromarray(pixels)
+    side = _side_px(network.image_processor)
+    shrink = side / min(photo.size)
+    if shrink < 1:
+        photo = photo.resize([max(1, round(shrink * part)) for part in photo.size], Image.Resampling.BICUBIC)
+    exact = torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False)
+    try:
+        # Its grey picture, which is not used, divides by zero where all is equally far
+        with exact, _quiet(), np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            values = network(photo)["predicted_depth"].float()
+    except RuntimeError as error:
+        raise InputError(f"{model} could not estimate the depth of this photo: {_words(error)}") from None
+    values = values.reshape(values.shape[-2:])
+    if not bool(torch.isfinite(values).all()):
+        raise InputError(f"{model}: its depths are not finite; give another with --depth-model, {_OTHER_WAY}")
+    return values
+
+
+def _side_px(processor: Any) -> int:
+    """The shorter side of the photo as the network sees it."""
+    size = dict(processor.size or {})
+    sides = [size[name] for name in ("height", "width", "shortest_edge") if size.get(name)]
+    return min(sides, default=_USUAL_SIDE_PX)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the words of transformers on how it loads and runs."""
+    try:
+        from transformers.utils import logging
+    except ImportError:  # the one who called says so
+        yield
+        return
+    level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    logging.set_verbosity(logging.CRITICAL)
+    logging.disable_progress_bar()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(level)
+        if bars:
+            logging.enable_progress_bar()
+
+
+def _words(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
