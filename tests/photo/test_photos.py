@@ -176,7 +176,7 @@ def test_encode_says_what_it_took_the_photo_for(folder, capsys):
     out = run(capsys, "encode a.jpg --mask m.png -o o.png --panel p.yaml --checkpoint n.safetensors").splitlines()
     assert out[0] == (
         "a.jpg: 60 x 80, turned by its Exif orientation 6, m.png turned with it, a mask of 0 and 1, cut "
-        "out by m.png, fills 48.8% of the picture, 60 x 39 pixels"
+        "out by m.png, fills 48.8% of the picture, 60 x 39 pixels, detail 2: the object's square at 64 x 64 px"
     )
 
 

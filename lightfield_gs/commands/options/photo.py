@@ -125,7 +125,7 @@ def has_depth(args: argparse.Namespace) -> bool:
     return args.depth is not None or args.rgbd is not None or is_named_so(args.input)
 
 
-def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel | None = None) -> Gaussians:
+def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel) -> Gaussians:
     """The Gaussians of the object in a photo, by the network; or of all that it shows, where no object is cut out and
     there is a network for its depths, which args.depth says then. Raises InputError."""
     from lightfield_gs.io.images import read_picture
@@ -150,7 +150,7 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel:
         of_network = (args.checkpoint, args.detail, args.detail_budget)
         if not isinstance(error, NoCutOut) or any(value is not None for value in of_network):
             raise
-        return _whole_instead(args, device, watch, error)
+        return _whole_instead(args, device, watch, panel, error)
     del picture
     network = SplatterNet.from_pretrained(args.checkpoint).to(device)
     watch.lap("load")
@@ -162,7 +162,9 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel:
     return gaussians
 
 
-def _whole_instead(args: argparse.Namespace, device: str, watch: Stopwatch, refused: InputError) -> Gaussians:
+def _whole_instead(
+    args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel, refused: InputError
+) -> Gaussians:
     """The Gaussians of a photo in which no object is cut out, with estimated depths. Raises `refused` where there is no
     network for them."""
     from lightfield_gs.photo.depth_network import is_installed
@@ -171,7 +173,7 @@ def _whole_instead(args: argparse.Namespace, device: str, watch: Stopwatch, refu
         raise refused
     args.depth = AUTO
     try:
-        gaussians = photo_scene(args, device, watch)
+        gaussians = photo_scene(args, device, watch, panel)
     except InputError as error:
         raise InputError(f"{refused}; that was tried: {error}") from None
     note(
