@@ -7,7 +7,7 @@ from typing import Any
 
 from lightfield_gs.bench import photo
 from lightfield_gs.commands.options import bench as options
-from lightfield_gs.commands.options.photo import add_detail, detail_given
+from lightfield_gs.commands.options.detail import add_detail, detail_given
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

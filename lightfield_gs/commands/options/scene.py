@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.depth_map import add_depth, has_depth
+from lightfield_gs.commands.options.detail import add_detail
 from lightfield_gs.commands.options.estimated import depth_file, is_estimated
-from lightfield_gs.commands.options.photo import add_depth, add_detail, has_depth, photo_object, photo_scene
+from lightfield_gs.commands.options.photo import photo_object, photo_scene
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
 
