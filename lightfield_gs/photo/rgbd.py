@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.base.arrays import dense_tensor
-from lightfield_gs.base.checks import expect
+from lightfield_gs.base.checks import expect, is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.photo.depth import FARTHEST
@@ -77,7 +77,7 @@ def from_depth(
     then those of outlines, of what is hidden, and of the margin. Raises InputError on other shapes, types or values, or
     where no pixel has a depth.
     """
-    image, depth = _checked_image(image), _checked_depth(depth)
+    image, depth, margin_px = _checked_image(image), _checked_depth(depth), _checked_margin(margin_px)
     height, width = depth.shape
     check_depth_size("depth", depth, image)
     depth = depth.to(image.device)
@@ -237,6 +237,15 @@ def _checked_depth(depth: np.ndarray | Tensor) -> Tensor:
     if depth.ndim != 2 or not depth.is_floating_point():
         raise InputError(f"depth: expected floating point [H, W], got {depth.dtype} {list(depth.shape)}")
     return depth.to(torch.float32)
+
+
+def _checked_margin(margin_px: object) -> tuple[int, int, int, int]:
+    if not is_row(margin_px, 4):
+        raise InputError(
+            f"margin_px: expected pixels to the left, above, to the right and below, got {shown(margin_px)}"
+        )
+    left, top, right, bottom = (whole_number("margin_px", part, 0, MAX_PIXELS) for part in margin_px)
+    return left, top, right, bottom
 
 
 def _pair(name: str, given: Sequence[float] | None, default: tuple[float, float]) -> tuple[float, float]:

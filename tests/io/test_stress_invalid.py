@@ -153,9 +153,17 @@ CALLS = {
             antialiased=True,
             rate_means=1e-4,
             seed=1,
+            dropout=0.1,
         ),
     ),
-    "from_depth": (lf.from_depth, dict(image=PHOTO, depth=DEPTH, focal_px=(4.0, 4.0), principal_point_px=(2.0, 1.5))),
+    "depth_from_network": (
+        lf.depth_from_network,
+        dict(image=PHOTO, model="/nowhere/at/all", device="cpu", kind="disparity", limits=(1.0, 2.0)),
+    ),
+    "from_depth": (
+        lf.from_depth,
+        dict(image=PHOTO, depth=DEPTH, focal_px=(4.0, 4.0), principal_point_px=(2.0, 1.5), margin_px=(1, 0, 2, 0)),
+    ),
     "interlace": (lf.interlace, dict(views=VIEWS, panel=PANEL)),
     "Look": (lf.Look, dict(focus=2.0, depth_amount=0.5, cone_deg=20.0, zoom=1.5, pan=(0.1, -0.2))),
     "Look.applied": (lf.Look(focus=2.0).applied, dict(rig=RIG, panel=PANEL, gaussians=SCENE)),
@@ -262,7 +270,7 @@ def test_junk_is_refused(name, data):
     call, arguments = CALLS[name]
     changed = data.draw(st.sampled_from(sorted(arguments)))
     value = data.draw(JUNK)
-    if isinstance(value, str) and changed in ("path", "source", "mask"):
+    if isinstance(value, str) and changed in ("path", "source", "mask", "model"):
         value = f"/nowhere/at/all/{value}"
     result = outcome(call, {**arguments, changed: value})
     if isinstance(result, torch.Tensor):
