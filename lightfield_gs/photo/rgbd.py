@@ -23,6 +23,7 @@ from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
 MAX_PIXELS = 1 << 24
+_MOST_WITH_MARGIN = 4 * MAX_PIXELS
 _NEAREST = 1e-12  # scene units
 _SPREAD = 0.65  # standard deviation in pixels, at which neighbours close into a surface: 99 % opaque when magnified
 _THICKNESS = 0.1  # standard deviation across the surface, in pixels
@@ -77,7 +78,8 @@ def from_depth(
     then those of outlines, of what is hidden, and of the margin. Raises InputError on other shapes, types or values, or
     where no pixel has a depth.
     """
-    image, depth, margin_px = _checked_image(image), _checked_depth(depth), _checked_margin(margin_px)
+    image, depth = _checked_image(image), _checked_depth(depth)
+    margin_px = _checked_margin(margin_px, image.shape[0], image.shape[1])
     height, width = depth.shape
     check_depth_size("depth", depth, image)
     depth = depth.to(image.device)
@@ -239,12 +241,15 @@ def _checked_depth(depth: np.ndarray | Tensor) -> Tensor:
     return depth.to(torch.float32)
 
 
-def _checked_margin(margin_px: object) -> tuple[int, int, int, int]:
+def _checked_margin(margin_px: Sequence[int], height: int, width: int) -> tuple[int, int, int, int]:
     if not is_row(margin_px, 4):
-        raise InputError(
-            f"margin_px: expected pixels to the left, above, to the right and below, got {shown(margin_px)}"
-        )
+        raise InputError(f"margin_px: expected pixels left, above, right and below, got {shown(margin_px)}")
     left, top, right, bottom = (whole_number("margin_px", part, 0, MAX_PIXELS) for part in margin_px)
+    if (width + left + right) * (height + top + bottom) > _MOST_WITH_MARGIN:
+        raise InputError(
+            f"margin_px: {left}, {top}, {right}, {bottom} around a photo of {width} x {height}; expected at most "
+            f"{_MOST_WITH_MARGIN} pixels in all; make photo and depth map smaller, or leave the margin out (--fit cover)"
+        )
     return left, top, right, bottom
 
 
