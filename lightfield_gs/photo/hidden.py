@@ -185,7 +185,8 @@ def _stripes(image: Tensor, depth: Tensor, runs: list[_Run], covered: Tensor) ->
     for sign, run in zip((1, -1), runs):
         source, distance = run.source[rows, columns], run.distance[rows, columns]
         # Hardly mixed: it is to be texture
-        weight = torch.where(source >= 0, distance.clamp_min(1) ** -3, 0)[:, None]
+        cube = distance.clamp_min(1) * distance.clamp_min(1) * distance.clamp_min(1)
+        weight = torch.where(source >= 0, 1 / cube, 0)[:, None]
         mixed += weight * image[rows, _clean_border(depth, rows, source, sign)[0]]
         weights += weight
     result = image.clone()

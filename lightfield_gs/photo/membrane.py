@@ -16,6 +16,7 @@ ITERATIONS = 8  # where a coarser level has been solved: what is left is local. 
 _MOST_ITERATIONS = 60  # the first guess is close, and what is far inside a hole is hardly ever seen
 _FEW = 1 << 12  # pixels of a hole up to which there is no coarser level
 _TOLERANCE = 1e-4  # of the residual, of what it was at first: a thousandth of a colour step is not seen
+_PART = 1 << 10  # values summed by one thread
 _ANCHOR = 1e-5  # weight of the first guess beside that of a neighbour: decides only where nothing else holds a hole
 
 
@@ -136,17 +137,23 @@ def _conjugate_gradients(apply, right: Tensor, guess: Tensor, diagonal: Tensor, 
     x = guess.clone()
     residual = right - apply(x)
     z = residual / diagonal
-    direction, product = z.clone(), (residual * z).sum(0)
+    direction, product = z.clone(), _sums(residual * z)
     enough = _TOLERANCE**2 * product.max().clamp_min(1e-30)
     for _ in range(iterations):
         if bool((product <= enough).all()):
             break
         image = apply(direction)
-        step = product / (direction * image).sum(0).clamp_min(1e-30)
+        step = product / _sums(direction * image).clamp_min(1e-30)
         x += step * direction
         residual -= step * image
         z = residual / diagonal
-        new = (residual * z).sum(0)
+        new = _sums(residual * z)
         direction = z + new / product.clamp_min(1e-30) * direction
         product = new
     return x
+
+
+def _sums(values: Tensor) -> Tensor:
+    """The sum of each channel of [M, C], in an order that does not depend on the number of threads."""
+    parts = functional.pad(values, (0, 0, 0, -len(values) % _PART)).view(-1, _PART, values.shape[1])
+    return parts.sum(1).sum(0)
