@@ -1,7 +1,8 @@
 """Holes of a picture filled with its own texture: a patch of the picture for each place, from coarse to fine.
 
 The completion of Wexler et al. ("Space-time completion of video", 2007), with the matches found as in Barnes et al.
-("PatchMatch", 2009), all places at once.
+("PatchMatch", 2009), all places at once. Where a hole is large, patches are matched in a smaller picture, and what they
+are moved by is then done in the full one.
 """
 
 from __future__ import annotations
@@ -10,11 +11,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from lightfield_gs.photo.windows import largest
+
 _RADIUS = 3  # of a patch, pixels
 _STRIDE = 2  # of the places that have patches
 _COARSEST = 40  # pixels of the shorter side, about, at which it begins
 _DEPTH_WEIGHT = 4.0  # of a difference of log disparity beside one of colour: a patch comes from its own surface
 _ROUNDS = (2, 3, 4, 6)  # of matching and voting, from the finest level on; the last for all coarser ones
+_MATCHED = 1 << 15  # pixels of the hole, the most, at which patches are matched: more are copied
 _SEARCHED = 2  # levels from the finest on that only pass matches on, without a random search
 
 
@@ -43,32 +47,60 @@ def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tens
     levels = [_Level(image.movedim(2, 0).contiguous(), hole, source & ~hole, guide)]
     while min(levels[-1].hole.shape) >= 2 * _COARSEST:
         levels.append(levels[-1].halved())
+    finest = next((number for number, level in enumerate(levels) if int(level.hole.sum()) <= _MATCHED), len(levels) - 1)
     random = torch.Generator(device=image.device).manual_seed(0)
-    matches: tuple[Tensor, Tensor] | None = None
-    voted = levels[0].image
+    search: _Matches | None = None
     for number in reversed(range(len(levels))):
-        level = levels[number]
-        if not bool(level.hole.any()):
+        if not bool(levels[number].hole.any()):
             continue
-        search = _Matches(level, matches, random)
-        if search.centres.numel() == 0:
+        coarser = search
+        found = _Matches(levels[number], coarser, random)
+        if len(found.places) == 0:  # too small for a patch
             continue
-        rounds = _ROUNDS[min(number, len(_ROUNDS) - 1)]
-        for turn in range(rounds):
-            if turn or matches is None:
-                search.improve(number >= _SEARCHED)
-            elif number >= _SEARCHED:
-                search.improve(True)
+        search, searches = found, number >= finest + _SEARCHED
+        for turn in range(_ROUNDS[min(number - finest, len(_ROUNDS) - 1)] if number > finest else _ROUNDS[0]):
+            if turn or coarser is None or searches:
+                search.improve(searches)
             search.vote()
-        matches, voted = search.grid(), search.voted
-    return voted.movedim(0, 2)
+        if number <= finest:
+            break
+    if search is None:
+        return image
+    return search.voted.movedim(0, 2) if number == 0 else _copied(search, levels[0], 2**number)
+
+
+def _copied(search: _Matches, level: _Level, scale: int) -> Tensor:
+    """The picture [H, W, 3] of this level, its hole and the pixels beside it from where the matches of another one, as
+    many times smaller, say; patches meet in seams half as wide as their places are apart."""
+    goal = largest(level.hole, 1).nonzero()
+    matches, is_set = search.grid()
+    # Between which four places of the grid a pixel is, and how far
+    at = ((goal + 0.5) / scale - 0.5) / _STRIDE
+    low = at.floor()
+    share = ((at - low) * 2 - 0.5).clamp(0, 1)
+    image = level.image.movedim(0, 2)
+    total, mixed = image.new_zeros(len(goal), 1), image.new_zeros(len(goal), 3)
+    last = torch.tensor(level.hole.shape, device=goal.device) - 1
+    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        cell = low.long() + torch.tensor(corner, device=goal.device)
+        row, column = (cell[:, dim].clamp(0, is_set.shape[dim] - 1) for dim in (0, 1))
+        down, right = ((share if side else 1 - share)[:, dim] for dim, side in enumerate(corner))
+        weight = (down * right + 1e-9) * is_set[row, column]
+        moved = (matches[row, column] - _STRIDE * torch.stack([row, column], 1)) * scale
+        source = torch.minimum((goal + moved).clamp_min(0), last)
+        mixed += weight[:, None] * image[source[:, 0], source[:, 1]]
+        total += weight[:, None]
+    said = torch.where(total > 0, mixed / total.clamp_min(1e-30), image[goal[:, 0], goal[:, 1]])
+    result = image.clone()
+    result[goal[:, 0], goal[:, 1]] = said
+    return result
 
 
 class _Matches:
     """For each place near the hole, the source patch that is most like it."""
 
-    def __init__(self, level: _Level, coarser: tuple[Tensor, Tensor] | None, random: torch.Generator) -> None:
-        self.level, self.random = level, random
+    def __init__(self, level: _Level, coarser: _Matches | None, random: torch.Generator) -> None:
+        self.level, self.random, self.voted = level, random, level.image
         self.height, self.width = level.hole.shape
         device = level.hole.device
         r = _RADIUS
@@ -78,11 +110,11 @@ class _Matches:
             .to(device)
         )
         # Source patches lie wholly within the source
-        whole = functional.max_pool2d((~level.source)[None, None].float(), 2 * r + 1, 1, r)[0, 0] == 0
+        whole = ~largest(~level.source, r)
         whole[:r], whole[self.height - r :], whole[:, :r], whole[:, self.width - r :] = False, False, False, False
         self.whole = whole
         self.places = whole.nonzero()
-        near = functional.max_pool2d(level.hole[None, None].float(), 2 * r + 1, 1, r)[0, 0] > 0
+        near = largest(level.hole, r)
         rows, columns = (torch.arange(0, size, _STRIDE, device=device) for size in level.hole.shape)
         chosen = near[rows][:, columns]
         self.shape = chosen.shape
@@ -91,19 +123,21 @@ class _Matches:
         self.number[chosen] = torch.arange(len(cells), device=device)
         self.cells, self.centres = cells, cells * _STRIDE
         if len(self.places) == 0:
-            self.centres = self.centres[:0]
             return
+        self.own = self._own_places()
+        self.colours = level.image.movedim(0, 2).reshape(-1, 3).contiguous()
+        self.patches = self.colours[self.own]
         self.match = self._first(coarser)
         self.cost = self._cost(self.match, torch.arange(len(cells), device=device))
 
-    def _first(self, coarser: tuple[Tensor, Tensor] | None) -> Tensor:
+    def _first(self, coarser: _Matches | None) -> Tensor:
         count = len(self.centres)
         drawn = self.places[
             torch.randint(len(self.places), (count,), generator=self.random, device=self.centres.device)
         ]
         if coarser is None:
             return drawn
-        matches, is_set = coarser
+        matches, is_set = coarser.grid()
         at = torch.minimum(self.cells // 2, torch.tensor(is_set.shape, device=self.cells.device) - 1)
         moved = matches[at[:, 0], at[:, 1]] * 2 + self.centres - at * 2 * _STRIDE
         usable = is_set[at[:, 0], at[:, 1]] & self._is_place(moved)
@@ -117,16 +151,23 @@ class _Matches:
     def _within(self, places: Tensor) -> Tensor:
         return torch.stack([places[..., 0].clamp(0, self.height - 1), places[..., 1].clamp(0, self.width - 1)], -1)
 
-    def _flat(self, places: Tensor) -> Tensor:
-        inside = self._within(places[:, None] + self.offsets)
+    def _own_places(self) -> Tensor:
+        """The pixels of the patches of all places, [M, 49], those beyond the border moved onto it."""
+        inside = self._within(self.centres[:, None] + self.offsets)
         return inside[..., 0] * self.width + inside[..., 1]
+
+    def _flat(self, match: Tensor) -> Tensor:
+        """The pixels of source patches, [M, 49]: they lie within the picture."""
+        steps = self.offsets[:, 0] * self.width + self.offsets[:, 1]
+        return (match[:, 0] * self.width + match[:, 1])[:, None] + steps
 
     def _cost(self, match: Tensor, which: Tensor) -> Tensor:
         """Mean squared difference of colours, and of depths, of patches."""
-        image, guide = self.level.image.reshape(3, -1), self.level.guide.flatten()
-        here, there = self._flat(self.centres[which]), self._flat(match)
-        cost = ((image[:, here] - image[:, there]) ** 2).sum(0).mean(1)
-        apart = guide[here[:, self.offsets.shape[0] // 2]] - guide[there[:, self.offsets.shape[0] // 2]]
+        guide, middle = self.level.guide.flatten(), self.offsets.shape[0] // 2
+        there = self._flat(match)
+        apart = self.patches[which] - self.colours[there.flatten()].view(len(which), -1, 3)
+        cost = apart.square_().sum((1, 2)) / len(self.offsets)
+        apart = guide[self.own[which, middle]] - guide[there[:, middle]]
         return cost + (_DEPTH_WEIGHT * apart).square().clamp_max(2.0) * 0.05
 
     def improve(self, searches: bool) -> None:
@@ -157,23 +198,19 @@ class _Matches:
 
     def vote(self) -> None:
         """Each pixel of the hole becomes the mean of what the patches over it say, the likest ones counting most."""
-        image = self.level.image.reshape(3, -1)
         scale = self.cost.quantile(0.5) if len(self.cost) < 1 << 20 else self.cost.median()
-        weight = torch.exp(-self.cost / (2 * scale.clamp_min(1e-6)))[:, None].expand(-1, len(self.offsets))
+        weight = torch.exp(-self.cost / (2 * scale.clamp_min(1e-6)))[:, None]
         near = torch.exp(-(self.offsets**2).sum(1) / 4.0)  # a patch knows best what is in its middle
-        weight = (weight * near + 1e-9).flatten()
         goal = self.centres[:, None] + self.offsets
         inside = (goal >= 0).all(2) & (goal[..., 0] < self.height) & (goal[..., 1] < self.width)
-        weight = weight * inside.flatten()
-        goal = self._within(goal)
-        goal, source = (goal[..., 0] * self.width + goal[..., 1]).flatten(), self._flat(self.match).flatten()
-        total = image.new_zeros(image.shape[1]).index_add_(0, goal, weight)
-        hole, voted = self.level.hole.flatten() & (total > 0), image.clone()
-        for channel, said in zip(image, voted):
-            mixed = torch.zeros_like(channel).index_add_(0, goal, weight * channel[source])
-            torch.where(total > 0, mixed / total.clamp_min(1e-30), channel, out=said)
-            channel[hole] = said[hole]
-        self.voted = voted.view_as(self.level.image)
+        weight = ((weight * near + 1e-9) * inside).view(-1, 1)
+        said = torch.cat([weight * self.colours[self._flat(self.match).flatten()], weight], 1)
+        said = said.new_zeros(len(self.colours), 4).index_add_(0, self.own.flatten(), said)
+        mixed, total = said[:, :3] / said[:, 3:].clamp_min(1e-30), said[:, 3:]
+        self.voted = torch.where(total > 0, mixed, self.colours).T.view_as(self.level.image)
+        hole = self.level.hole.flatten()[:, None] & (total > 0)
+        self.colours = torch.where(hole, mixed, self.colours)
+        self.patches = self.colours[self.own]
 
     def grid(self) -> tuple[Tensor, Tensor]:
         """The matches of the grid of places, [h, w, 2], and where there are any."""

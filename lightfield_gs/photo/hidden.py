@@ -13,6 +13,7 @@ from torch import Tensor
 from lightfield_gs.photo.depth_edges import joined
 from lightfield_gs.photo.exemplar import complete
 from lightfield_gs.photo.membrane import solve_membrane
+from lightfield_gs.photo.windows import largest, total
 
 FRINGE = 3  # pixels of the far side next to an edge that may have colours of the near one: they are made anew as well
 _WIDEST_TAN = 0.58  # tan 30 degrees: half of the widest cone whose cameras look behind the edges without a hole
@@ -21,6 +22,7 @@ _STAIRS = 6  # pixels within which several edges are one: the steps of a smoothe
 _BEHIND = 0.985  # disparity of what is hidden, at most, as a share of the disparity of what hides it
 _SLOPE_WINDOW = 9  # pixels over which the slope of a surface is taken before it goes on behind another one
 _SAME = 0.1  # relative difference of depths up to which a pixel close by is of the same surface
+_TEXTURE = 0.02  # share of the width: what is smaller than some 6 times that is texture, what is larger the first guess
 _BENT = 0.15  # by how much of its disparity a surface may become nearer or farther where it goes on
 
 
@@ -56,11 +58,11 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     and the colours of a membrane that is held where the surface is seen: solutions of Poisson's equation, so that
     planes go on as planes and linear gradients as themselves, where they are held from both sides.
     """
-    runs = [_behind(depth, focal_px[0])]
-    mirrored = _behind(depth.flip(1), focal_px[0])
-    last = depth.shape[1] - 1
-    source = torch.where(mirrored.source >= 0, last - mirrored.source, -1).flip(1)
-    runs.append(_Run(source, mirrored.distance.flip(1)))
+    # From the left and, mirrored, from the right
+    both = _behind(torch.cat([depth, depth.flip(1)]), focal_px[0])
+    (source, mirrored), (distance, other) = both.source.chunk(2), both.distance.chunk(2)
+    mirrored = torch.where(mirrored >= 0, depth.shape[1] - 1 - mirrored, -1)
+    runs = [_Run(source, distance), _Run(mirrored.flip(1), other.flip(1))]
     disparity = 1 / depth
     covered = (runs[0].source >= 0) | (runs[1].source >= 0)
     fringe = _beside(covered, depth) & ~covered
@@ -74,7 +76,7 @@ def find_hidden(image: Tensor, depth: Tensor, focal_px: tuple[float, float]) -> 
     bent = solve_membrane(guess[..., None], hole, linked, slope)[..., 0]
     # In the fringe the depths may be mixed as the colours are: the farthest close by is that of the far surface
     far = torch.where(hole & ~fringe, bent, torch.where(disparity > 0, disparity, torch.inf))
-    far = -torch.nn.functional.max_pool2d(-far[None, None], 2 * FRINGE + 1, 1, FRINGE)[0, 0]
+    far = -largest(-far, FRINGE)
     nearest = torch.where(covered, _BEHIND * disparity, torch.where(fringe, far, torch.inf))
     bent = torch.minimum(bent.clamp(guess * (1 - _BENT), guess * (1 + _BENT)), nearest)
     known = disparity[disparity > 0]
@@ -88,9 +90,9 @@ def filled(hidden: Hidden, depth: Tensor) -> Tensor:
         return hidden.image
     guide = hidden.disparity.nan_to_num(0).clamp_min(1e-12).log()
     said = complete(hidden.image, hidden.hole, torch.isfinite(depth), guide)
-    # No seam at the border: what the texture is off there, it is off less and less further in
-    off = torch.where(hidden.hole[..., None], 0, hidden.image - said)
-    return (said + solve_membrane(off, hidden.hole, hidden.linked)).clamp(0, 1)
+    # The texture is that of the patches, and what is larger than it the first colours', without a seam at the border
+    off, length = hidden.image - said, _TEXTURE * depth.shape[1]
+    return (said + solve_membrane(off, hidden.hole, hidden.linked, anchor=length**-2)).clamp(0, 1)
 
 
 def joined_with(depth: Tensor, dim: int, focal_px: float) -> Tensor:
@@ -127,10 +129,7 @@ def _behind(depth: Tensor, focal_px: float) -> _Run:
 
 def _beside(covered: Tensor, depth: Tensor) -> Tensor:
     """The pixels that are FRINGE or fewer pixels off one that covers another, and farther than that one."""
-    size = 2 * FRINGE + 1
-    nearest = torch.where(covered, 1 / depth, 0)[None, None]
-    nearest = torch.nn.functional.max_pool2d(nearest, size, 1, FRINGE)[0, 0]
-    return 1 / depth < 0.97 * nearest
+    return 1 / depth < 0.97 * largest(torch.where(covered, 1 / depth, 0), FRINGE)
 
 
 def _continued(
@@ -139,28 +138,28 @@ def _continued(
     """The disparity of what goes on, [H, W], and its steps along columns and rows; of the photo's
     where nothing does."""
     steps = [_slope(disparity, depth, dim, focal_px[1 - dim]) for dim in (0, 1)]
-    rows = torch.arange(depth.shape[0], device=depth.device)[:, None]
-    total, guess, slope = torch.zeros_like(depth), torch.zeros_like(depth), [torch.zeros_like(depth) for _ in steps]
+    rows, columns = covered.nonzero().unbind(1)
+    # Of the pixels that cover something: weight, weighted disparity, and weighted steps
+    sums = depth.new_zeros(4, len(rows))
     for sign, run in zip((1, -1), runs):
-        weight = torch.where(run.source >= 0, 1 / run.distance.clamp_min(1), 0)
-        column, further = _clean_border(depth, run, sign)
-        value = disparity[rows, column]
-        moved = value + sign * (run.distance + further) * steps[1][rows, column]
+        source, distance = run.source[rows, columns], run.distance[rows, columns]
+        weight = torch.where(source >= 0, 1 / distance.clamp_min(1), 0)
+        column, further = _clean_border(depth, rows, source, sign)
+        value, *step = (values[rows, column] for values in (disparity, *steps))
+        moved = value + sign * (distance + further) * step[1]
         moved = torch.minimum(torch.maximum(moved, value * (1 - _BENT)), value * (1 + _BENT))
-        total += weight
-        guess += weight * moved.nan_to_num(0)
-        for own, step in zip(slope, steps):
-            own += weight * step[rows, column]
-    total = total.clamp_min(1e-12)
-    guess = torch.where(covered, guess / total, disparity.nan_to_num(0))
-    return guess, [torch.where(covered, own / total, step) for own, step in zip(slope, steps)]
+        sums += weight * torch.stack([torch.ones_like(weight), moved.nan_to_num(0), *step])
+    guess = disparity.nan_to_num(0)
+    for values, said in zip((guess, *steps), sums[1:] / sums[0].clamp_min(1e-12)):
+        values[rows, columns] = said
+    return guess, steps
 
 
-def _clean_border(depth: Tensor, run: _Run, sign: int) -> tuple[Tensor, Tensor]:
-    """The column of the pixel that is continued, beyond the mixed ones where those are of the same surface, and how
-    many pixels it is from the last one, [H, W] each. sign: 1 where the surface goes on to the right, else -1."""
-    rows = torch.arange(depth.shape[0], device=depth.device)[:, None]
-    border = run.source.clamp_min(0)
+def _clean_border(depth: Tensor, rows: Tensor, source: Tensor, sign: int) -> tuple[Tensor, Tensor]:
+    """The column of the pixel that is continued in each of these rows [M], beyond the mixed ones where those are of the
+    same surface, and how many pixels it is from the last one, source [M]. sign: 1 where the surface goes on to the
+    right, else -1."""
+    border = source.clamp_min(0)
     further = (border - sign * FRINGE).clamp(0, depth.shape[1] - 1)
     same = (depth[rows, further] / depth[rows, border] - 1).abs() < _SAME
     column = torch.where(same, further, border)
@@ -172,18 +171,24 @@ def _slope(disparity: Tensor, depth: Tensor, dim: int, focal_px: float) -> Tenso
     whole = joined_with(depth, dim, focal_px)
     differences = torch.where(whole, disparity.diff(dim=dim), 0).nan_to_num(0)
     padding = (0, 0, 0, 1) if dim == 0 else (0, 1)
-    both = torch.stack([torch.nn.functional.pad(part, padding) for part in (differences, whole.to(differences))])
-    size = _SLOPE_WINDOW
-    both = torch.nn.functional.avg_pool2d(both[None], size, 1, size // 2, count_include_pad=False)[0]
-    return both[0] / both[1].clamp_min(1e-6)
+    radius = _SLOPE_WINDOW // 2
+    steps, count = (
+        total(torch.nn.functional.pad(part, padding), radius) for part in (differences, whole.to(differences))
+    )
+    return steps / count.clamp_min(1)
 
 
 def _stripes(image: Tensor, depth: Tensor, runs: list[_Run], covered: Tensor) -> Tensor:
     """The image with the colours of the far surfaces' borders where those go on, taken from beyond the mixed pixels."""
-    rows = torch.arange(image.shape[0], device=image.device)[:, None]
-    total, mixed = image.new_zeros(image.shape[:2]), torch.zeros_like(image)
+    rows, columns = covered.nonzero().unbind(1)
+    weights, mixed = image.new_zeros(len(rows), 1), image.new_zeros(len(rows), 3)
     for sign, run in zip((1, -1), runs):
-        weight = torch.where(run.source >= 0, run.distance.clamp_min(1) ** -3, 0)  # hardly mixed: it is to be texture
-        mixed += weight[..., None] * image[rows, _clean_border(depth, run, sign)[0]]
-        total += weight
-    return torch.where(covered[..., None], mixed / total.clamp_min(1e-20)[..., None], image)
+        source, distance = run.source[rows, columns], run.distance[rows, columns]
+        # Hardly mixed: it is to be texture
+        cube = distance.clamp_min(1) * distance.clamp_min(1) * distance.clamp_min(1)
+        weight = torch.where(source >= 0, 1 / cube, 0)[:, None]
+        mixed += weight * image[rows, _clean_border(depth, rows, source, sign)[0]]
+        weights += weight
+    result = image.clone()
+    result[rows, columns] = mixed / weights.clamp_min(1e-20)
+    return result

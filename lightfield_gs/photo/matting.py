@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from lightfield_gs.photo.windows import largest
+
 _RIM = 3  # pixels on either side of an edge whose colours may be mixed
 _WINDOW = 6  # pixels to each side from which the colours of both surfaces are taken
 _SPREAD = 3.0  # standard deviation of the weights in it, pixels
+_CHUNK = 1 << 12  # pixels whose windows are gathered at a time: 16 MB
 _STEP = 1.03  # ratio of disparities from which on two pixels stand one before the other
 _NOISE = 2e-4  # variance of a colour, 0..1, that is no difference
 _TRACE = 0.04  # coverage that is not seen
@@ -41,10 +43,8 @@ def find_matte(image: Tensor, depth: Tensor, torn: Tensor) -> Matte:
     varies, colour says nothing, and the pixel is what the depth map says: a is drawn to 0 or 1 by the ratio of the two.
     """
     disparity = (1 / depth).nan_to_num(0)
-    size = 2 * _RIM + 1
-    most = functional.max_pool2d(disparity[None, None], size, 1, _RIM)[0, 0]
-    least = -functional.max_pool2d(-torch.where(disparity > 0, disparity, 1e30)[None, None], size, 1, _RIM)[0, 0]
-    band = functional.max_pool2d(torn[None, None].float(), size - 2, 1, _RIM - 1)[0, 0] > 0
+    most, least = largest(disparity, _RIM), -largest(-torch.where(disparity > 0, disparity, 1e30), _RIM)
+    band = largest(torn, _RIM - 1)
     band &= torch.isfinite(depth) & (most > _STEP * least)
     rows, columns = band.nonzero().unbind(1)
     middle = ((most + least) / 2)[rows, columns]
@@ -80,21 +80,23 @@ def _surroundings(
     image: Tensor, disparity: Tensor, clean: Tensor, rows: Tensor, columns: Tensor, middle: Tensor
 ) -> tuple[_Surface, _Surface]:
     """The near and the far surface close to these pixels, by its pixels that are not mixed."""
-    height, width = disparity.shape
-    values = torch.cat([image, (image**2).sum(2, keepdim=True), disparity[..., None]], 2).reshape(-1, 5)
-    usable = torch.where(clean & (disparity > 0), disparity, torch.nan).flatten()
-    sums = [image.new_zeros(len(rows), 6) for _ in range(2)]
-    for down in range(-_WINDOW, _WINDOW + 1):
-        for right in range(-_WINDOW, _WINDOW + 1):
-            share = math.exp(-(down**2 + right**2) / 2 / _SPREAD**2)
-            r, c = rows + down, columns + right
-            inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-            at = r.clamp(0, height - 1) * width + c.clamp(0, width - 1)
-            value, w = values[at], usable[at]
-            for total, side in zip(sums, (w > middle, w <= middle)):
-                own = share * (inside & side).to(value)[:, None]
-                total[:, :5] += own * value
-                total[:, 5:] += own
+    padding, width = (_WINDOW,) * 4, disparity.shape[1] + 2 * _WINDOW
+    channels = torch.cat(
+        [image.movedim(2, 0), (image**2).sum(2)[None], disparity[None], torch.ones_like(disparity)[None]]
+    )
+    values = functional.pad(channels, padding).movedim(0, 2).reshape(-1, 6)
+    usable = torch.where(clean & (disparity > 0), disparity, torch.nan)
+    usable = functional.pad(usable, padding, value=torch.nan).flatten()
+    reach = torch.arange(-_WINDOW, _WINDOW + 1, device=image.device)
+    shares = torch.exp(-(reach[:, None] ** 2 + reach**2) / 2 / _SPREAD**2).flatten()
+    window = ((reach[:, None] + _WINDOW) * width + reach + _WINDOW).flatten()
+    sums = image.new_zeros(2, len(rows), 6)
+    for start in range(0, len(rows), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        at = (rows[part] * width + columns[part])[:, None] + window
+        there, level = usable[at], middle[part, None]
+        weights = torch.stack([there > level, there <= level], 1) * shares
+        sums[:, part] = (weights @ values[at]).movedim(1, 0)
     surfaces = []
     for total in sums:
         weight = total[:, 5]

@@ -18,6 +18,7 @@ from lightfield_gs.photo.depth_edges import STEEPEST, edges, slopes, snap_mixed
 from lightfield_gs.photo.hidden import Hidden, filled, find_hidden
 from lightfield_gs.photo.margin import made_up
 from lightfield_gs.photo.matting import find_matte, opacity_of_coverage
+from lightfield_gs.photo.windows import largest
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
@@ -161,7 +162,7 @@ def _elements(
 
 def _rim(depth: Tensor, focal: tuple[float, float]) -> Tensor:
     """The pixels that have another surface beside them, or are next to one that has, bool [H, W]."""
-    return torch.nn.functional.max_pool2d(edges(depth, focal)[None, None].float(), 3, 1, 1)[0, 0] > 0
+    return largest(edges(depth, focal), 1)
 
 
 def _rays(columns: Tensor, rows: Tensor, focal: tuple[float, float], centre: tuple[float, float]) -> Tensor:

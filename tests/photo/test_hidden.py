@@ -8,11 +8,13 @@ import pytest
 import torch
 
 import lightfield_gs as lf
+from lightfield_gs.photo import exemplar, membrane
 from lightfield_gs.photo.depth_edges import edges
 from lightfield_gs.photo.exemplar import complete
 from lightfield_gs.photo.hidden import filled, find_hidden
 from lightfield_gs.photo.margin import made_up, place
 from lightfield_gs.photo.matting import find_matte, opacity_of_coverage
+from lightfield_gs.photo.membrane import solve_membrane
 from lightfield_gs.photo.rgbd import from_depth
 
 HEIGHT, WIDTH, FOCAL = 90, 150, 130.0
@@ -111,3 +113,59 @@ def test_the_same_photo_gives_the_same_filling():
     hole[20:40, 25:35] = True
     one, other = (complete(image.clone(), hole, ~hole, torch.zeros(60, 60)) for _ in range(2))
     assert torch.equal(one, other) and torch.isfinite(one).all()
+
+
+def test_a_large_hole_is_filled_in_few_steps(monkeypatch):
+    """A hole of 300 x 300 pixels in a linear gradient, from a first guess that knows nothing: the gradient goes on, by
+    a few steps in the full picture, however large the hole is."""
+    taken: dict[int, int] = {}
+    steps = membrane._conjugate_gradients
+
+    def counted(apply, right, guess, diagonal, iterations):
+        taken[len(guess)] = iterations
+        return steps(apply, right, guess, diagonal, iterations)
+
+    monkeypatch.setattr(membrane, "_conjugate_gradients", counted)
+    rows, columns = torch.meshgrid(torch.arange(340) / 340, torch.arange(360) / 360, indexing="ij")
+    gradient = torch.stack([rows, columns, 0.5 * rows + 0.2], 2)
+    hole = torch.zeros(340, 360, dtype=torch.bool)
+    hole[20:320, 30:330] = True
+    linked = [torch.ones(339, 360, dtype=torch.bool), torch.ones(340, 359, dtype=torch.bool)]
+    filled_in = solve_membrane(torch.where(hole[..., None], 0.5, gradient), hole, linked)
+    assert (filled_in - gradient).abs().max() < 0.02
+    assert taken[90000] <= 10 and sum(size * count for size, count in taken.items()) < 25 * 90000
+
+
+def test_large_holes_cost_matches_of_a_small_picture(monkeypatch):
+    """Four times the pixels take no more patches; texture is copied from where it is, not blurred."""
+    counts = []
+    for size in (300, 600):
+        places, cost = [], exemplar._Matches._cost
+        monkeypatch.setattr(exemplar, "_Matches", type("Counted", (exemplar._Matches,), {}))
+        monkeypatch.setattr(
+            exemplar._Matches,
+            "_cost",
+            lambda self, m, w, cost=cost, places=places: (places.append(len(w)), cost(self, m, w))[1],
+        )
+        columns = torch.arange(size).expand(size, size)
+        image = (0.5 + 0.4 * torch.sin(columns * 2 * math.pi / 24))[..., None].expand(-1, -1, 3).contiguous()
+        hole = torch.zeros(size, size, dtype=torch.bool)
+        hole[size // 4 : -size // 4, size // 4 : -size // 4] = True
+        said = complete(torch.where(hole[..., None], 0.5, image), hole, ~hole, torch.zeros(size, size))
+        assert said[hole].std() > 0.8 * image[hole].std()
+        counts.append(sum(places))
+    assert counts[1] < 1.5 * counts[0]
+
+
+def test_any_number_of_threads_gives_the_same_scene():
+    image = torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(1))
+    image, depth = before_the_plane(image)
+    before = torch.get_num_threads()
+    try:
+        scenes = []
+        for threads in (1, 3):
+            torch.set_num_threads(threads)
+            scenes.append(from_depth(image, depth, (FOCAL, FOCAL), margin_px=(20, 0, 20, 0)))
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(scenes[0].means, scenes[1].means) and torch.equal(scenes[0].sh, scenes[1].sh)

@@ -1,0 +1,41 @@
+"""The largest value and the sum of the square around each pixel, in time that hardly depends on the square's size."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+
+def largest(values: Tensor, radius: int) -> Tensor:
+    """The largest value of the 2 radius + 1 by 2 radius + 1 pixels around each of a map [H, W] without NaN; of bool
+    values whether any is true. Beyond the map there is nothing."""
+    size = 2 * radius + 1
+    least = 0 if values.dtype == torch.bool else -torch.inf
+    for dim in (0, 1):
+        padding = (0, 0, radius, radius) if dim == 0 else (radius, radius)
+        values = functional.pad(values, padding, value=least)
+        reached = 1
+        while reached < size:
+            step = min(reached, size - reached)
+            count = values.shape[dim] - step
+            values = torch.maximum(values.narrow(dim, 0, count), values.narrow(dim, step, count))
+            reached += step
+    return values
+
+
+def total(values: Tensor, radius: int) -> Tensor:
+    """The sum of the 2 radius + 1 by 2 radius + 1 pixels around each of a map [H, W]; beyond it there is nothing."""
+    for dim in (0, 1):
+        padding = (0, 0, radius, radius) if dim == 0 else (radius, radius)
+        length, size, done = values.shape[dim], 2 * radius + 1, 0
+        # Sums of 1, 2, 4, ... pixels, of which those make the whole that the size has in binary
+        part, result = functional.pad(values, padding), torch.zeros_like(values)
+        for power in (1 << bit for bit in range(size.bit_length())):
+            if size & power:
+                result = result + part.narrow(dim, done, length)
+                done += power
+            count = part.shape[dim] - power
+            part = part.narrow(dim, 0, count) + part.narrow(dim, power, count) if 2 * power <= size else part
+        values = result
+    return values
