@@ -10,13 +10,13 @@ from PIL import Image
 from srn_scene import look_at, write_object
 
 from lightfield_gs.io.captures.srn import read_pose
+from training.comparison import azimuths_from_source
 from training.data.cache import load_set
 from training.data.images import read_view
 from training.data.objects import find_objects, read_object
 from training.data.resident import ResidentViews
 from training.data.sampler import angles_from_source
 from training.data.validate import main, problems
-from training.evaluation import azimuths_from_source
 
 
 def test_reads_the_original_renderer(shared_dir):
