@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -112,3 +113,29 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_new_folder(path: str | Path) -> Path:
+    """`path`, if there is nothing yet, or an empty folder; raises InputError before any long work is done."""
+    path = checked_path(path)
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"{path} exists: remove it, or name another folder")
+    return path
+
+
+@contextlib.contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """A temporary folder beside `path`; renamed to it at the end, removed with all that is in it on failure.
+
+    Raises InputError where there is a folder that is not empty, or it cannot be written.
+    """
+    path = check_new_folder(path)
+    temporary = make_folder(path.parent) / f".{path.name}.{secrets.token_hex(6)}"
+    try:
+        make_folder(temporary)
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

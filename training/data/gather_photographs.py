@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import os
-import secrets
 import shutil
 import sys
 from pathlib import Path
 
 import lightfield_gs
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.atomic import atomic_folder, check_new_folder
 from training.command import with_line_errors
 
 # Of skimage/data in scikit-image 0.26: what its docstrings say of each.
@@ -45,9 +43,7 @@ def gather_photographs(output: Path) -> int:
     Raises InputError where it exists and is not empty or cannot be written, and where scikit-image is not installed or
     has other files.
     """
-    output = Path(output)
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise InputError(f"{output} exists: remove it, or name another folder")
+    output = check_new_folder(output)
     spec = importlib.util.find_spec("skimage")
     if spec is None or spec.origin is None:
         raise InputError("the photographs come with scikit-image, which is not installed: pip install scikit-image")
@@ -55,16 +51,10 @@ def gather_photographs(output: Path) -> int:
     missing = [name for name in _OF_SCIKIT_IMAGE if not (data / name).is_file()]
     if missing:
         raise InputError(f"{data}: expected {', '.join(missing)} there: pip install 'scikit-image>=0.20'")
-    temporary = make_folder(output.parent) / f".{output.name}.{secrets.token_hex(6)}"
-    try:
+    with atomic_folder(output) as temporary:
         lines = _copied(temporary, data, _OF_SCIKIT_IMAGE, "scikit-image/")
         lines += _copied(temporary, Path(lightfield_gs.__file__).parent / "data", _OWN, "lightfield_gs/data/")
         (temporary / "LICENCES.txt").write_text("\n".join(["# file | from | licence", *lines, ""]))
-        os.replace(temporary, output)
-    except OSError as error:
-        raise InputError(f"cannot write {output}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     return len(lines)
 
 
@@ -75,7 +65,7 @@ def _copied(folder: Path, data: Path, licences: dict[str, str], origin: str) -> 
         path = data / name
         for file in sorted(path.iterdir()) if path.is_dir() else [path]:
             copy = name.split("/")[0] + "-" + file.name if path.is_dir() else file.name
-            shutil.copyfile(file, make_folder(folder) / copy)
+            shutil.copyfile(file, folder / copy)
             lines.append(f"{copy} | {origin}{name} | {licence}")
     return lines
 

@@ -13,8 +13,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
-import secrets
-import shutil
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -29,12 +27,11 @@ from tqdm import tqdm
 
 from lightfield_gs.base.checks import whole_number
 from lightfield_gs.base.device import choose_device
-from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.atomic import atomic_folder, check_new_folder, make_folder
 from training.command import with_line_errors
-from training.data.make_small import train_angles, write_cameras
+from training.data.make_small import stored_views, train_angles, write_cameras
 from training.data.procedural import draw_frames
-from training.data.procedural_plan import DISTANCE, NUMBERS, draw_objects, orbit
+from training.data.procedural_plan import NUMBERS, draw_objects, orbit
 from training.data.textures import Photographs, read_photographs
 from training.data.transfer import on_device
 
@@ -52,25 +49,16 @@ def make_objects(
     photographs: folder of their skins; None: they are as in make_small. Raises InputError where the folder exists and
     is not empty, cannot be written, or for photographs that will not do.
     """
-    output = Path(output)
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise InputError(f"{output} exists: remove it, or name another folder")
+    output = check_new_folder(output)
     on_gpu = choose_device(device) == "cuda"
     _begin(photographs)  # says what is wrong with them before any process starts
-    temporary = make_folder(output.parent) / f".{output.name}.{secrets.token_hex(6)}"
-    try:
-        make_folder(temporary)
+    with atomic_folder(output) as temporary:
         with ProcessPoolExecutor(
             os.cpu_count(), get_context("spawn"), initializer=_begin, initargs=(None if on_gpu else photographs,)
         ) as pool:
             done = _drawn_here(pool, temporary, count, seed) if on_gpu else _drawn_there(pool, temporary, count, seed)
             for _ in tqdm(done, total=count, desc=f"drawing {output}", unit="object"):
                 pass
-        os.replace(temporary, output)
-    except OSError as error:
-        raise InputError(f"cannot write {output}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _begin(photographs: Path | None) -> None:
@@ -111,12 +99,7 @@ def draw_objects_of(numbers: list[int], seed: int, device: torch.device) -> tupl
     plan = draw_objects(rows, (0.0, 0.0), (SIZE_PX, SIZE_PX), framing, np.ones((count, views, 3)), _photographs)
     plan = on_device(dataclasses.replace(plan, world_to_camera=torch.from_numpy(cameras).float()), device)
     intrinsics = torch.tensor([FOCAL_PX, FOCAL_PX, SIZE_PX / 2, SIZE_PX / 2], device=device)
-    frames = draw_frames(plan, intrinsics).movedim(2, -1)
-    straight = torch.cat([frames[..., :3] / frames[..., 3:].clamp_min(1e-6), frames[..., 3:]], -1).clamp(0, 1)
-    pictures = (255 * straight * (frames[..., 3:] >= 0.5 / 255)).round().to(torch.uint8).cpu().numpy()
-    poses = np.linalg.inv(cameras)
-    poses[..., 2, 3] -= DISTANCE  # the object's middle is the world's
-    return pictures, poses
+    return stored_views(draw_frames(plan, intrinsics), cameras)
 
 
 def _write(root: Path, number: int, pictures: np.ndarray, poses: np.ndarray) -> None:

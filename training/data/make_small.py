@@ -10,9 +10,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
-import secrets
-import shutil
 import sys
 from pathlib import Path
 
@@ -21,8 +18,7 @@ import torch
 from tqdm import tqdm
 
 from lightfield_gs.base.checks import whole_number
-from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.atomic import atomic_folder, make_folder
 from lightfield_gs.io.images import write_image
 from training.command import with_line_errors
 from training.data.procedural import draw_frames
@@ -46,11 +42,7 @@ def make_small(output: Path, train: int = TRAIN, val: int = TRAIN // 3) -> None:
 
     Raises InputError where it exists and is not empty, or cannot be written.
     """
-    output = Path(output)
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise InputError(f"{output} exists: remove it, or name another folder")
-    temporary = make_folder(output.parent) / f".{output.name}.{secrets.token_hex(6)}"
-    try:
+    with atomic_folder(output) as temporary:
         for number in tqdm(range(train + val), desc=f"drawing {output}", unit="object"):
             rng = np.random.default_rng((_SEED, number))
             angles = (
@@ -59,11 +51,6 @@ def make_small(output: Path, train: int = TRAIN, val: int = TRAIN // 3) -> None:
                 else {"train_cone": train_angles(rng, 30, 10), "train_sphere": train_angles(rng, 180, 60)}
             )
             _write_object(temporary, f"object-{number:02d}", rng.random((1, NUMBERS)), angles)
-        os.replace(temporary, output)
-    except OSError as error:
-        raise InputError(f"cannot write {output}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _write_object(root: Path, name: str, numbers: np.ndarray, angles: dict[str, np.ndarray]) -> None:
@@ -73,15 +60,23 @@ def _write_object(root: Path, name: str, numbers: np.ndarray, angles: dict[str, 
     framing = np.ones((1, 1 + count)), np.zeros((1, 1 + count, 2))
     plan = draw_objects(numbers, (0.0, 0.0), (SIZE_PX, SIZE_PX), framing, np.ones((1, count, 3)))
     plan = dataclasses.replace(plan, world_to_camera=torch.from_numpy(cameras[None]).float())
-    frames = draw_frames(plan, torch.tensor([FOCAL_PX, FOCAL_PX, SIZE_PX / 2, SIZE_PX / 2]))[0].permute(0, 2, 3, 1)
-    straight = torch.cat([frames[..., :3] / frames[..., 3:].clamp_min(1e-6), frames[..., 3:]], -1).clamp(0, 1)
-    pictures = (255 * straight * (frames[..., 3:] >= 0.5 / 255)).round().to(torch.uint8).numpy()
-    poses = np.linalg.inv(cameras)
-    poses[:, 2, 3] -= DISTANCE  # the object's middle is the world's
+    frames = draw_frames(plan, torch.tensor([FOCAL_PX, FOCAL_PX, SIZE_PX / 2, SIZE_PX / 2]))[0]
+    pictures, poses = stored_views(frames, cameras)
     first = 0
     for folder, views in angles.items():
         _write_views(root / folder / name, pictures[first : first + len(views)], poses[first : first + len(views)])
         first += len(views)
+
+
+def stored_views(frames: torch.Tensor, world_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Premultiplied frames [...,4,S,S] and cameras [...,4,4] of `orbit` as files have them: pictures uint8 [...,S,S,4]
+    with straight alpha, and camera-to-world matrices [...,4,4] of a world in whose origin the object's middle is."""
+    frames = frames.movedim(-3, -1)
+    straight = torch.cat([frames[..., :3] / frames[..., 3:].clamp_min(1e-6), frames[..., 3:]], -1).clamp(0, 1)
+    pictures = (255 * straight * (frames[..., 3:] >= 0.5 / 255)).round().to(torch.uint8).cpu().numpy()
+    poses = np.linalg.inv(world_to_camera)
+    poses[..., 2, 3] -= DISTANCE
+    return pictures, poses
 
 
 def _write_views(folder: Path, pictures: np.ndarray, poses: np.ndarray) -> None:

@@ -10,9 +10,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
-import secrets
-import shutil
 import sys
 from pathlib import Path, PurePosixPath
 
@@ -21,7 +18,7 @@ from PIL import Image
 
 from lightfield_gs.base.checks import whole_number
 from lightfield_gs.base.errors import InputError, reading
-from lightfield_gs.io.atomic import make_folder
+from lightfield_gs.io.atomic import atomic_folder, check_new_folder, make_folder
 from lightfield_gs.io.captures.camera_models import COLMAP_MODELS
 from lightfield_gs.io.captures.capture import Capture, read_capture
 from lightfield_gs.io.captures.colmap import ColmapModel, read_model
@@ -38,22 +35,14 @@ def reduce_capture(source: Path, output: Path, longest_px: int = LONGEST_PX, qua
     longest_px: of a photograph's longer side. quality: of JPEG, 1..95. Raises InputError where `output` exists and is
     not empty, where `source` is no such capture, or where a file cannot be read or written.
     """
-    output = Path(output)
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise InputError(f"{output} exists: remove it, or name another folder")
+    output = check_new_folder(output)
     capture, folder = read_capture(source), model_folder(Path(source))
     if folder is None:
         raise InputError(f"{source}: expected a capture with a COLMAP model in sparse/0, sparse or the folder itself")
     model = read_model(folder)
-    temporary = make_folder(output.parent) / f".{output.name}.{secrets.token_hex(6)}"
-    try:
+    with atomic_folder(output) as temporary:
         sizes = _write_photographs(temporary / "images", capture, longest_px, quality)
         _write_model(make_folder(temporary / "sparse" / "0"), model, sizes, capture)
-        os.replace(temporary, output)
-    except OSError as error:
-        raise InputError(f"cannot write {output}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _write_photographs(folder: Path, capture: Capture, longest_px: int, quality: int) -> dict[str, tuple[int, int]]:
