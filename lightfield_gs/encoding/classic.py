@@ -10,9 +10,9 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import bytes_of
 from lightfield_gs.encoding.sorted_plan import views_shown
+from lightfield_gs.encoding.views import draw_cameras
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.rasterizer.dense import dense_forward
 from lightfield_gs.rasterizer.dense_job import Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
@@ -36,26 +36,13 @@ def encode_classic(
     """One dense image per view that the panel shows; with continuous views, one per distinct x."""
     with stats.stage("plan"):
         places, x = _classic_plan(panel, continuous, gaussians.device)
-    tensors = [t.unsqueeze(0) for t in gaussians.fields().values()]
     pixels = panel.width_px * panel.height_px
     out = torch.empty(3 * pixels, dtype=dtype, device=gaussians.device)
     chunk = max(1, _PIXELS // pixels)
     for first in range(0, len(x), chunk):
-        cameras = rig.cameras_at(panel, x[first : first + chunk]).to(gaussians.means)
+        cameras = rig.cameras_at(panel, x[first : first + chunk])
         one = Stats(device=stats.device)
-        images, alpha, depth = dense_forward(
-            *tensors,
-            background.expand(1, cameras.count, 3),
-            cameras.world_to_camera[None],
-            cameras.intrinsics()[None],
-            cameras.limits()[None],
-            panel.width_px,
-            panel.height_px,
-            antialiased,
-            stats=one,
-            threads=threads,
-            aperture=aperture,
-        )
+        images, alpha, depth = draw_cameras(gaussians, cameras, background, antialiased, aperture, one, threads)
         one.add_buffers(images, alpha, depth)
         stats.add_render(one)
         with stats.stage("interlace"):

@@ -210,13 +210,13 @@ def encode_sorted(
     view fits the budget. aperture: of all cameras.
     """
     scene = Scene(*(field.unsqueeze(0) for field in gaussians.fields().values()))
-    device = scene.tensors[0].device
+    device = scene.device
     if plan.device_type != device.type:
         raise InputError(
             f"the plan was made for {plan.device_type}, and the Gaussians are on {device}: make "
             f"SortedPlan(..., device='{device.type}')"
         )
-    background = check("background", background, (3,), scene.tensors[0])
+    background = check("background", background, (3,), scene)
     out = scene.new(plan.height_px, plan.width_px, 3, dtype=torch.uint8 if as_bytes else None)
     if plan.hidden:
         out[:] = bytes_of(background.clone()) if as_bytes else background
@@ -244,7 +244,7 @@ class _Encoding:
         self.scene, self.cameras, self.plan, self.budget = scene, cameras, plan, budget
         self.background, self.threads, self.stats = background, threads, stats
         self.antialiased, self.aperture = antialiased, aperture
-        self.device = scene.tensors[0].device
+        self.device = scene.device
         self.stages = _CudaStages(scene, plan) if self.device.type == "cuda" else _CpuStages(scene, plan, threads)
         total = budget or self.stages.default_work + plan.table_bytes() + plan.bytes()
         self.usable = total - total // self.stages.reserve

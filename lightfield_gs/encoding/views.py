@@ -16,6 +16,9 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.dense import dense_forward
+from lightfield_gs.rasterizer.dense_job import Aperture
+from lightfield_gs.rasterizer.stats import Stats
+from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
 
@@ -30,7 +33,7 @@ def render_views(
     antialiased: bool = False,
     view_filter: float = 0.0,
 ) -> Tensor:
-    """Pictures [K, H, W, 3] of the cameras at the view coordinates x [K] of a panel, of the rig's size, without
+    """Pictures [K, H, W, 3] of the cameras at the view coordinates x [K] of a panel, of its size, without
     gradients. antialiased, view_filter: see `encode`. Raises InputError."""
     expect("gaussians", gaussians, Gaussians)
     expect("antialiased", antialiased, bool)
@@ -38,17 +41,32 @@ def render_views(
     if not gaussians.means.is_cuda:
         gaussians.validate()  # on CUDA looking at values would wait for the device
     aperture = view_aperture(panel, rig, check_view_filter(view_filter))
-    cameras = rig.cameras_at(panel, x).to(gaussians.means)
-    fields = [field.unsqueeze(0) for field in gaussians.fields().values()]
-    images, _, _ = dense_forward(
-        *fields,
-        background_tensor(background, gaussians.means).expand(1, cameras.count, 3),
+    colour = background_tensor(background, gaussians.means)
+    return draw_cameras(gaussians, rig.cameras_at(panel, x), colour, antialiased, aperture)[0][0]
+
+
+def draw_cameras(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    background: Tensor,
+    antialiased: bool,
+    aperture: Aperture,
+    stats: Stats | None = None,
+    threads: int | None = None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Image [1, K, H, W, 3], alpha and depth [1, K, H, W] of one scene before cameras [K], unchecked and without
+    gradients. background: what broadcasts to [1, K, 3]."""
+    cameras = cameras.to(gaussians.means)
+    return dense_forward(
+        *(field.unsqueeze(0) for field in gaussians.fields().values()),
+        background.expand(1, cameras.count, 3),
         cameras.world_to_camera[None],
         cameras.intrinsics()[None],
         cameras.limits()[None],
         cameras.width_px,
         cameras.height_px,
         antialiased,
+        stats=stats,
+        threads=threads,
         aperture=aperture,
     )
-    return images[0]

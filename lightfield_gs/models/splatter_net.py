@@ -116,19 +116,22 @@ class SplatterNet(nn.Module):
         photo = checked_photo(rgba)
         expect("panel", panel, Panel, type(None))
         level = detail_level(detail, self.config, max(photo.shape[:2]), panel, budget)
-        fine = self.crop_photo(photo, level.factor) if level is not None else None
-        return self.seen_gaussians(self.crop_photo(photo), fine, level)
+        return self.seen_gaussians(*self.crops(photo, level), level)
 
-    def crop_photo(self, photo: Tensor, factor: int = 1) -> Tensor:
-        """The object of what checked_photo returned as the network takes it, [4,S,S] premultiplied, on its device, S
-        being `factor` times the network's size.
+    def crop_photo(self, photo: Tensor) -> Tensor:
+        """The object of what checked_photo returned as the network takes it, [4,S,S] premultiplied, on its device.
 
         Raises InputError for values outside 0..1 or an empty mask.
         """
+        return self.crops(photo, None)[0]
+
+    def crops(self, photo: Tensor, level: DetailLevel | None) -> tuple[Tensor, Tensor | None]:
+        """What crop_photo returns, and the same at level.factor times the size; None without a level."""
         photo = photo.to(self.device)
         check_values(in_range(photo))
-        size = factor * self.config.image_size_px
-        return crop.crop_resize_premultiplied(photo, crop.object_square(photo[..., 3]), size)
+        square, size = crop.object_square(photo[..., 3]), self.config.image_size_px
+        fine = None if level is None else crop.crop_resize_premultiplied(photo, square, level.factor * size)
+        return crop.crop_resize_premultiplied(photo, square, size), fine
 
     def seen_gaussians(
         self, cropped: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None

@@ -99,9 +99,8 @@ class PhotoEncoder:
 
     def _draw_on_cpu(self, photo: Tensor, stats: Stats) -> Tensor:
         with stats.stage("crop"):
-            cropped = self.net.crop_photo(photo)
             level = self._level(max(photo.shape[:2]))
-            fine = self.net.crop_photo(photo, level.factor) if level is not None else None
+            cropped, fine = self.net.crops(photo, level)
         with stats.stage("network"):
             self.gaussians = self.net.seen_gaussians(cropped, fine, level)
         with stats.stage("framing"):

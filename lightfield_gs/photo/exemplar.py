@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from lightfield_gs.photo.windows import largest
+from lightfield_gs.photo.windows import halved, largest
 
 _RADIUS = 3  # of a patch, pixels
 _STRIDE = 2  # of the places that have patches
@@ -31,11 +30,8 @@ class _Level:
     def halved(self) -> _Level:
         """Half as large; a hole where any of four pixels is one, a source where all four are."""
 
-        def pool(values: Tensor) -> Tensor:
-            return functional.avg_pool2d(values[None], 2, 2, ceil_mode=True, count_include_pad=False)[0]
-
-        hole, source = (pool(mask[None].float())[0] for mask in (self.hole, self.source))
-        return _Level(pool(self.image), hole > 0, source == 1, pool(self.guide[None])[0])
+        hole, source = (halved(mask[None].float())[0] for mask in (self.hole, self.source))
+        return _Level(halved(self.image), hole > 0, source == 1, halved(self.guide[None])[0])
 
 
 def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tensor:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate, max_pool2d, pad
+from torch.nn.functional import interpolate, pad
+
+from lightfield_gs.photo.windows import largest
 
 _EDGE = 0.06  # what the disparity of a neighbourhood spans where an edge is looked for, as a share of the map's range
-_NEIGHBOURHOOD = 5  # pixels of the small map, across
+_NEIGHBOURHOOD = 2  # pixels of the small map to each side
 _RADIUS = 3  # pixels of the small map: the votes come from a square of 7 x 7
 _NEAR_PX = 2.0  # standard deviation of the votes' weights by distance, in pixels of the small map
 _ALIKE = 0.06  # standard deviation of the votes' weights by colour, 0..1
@@ -47,7 +49,7 @@ class _Candidates:
     def __init__(self, values: Tensor, photo: Tensor, step: float):
         self.step, self.small, self.size = step, values.shape, photo.shape[:2]
         colours = interpolate(photo.movedim(2, 0)[None], size=self.small, mode="area")[0]
-        trust = step / (step + _span(values, 3))
+        trust = step / (step + _span(values, 1))
         stacked = torch.cat([values[None], colours, trust[None]])
         # Beyond the border nobody votes: the trust there is 0
         self.padded = pad(stacked, (_RADIUS,) * 4)
@@ -77,7 +79,6 @@ def _weighted_median(values: Tensor, weights: Tensor) -> Tensor:
     return ordered.gather(1, index)
 
 
-def _span(values: Tensor, across: int) -> Tensor:
-    """Largest minus smallest of the square of this many pixels around each, [h, w]."""
-    most, least = (sign * max_pool2d(sign * values[None, None], across, 1, across // 2)[0, 0] for sign in (1, -1))
-    return most - least
+def _span(values: Tensor, radius: int) -> Tensor:
+    """Largest minus smallest of the 2 radius + 1 by 2 radius + 1 pixels around each, [h, w]."""
+    return largest(values, radius) + largest(-values, radius)

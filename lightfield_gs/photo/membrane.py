@@ -12,7 +12,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-ITERATIONS = 8  # where a coarser level has been solved: what is left is local. Twice as many there, and so on
+from lightfield_gs.photo.windows import halved
+
+_ITERATIONS = 8  # where a coarser level has been solved: what is left is local. Twice as many there, and so on
 _MOST_ITERATIONS = 60  # the first guess is close, and what is far inside a hole is hardly ever seen
 _FEW = 1 << 12  # pixels of a hole up to which there is no coarser level
 _TOLERANCE = 1e-4  # of the residual, of what it was at first: a thousandth of a colour step is not seen
@@ -26,6 +28,7 @@ def solve_membrane(
     linked: Sequence[Tensor],
     slope: Sequence[Tensor] | None = None,
     anchor: float = _ANCHOR,
+    iterations: int = _ITERATIONS,
 ) -> Tensor:
     """The values [H, W, C], those of the hole replaced: minimises the sum over linked neighbours p, q, one of them at
     least in the hole, of |v_q - v_p - g_pq|^2 (Perez et al., "Poisson image editing", 2003, equation 7).
@@ -33,19 +36,9 @@ def solve_membrane(
     hole: bool [H, W]. linked: bool [H-1, W] and [H, W-1], whether a pixel and the next one along columns and rows are
     neighbours. slope: g along columns and rows, [H, W] each, the same for all channels; None: 0. The values in the hole
     are the first guess, which stays where nothing holds them. anchor: the weight at which it does so beside what
-    neighbours say; a large one keeps what is farther than 1 / sqrt(anchor) pixels off everything known.
+    neighbours say; a large one keeps what is farther than 1 / sqrt(anchor) pixels off everything known. iterations:
+    where a coarser level has been solved.
     """
-    return _solve(values, hole, linked, slope, anchor, ITERATIONS)
-
-
-def _solve(
-    values: Tensor,
-    hole: Tensor,
-    linked: Sequence[Tensor],
-    slope: Sequence[Tensor] | None,
-    anchor: float,
-    iterations: int,
-) -> Tensor:
     index = hole.flatten().nonzero()[:, 0]
     if len(index) == 0:
         return values
@@ -89,24 +82,19 @@ def _coarser_correction(
 ) -> Tensor:
     """What the solution of the half-size picture changes in the values [H, W, C], made as large as they are."""
     height, width = hole.shape
-    coarse = _halved(values.movedim(2, 0))
-    coarse_hole = _halved(hole[None].float())[0] > 0
+    coarse = halved(values.movedim(2, 0))
+    coarse_hole = halved(hole[None].float())[0] > 0
     rows, columns = coarse_hole.shape
     # A block of four is joined with the next one unless a cut goes through, in it or beside it
     whole = [
-        _halved(linked[0][None, : 2 * (rows - 1)].float())[0] > 0.5,
-        _halved(linked[1][None, :, : 2 * (columns - 1)].float())[0] > 0.5,
+        halved(linked[0][None, : 2 * (rows - 1)].float())[0] > 0.5,
+        halved(linked[1][None, :, : 2 * (columns - 1)].float())[0] > 0.5,
     ]
-    steps = None if slope is None else [2 * _halved(part[None])[0] for part in slope]
+    steps = None if slope is None else [2 * halved(part[None])[0] for part in slope]
     first = coarse.movedim(0, 2)
-    change = (_solve(first, coarse_hole, whole, steps, 4 * anchor, 2 * iterations) - first).movedim(2, 0)[None]
+    change = (solve_membrane(first, coarse_hole, whole, steps, 4 * anchor, 2 * iterations) - first).movedim(2, 0)[None]
     change = functional.interpolate(change, scale_factor=2, mode="bilinear", align_corners=False)[0]
     return torch.where(hole[..., None], change[:, :height, :width].movedim(0, 2), 0)
-
-
-def _halved(values: Tensor) -> Tensor:
-    """Means of 2 x 2 pixels of maps [C, H, W]; of those that there are, at an odd end."""
-    return functional.avg_pool2d(values[None], 2, 2, ceil_mode=True, count_include_pad=False)[0]
 
 
 def _graph(

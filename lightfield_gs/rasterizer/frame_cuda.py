@@ -133,7 +133,7 @@ class Frames:
         """
         if job.compensated:
             quality = replace(quality, lattice_error=0.0, evaluation_error=0.0)
-        self.device, self.quality, self.slack = job.scene.tensors[0].device, quality, slack
+        self.device, self.quality, self.slack = job.scene.device, quality, slack
         self.orders = (0,) if job.scene.degree == 0 else COLOUR_ORDERS
         self.capacity: int | None = None
         self.colour_order = self.orders[0]
@@ -143,7 +143,7 @@ class Frames:
 
     def takes(self, job: LensJob) -> bool:
         """Whether these frames can show the scene of a job; its number of Gaussians does not matter."""
-        return job.scene.tensors[0].device == self.device and (job.scene.degree == 0) == (self.orders == (0,))
+        return job.scene.device == self.device and (job.scene.degree == 0) == (self.orders == (0,))
 
     def draw(
         self, job: LensJob, as_bytes: bool = False, stats: Stats | None = None, out: Tensor | None = None
@@ -225,7 +225,7 @@ forced_kernel: str | None = None
 def frames_of(job: LensJob, quality: Quality) -> Frames:
     """The frames of one view, number of Gaussians and quality. Remembers the last 64 of them."""
     scene = job.scene
-    key = (scene.tensors[0].device, scene.count, scene.degree, job.view, job.antialiased, quality, forced_kernel)
+    key = (scene.device, scene.count, scene.degree, job.view, job.antialiased, quality, forced_kernel)
     if key not in _known:
         _known[key] = Frames(job, quality, _SLACK)
         while len(_known) > _MOST_KNOWN:

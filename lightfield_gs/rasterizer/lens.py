@@ -33,7 +33,7 @@ def draw_lens(
     alpha from which on a splat counts.
     """
     stats, threads = stats or Stats(), threads or torch.get_num_threads()
-    if job.scene.tensors[0].is_cuda:
+    if job.scene.device.type == "cuda":
         return frames_of(job, quality).draw(job, as_bytes, stats, out)
     work = job.workspace(stats, threads, quality)
     with stats.stage("composite"):

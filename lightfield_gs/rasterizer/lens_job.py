@@ -26,7 +26,7 @@ class LensJob:
 
     def __init__(self, fields: Iterable[Tensor], background: Tensor, view: LensView, antialiased: bool = False):
         self.scene = Scene(*(t.unsqueeze(0) for t in fields))
-        self.background = check("background", background, (3,), self.scene.tensors[0])
+        self.background = check("background", background, (3,), self.scene)
         self.view, self.antialiased, self.native = view, antialiased, view.native(antialiased)
         self.compensated = antialiased or view.aperture > 0  # whether opacities are lowered for what widens footprints
         self.width, self.height = view.lens.width_px, view.lens.height_px
