@@ -34,6 +34,7 @@ target_sources(_core PRIVATE
   csrc/bind/cuda.cpp
   csrc/bind/fit_cuda.cpp
   csrc/bind/frame.cpp
+  csrc/bind/photo_cuda.cpp
   csrc/cuda/common/architectures.cu
   csrc/cuda/stages/bin.cu
   csrc/cuda/stages/order.cu
@@ -47,6 +48,7 @@ target_sources(_core PRIVATE
   csrc/cuda/lens/composite_lens.cu
   csrc/cuda/lens/project_lens.cu
   csrc/cuda/lens/project_lens_backward.cu
+  csrc/cuda/photo/sheet.cu
   csrc/cuda/sorted/composite_sorted.cu
   csrc/cuda/frame/lens_bin.cu
   csrc/cuda/frame/lens_frame.cu

@@ -26,6 +26,7 @@ PYBIND11_MODULE(_core, m) {
   bind_cpu(m);
   bind_sorted(m);
   bind_fit(m);
+  bind_photo(m);
   bind_weave(m);
 #ifdef LFGS_WITH_CUDA
   py::module_ cuda = m.def_submodule("cuda");
@@ -33,5 +34,6 @@ PYBIND11_MODULE(_core, m) {
   bind_frame(cuda);
   bind_sorted_cuda(cuda);
   bind_fit_cuda(cuda);
+  bind_photo_cuda(cuda);
 #endif
 }

@@ -10,12 +10,13 @@
 namespace lfgs {
 
 constexpr int kMaxShCount = 16;
+constexpr double kConstantHarmonic = 0.28209479177387814;  // that of degree 0, 1 / (2 sqrt(pi))
 
 // Writes the values of the harmonics at the unit direction d: basis[k], k < (degree + 1)^2.
 template <class R>
 LFGS_HD void sh_basis(int degree, const glm::vec<3, R>& d, R* basis) {
   R x = d.x, y = d.y, z = d.z;
-  basis[0] = R(0.28209479177387814);
+  basis[0] = R(kConstantHarmonic);
   if (degree < 1) return;
   const R k1(0.4886025119029199);
   basis[1] = -k1 * y, basis[2] = k1 * z, basis[3] = -k1 * x;

@@ -1,0 +1,38 @@
+// Binds the stages that lay a photo over what the network predicts.
+#include "stages/photo.h"
+
+
+#include "bind/addresses.h"
+#include "bind/parts.h"
+
+namespace py = pybind11;
+
+namespace lfgs {
+
+void bind_photo(py::module_ root) {
+  py::class_<SheetLook>(root, "SheetLook")
+      .def(py::init([](float deviation, float thickness, float blur, float opacity, float most_opaque,
+                       float sharper_colour, float sharper_outline, float haze, float object, float same_surface,
+                       float steepest) {
+             return SheetLook{deviation,       thickness, blur,   opacity,      most_opaque, sharper_colour,
+                              sharper_outline, haze,      object, same_surface, steepest};
+           }),
+           py::kw_only(), py::arg("deviation"), py::arg("thickness"), py::arg("blur"), py::arg("opacity"),
+           py::arg("most_opaque"), py::arg("sharper_colour"), py::arg("sharper_outline"), py::arg("haze"),
+           py::arg("object"), py::arg("same_surface"), py::arg("steepest"));
+  py::class_<Sheet>(root, "Sheet")
+      .def(py::init([](int64_t height, int64_t width, int factor, Address disparity, Address trust, Address harmonics,
+                       Address photo, Address intrinsics, const SheetLook& look, Address soft, Address surface,
+                       const Gaussians<float>& out) {
+             return Sheet{height,       width,           factor,
+                          at<float>(disparity), at<float>(trust), at<float>(harmonics),
+                          at<float>(photo), at<float>(intrinsics), look, at<float>(soft), at<float>(surface), out};
+           }),
+           py::kw_only(), py::arg("height"), py::arg("width"), py::arg("factor"), py::arg("disparity"),
+           py::arg("trust"), py::arg("harmonics"), py::arg("photo"), py::arg("intrinsics"), py::arg("look"),
+           py::arg("soft"), py::arg("surface"), py::arg("out"));
+  root.def(
+      "sheet", [](const Sheet& job, int threads) { sheet(job, threads); }, NoGil(), py::arg("job"), py::arg("threads"));
+}
+
+}  // namespace lfgs

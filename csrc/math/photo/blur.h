@@ -1,0 +1,29 @@
+// Convolution with a Gaussian, a sample at a time.
+#pragma once
+
+#include <cmath>
+
+#include "base/config.h"
+
+namespace lfgs {
+
+// The weights of the places -reach..reach; they add up to one.
+struct Blur {
+  float deviation = 1;  // samples
+  int reach = 0;
+  float scale = 1;
+
+  static Blur of(float deviation) {
+    Blur blur{deviation, int(std::ceil(3 * deviation)), 1};
+    double sum = 0;
+    for (int k = -blur.reach; k <= blur.reach; ++k) sum += double(blur.weight(k));
+    blur.scale = float(1 / sum);
+    return blur;
+  }
+  LFGS_HD float weight(int k) const {
+    const float place = float(k) / deviation;
+    return scale * std::exp(-0.5f * place * place);
+  }
+};
+
+}  // namespace lfgs
