@@ -29,8 +29,8 @@ class ModelConfig:
     composer: "delta" (base Gaussians + predicted change) or "absolute" (the original's activations).
     layers: Gaussians per pixel, each layer behind the one before. "absolute" has one.
     sh_degree: degree of the spherical harmonics, 0..3.
-    sheet: also predict where the sheet lies that carries a photo's detail, and how far it is to be trusted (corrected in
-        models/detail.py; "delta" only). Without it the sheet follows from the Gaussians.
+    sheet: also predict where the sheet lies that carries a photo's detail, and how far it is to be trusted (corrected
+        in models/detail.py; "delta" only). Without it the sheet follows from the Gaussians.
     near, far: depth range in scene units (the camera is about 1.3 before the object's centre).
     base_depth: depth of the untrained first layer ("delta" only).
     photo_focal: focal length assumed for photos, in units of the side of the square round the object.

@@ -7,6 +7,7 @@ turns them into Gaussians.
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import cast
 
@@ -65,9 +66,9 @@ class SplatterNet(nn.Module):
         images: [B,4,H,W], RGB premultiplied by alpha and alpha, 0..1. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of
         those pictures. fine, level: the same pictures at level.factor times their size, [B,4,H',W'], whose colours a
         sheet over what was predicted then has (models/detail.py); its H' * W' Gaussians come first. Returns Gaussians
-        with leading B, layers * H * W of them beside those, float32. Differentiable. The U-Net obeys autocast and may be
-        of lower precision; heads, composer and sheet are float32 always. Raises InputError unless H and W are multiples
-        of config.size_step.
+        with leading B, layers * H * W of them beside those, float32. Differentiable. The U-Net obeys autocast and may
+        be of lower precision; heads, composer and sheet are float32 always. Raises InputError unless H and W are
+        multiples of config.size_step.
         """
         for name, size in zip(("height", "width"), images.shape[-2:]):
             self.config.check_size(f"{name} of the images", size)
@@ -80,6 +81,16 @@ class SplatterNet(nn.Module):
             correction = raw[:, self._channels :] if self.config.sheet else None
             texels = describe_pixels(fine, level.factor * intrinsics)
             return with_detail(cloud, pixels, texels, self.config.layers, level.factor, level.texel_px, correction)
+
+    @torch.no_grad()
+    def with_sheet(self) -> SplatterNet:
+        """The same network with a head for the sheet (config.sheet), which leaves it where it would lie without."""
+        net = SplatterNet(dataclasses.replace(self.config, sheet=True))
+        state = net.state_dict()
+        for name, weights in self.state_dict().items():
+            state[name][: len(weights)] = weights  # of the head more than before; what is new is zero
+        net.load_state_dict(state)
+        return net.to(self.device).train(self.training)
 
     def _predicted(self, images: Tensor, intrinsics: Tensor, pixels: Pixels) -> Tensor:
         """Raw numbers [B,C,H,W] float32: the composer's, then those of the sheet."""
