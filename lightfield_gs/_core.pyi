@@ -113,6 +113,43 @@ class ViewMap:
 class SubpixelLists:
     def __init__(self, tile: SubpixelTile, starts: Address, codes: Address) -> None: ...
 
+class SheetLook:
+    def __init__(
+        self,
+        *,
+        deviation: float,
+        thickness: float,
+        blur: float,
+        opacity: float,
+        most_opaque: float,
+        sharper_colour: float,
+        sharper_outline: float,
+        haze: float,
+        object: float,
+        same_surface: float,
+        steepest: float,
+    ) -> None: ...
+
+class Sheet:
+    def __init__(
+        self,
+        *,
+        height: int,
+        width: int,
+        factor: int,
+        disparity: Address,
+        trust: Address,
+        harmonics: Address,
+        photo: Address,
+        intrinsics: Address,
+        look: SheetLook,
+        soft: Address,
+        surface: Address,
+        out: _Stages.Gaussians,
+    ) -> None: ...
+
+def sheet(job: Sheet, threads: int) -> None: ...
+
 class WeaveWindow:
     def __init__(
         self,
@@ -589,6 +626,8 @@ class _Cuda:
         out: Address,
         stream: Address,
     ) -> None: ...
+    @staticmethod
+    def sheet(job: Sheet, stream: Address) -> None: ...
     @staticmethod
     def frame_state(address: Address) -> dict[str, Any]: ...
     @staticmethod

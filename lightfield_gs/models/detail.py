@@ -6,20 +6,23 @@ their own, whose colours and opacities are the photo's. What the cloud has in fr
 shows it already; what it has behind stays, and shows where other views look past the sheet.
 
 Everything is done on the grid of pixels, without a rasterizer: shapes depend on no values, so that CUDA can capture it
-as a graph, and everything has gradients.
+as a graph, and everything has gradients. For inference lightfield_gs/models/sheet.py makes the same texels natively.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from lightfield_gs import _core
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
 from lightfield_gs.models.initializer import Pixels
-from lightfield_gs.models.upsample import along_surface, blurred, minmod
+from lightfield_gs.models.upsample import SAME_SURFACE, along_surface, blurred, minmod
 from lightfield_gs.scene.gaussians import Gaussians, of_tensors
 
 # Variance in px^2 by which the rasterizer widens every Gaussian (Kerbl et al. 2023)
@@ -58,17 +61,53 @@ def with_detail(
     much smaller. texel_px: width of a texel in pixels where it will be drawn. correction: what a network says of the
     sheet itself, see corrected; None: nothing. Differentiable.
     """
-    disparity, harmonics = visible_surface(cloud, pixels, layers)
-    trust = torch.ones_like(disparity)
-    if correction is not None:
-        disparity, trust = corrected(disparity, correction, pixels.footprint)
-    fine = along_surface(torch.cat([disparity, trust], 1), disparity, pixels.footprint, factor)
+    surface, faded = sheet_surface(cloud, pixels, layers, correction)
+    disparity, harmonics = surface.disparity, surface.harmonics
+    fine = along_surface(torch.cat([disparity, surface.trust], 1), disparity, pixels.footprint, factor)
     sheet = _sheet(fine[:, :1], fine[:, 1:], texels, texel_px)
     if harmonics.shape[1]:
         rest = _flat(along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
         sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
-    fields = cloud.fields() | {"opacities": _faded(cloud, disparity, trust * pixels.mask, layers, pixels.footprint)}
-    return of_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, fields.values()))
+    return of_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, faded.fields().values()))
+
+
+class SheetSurface(NamedTuple):
+    """Where the sheet lies on the network's grid: disparities 1/z [B,1,H,W], how far it is to be trusted [B,1,H,W], and
+    harmonics beyond the first [B,3(K-1),H,W]."""
+
+    disparity: Tensor
+    trust: Tensor
+    harmonics: Tensor
+
+
+def sheet_surface(
+    cloud: Gaussians, pixels: Pixels, layers: int, correction: Tensor | None
+) -> tuple[SheetSurface, Gaussians]:
+    """Where the sheet of with_detail lies, and the cloud under it, faded where it lies before it."""
+    disparity, harmonics = visible_surface(cloud, pixels, layers)
+    trust = torch.ones_like(disparity)
+    if correction is not None:
+        disparity, trust = corrected(disparity, correction, pixels.footprint)
+    opacities = _faded(cloud, disparity, trust * pixels.mask, layers, pixels.footprint)
+    return SheetSurface(disparity, trust, harmonics), replace(cloud, opacities=opacities)
+
+
+def sheet_look(texel_px: float) -> _core.SheetLook:
+    """What the native stage has to know of this file."""
+    own, blur = _blurs(texel_px)
+    return _core.SheetLook(
+        deviation=math.sqrt(own),
+        thickness=_THICKNESS,
+        blur=math.sqrt(blur),
+        opacity=_opacity(blur),
+        most_opaque=_MOST_OPAQUE,
+        sharper_colour=_SHARPER_COLOUR,
+        sharper_outline=_SHARPER_OUTLINE,
+        haze=_HAZE,
+        object=_OBJECT,
+        same_surface=SAME_SURFACE,
+        steepest=_STEEPEST,
+    )
 
 
 def corrected(disparity: Tensor, correction: Tensor, footprint: Tensor) -> tuple[Tensor, Tensor]:
@@ -138,16 +177,27 @@ def _sheet(disparity: Tensor, trust: Tensor, texels: Pixels, texel_px: float) ->
     shares of their opacity [B,1,H,W]."""
     depth = 1 / disparity
     size = texels.footprint * depth
-    own = max(_BLUR - _WIDENING / texel_px**2, _LEAST_BLUR)
-    blur = own + _WIDENING / texel_px**2
+    own, blur = _blurs(texel_px)
     axes, stretch = _tangents(disparity, texels)
     deviation = math.sqrt(own) * size
     scales = torch.cat([deviation * stretch, deviation, _THICKNESS * size], 1)
     mask, colour = _sharpened(texels, math.sqrt(blur))
-    opacity = trust * (min(_OPTICAL_DEPTH / (2 * math.pi * blur), _MOST_OPAQUE) * mask).clamp(0, _MOST_OPAQUE)
+    opacity = trust * (_opacity(blur) * mask).clamp(0, _MOST_OPAQUE)
     means = torch.cat([texels.rays * depth, depth], 1)
     constant = (_flat(colour)[:, :, None] - 0.5) / SH_CONSTANT
     return _flat(means), _flat(axes), _flat(scales), opacity.flatten(1), constant
+
+
+def _blurs(texel_px: float) -> tuple[float, float]:
+    """Variances in texels^2 of a texel, and of it as it is drawn."""
+    widening = _WIDENING / texel_px**2
+    own = max(_BLUR - widening, _LEAST_BLUR)
+    return own, own + widening
+
+
+def _opacity(blur: float) -> float:
+    """Of a texel whose pixel is covered in full."""
+    return min(_OPTICAL_DEPTH / (2 * math.pi * blur), _MOST_OPAQUE)
 
 
 def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:

@@ -28,6 +28,7 @@ from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
 from lightfield_gs.models.detail import SHEET_CHANNELS, with_detail
 from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
 from lightfield_gs.models.initializer import Pixels, describe_pixels, mirror_image, network_input
+from lightfield_gs.models.sheet import is_native, lay_sheet
 from lightfield_gs.models.unet import UNet
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
@@ -79,6 +80,8 @@ class SplatterNet(nn.Module):
             if fine is None or level is None:
                 return cloud
             correction = raw[:, self._channels :] if self.config.sheet else None
+            if is_native(fine):
+                return lay_sheet(cloud, pixels, fine, intrinsics, self.config.layers, level, correction)
             texels = describe_pixels(fine, level.factor * intrinsics)
             return with_detail(cloud, pixels, texels, self.config.layers, level.factor, level.texel_px, correction)
 
@@ -181,8 +184,9 @@ class SplatterNet(nn.Module):
             batch = self(cropped[None], intrinsics, None if fine is None else fine[None], level)
         finally:
             self.train(was_training)
-        fields = (batch.means, F.normalize(batch.quaternions, dim=-1), batch.scales, batch.opacities, batch.sh)
-        return of_tensors(field[0].contiguous() for field in fields)
+        own = batch.quaternions[:, -self.config.layers * cropped.shape[1] * cropped.shape[2] :]
+        own.copy_(F.normalize(own, dim=-1))  # those of texels are of length 1
+        return of_tensors(field[0].contiguous() for field in batch.fields().values())
 
     def save(self, path: str | Path, notes: dict[str, str] | None = None) -> None:
         """Write the weights as float16 safetensors, configuration and notes in the metadata."""

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 # Neighbours up to this many footprints nearer or farther are of the same surface; from twice as many on, of another.
-_SAME_SURFACE = 3.0
+SAME_SURFACE = 3.0
 
 
 def blurred(channels: Tensor, deviation: float) -> Tensor:
@@ -41,7 +41,7 @@ def along_surface(channels: Tensor, disparity: Tensor, footprint: Tensor, factor
     fields = torch.cat([channels, disparity.log() / footprint], 1)
     around = {at: _shifted(fields, *at) for at in itertools.product((-1, 0, 1), repeat=2)}
     middle = fields[:, -1:]
-    near = {at: (2 - (field[:, -1:] - middle).abs() / _SAME_SURFACE).clamp(0, 1) for at, field in around.items()}
+    near = {at: (2 - (field[:, -1:] - middle).abs() / SAME_SURFACE).clamp(0, 1) for at, field in around.items()}
     rows = []
     for row in range(factor):
         # Every texel lies between its own pixel and three others, towards its corner of the pixel

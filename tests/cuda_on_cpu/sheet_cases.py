@@ -1,0 +1,112 @@
+"""What the native sheet over a photo is compared with PyTorch's on: the CPU's, a GPU's, or the CUDA stage compiled for
+the CPU."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.harmonics import rotations
+from lightfield_gs.models.detail import SheetSurface, _flat, _sheet
+from lightfield_gs.models.detail_level import DetailLevel
+from lightfield_gs.models.initializer import describe_pixels
+from lightfield_gs.models.sheet import lay_texels
+from lightfield_gs.models.upsample import along_surface
+from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+
+OTHERS = 5  # Gaussians behind the texels, which are nobody's business here
+
+
+class Case(NamedTuple):
+    """Photos, height, width, factor, degree of the harmonics, width of a texel on the screen."""
+
+    photos: int
+    height: int
+    width: int
+    factor: int
+    degree: int = 0
+    texel_px: float = 4.5
+
+
+CASES = [
+    Case(1, 24, 20, 1),
+    Case(2, 12, 20, 2, 1),
+    Case(1, 11, 70, 4),  # more than a block of threads in a row
+    Case(1, 8, 6, 4, 3, 0.4),  # blur reaches beyond the photo
+    Case(1, 1, 3, 2),
+]
+
+
+def inputs(case: Case) -> tuple[SheetSurface, Tensor, Tensor]:
+    """A slanted wavy surface with an edge in the middle, trusted here and there; a photo of an object with a soft
+    outline and haze round it; and its camera. float64."""
+    random = torch.Generator().manual_seed(case.width)
+
+    def draw(*shape: int) -> Tensor:
+        return torch.rand(case.photos, *shape, generator=random, dtype=torch.float64)
+
+    rows, columns = (torch.arange(size, dtype=torch.float64) + 0.5 for size in (case.height, case.width))
+    disparity = 0.8 + 0.004 * rows[:, None] + 0.01 * torch.sin(columns) + 0.002 * draw(1, case.height, case.width)
+    disparity = disparity + 0.3 * (columns > case.width / 2)
+    size = case.factor * case.height, case.factor * case.width
+    y, x = (torch.linspace(-1, 1, count, dtype=torch.float64) for count in size)
+    alpha = (1.4 * (1.1 - torch.hypot(x, y[:, None])) + 0.3 * draw(1, *size)).clamp(0, 1)
+    photo = torch.cat([draw(3, *size) * alpha, alpha], 1)
+    camera = torch.tensor([[1.4, 1.3, 0.45, 0.55]], dtype=torch.float64) * torch.tensor([case.width, case.height] * 2)
+    harmonics = draw(3 * ((case.degree + 1) ** 2 - 1), case.height, case.width)
+    return SheetSurface(disparity, draw(1, case.height, case.width), harmonics), photo, camera.expand(case.photos, 4)
+
+
+def laid(case: Case, device: str = "cpu") -> dict[str, Tensor]:
+    """The fields as the native stage writes them, before others that it must leave alone."""
+    surface, photo, camera = inputs(case)
+    count, harmonics = photo.shape[2] * photo.shape[3] + OTHERS, (case.degree + 1) ** 2
+    shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, harmonics, 3))
+    out = of_tensors(torch.full((case.photos, *shape), math.nan, device=device) for shape in shapes)
+    surface = SheetSurface(*(channels.float().to(device) for channels in surface))
+    level = DetailLevel(case.factor, case.texel_px)
+    with torch.no_grad():
+        lay_texels(surface, photo.float().to(device), camera.float().to(device), level, out)
+    return {name: field.cpu() for name, field in out.fields().items()}
+
+
+def expected(case: Case) -> Gaussians:
+    """PyTorch's in float64, of the same numbers in float32."""
+    surface, photo, camera = (
+        SheetSurface(*(part.float().double() for part in part_)) if isinstance(part_, tuple) else part_.float().double()
+        for part_ in inputs(case)
+    )
+    footprint = (1 / camera[:, 0])[:, None, None, None]
+    channels = torch.cat(list(surface), 1)
+    fine = along_surface(channels, surface.disparity, footprint, case.factor)
+    texels = describe_pixels(photo, case.factor * camera)
+    *fields, constant = _sheet(fine[:, :1], fine[:, 1:2], texels, case.texel_px)
+    return of_tensors([*fields, torch.cat([constant, _flat(fine[:, 2:]).unflatten(2, (-1, 3))], 2)])
+
+
+def compare(case: Case, found: dict[str, Tensor]) -> None:
+    """Asserts that what a stage wrote is what PyTorch makes, as far as float32 can: slopes are differences of disparities
+    between texels, and are divided by their footprints."""
+    right = expected(case)
+    assert all(field[:, -OTHERS:].isnan().all() for field in found.values())
+    mine = of_tensors(field[:, :-OTHERS].double() for field in found.values())
+    torch.testing.assert_close(mine.means, right.means, rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(mine.opacities, right.opacities, rtol=1e-5, atol=2e-6)
+    torch.testing.assert_close(mine.sh, right.sh, rtol=1e-5, atol=3e-5)
+    seen = right.opacities > 0
+    assert 0.2 < seen.double().mean() and torch.equal(seen, mine.opacities > 0)
+    torch.testing.assert_close(mine.quaternions.norm(dim=2), torch.ones_like(mine.opacities), rtol=0, atol=1e-6)
+    slope = 1e-7 * case.factor * case.width * 10
+    sizes = right.scales.amax(2)[..., None, None]
+    error = (covariances(mine) - covariances(right)) / sizes.square()
+    assert error[seen].abs().max() < slope, (case, float(error[seen].abs().max()))
+    flat = mine.scales[~seen]  # beside the object: finite, as large as a texel
+    assert ((flat > 0) & (flat < 2 * right.scales[~seen].amax(1, keepdim=True))).all()
+
+
+def covariances(gaussians: Gaussians) -> Tensor:
+    axes = rotations(gaussians.quaternions) * gaussians.scales[..., None, :]
+    return axes @ axes.transpose(-1, -2)
