@@ -48,6 +48,7 @@ target_sources(_core PRIVATE
   csrc/cuda/lens/composite_lens.cu
   csrc/cuda/lens/project_lens.cu
   csrc/cuda/lens/project_lens_backward.cu
+  csrc/cuda/photo/crop.cu
   csrc/cuda/photo/sheet.cu
   csrc/cuda/sorted/composite_sorted.cu
   csrc/cuda/frame/lens_bin.cu

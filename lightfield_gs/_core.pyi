@@ -628,6 +628,25 @@ class _Cuda:
     ) -> None: ...
     @staticmethod
     def sheet(job: Sheet, stream: Address) -> None: ...
+    FOUND_NUMBERS: int
+    class Photo:
+        def __init__(
+            self,
+            *,
+            height: int,
+            width: int,
+            bytes: Address,
+            floats: Address,
+            opaque: float,
+            margin: float,
+            found: Address,
+            checks: Address,
+        ) -> None: ...
+
+    @staticmethod
+    def find_object(photo: _Cuda.Photo, stream: Address) -> None: ...
+    @staticmethod
+    def crop_object(photo: _Cuda.Photo, size_px: int, narrow: Address, out: Address, stream: Address) -> None: ...
     @staticmethod
     def frame_state(address: Address) -> dict[str, Any]: ...
     @staticmethod

@@ -1,7 +1,6 @@
 // Binds the stages that lay a photo over what the network predicts.
 #include "stages/photo.h"
 
-
 #include "bind/addresses.h"
 #include "bind/parts.h"
 
@@ -24,9 +23,18 @@ void bind_photo(py::module_ root) {
       .def(py::init([](int64_t height, int64_t width, int factor, Address disparity, Address trust, Address harmonics,
                        Address photo, Address intrinsics, const SheetLook& look, Address soft, Address surface,
                        const Gaussians<float>& out) {
-             return Sheet{height,       width,           factor,
-                          at<float>(disparity), at<float>(trust), at<float>(harmonics),
-                          at<float>(photo), at<float>(intrinsics), look, at<float>(soft), at<float>(surface), out};
+             return Sheet{height,
+                          width,
+                          factor,
+                          at<float>(disparity),
+                          at<float>(trust),
+                          at<float>(harmonics),
+                          at<float>(photo),
+                          at<float>(intrinsics),
+                          look,
+                          at<float>(soft),
+                          at<float>(surface),
+                          out};
            }),
            py::kw_only(), py::arg("height"), py::arg("width"), py::arg("factor"), py::arg("disparity"),
            py::arg("trust"), py::arg("harmonics"), py::arg("photo"), py::arg("intrinsics"), py::arg("look"),

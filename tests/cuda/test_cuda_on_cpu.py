@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from cuda_on_cpu import cases, fit_cases, slot_cases
+from cuda_on_cpu import cases, fit_cases, sheet_cases, slot_cases
 
 from lightfield_gs import Quality, encode, reference
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -57,6 +57,7 @@ DRAWN = (
     "sorted",
     "gradients",
     "norms",
+    "sheet",
     "antialiased",
     "antialiased gradients",
     "view filter",
@@ -408,3 +409,8 @@ def test_group_norm_and_silu(drawn):
 
 def test_fitting_is_that_of_the_cpu(drawn):
     fit_cases.compare(drawn("fit"))
+
+
+def test_the_sheet_over_a_photo_is_that_of_pytorch(drawn):
+    for case, found in zip(sheet_cases.CASES, drawn("sheet"), strict=True):
+        sheet_cases.compare(case, found)

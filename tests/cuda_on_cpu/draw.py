@@ -20,6 +20,7 @@ sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 
 import cases
 import fit_cases
+import sheet_cases
 import slot_cases
 import torch
 
@@ -214,6 +215,8 @@ def main(what: str) -> object:
     if what == "norms":
         group_norm._is_ours = lambda *arguments: True
         return [group_norm.group_norm_silu(*cases.norm_case(*case)) for case in cases.NORMS]
+    if what == "sheet":
+        return [sheet_cases.laid(case) for case in sheet_cases.CASES]
     if what == "settings":
         return [settings(kernel) for kernel in ("pixel-quadratic", "ordinal")]
     if what == "parabolas":

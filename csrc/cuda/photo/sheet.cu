@@ -1,5 +1,5 @@
-// The sheet over a photo: a thread has a texel, a block a piece of a row. Three floats a texel go through shared memory,
-// so that a warp writes what lies side by side.
+// The sheet over a photo: a thread has a texel, a block a piece of a row. Three floats a texel go through shared
+// memory, so that a warp writes what lies side by side.
 #include "cuda/common/check.h"
 #include "cuda/photo/photo.h"
 

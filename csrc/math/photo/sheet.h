@@ -16,12 +16,12 @@ namespace lfgs {
 
 // What lightfield_gs/models/detail.py decides; lengths in texels where nothing else is said.
 struct SheetLook {
-  float deviation, thickness;            // of a texel along the surface and across it
-  float blur;                            // the deviation by which drawing blurs the photo
-  float opacity, most_opaque;            // of a texel that is covered, and the most that one may have
-  float sharper_colour, sharper_outline; // how much of what blur takes is put back
-  float haze, object;                    // opacities of the photo: nothing up to the first, all from the second on
-  float same_surface, steepest;          // footprints of depth between pixels of one surface, and from texel to texel
+  float deviation, thickness;             // of a texel along the surface and across it
+  float blur;                             // the deviation by which drawing blurs the photo
+  float opacity, most_opaque;             // of a texel that is covered, and the most that one may have
+  float sharper_colour, sharper_outline;  // how much of what blur takes is put back
+  float haze, object;                     // opacities of the photo: nothing up to the first, all from the second on
+  float same_surface, steepest;           // footprints of depth between pixels of one surface, and from texel to texel
 };
 
 struct Sheet {
@@ -156,8 +156,7 @@ LFGS_HD void lay_along(float across, float down, const glm::vec3& ray, TexelGaus
   const glm::vec3 tangent_x = glm::vec3(1, 0, 0) + across * ray, tangent_y = glm::vec3(0, 1, 0) + down * ray;
   const float right = across < 0 ? across - 1e-4f : across + 1e-4f;  // what is level all over descends to the right
   const float length = std::sqrt(right * right + down * down);
-  const glm::vec3 descent =
-      std::abs(right) / length * tangent_x + (across < 0 ? -down : down) / length * tangent_y;
+  const glm::vec3 descent = std::abs(right) / length * tangent_x + (across < 0 ? -down : down) / length * tangent_y;
   const float stretch = std::sqrt(glm::dot(descent, descent));
   const glm::vec3 first = descent / stretch, normal = glm::cross(tangent_x, tangent_y);
   const glm::vec3 third = normal / std::sqrt(glm::dot(normal, normal));
@@ -179,7 +178,8 @@ LFGS_HD TexelGaussian finish_texel(const Sheet& sheet, int reach, const Weight& 
   const glm::vec4 straight = straight_texel(sheet, texel);
   const float alpha = straight.w, there = glm::clamp((alpha - look.haze) / (look.object - look.haze), 0.f, 1.f);
   glm::vec3 colour(straight);
-  TexelGaussian found{ray * depth, size * glm::vec3(look.deviation, look.deviation, look.thickness), {}, {1, 0, 0, 0}, 0};
+  TexelGaussian found{
+      ray * depth, size * glm::vec3(look.deviation, look.deviation, look.thickness), {}, {1, 0, 0, 0}, 0};
 
   if (there > 0) {
     const glm::vec4 soft = blurred_down(sheet, reach, weight, row, column);
