@@ -1,4 +1,7 @@
-"""Cropping a picture to its object, alike for training views and photos: the network sees one kind of input."""
+"""Cropping a picture to its object, alike for training views and photos: the network sees one kind of input.
+
+lightfield_gs/models/crop_cuda.py does the same on CUDA where nothing may wait for the device.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ Number = TypeVar("Number")
 class Square(Generic[Number]):
     """A square of whole pixels: left and top edge (may be negative) and side length. It may reach beyond the image.
 
-    Many squares may be one Square whose fields are arrays. Tensors [] int64 where only a device knows the numbers.
+    Many squares may be one Square whose fields are arrays.
     """
 
     left: Number
@@ -44,38 +47,27 @@ def object_square(alpha: Tensor, margin: float = MARGIN) -> Square[int]:
 
     alpha: [H,W], 0..1 or uint8. Raises InputError when nothing is opaque.
     """
-    square = object_square_on_device(alpha, margin)
-    check_object(has_object(alpha))
-    return Square(*(int(value) for value in (square.left, square.top, square.side)))
-
-
-def object_square_on_device(alpha: Tensor, margin: float = MARGIN) -> Square[Tensor]:
-    """object_square as tensors, without waiting for a device; meaningless where nothing is opaque (see has_object)."""
-    opaque = _opaque(alpha)
+    opaque = alpha >= least_opaque(alpha.dtype)
+    check_object(opaque.any())
     (top, bottom), (left, right) = (_span(opaque.any(axis)) for axis in (1, 0))
-    longer = torch.maximum(bottom - top, right - left).double()
-    side = (longer * (1 + 2 * margin)).round().long().clamp_min(2)
+    side = max(2, round(max(bottom - top, right - left) * (1 + 2 * margin)))
     return Square((left + right - side) // 2, (top + bottom - side) // 2, side)
 
 
-def has_object(alpha: Tensor) -> Tensor:
-    """Whether anything of alpha [H,W] is opaque, bool []."""
-    return _opaque(alpha).any()
+def least_opaque(dtype: torch.dtype) -> float:
+    """The alpha from which on a pixel belongs to the object, in 0..1, or of uint8."""
+    return _OBJECT_ALPHA if dtype.is_floating_point else round(255 * _OBJECT_ALPHA)
 
 
-def _opaque(alpha: Tensor) -> Tensor:
-    return alpha >= (_OBJECT_ALPHA if alpha.is_floating_point() else round(255 * _OBJECT_ALPHA))
-
-
-def check_object(there_is_one: bool | Tensor) -> None:
+def check_object(there_is_one: float | Tensor) -> None:
     """Raises InputError unless there is an object."""
     if not there_is_one:
         raise InputError("empty mask: expected an object with opaque pixels, every pixel is transparent")
 
 
-def _span(flags: Tensor) -> tuple[Tensor, Tensor]:
+def _span(flags: Tensor) -> tuple[int, int]:
     """Index of the first flag that is set, and one more than that of the last."""
-    return flags.int().argmax(), len(flags) - flags.flip(0).int().argmax()
+    return int(flags.int().argmax()), len(flags) - int(flags.flip(0).int().argmax())
 
 
 def crop_resize(image: Tensor, square: Square[int], size_px: int) -> Tensor:
@@ -123,29 +115,3 @@ def _resized(image: Tensor, size: tuple[int, int]) -> Tensor:
     if tuple(image.shape[1:]) == size:
         return image
     return F.interpolate(image[None], size=size, mode="bilinear", antialias=True)[0]
-
-
-def crop_resize_on_device(image: Tensor, square: Square[Tensor], size_px: int, margin: float = MARGIN) -> Tensor:
-    """crop_resize for a square in tensors, of object_square_on_device with this margin, without waiting for a device.
-
-    It multiplies by two matrices of the image's size, which is more arithmetic than crop_resize: only good on GPUs.
-    """
-    longest = round(max(image.shape[1:]) * (1 + 2 * margin)) + 2
-    # Weights of rows, of columns, and of the square from its own edge on are made at once: launches take longer than
-    # the numbers do
-    starts = torch.stack([square.top, square.left, torch.zeros_like(square.top)])[:, None, None]
-    down, across, inside = _triangles(longest, starts, square.side, size_px)
-    sums = inside.sum(1, keepdim=True)
-    height, width = image.shape[1:]
-    return (down[:, :height] / sums).float() @ image.float() @ (across[:, :width] / sums).float().T
-
-
-def _triangles(length: int, starts: Tensor, side: Tensor, size_px: int) -> Tensor:
-    """Weights [..., size_px, length] of pixels 0, 1 ... for the antialiased bilinear filter from the pixels
-    start .. start + side - 1 to size_px, not normalised: triangles as wide as an output pixel, at least an input pixel.
-    """
-    scale = side.double() / size_px
-    centres = (torch.arange(size_px, device=side.device) + 0.5) * scale
-    places = torch.arange(length, device=side.device) + 0.5 - starts
-    heights = 1 - (places - centres[:, None]).abs() / scale.clamp_min(1)
-    return heights.clamp_min(0) * ((places > 0) & (places < side))

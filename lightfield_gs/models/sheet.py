@@ -34,7 +34,7 @@ def lay_sheet(
     level: DetailLevel,
     correction: Tensor | None = None,
 ) -> Gaussians:
-    """What with_detail returns, but that texels beside the object, whose opacity is 0, are not turned along the surface.
+    """What with_detail returns, but that texels beside the object, of opacity 0, are not turned along the surface.
 
     cloud, pixels, layers, correction: those of with_detail. fine: the photo at level.factor times the size of pixels,
     [B,4,H',W'], premultiplied. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of the network's input. Everything is

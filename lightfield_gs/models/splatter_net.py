@@ -227,7 +227,7 @@ def in_range(photo: Tensor) -> Tensor:
     return ((photo >= 0) & (photo <= 1)).all()
 
 
-def check_values(values_in_range: bool | Tensor) -> None:
+def check_values(values_in_range: float | Tensor) -> None:
     """Raises InputError unless the values of a photo are in range; see in_range."""
     if not values_in_range:
         raise InputError("photo: expected values in 0..1, got values outside or not finite")

@@ -17,8 +17,9 @@ from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.models import crop
+from lightfield_gs.models.crop_cuda import crop_on_device
 from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
-from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo, in_range
+from lightfield_gs.models.splatter_net import SplatterNet, check_values, checked_photo
 from lightfield_gs.panels import framing
 from lightfield_gs.panels.lens import lens_view
 from lightfield_gs.panels.look import Look
@@ -183,13 +184,10 @@ class _Capture:
         return framing.fit(extent, panel, np.eye(4))
 
     def _cropped(self) -> tuple[Tensor, Tensor | None, Tensor]:
-        image = crop.premultiplied(self.photo)
-        square = crop.object_square_on_device(image[3])
-        checks = torch.stack([in_range(self.photo), crop.has_object(image[3])])
-        size, fine = self.net.config.image_size_px, None
-        if self.level is not None:
-            fine = crop.crop_resize_on_device(image, square, size * self.level.factor)
-        return crop.crop_resize_on_device(image, square, size), fine, checks
+        size = self.net.config.image_size_px
+        factors = [1] if self.level is None else [1, self.level.factor]
+        checks, (cropped, *fine) = crop_on_device(self.photo, [size * factor for factor in factors])
+        return cropped, fine[0] if fine else None, checks
 
 
 def _captured(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from cuda_on_cpu import cases, fit_cases, sheet_cases, slot_cases
+from cuda_on_cpu import cases, crop_cases, fit_cases, sheet_cases, slot_cases
 
 from lightfield_gs import Quality, encode, reference
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -58,6 +58,7 @@ DRAWN = (
     "gradients",
     "norms",
     "sheet",
+    "crops",
     "antialiased",
     "antialiased gradients",
     "view filter",
@@ -414,3 +415,7 @@ def test_fitting_is_that_of_the_cpu(drawn):
 def test_the_sheet_over_a_photo_is_that_of_pytorch(drawn):
     for case, found in zip(sheet_cases.CASES, drawn("sheet"), strict=True):
         sheet_cases.compare(case, found)
+
+
+def test_photos_are_cropped_as_on_the_host(drawn):
+    crop_cases.compare(*drawn("crops"))

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from cuda_on_cpu import sheet_cases
+from cuda_on_cpu import crop_cases, sheet_cases
 from cuda_on_cpu.cases import NORMS, norm_case, norm_expected
 from photo_cases import PANEL, photo, psnr_db, tiny_net
 
@@ -111,6 +111,10 @@ def test_stages_are_timed():
 @pytest.mark.parametrize("case", sheet_cases.CASES)
 def test_texels_are_those_of_pytorch(case):
     sheet_cases.compare(case, sheet_cases.laid(case, "cuda"))
+
+
+def test_photos_are_cropped_as_on_the_host():
+    crop_cases.compare([crop_cases.cropped(case, "cuda") for case in crop_cases.CASES], crop_cases.refused("cuda"))
 
 
 @pytest.mark.parametrize("case", NORMS)

@@ -19,6 +19,7 @@ import emulation  # before all that loads the native module
 sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 
 import cases
+import crop_cases
 import fit_cases
 import sheet_cases
 import slot_cases
@@ -217,6 +218,8 @@ def main(what: str) -> object:
         return [group_norm.group_norm_silu(*cases.norm_case(*case)) for case in cases.NORMS]
     if what == "sheet":
         return [sheet_cases.laid(case) for case in sheet_cases.CASES]
+    if what == "crops":
+        return [[crop_cases.cropped(case) for case in crop_cases.CASES], crop_cases.refused()]
     if what == "settings":
         return [settings(kernel) for kernel in ("pixel-quadratic", "ordinal")]
     if what == "parabolas":

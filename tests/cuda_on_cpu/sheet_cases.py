@@ -75,21 +75,18 @@ def laid(case: Case, device: str = "cpu") -> dict[str, Tensor]:
 
 def expected(case: Case) -> Gaussians:
     """PyTorch's in float64, of the same numbers in float32."""
-    surface, photo, camera = (
-        SheetSurface(*(part.float().double() for part in part_)) if isinstance(part_, tuple) else part_.float().double()
-        for part_ in inputs(case)
-    )
-    footprint = (1 / camera[:, 0])[:, None, None, None]
-    channels = torch.cat(list(surface), 1)
-    fine = along_surface(channels, surface.disparity, footprint, case.factor)
+    surface, photo, camera = inputs(case)
+    photo, camera = photo.float().double(), camera.float().double()
+    channels = torch.cat(list(surface), 1).float().double()
+    fine = along_surface(channels, channels[:, :1], (1 / camera[:, 0])[:, None, None, None], case.factor)
     texels = describe_pixels(photo, case.factor * camera)
     *fields, constant = _sheet(fine[:, :1], fine[:, 1:2], texels, case.texel_px)
     return of_tensors([*fields, torch.cat([constant, _flat(fine[:, 2:]).unflatten(2, (-1, 3))], 2)])
 
 
 def compare(case: Case, found: dict[str, Tensor]) -> None:
-    """Asserts that what a stage wrote is what PyTorch makes, as far as float32 can: slopes are differences of disparities
-    between texels, and are divided by their footprints."""
+    """Asserts that what a stage wrote is what PyTorch makes, as far as float32 can: slopes are differences of
+    disparities between texels, divided by their footprints."""
     right = expected(case)
     assert all(field[:, -OTHERS:].isnan().all() for field in found.values())
     mine = of_tensors(field[:, :-OTHERS].double() for field in found.values())

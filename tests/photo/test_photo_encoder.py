@@ -5,19 +5,10 @@ import copy
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from photo_cases import PANEL, photo, psnr_db, tiny_net
 
 from lightfield_gs import InputError, Look, PhotoEncoder, Rig, encode
 from lightfield_gs.models import SplatterNet
-from lightfield_gs.models.crop import (
-    crop_resize,
-    crop_resize_on_device,
-    has_object,
-    object_square,
-    object_square_on_device,
-)
 from lightfield_gs.models.splatter_net import PRETRAINED
 
 
@@ -93,23 +84,6 @@ def test_unknown_options_are_refused():
     for options in ({"views": "all"}, {"output": "float64"}):
         with pytest.raises(InputError, match=next(iter(options.values()))):
             PhotoEncoder(tiny_net(), PANEL, **options)
-
-
-@settings(max_examples=40, deadline=None)
-@given(height=st.integers(3, 90), width=st.integers(3, 90), seed=st.integers(0, 2**32 - 1))
-def test_the_crop_on_a_device_is_that_of_the_host(height, width, seed):
-    random = np.random.default_rng(seed)
-    image = torch.from_numpy(random.random((4, height, width), np.float32))
-    (top, bottom), (left, right) = (sorted(random.choice(size + 1, 2, replace=False)) for size in (height, width))
-    image[3] = 0
-    assert not has_object(image[3])
-    image[3, top:bottom, left:right] = 0.7
-    assert has_object(image[3])
-    square, there = object_square(image[3]), object_square_on_device(image[3])
-    assert square == type(square)(int(there.left), int(there.top), int(there.side))
-    torch.testing.assert_close(
-        crop_resize_on_device(image, there, 32), crop_resize(image, square, 32), atol=2e-5, rtol=0
-    )
 
 
 @pytest.mark.skipif(not PRETRAINED.exists(), reason="this checkout has no trained checkpoint")
