@@ -1,7 +1,7 @@
 """The sheet of lightfield_gs/models/detail.py for inference: all texels by one native stage, on the CPU or on CUDA.
 
-What is done on the network's grid is the same; a million texels, made elementwise by PyTorch, would take longer than the
-network.
+What is done on the network's grid is the same; a million texels, made elementwise by PyTorch, would take longer than
+the network.
 """
 
 from __future__ import annotations

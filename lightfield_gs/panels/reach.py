@@ -23,6 +23,7 @@ _FAR, _ROOM = 0.4, 0.15
 _DEPTH_TAIL = 0.05  # share of the opacity that lies before the near depth, and behind the far one
 _NEAR = _core.NEAR_DEPTH
 _ENOUGH = 20_000  # Gaussians that show well enough how far all of them reach
+_MANY = 1 << 17  # that show it to a thousandth or two
 
 
 def extent(gaussians: Gaussians, world_to_camera: Tensor | None = None) -> Tensor:
@@ -54,6 +55,17 @@ def bounds_of(gaussians: Gaussians, turn: Tensor | None = None) -> Tensor:
 def some(gaussians: Gaussians) -> Gaussians:
     """Some of them, as many as show how far they reach."""
     return part(gaussians, slice(None, None, 1 + gaussians.count // _ENOUGH))
+
+
+def spread(gaussians: Gaussians) -> Gaussians:
+    """All of them, or of more than _MANY one of each few that are stored side by side, as if at random, so that those
+    of a grid's columns and rows are met alike. Which ones, their number decides alone; nothing waits for a device."""
+    few = -(-gaussians.count // _MANY)
+    if few == 1:
+        return gaussians
+    place = torch.arange(gaussians.count // few, device=gaussians.device)
+    # Knuth's multiplicative hash, The Art of Computer Programming, vol. 3, section 6.4
+    return part(gaussians, few * place + (place * 2654435761 >> 16) % few)
 
 
 def part(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:

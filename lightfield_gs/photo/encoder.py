@@ -157,7 +157,7 @@ class _Capture:
         self._network, self.gaussians = _captured(
             lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level)
         )
-        self._framing, self.numbers = _captured(lambda: torch.cat([self.checks, framing.extent(self.gaussians)]))
+        self._framing, self.numbers = _captured(lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)]))
 
     def takes(self, photo: Tensor) -> bool:
         return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype

@@ -146,3 +146,20 @@ def test_a_photo_keeps_its_whole_view_however_wide():
     wide = blobs(np.stack([np.linspace(-3, 3, 400), np.zeros(400), np.ones(400)], 1))
     rig = framing.frame_photo(wide, PANEL)
     assert rig.focal_px[0] < 30 and Rig.frame(wide, PANEL, UPRIGHT).focal_px[0] == pytest.approx(80)
+
+
+@pytest.mark.parametrize("width", [640, 648, 1021])
+def test_some_of_a_photos_many_gaussians_show_how_far_all_reach(width):
+    """Those of a grid, seen on a slanted ellipse of it."""
+    rows, columns = torch.meshgrid(torch.linspace(-1, 1, 640), torch.linspace(-1, 1, width), indexing="ij")
+    x, y = 0.4 * columns.flatten(), 0.3 * rows.flatten()
+    z = 1.3 + 0.2 * x
+    count = len(x)
+    opacities = (0.8 * (torch.hypot(x / 0.31, (y - 0.2 * x) / 0.22) < 1)).float()
+    scales = torch.full((count, 3), 1e-3)
+    means, turns = torch.stack([x * z, y * z, z], 1), torch.tensor([1.0, 0, 0, 0]).expand(count, 4)
+    gaussians = Gaussians(means, turns, scales, opacities, torch.zeros(count, 1, 3))
+    rig, whole = framing.frame_photo(gaussians, PANEL), framing.fit(framing.extent(gaussians).tolist(), PANEL, np.eye(4))
+    assert rig.focal_px == pytest.approx(whole.focal_px, rel=4e-3) and rig.focal_px != whole.focal_px
+    assert rig.principal_point_px == pytest.approx(whole.principal_point_px, abs=4e-3 * PANEL.height_px)
+    assert rig.zero_depth == pytest.approx(whole.zero_depth, rel=1e-3)
