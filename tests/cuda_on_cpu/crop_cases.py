@@ -64,5 +64,5 @@ def compare(found: list[list[Tensor]], checks: list[list[float]]) -> None:
         square = object_square(rgba[..., 3])
         for size, crop in zip(case.sizes_px, crops, strict=True):
             expected = crop_resize_premultiplied(rgba, square, size)
-            torch.testing.assert_close(crop, expected, rtol=0, atol=5e-6)
+            torch.testing.assert_close(crop, expected, rtol=0, atol=2e-5)
     assert checks == [[1, 0], [0, 0], [0, 0]]
