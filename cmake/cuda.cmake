@@ -50,6 +50,7 @@ target_sources(_core PRIVATE
   csrc/cuda/lens/project_lens_backward.cu
   csrc/cuda/photo/crop.cu
   csrc/cuda/photo/sheet.cu
+  csrc/cuda/photo/surface.cu
   csrc/cuda/sorted/composite_sorted.cu
   csrc/cuda/frame/lens_bin.cu
   csrc/cuda/frame/lens_frame.cu

@@ -148,6 +148,28 @@ class Sheet:
         out: _Stages.Gaussians,
     ) -> None: ...
 
+class SurfaceLook:
+    def __init__(self, *, averaged: float, softness: float, trust: float, farthest: float) -> None: ...
+
+class Surface:
+    def __init__(
+        self,
+        *,
+        height: int,
+        width: int,
+        layers: int,
+        cloud: _Stages.Gaussians,
+        mask: Address,
+        intrinsics: Address,
+        correction: Address,
+        look: SurfaceLook,
+        planes: Address,
+        disparity: Address,
+        trust: Address,
+        harmonics: Address,
+    ) -> None: ...
+
+def surface(job: Surface, threads: int) -> None: ...
 def sheet(job: Sheet, threads: int) -> None: ...
 
 class WeaveWindow:
@@ -626,6 +648,8 @@ class _Cuda:
         out: Address,
         stream: Address,
     ) -> None: ...
+    @staticmethod
+    def surface(job: Surface, stream: Address) -> None: ...
     @staticmethod
     def sheet(job: Sheet, stream: Address) -> None: ...
     FOUND_NUMBERS: int

@@ -12,6 +12,9 @@ namespace lfgs {
 
 void bind_photo_cuda(py::module_ cuda) {
   cuda.def(
+      "surface", [](const Surface& job, Address stream) { cuda::surface(job, at<void>(stream)); }, NoGil(),
+      py::arg("job"), py::arg("stream"));
+  cuda.def(
       "sheet", [](const Sheet& job, Address stream) { cuda::sheet(job, at<void>(stream)); }, NoGil(), py::arg("job"),
       py::arg("stream"));
   cuda.attr("FOUND_NUMBERS") = cuda::kFoundNumbers;

@@ -2,8 +2,12 @@
 #pragma once
 
 #include "math/photo/sheet.h"
+#include "math/photo/surface.h"
 
 namespace lfgs {
+
+// Writes where the sheet lies, and the opacities of the cloud under it.
+void surface(const Surface& job, int threads);
 
 // Writes the Gaussians of all texels.
 void sheet(const Sheet& job, int threads);

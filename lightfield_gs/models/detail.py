@@ -92,8 +92,15 @@ def sheet_surface(
     return SheetSurface(disparity, trust, harmonics), replace(cloud, opacities=opacities)
 
 
+def surface_look() -> _core.SurfaceLook:
+    """What the native stage of sheet_surface has to know of this file."""
+    return _core.SurfaceLook(
+        averaged=_AVERAGED, softness=_SOFTNESS, trust=math.log(_TRUST / (1 - _TRUST)), farthest=_FARTHEST
+    )
+
+
 def sheet_look(texel_px: float) -> _core.SheetLook:
-    """What the native stage has to know of this file."""
+    """What the native stage of the texels has to know of it."""
     own, blur = _blurs(texel_px)
     return _core.SheetLook(
         deviation=math.sqrt(own),

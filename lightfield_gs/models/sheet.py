@@ -1,7 +1,5 @@
-"""The sheet of lightfield_gs/models/detail.py for inference: all texels by one native stage, on the CPU or on CUDA.
-
-What is done on the network's grid is the same; a million texels, made elementwise by PyTorch, would take longer than
-the network.
+"""The sheet of lightfield_gs/models/detail.py for inference: its surface and its texels by two native stages, on the
+CPU or on CUDA. A million texels, made elementwise by PyTorch, would take longer than the network.
 """
 
 from __future__ import annotations
@@ -10,16 +8,17 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
-from lightfield_gs.models.detail import SheetSurface, sheet_look, sheet_surface
+from lightfield_gs.base.harmonics import SH_COEFFICIENTS
+from lightfield_gs.models.detail import SheetSurface, sheet_look, surface_look
 from lightfield_gs.models.detail_level import DetailLevel
 from lightfield_gs.models.initializer import Pixels
-from lightfield_gs.scene.gaussians import Gaussians, of_tensors
+from lightfield_gs.scene.gaussians import Gaussians, mapped
 
 _SCRATCH = 6  # numbers that the stage keeps of each texel
 
 
 def is_native(photo: Tensor) -> bool:
-    """Whether the native stage can lay this photo over a prediction: it has no gradients, and is of float32."""
+    """Whether the native stages can lay this photo over a prediction: it has no gradients, and is of float32."""
     if torch.compiler.is_compiling() or torch.is_grad_enabled() or photo.dtype != torch.float32:
         return False
     return photo.device.type == "cpu" or (photo.is_cuda and hasattr(_core, "cuda"))
@@ -40,16 +39,48 @@ def lay_sheet(
     [B,4,H',W'], premultiplied. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of the network's input. Everything is
     float32 on one device, for which is_native must hold; nothing waits for it.
     """
-    surface, faded = sheet_surface(cloud, pixels, layers, correction)
     texels = fine.shape[2] * fine.shape[3]
-    fields = []
-    for field in faded.fields().values():
+
+    def with_room(field: Tensor) -> Tensor:
         both = field.new_empty(len(fine), texels + field.shape[1], *field.shape[2:])
         both[:, texels:] = field
-        fields.append(both)
-    gaussians = of_tensors(fields)
+        return both
+
+    gaussians = mapped(cloud, with_room)
+    under = mapped(gaussians, lambda field: field[:, texels:])
+    surface = find_surface(under, pixels.mask, intrinsics, layers, correction)
     lay_texels(surface, fine, intrinsics, level, gaussians)
     return gaussians
+
+
+def find_surface(
+    cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int, correction: Tensor | None
+) -> SheetSurface:
+    """The surface of sheet_surface; the opacities of the cloud fade. cloud: each set of the B is contiguous. mask:
+    [B,1,H,W]."""
+    batch, _, height, width = mask.shape
+    rest, look = 3 * (cloud.sh.shape[2] - 1), surface_look()
+    planes = mask.new_empty(3, max(3 * layers, 2 + rest), height, width)
+    surface = SheetSurface(*(mask.new_empty(batch, channels, height, width) for channels in (1, 1, rest)))
+    corrections = None if correction is None else correction.contiguous()
+    each = zip(mask.contiguous(), intrinsics.contiguous(), *surface, *cloud.fields().values())
+    for k, (shown, camera, disparity, trust, harmonics, *fields) in enumerate(each):
+        job = _core.Surface(
+            height=height,
+            width=width,
+            layers=layers,
+            cloud=_native(fields),
+            mask=shown.data_ptr(),
+            intrinsics=camera.data_ptr(),
+            correction=0 if corrections is None else corrections[k].data_ptr(),
+            look=look,
+            planes=planes.data_ptr(),
+            disparity=disparity.data_ptr(),
+            trust=trust.data_ptr(),
+            harmonics=harmonics.data_ptr(),
+        )
+        _run("surface", job, mask)
+    return surface
 
 
 def lay_texels(
@@ -73,13 +104,20 @@ def lay_texels(
             look=look,
             soft=scratch.data_ptr(),
             surface=scratch[4 * texels :].data_ptr(),
-            out=_core.float32.Gaussians(texels, gaussians.sh_degree, *(field.data_ptr() for field in fields)),
+            out=_native(fields),
         )
-        _run(job, fine)
+        _run("sheet", job, fine)
 
 
-def _run(job: _core.Sheet, photo: Tensor) -> None:
-    if not photo.is_cuda:
-        return _core.sheet(job, torch.get_num_threads())
-    with torch.cuda.device_of(photo):
-        return _core.cuda.sheet(job, torch.cuda.current_stream().cuda_stream)
+def _native(fields: list[Tensor]) -> _core._Stages.Gaussians:
+    """Gaussians [N,...] as the native module takes them."""
+    degree = SH_COEFFICIENTS.index(fields[4].shape[1])
+    return _core.float32.Gaussians(len(fields[0]), degree, *(field.data_ptr() for field in fields))
+
+
+def _run(stage: str, job: _core.Surface | _core.Sheet, photo: Tensor) -> None:
+    if photo.is_cuda:
+        with torch.cuda.device_of(photo):
+            getattr(_core.cuda, stage)(job, torch.cuda.current_stream().cuda_stream)
+    else:
+        getattr(_core, stage)(job, torch.get_num_threads())

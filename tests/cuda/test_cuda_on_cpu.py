@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from cuda_on_cpu import cases, crop_cases, fit_cases, sheet_cases, slot_cases
+from cuda_on_cpu import cases, crop_cases, fit_cases, sheet_cases, slot_cases, surface_cases
 
 from lightfield_gs import Quality, encode, reference
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -57,6 +57,7 @@ DRAWN = (
     "sorted",
     "gradients",
     "norms",
+    "surface",
     "sheet",
     "crops",
     "antialiased",
@@ -410,6 +411,11 @@ def test_group_norm_and_silu(drawn):
 
 def test_fitting_is_that_of_the_cpu(drawn):
     fit_cases.compare(drawn("fit"))
+
+
+def test_the_surface_of_a_photos_sheet_is_that_of_pytorch(drawn):
+    for case, found in zip(surface_cases.CASES, drawn("surface"), strict=True):
+        surface_cases.compare(case, found)
 
 
 def test_the_sheet_over_a_photo_is_that_of_pytorch(drawn):

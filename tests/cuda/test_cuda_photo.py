@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from cuda_on_cpu import crop_cases, sheet_cases
+from cuda_on_cpu import crop_cases, sheet_cases, surface_cases
 from cuda_on_cpu.cases import NORMS, norm_case, norm_expected
 from photo_cases import PANEL, photo, psnr_db, tiny_net
 
@@ -106,6 +106,11 @@ def test_stages_are_timed():
     stats = {}
     PhotoEncoder(tiny_net().cuda(), PANEL)(photo(60, 80), stats)
     assert list(stats["stages_ms"]) == ["crop", "network", "framing", "encode"]
+
+
+@pytest.mark.parametrize("case", surface_cases.CASES)
+def test_the_surface_of_the_sheet_is_that_of_pytorch(case):
+    surface_cases.compare(case, surface_cases.found(case, "cuda"))
 
 
 @pytest.mark.parametrize("case", sheet_cases.CASES)

@@ -23,6 +23,7 @@ import crop_cases
 import fit_cases
 import sheet_cases
 import slot_cases
+import surface_cases
 import torch
 
 from lightfield_gs.models import group_norm
@@ -218,6 +219,8 @@ def main(what: str) -> object:
         return [group_norm.group_norm_silu(*cases.norm_case(*case)) for case in cases.NORMS]
     if what == "sheet":
         return [sheet_cases.laid(case) for case in sheet_cases.CASES]
+    if what == "surface":
+        return [surface_cases.found(case) for case in surface_cases.CASES]
     if what == "crops":
         return [[crop_cases.cropped(case) for case in crop_cases.CASES], crop_cases.refused()]
     if what == "settings":

@@ -37,6 +37,7 @@ def use_cuda_stages() -> None:
     sorted._CpuStages = lambda scene, plan, threads: sorted._CudaStages(scene, plan)
     torch.set_num_threads(1)
     _use_cuda_fit()
+    lightfield_gs._core.surface = lambda job, threads: lightfield_gs._core.cuda.surface(job, 0)
     lightfield_gs._core.sheet = lambda job, threads: lightfield_gs._core.cuda.sheet(job, 0)
 
 

@@ -159,7 +159,10 @@ def test_some_of_a_photos_many_gaussians_show_how_far_all_reach(width):
     scales = torch.full((count, 3), 1e-3)
     means, turns = torch.stack([x * z, y * z, z], 1), torch.tensor([1.0, 0, 0, 0]).expand(count, 4)
     gaussians = Gaussians(means, turns, scales, opacities, torch.zeros(count, 1, 3))
-    rig, whole = framing.frame_photo(gaussians, PANEL), framing.fit(framing.extent(gaussians).tolist(), PANEL, np.eye(4))
+    rig, whole = (
+        framing.frame_photo(gaussians, PANEL),
+        framing.fit(framing.extent(gaussians).tolist(), PANEL, np.eye(4)),
+    )
     assert rig.focal_px == pytest.approx(whole.focal_px, rel=4e-3) and rig.focal_px != whole.focal_px
     assert rig.principal_point_px == pytest.approx(whole.principal_point_px, abs=4e-3 * PANEL.height_px)
     assert rig.zero_depth == pytest.approx(whole.zero_depth, rel=1e-3)

@@ -4,9 +4,11 @@
 
 #include "cuda/stages/stages.h"
 #include "math/photo/sheet.h"
+#include "math/photo/surface.h"
 
 namespace lfgs::cuda {
 
+void surface(const Surface& job, Stream stream);
 void sheet(const Sheet& job, Stream stream);
 
 }  // namespace lfgs::cuda

@@ -1,0 +1,126 @@
+// Where the sheet over a photo lies on the network's grid: what the photo's camera sees of the cloud on average, and
+// how the cloud fades before it. lightfield_gs/models/detail.py says why, differentiably. Between what is done here for
+// a Gaussian or a pixel, planes are blurred along rows and along columns.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <glm/glm.hpp>
+
+#include "base/config.h"
+#include "math/constants.h"
+#include "math/covariance.h"
+#include "math/photo/blur.h"
+#include "scene/gaussians.h"
+
+namespace lfgs {
+
+// What lightfield_gs/models/detail.py decides; lengths in pixels or footprints.
+struct SurfaceLook {
+  float averaged;         // the deviation of the blur
+  float softness;         // depth over which the cloud before the sheet fades
+  float trust, farthest;  // the logit of a sheet of which a network says nothing; how far it may be moved
+};
+
+struct Surface {
+  int64_t height = 0, width = 0;
+  int layers = 1;
+  Gaussians<float> cloud;             // [layers * height * width]; its opacities fade
+  const float* mask = nullptr;        // [height, width]
+  const float* intrinsics = nullptr;  // [4] fx, fy, cx, cy in pixels
+  const float* correction = nullptr;  // [2, height, width] footprints and logit, or none
+  SurfaceLook look;
+  float* planes = nullptr;     // [3, most_planes(), height, width]: three sets, see plane()
+  float* disparity = nullptr;  // [height, width] 1 / z
+  float* trust = nullptr;      // [height, width] 0..1
+  float* harmonics = nullptr;  // [rest(), height, width] beyond the first
+
+  LFGS_HD int64_t pixels() const { return height * width; }
+  LFGS_HD int rest() const { return 3 * (cloud.sh_count() - 1); }
+  LFGS_HD int fog_planes() const { return 3 * layers; }   // size, and size times disparity and its square, of a layer
+  LFGS_HD int seen_planes() const { return 2 + rest(); }  // disparity, harmonics and one, each times how much is seen
+  LFGS_HD int most_planes() const { return fog_planes() > seen_planes() ? fog_planes() : seen_planes(); }
+  LFGS_HD float* plane(int set, int number) const { return planes + (set * most_planes() + number) * pixels(); }
+};
+
+// The integral over the photo of a Gaussian of height 1, in pixels.
+LFGS_HD float area_of(const Gaussians<float>& cloud, int64_t i, float focal) {
+  const float *p = cloud.means + 3 * i, *q = cloud.quaternions + 4 * i, *s = cloud.scales + 3 * i;
+  const glm::vec4 turn(q[0], q[1], q[2], q[3]);
+  const glm::mat3 axes = rotation_of(turn / std::sqrt(glm::dot(turn, turn)));
+  // What a standard deviation along each axis changes of the slopes x / z and y / z
+  glm::vec3 across, down;
+  for (int k = 0; k < 3; ++k) {
+    across[k] = s[k] * (axes[k].x - p[0] / p[2] * axes[k].z);
+    down[k] = s[k] * (axes[k].y - p[1] / p[2] * axes[k].z);
+  }
+  const float both = glm::dot(across, down);
+  const float determinant = glm::dot(across, across) * glm::dot(down, down) - both * both;
+  const float per_pixel = focal / p[2];
+  return 2 * float(kPi) * std::sqrt(glm::max(determinant, 1e-20f)) * per_pixel * per_pixel;
+}
+
+// Writes the fog of a Gaussian of a layer to set 0.
+LFGS_HD void weigh(const Surface& job, int layer, int64_t pixel) {
+  const int64_t i = layer * job.pixels() + pixel;
+  const float area = area_of(job.cloud, i, job.intrinsics[0]), disparity = 1 / job.cloud.means[3 * i + 2];
+  const float size = job.cloud.opacities[i] * area * job.mask[pixel] + 1e-9f;
+  job.plane(0, 3 * layer)[pixel] = size;
+  job.plane(0, 3 * layer + 1)[pixel] = size * disparity;
+  job.plane(0, 3 * layer + 2)[pixel] = size * disparity * disparity;
+}
+
+// A blurred number of a plane: at place `at` of `count` along the blur, where neighbours are `stride` apart.
+template <class Weight>
+LFGS_HD float blurred_at(const float* number, int64_t stride, int64_t at, int64_t count, int reach,
+                         const Weight& weight) {
+  float sum = 0;
+  for (int k = -reach; k <= reach; ++k)
+    if (at + k >= 0 && at + k < count) sum += weight(k) * number[k * stride];
+  return sum;
+}
+
+// From the blurred fog in set 2 and the sizes in set 0: how much is seen of a pixel's Gaussians, and of what, to set 1.
+// Nearer is of a larger disparity; the fog's density is a normal distribution along the line of sight.
+LFGS_HD void look_through(const Surface& job, int64_t pixel) {
+  const int rest = job.rest(), last = job.seen_planes() - 1;
+  for (int c = 0; c <= last; ++c) job.plane(1, c)[pixel] = 0;
+  for (int layer = 0; layer < job.layers; ++layer) {
+    const int64_t i = layer * job.pixels() + pixel;
+    const float disparity = 1 / job.cloud.means[3 * i + 2];
+    float before = 0;
+    for (int other = 0; other < job.layers; ++other) {
+      const float thick = job.plane(2, 3 * other)[pixel], mean = job.plane(2, 3 * other + 1)[pixel] / thick;
+      const float square = job.plane(2, 3 * other + 2)[pixel] / thick;
+      const float spread = std::sqrt(glm::max(square - mean * mean, 1e-8f));
+      before += thick * 0.5f * std::erfc((disparity - mean) / spread * 0.70710678f);
+    }
+    const float seen = job.plane(0, 3 * layer)[pixel] * std::exp(-before);
+    job.plane(1, 0)[pixel] += seen * disparity;
+    for (int c = 0; c < rest; ++c) job.plane(1, 1 + c)[pixel] += seen * job.cloud.sh[i * (rest + 3) + 3 + c];
+    job.plane(1, last)[pixel] += seen;
+  }
+}
+
+LFGS_HD float logistic(float x) { return 1 / (1 + std::exp(-x)); }
+
+// From what is seen on average, in set 0: the surface of a pixel, and the opacities of its Gaussians.
+LFGS_HD void finish_surface(const Surface& job, int64_t pixel) {
+  const float seen = job.plane(0, job.seen_planes() - 1)[pixel], footprint = 1 / job.intrinsics[0];
+  float disparity = job.plane(0, 0)[pixel] / seen, trust = 1;
+  if (job.correction) {
+    const float behind = job.correction[pixel], logit = job.correction[job.pixels() + pixel];
+    disparity /= 1 + footprint * glm::clamp(behind, -job.look.farthest, job.look.farthest);
+    trust = logistic(logit + job.look.trust);
+  }
+  job.disparity[pixel] = disparity, job.trust[pixel] = trust;
+  for (int c = 0; c < job.rest(); ++c) job.harmonics[c * job.pixels() + pixel] = job.plane(0, 1 + c)[pixel] / seen;
+  for (int layer = 0; layer < job.layers; ++layer) {
+    const int64_t i = layer * job.pixels() + pixel;
+    const float behind = (job.cloud.means[3 * i + 2] * disparity - 1) / footprint;
+    const float hidden = trust * job.mask[pixel] * logistic(-behind / job.look.softness);
+    job.cloud.opacities[i] = glm::clamp(job.cloud.opacities[i] * (1 - hidden), 0.f, 1.f);
+  }
+}
+
+}  // namespace lfgs

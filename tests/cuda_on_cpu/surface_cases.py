@@ -1,0 +1,71 @@
+"""What the native surface of a photo's sheet is compared with PyTorch's on: the CPU's, a GPU's, or the CUDA stage
+compiled for the CPU."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from lightfield_gs.models.composer import DeltaComposer, parameter_groups
+from lightfield_gs.models.config import ModelConfig
+from lightfield_gs.models.detail import SheetSurface, sheet_surface
+from lightfield_gs.models.initializer import describe_pixels
+from lightfield_gs.models.sheet import find_surface
+from lightfield_gs.scene.gaussians import Gaussians, mapped
+
+
+class Case(NamedTuple):
+    """Photos, side of the network's grid, layers, degree of the harmonics, whether a network corrects the surface."""
+
+    photos: int
+    size: int
+    layers: int
+    degree: int
+    corrected: bool
+
+
+CASES = [Case(1, 32, 2, 0, True), Case(2, 16, 3, 1, False), Case(1, 8, 1, 2, True)]
+
+
+def inputs(case: Case) -> tuple[Gaussians, Tensor, Tensor, Tensor | None]:
+    """A cloud as networks predict it, pictures of a disc, their cameras, and a correction, float32."""
+    random = torch.Generator().manual_seed(case.size)
+    config = ModelConfig(image_size_px=case.size, layers=case.layers, sh_degree=case.degree)
+    channels = case.layers * sum(parameter_groups(case.degree).values())
+    raw = 0.3 * torch.randn(case.photos, channels, case.size, case.size, generator=random)
+    places = torch.linspace(-1, 1, case.size)
+    alpha = (3 * (0.9 - torch.hypot(places, places[:, None]))).clamp(0, 1).expand(case.photos, 1, -1, -1)
+    images = torch.cat([alpha * torch.rand(case.photos, 3, case.size, case.size, generator=random), alpha], 1)
+    camera = torch.tensor([[1.4, 1.4, 0.5, 0.45]]).expand(case.photos, 4) * case.size
+    correction = 3 * torch.randn(case.photos, 2, case.size, case.size, generator=random) if case.corrected else None
+    return DeltaComposer(config)(raw, describe_pixels(images, camera)), images, camera, correction
+
+
+@torch.no_grad()
+def found(case: Case, device: str = "cpu") -> dict[str, Tensor]:
+    cloud, images, camera, correction = inputs(case)
+    cloud = mapped(cloud, lambda field: field.to(device).contiguous())
+    moved = None if correction is None else correction.to(device)
+    surface = find_surface(cloud, images[:, 3:].to(device), camera.to(device), case.layers, moved)
+    return {name: part.cpu() for name, part in (surface._asdict() | {"opacities": cloud.opacities}).items()}
+
+
+@torch.no_grad()
+def expected(case: Case) -> tuple[SheetSurface, Gaussians]:
+    """PyTorch's in float64, of the same numbers."""
+    cloud, images, camera, correction = inputs(case)
+    pixels = describe_pixels(images.double(), camera.double())
+    moved = None if correction is None else correction.double()
+    return sheet_surface(mapped(cloud, Tensor.double), pixels, case.layers, moved)
+
+
+def compare(case: Case, have: dict[str, Tensor]) -> None:
+    """Asserts that both are the same, as far as float32 goes: the spread of a fog is a difference of squares."""
+    surface, faded = expected(case)
+    for name, right in (surface._asdict() | {"opacities": faded.opacities}).items():
+        torch.testing.assert_close(
+            have[name].double(), right, rtol=2e-4, atol=2e-4, msg=lambda m: f"{case} {name}: {m}"
+        )
+    assert (have["opacities"] < 0.9 * inputs(case)[0].opacities).double().mean() > 0.1  # something fades
