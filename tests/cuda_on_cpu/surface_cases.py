@@ -62,10 +62,8 @@ def expected(case: Case) -> tuple[SheetSurface, Gaussians]:
 
 
 def compare(case: Case, have: dict[str, Tensor]) -> None:
-    """Asserts that both are the same, as far as float32 goes: the spread of a fog is a difference of squares."""
+    """Asserts that both are the same, as far as float32 goes."""
     surface, faded = expected(case)
     for name, right in (surface._asdict() | {"opacities": faded.opacities}).items():
-        torch.testing.assert_close(
-            have[name].double(), right, rtol=2e-4, atol=2e-4, msg=lambda m: f"{case} {name}: {m}"
-        )
+        torch.testing.assert_close(have[name].double(), right, rtol=2e-4, atol=2e-4)
     assert (have["opacities"] < 0.9 * inputs(case)[0].opacities).double().mean() > 0.1  # something fades

@@ -37,9 +37,14 @@ struct Surface {
 
   LFGS_HD int64_t pixels() const { return height * width; }
   LFGS_HD int rest() const { return 3 * (cloud.sh_count() - 1); }
-  LFGS_HD int fog_planes() const { return 3 * layers; }   // size, and size times disparity and its square, of a layer
+  LFGS_HD int fog_planes() const { return 3 * layers; }   // size, and size times off() and its square, of a layer
   LFGS_HD int seen_planes() const { return 2 + rest(); }  // disparity, harmonics and one, each times how much is seen
   LFGS_HD int most_planes() const { return fog_planes() > seen_planes() ? fog_planes() : seen_planes(); }
+  // A Gaussian's disparity less that in the middle of the photo: what differs little from zero keeps the digits of its
+  // spread.
+  LFGS_HD float off(int64_t i) const {
+    return 1 / cloud.means[3 * i + 2] - 1 / cloud.means[3 * (height / 2 * width + width / 2) + 2];
+  }
   LFGS_HD float* plane(int set, int number) const { return planes + (set * most_planes() + number) * pixels(); }
 };
 
@@ -63,11 +68,11 @@ LFGS_HD float area_of(const Gaussians<float>& cloud, int64_t i, float focal) {
 // Writes the fog of a Gaussian of a layer to set 0.
 LFGS_HD void weigh(const Surface& job, int layer, int64_t pixel) {
   const int64_t i = layer * job.pixels() + pixel;
-  const float area = area_of(job.cloud, i, job.intrinsics[0]), disparity = 1 / job.cloud.means[3 * i + 2];
+  const float area = area_of(job.cloud, i, job.intrinsics[0]), off = job.off(i);
   const float size = job.cloud.opacities[i] * area * job.mask[pixel] + 1e-9f;
   job.plane(0, 3 * layer)[pixel] = size;
-  job.plane(0, 3 * layer + 1)[pixel] = size * disparity;
-  job.plane(0, 3 * layer + 2)[pixel] = size * disparity * disparity;
+  job.plane(0, 3 * layer + 1)[pixel] = size * off;
+  job.plane(0, 3 * layer + 2)[pixel] = size * off * off;
 }
 
 // A blurred number of a plane: at place `at` of `count` along the blur, where neighbours are `stride` apart.
@@ -87,16 +92,16 @@ LFGS_HD void look_through(const Surface& job, int64_t pixel) {
   for (int c = 0; c <= last; ++c) job.plane(1, c)[pixel] = 0;
   for (int layer = 0; layer < job.layers; ++layer) {
     const int64_t i = layer * job.pixels() + pixel;
-    const float disparity = 1 / job.cloud.means[3 * i + 2];
+    const float off = job.off(i);
     float before = 0;
     for (int other = 0; other < job.layers; ++other) {
       const float thick = job.plane(2, 3 * other)[pixel], mean = job.plane(2, 3 * other + 1)[pixel] / thick;
       const float square = job.plane(2, 3 * other + 2)[pixel] / thick;
       const float spread = std::sqrt(glm::max(square - mean * mean, 1e-8f));
-      before += thick * 0.5f * std::erfc((disparity - mean) / spread * 0.70710678f);
+      before += thick * 0.5f * std::erfc((off - mean) / spread * 0.70710678f);
     }
     const float seen = job.plane(0, 3 * layer)[pixel] * std::exp(-before);
-    job.plane(1, 0)[pixel] += seen * disparity;
+    job.plane(1, 0)[pixel] += seen / job.cloud.means[3 * i + 2];
     for (int c = 0; c < rest; ++c) job.plane(1, 1 + c)[pixel] += seen * job.cloud.sh[i * (rest + 3) + 3 + c];
     job.plane(1, last)[pixel] += seen;
   }
