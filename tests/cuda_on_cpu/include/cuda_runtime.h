@@ -20,8 +20,8 @@
 #define __noinline__
 #define __launch_bounds__(...)
 
-struct alignas(4) ushort2 {
-  unsigned short x, y;
+struct alignas(2) uchar2 {
+  unsigned char x, y;
 };
 struct alignas(8) float2 {
   float x, y;
@@ -46,7 +46,7 @@ inline float3 make_float3(float x, float y, float z) { return {x, y, z}; }
 inline float4 make_float4(float x, float y, float z, float w) { return {x, y, z, w}; }
 inline int2 make_int2(int x, int y) { return {x, y}; }
 inline uint2 make_uint2(unsigned x, unsigned y) { return {x, y}; }
-inline ushort2 make_ushort2(unsigned short x, unsigned short y) { return {x, y}; }
+inline uchar2 make_uchar2(unsigned char x, unsigned char y) { return {x, y}; }
 inline uint4 make_uint4(unsigned x, unsigned y, unsigned z, unsigned w) { return {x, y, z, w}; }
 struct dim3 {
   unsigned x, y, z;
