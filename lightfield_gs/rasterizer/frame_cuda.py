@@ -114,10 +114,10 @@ def shared_memory_limit() -> int:
     """How many bytes of shared memory a block of a frame's kernels may take at most, from 1 on, as the environment
     variable LFGS_SHARED_MEMORY_LIMIT says; 0: what the device has. Raises InputError where that is no such number."""
     text = os.environ.get(SHARED_MEMORY_LIMIT, "")
-    if text and not (text.isascii() and text.isdigit() and 0 < int(text) < 2**31):
+    if text and not (text.isascii() and text.isdigit() and len(text) <= 10 and 0 < int(text) < 2**31):
         raise InputError(
-            f"{SHARED_MEMORY_LIMIT}: expected a number of bytes from 1 on in this environment variable, such as 101376, "
-            f"got {text!r}; unset it for what the device has"
+            f"{SHARED_MEMORY_LIMIT}: expected a number of bytes from 1 on in this environment variable, such as "
+            f"101376, got {text!r}; unset it for what the device has"
         )
     return int(text or 0)
 
@@ -241,7 +241,16 @@ forced_kernel: str | None = None
 def frames_of(job: LensJob, quality: Quality) -> Frames:
     """The frames of one view, number of Gaussians and quality. Remembers the last 64 of them."""
     scene = job.scene
-    key = (scene.device, scene.count, scene.degree, job.view, job.antialiased, quality, forced_kernel, shared_memory_limit())
+    key = (
+        scene.device,
+        scene.count,
+        scene.degree,
+        job.view,
+        job.antialiased,
+        quality,
+        forced_kernel,
+        shared_memory_limit(),
+    )
     if key not in _known:
         _known[key] = Frames(job, quality, _SLACK)
         while len(_known) > _MOST_KNOWN:

@@ -98,7 +98,7 @@ struct LensFrame {
   LensOptics optics;
   Tiling pixel, ordinal;
   OrdinalLayout ordinal_layout = OrdinalLayout::kNone;
-  int forced = -1;           // the LensKernel to use; -1: the frame chooses by cost
+  int forced = -1;  // the LensKernel to use; -1: the frame chooses by cost
   int sh_degree = 0;
   int64_t capacity = 0;     // the most pairs that the lists hold
   float tolerance = 0;      // error allowed of colour polynomials
@@ -126,8 +126,8 @@ struct LensFrame {
   uint32_t* refused = nullptr;      // [tiles, without groups]: those that lattices left, in any order
 
   LensFrame() = default;
-  // shared_memory: bytes of it that a block may take at most; 0: what the device has. Throws Error when the sizes do not
-  // fit 32 bits.
+  // shared_memory: bytes of it that a block may take at most; 0: what the device has. Throws Error when the sizes do
+  // not fit 32 bits.
   LensFrame(int64_t gaussians, int sh_degree, int colour_order, const View<double>& rig, const Lens& lens,
             int64_t capacity, const Quality& quality, double tolerance, int64_t shared_memory);
   // Lays the parts out in `work` (null: only counts); returns the bytes.

@@ -179,7 +179,8 @@ struct Patch {
       const int2 kept = place_of_kept(i);
       const int row = down * kWarpRows + kept.y / kWarpLenses + 8 * kept.x;
       const uchar2 ordinals = own.ordinals[kept.x][kept.y];
-      const int start = own.start[kept.x][kept.y], begin = max(int(ordinals.x), first), end = min(int(ordinals.y) - 1, last);
+      const int start = own.start[kept.x][kept.y], begin = max(int(ordinals.x), first),
+                end = min(int(ordinals.y) - 1, last);
       int place = place_of(start + begin), at = start - memory.rows[row].x + begin;
       for (int ordinal = begin; ordinal <= end; ++ordinal, ++at) {
         const float2 state = own.state[(ordinal - first) * kHalves + i][lane];
