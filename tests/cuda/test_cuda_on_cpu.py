@@ -38,6 +38,7 @@ DRAWN = (
     "pixel-quadratic-small",
     "ordinal",
     "compact",
+    "memory",
     "shapes",
     "chosen",
     "widest",
@@ -160,6 +161,16 @@ def test_half_of_100_kb_of_shared_memory_draws_as_exactly(drawn):
     options = dict(continuous=views == "continuous", background=cases.BACKGROUND, antialiased=True)
     oracle = reference.subpixel_colours(cases.fine(degree), panel, cases.rig_of(panel), *where, **options)
     assert ((antialiased["image"].numpy().ravel() - oracle) ** 2).mean() < 1e-8
+
+
+def test_a_work_buffer_takes_what_the_documents_say(drawn):
+    empty, gaussians, with_pairs, only_pairs, harmonics = drawn("memory")
+    ordinals = 12  # of the default panel, in whole groups
+    tolerance = 2000  # parts begin at multiples of 256 bytes
+    assert empty < 1e6
+    assert abs((gaussians - empty) - 1e6 * (48 + 16 + 4 + 4)) < tolerance  # splat, colour, depth, place in a list
+    assert abs((with_pairs - gaussians) - 1e6 * 4 * (26 - 1)) < tolerance
+    assert abs((harmonics - only_pairs) - 1e6 * (48 + 16 * 9 + 4 + 4 + 24 * ordinals)) < tolerance
 
 
 def test_shapes_without_a_good_polynomial_are_evaluated_as_they_are(drawn):

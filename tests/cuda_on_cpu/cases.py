@@ -47,6 +47,11 @@ COMPACT_FRAMES = [
 ]
 
 
+# Gaussians, SH degree, order of colours and pairs of frames whose memory is counted
+_M = 10**6
+WORK_BUFFERS = [(0, 0, 0, 0), (_M, 0, 0, 0), (_M, 0, 0, 26 * _M), (0, 3, 8, 26 * _M), (_M, 3, 8, 26 * _M)]
+
+
 def scene_of(degree: int) -> Gaussians:
     return with_harmonics(cloud(900, 11), degree) if degree else sheet(24, 11)
 

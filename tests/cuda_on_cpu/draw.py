@@ -23,8 +23,10 @@ import fit_cases
 import slot_cases
 import torch
 
+import lightfield_gs
 from lightfield_gs.models import group_norm
 from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rasterizer import frame_cuda
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import EXACT, Quality
@@ -92,6 +94,21 @@ def compact() -> list[dict[str, object]]:
 
 def harmonic_piece() -> dict[str, object]:
     return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
+
+
+def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
+    """What the work buffer of a frame takes, before the default 8K panel."""
+    panel = Panel.load(DEFAULT_PANEL)
+    job = LensJob(
+        cases.scene_of(degree).fields().values(),
+        torch.tensor(cases.BACKGROUND),
+        lens_view(panel, cases.rig_of(panel), False),
+    )
+    frame = lightfield_gs._core.cuda.LensFrame(
+        gaussians=gaussians, sh_degree=degree, colour_order=order, rig=job.native.rig, lens=job.native.lens,
+        capacity=pairs, quality=EXACT.native, tolerance=1e-5, shared_memory=0,
+    )  # fmt: skip
+    return frame.bytes()
 
 
 def chosen(scene, panel, rig) -> str:
@@ -190,6 +207,8 @@ def main(what: str) -> object:
         ]
     if what == "harmonics":
         return harmonic_piece()
+    if what == "memory":
+        return [work_bytes(*case) for case in cases.WORK_BUFFERS]
     if what == "compact":
         return compact()
     if what == "opaque":

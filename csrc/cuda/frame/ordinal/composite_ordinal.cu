@@ -13,8 +13,9 @@
 // hit is a splat that may touch the task's samples) are *careful*.
 //
 // A block draws a tile of 16 lenses x 32 rows with 8 warps. The ordinals of a tile come in groups, each with a list of
-// splats. Of each quad of lanes every lane takes one contiguous quarter of a task's hits; since over is associative,
-// the quarters are joined once at the end.
+// splats, and are drawn in passes of a whole group or of half of one, as there is shared memory, see BlockLayout. Of
+// each quad of lanes every lane takes one contiguous quarter of a task's hits; since over is associative, the quarters
+// are joined once at the end.
 #include <cuda_fp16.h>
 
 #include "cuda/frame/ordinal/ordinal_colours.cuh"
