@@ -112,7 +112,7 @@ class SplatterNet(nn.Module):
         folded = folded.to(self.unet.stem.weight.dtype, memory_format=torch.channels_last)
         features = self.unet(folded)
         with torch.autocast(shown.device.type, enabled=False):
-            return F.pixel_shuffle(self.head(features.float()), self.config.patch_px)
+            return F.pixel_shuffle(self.head(features.to(self.head.weight.dtype)), self.config.patch_px)
 
     @torch.no_grad()
     def predict(
