@@ -1,0 +1,180 @@
+"""What a batch does: one item for each photo, scene, capture or video of a folder or a list."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+from lightfield_gs.base.checks import shown
+from lightfield_gs.base.errors import InputError, named, reading
+from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.captures.colmap_capture import model_folder
+from lightfield_gs.io.captures.transforms_capture import transforms_file
+from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.scenes.stored import is_scene_path
+from lightfield_gs.io.text_file import read_text
+from lightfield_gs.video.sequence import PICTURES, VIDEO_INPUTS, is_sequence
+
+Command = Literal["encode", "fit", "video"]
+COMMANDS: tuple[Command, ...] = ("encode", "fit", "video")
+_LIST_LIMIT_BYTES = 1 << 30
+
+
+@dataclass(frozen=True)
+class Item:
+    """One thing to do: command: encode a photo or a scene, fit a capture and encode its scene, or make a video.
+
+    name: of its output in the folder of the batch, with / between folders; the item is known by it. input: its path.
+    words: options of its own, as on the command line; fit_words: those of the fit.
+    """
+
+    name: str
+    input: str
+    command: Command = "encode"
+    words: tuple[str, ...] = ()
+    fit_words: tuple[str, ...] = ()
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it takes minutes, and a process for itself."""
+        return self.command != "encode"
+
+
+def read_items(source: str | Path, suffix: str, output: Path) -> tuple[list[Item], Counter[str]]:
+    """The items of a folder or a list, in order, and how many files of a folder are none, by the ends of their names.
+
+    suffix: of images. output: the folder of the batch, which is left out where it is in the other. Raises InputError
+    where there is none, and where two would become one file.
+    """
+    source = checked_path(source)
+    left: Counter[str] = Counter()
+    if source.is_dir():
+        items = [_item(path, path.relative_to(source), suffix) for path in _found(source, output, left)]
+    else:
+        items = list(_listed(source, suffix))
+    if not items:
+        raise InputError(f"{source}: expected photos, scenes, captures or videos, got none")
+    first: dict[str, str] = {}
+    for item in items:
+        if (other := first.setdefault(item.name, item.input)) is not item.input:
+            raise InputError(
+                f'{other} and {item.input} would both become {item.name}; name outputs in a list, {{"input": '
+                '"...", "output": "..."}'
+            )
+    return items, left
+
+
+def _found(folder: Path, output: Path, left: Counter[str]) -> Iterator[Path]:
+    """Paths of what a folder, and those in it, hold; hidden ones are left out."""
+    if (command := _command(folder)) is not None and command != "video":
+        raise InputError(f"{folder} is one {'capture' if command == 'fit' else 'scene'}; give the folder it is in")
+    with reading(folder):
+        inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    for path in inside:
+        if path.is_dir():
+            if path.resolve() == output.resolve() or folder.resolve().is_relative_to(path.resolve()):
+                continue  # a link that leads back
+            if _is_one(path):
+                yield path
+            else:
+                yield from _found(path, output, left)
+        elif path.suffix.lower() in PICTURES or _is_one(path):
+            yield path
+        else:
+            left[path.suffix.lower() or path.name] += 1
+
+
+def _is_one(path: Path) -> bool:
+    """Whether what is found at a path is one item by itself; a folder of photos is as many as it holds."""
+    return _command(path) is not None and not (path.is_dir() and _command(path) == "video")
+
+
+def _command(path: Path) -> Command | None:
+    """What is done with a path where nothing else is said; None: nothing."""
+    if path.is_dir() and not is_scene_path(path):
+        if model_folder(path) is not None or transforms_file(path) is not None:
+            return "fit"
+        return "video" if is_sequence(path) else None
+    if path.suffix.lower() in VIDEO_INPUTS:
+        return "video"
+    return "encode" if is_scene_path(path) else None
+
+
+def _item(path: Path, name: Path | PurePosixPath, suffix: str, command: Command | None = None, **more: Any) -> Item:
+    """The item of a path. name: of it in the source, of which that of its output is made."""
+    command = command or _command(path) or "encode"
+    end = "" if command == "video" else suffix
+    stem = name.name if path.is_dir() else name.stem
+    return Item((name.parent / (stem + end)).as_posix(), str(path), command, **more)
+
+
+def _listed(path: Path, suffix: str) -> Iterator[Item]:
+    """The items of a text file: a path on each line, or a JSON object; empty lines and those that begin with # are
+    none."""
+    for number, line in enumerate(read_text(path, _LIST_LIMIT_BYTES, "a list of inputs").splitlines(), 1):
+        line = line.strip()
+        if line and not line.startswith("#"):
+            with named(f"{path}, line {number}"):
+                yield _of_object(line, suffix) if line.startswith("{") else _of_path(line, suffix)
+
+
+def _of_path(text: str, suffix: str) -> Item:
+    path = checked_path(text)
+    return _item(path, _relative(path), suffix)
+
+
+def _relative(path: Path) -> PurePosixPath:
+    """A path as it was written; one that leads elsewhere from its root."""
+    plain = path if not path.is_absolute() and ".." not in path.parts else Path(os.path.abspath(path))
+    return PurePosixPath(*(part for part in plain.parts if part != plain.anchor))
+
+
+def _of_object(line: str, suffix: str) -> Item:
+    """{"input": PATH, "output": NAME, "command": ..., "fit_options": TEXT, and options of `encode`, or of `video`, by
+    their names}."""
+    try:
+        given = parse_json(line)
+    except ValueError as error:
+        raise InputError(f"expected a path or a JSON object, got {shown(line)} ({error})") from None
+    texts = {name: given.pop(name, None) for name in ("input", "output", "command", "fit_options")}
+    for name, text in texts.items():
+        if not isinstance(text, str) and (text is not None or name == "input"):
+            raise InputError(f"{name}: expected a text, got {shown(text)}")
+    if texts["command"] not in (None, *COMMANDS):
+        raise InputError(f"command: expected {', '.join(COMMANDS)}, got {shown(texts['command'])}")
+    path, output = checked_path(texts["input"]), texts["output"]
+    words = tuple(_word(name, value) for name, value in given.items())
+    item = _item(path, _relative(path), suffix, texts["command"], words=words, fit_words=split(texts["fit_options"]))
+    if output is None:
+        return item
+    place = PurePosixPath(output)
+    if place.is_absolute() or ".." in place.parts or not place.name:
+        raise InputError(f"output: expected a name in the folder of the batch, got {shown(output)}")
+    if item.command != "video" and place.suffix.lower() not in (".png", ".tif", ".tiff", ".exr"):
+        raise InputError(f"output: expected a .png, .tif or .exr, got {shown(output)}")
+    return Item(place.as_posix(), item.input, item.command, item.words, item.fit_words)
+
+
+def _word(name: str, value: Any) -> str:
+    """An option as on the command line: {"depth_amount": 0.5} is --depth-amount=0.5, true is the option by itself,
+    false is --no-..., a list has commas between."""
+    option = name.replace("_", "-")
+    if isinstance(value, bool):
+        return f"--{option}" if value else f"--no-{option}"
+    parts = value if isinstance(value, list) else [value]
+    if not parts or not all(isinstance(part, (str, int, float)) for part in parts):
+        raise InputError(f"{name}: expected a text, a number, true, false or a list of numbers, got {shown(value)}")
+    return f"--{option}={','.join(str(part) for part in parts)}"
+
+
+def split(text: str | None) -> tuple[str, ...]:
+    """Words of a command line. Raises InputError where a quotation mark is left open."""
+    try:
+        return tuple(shlex.split(text or ""))
+    except ValueError as error:
+        raise InputError(f"expected options as on the command line, got {shown(text)} ({error})") from None
