@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.batch.items import Item
 from lightfield_gs.batch.worker import Place
+
+if TYPE_CHECKING:
+    from lightfield_gs.batch.item import Item
 
 _MOST_FALSE_STARTS = 3  # of one process, one after the other
 _LOOK_EVERY_S = 0.5

@@ -6,13 +6,13 @@ import os
 import shlex
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Any
 
 from lightfield_gs.base.checks import shown
 from lightfield_gs.base.errors import InputError, named, reading
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.batch.item import COMMANDS, Command, Item
 from lightfield_gs.io.captures.colmap_capture import model_folder
 from lightfield_gs.io.captures.transforms_capture import transforms_file
 from lightfield_gs.io.json_file import parse_json
@@ -20,29 +20,7 @@ from lightfield_gs.io.scenes.stored import is_scene_path
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.video.sequence import PICTURES, VIDEO_INPUTS, is_sequence
 
-Command = Literal["encode", "fit", "video"]
-COMMANDS: tuple[Command, ...] = ("encode", "fit", "video")
 _LIST_LIMIT_BYTES = 1 << 30
-
-
-@dataclass(frozen=True)
-class Item:
-    """One thing to do: command: encode a photo or a scene, fit a capture and encode its scene, or make a video.
-
-    name: of its output in the folder of the batch, with / between folders; the item is known by it. input: its path.
-    words: options of its own, as on the command line; fit_words: those of the fit.
-    """
-
-    name: str
-    input: str
-    command: Command = "encode"
-    words: tuple[str, ...] = ()
-    fit_words: tuple[str, ...] = ()
-
-    @property
-    def is_long(self) -> bool:
-        """Whether it takes minutes, and a process for itself."""
-        return self.command != "encode"
 
 
 def read_items(source: str | Path, suffix: str, output: Path) -> tuple[list[Item], Counter[str]]:

@@ -71,11 +71,11 @@ class Manifest:
         for start, line in self._lines():
             try:
                 record = parse_json(line.decode())
-                if "item" in record:
-                    self._places[record["item"]] = start, len(line)
+                if (name := record.get("item")) is not None:
+                    self._places[name] = start, len(line)
                 else:
                     self.is_unfinished = "ended" not in record
-            except (ValueError, TypeError):
+            except (ValueError, TypeError, AttributeError):
                 self.damaged += 1
         if not line.endswith(b"\n"):
             os.write(self._file, b"\n")

@@ -11,7 +11,7 @@ from typing import Any
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.hashes import facts, stamp
-from lightfield_gs.batch.items import Item
+from lightfield_gs.batch.item import Item
 from lightfield_gs.batch.manifest import Manifest, Record
 
 

@@ -19,7 +19,7 @@ from lightfield_gs.io.atomic import check_folder, remove_left_over
 
 if TYPE_CHECKING:
     from lightfield_gs.batch.dispatch import Crew
-    from lightfield_gs.batch.items import Item
+    from lightfield_gs.batch.item import Item
     from lightfield_gs.batch.manifest import Manifest
     from lightfield_gs.batch.plan import Plan
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.hashes import facts
-from lightfield_gs.batch.items import Item
+from lightfield_gs.batch.item import Item
 from lightfield_gs.batch.pipeline import Record
 from lightfield_gs.batch.plan import Known
 from lightfield_gs.batch.worker import Place
