@@ -182,7 +182,8 @@ class Batch:
         tally, plan = self._tally, self._plan
         total = len(plan.todo) + plan.kept
         print(f"{self._args.output}: {plan.kept + tally.done} of {total} items are done, {plan.kept} of them before")
-        print("\n".join(tally.summary()), flush=True)
+        if tally.done + tally.failed:
+            print("\n".join(tally.summary()), flush=True)
         for words in self._failures[:_MOST_LISTED]:
             print(f"failed: {words}", file=sys.stderr)
         if (more := len(self._failures) - _MOST_LISTED) > 0:
