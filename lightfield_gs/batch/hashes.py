@@ -6,6 +6,7 @@ import hashlib
 import os
 from functools import lru_cache
 from pathlib import Path
+from stat import S_ISDIR
 from typing import Any
 
 from lightfield_gs.base.errors import reading
@@ -19,9 +20,10 @@ def stamp(path: str | Path) -> list[int]:
     A file whose stamp is what it was is taken to hold what it held. Raises InputError where there is none.
     """
     with reading(path):
+        own = os.stat(path)
+        if not S_ISDIR(own.st_mode):
+            return [own.st_size, own.st_mtime_ns]
         found = [file.stat() for file in _files(Path(path))]
-    if not Path(path).is_dir():
-        return [found[0].st_size, found[0].st_mtime_ns]
     return [sum(file.st_size for file in found), max((file.st_mtime_ns for file in found), default=0), len(found)]
 
 
@@ -49,8 +51,6 @@ def _of_file(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def _files(path: Path) -> list[Path]:
-    """The file itself, or all files in a folder and below, in the order of their names."""
-    if not path.is_dir():
-        return [path]
-    return sorted(file for file in path.rglob("*") if file.is_file())
+def _files(folder: Path) -> list[Path]:
+    """All files in a folder and below, in the order of their names."""
+    return sorted(file for file in folder.rglob("*") if file.is_file())

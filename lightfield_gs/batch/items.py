@@ -16,11 +16,12 @@ from lightfield_gs.batch.item import COMMANDS, Command, Item
 from lightfield_gs.io.captures.colmap_capture import model_folder
 from lightfield_gs.io.captures.transforms_capture import transforms_file
 from lightfield_gs.io.json_file import parse_json
-from lightfield_gs.io.scenes.stored import is_scene_path
+from lightfield_gs.io.scenes.stored import SUFFIXES, is_scene_path
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.video.sequence import PICTURES, VIDEO_INPUTS, is_sequence
 
 _LIST_LIMIT_BYTES = 1 << 30
+_IMAGES_AND_SCENES = {*PICTURES, *SUFFIXES}
 
 
 def read_items(source: str | Path, suffix: str, output: Path) -> tuple[list[Item], Counter[str]]:
@@ -32,7 +33,8 @@ def read_items(source: str | Path, suffix: str, output: Path) -> tuple[list[Item
     source = checked_path(source)
     left: Counter[str] = Counter()
     if source.is_dir():
-        items = [_item(path, path.relative_to(source), suffix) for path in _found(source, output, left)]
+        found = _found(source, PurePosixPath(), output, left)
+        items = [_item(source / name, name, suffix, command) for name, command in found]
     else:
         items = list(_listed(source, suffix))
     if not items:
@@ -47,47 +49,50 @@ def read_items(source: str | Path, suffix: str, output: Path) -> tuple[list[Item
     return items, left
 
 
-def _found(folder: Path, output: Path, left: Counter[str]) -> Iterator[Path]:
-    """Paths of what a folder, and those in it, hold; hidden ones are left out."""
-    if (command := _command(folder)) is not None and command != "video":
+def _found(
+    source: Path, at: PurePosixPath, output: Path, left: Counter[str]
+) -> Iterator[tuple[PurePosixPath, Command]]:
+    """What a folder, and those in it, hold, by names from `source`, in order; hidden ones are left out. at: the name
+    of the folder itself."""
+    folder = source / at
+    if (command := _command(folder, is_folder=True)) in ("fit", "encode"):
         raise InputError(f"{folder} is one {'capture' if command == 'fit' else 'scene'}; give the folder it is in")
-    with reading(folder):
-        inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    for path in inside:
-        if path.is_dir():
-            if path.resolve() == output.resolve() or folder.resolve().is_relative_to(path.resolve()):
-                continue  # a link that leads back
-            if _is_one(path):
-                yield path
+    with reading(folder), os.scandir(folder) as entries:
+        inside = sorted((entry.name, entry.is_dir()) for entry in entries if not entry.name.startswith("."))
+    for name, is_folder in inside:
+        path = folder / name
+        command = _command(path, is_folder)
+        if not is_folder:
+            if command is None:
+                left[path.suffix.lower() or name] += 1
             else:
-                yield from _found(path, output, left)
-        elif path.suffix.lower() in PICTURES or _is_one(path):
-            yield path
-        else:
-            left[path.suffix.lower() or path.name] += 1
+                yield at / name, command
+        elif path.resolve() == output.resolve() or folder.resolve().is_relative_to(path.resolve()):
+            continue  # a link that leads back
+        elif command in ("fit", "encode"):
+            yield at / name, command
+        else:  # a folder of photos is as many items as it holds
+            yield from _found(source, at / name, output, left)
 
 
-def _is_one(path: Path) -> bool:
-    """Whether what is found at a path is one item by itself; a folder of photos is as many as it holds."""
-    return _command(path) is not None and not (path.is_dir() and _command(path) == "video")
-
-
-def _command(path: Path) -> Command | None:
+def _command(path: Path, is_folder: bool) -> Command | None:
     """What is done with a path where nothing else is said; None: nothing."""
-    if path.is_dir() and not is_scene_path(path):
-        if model_folder(path) is not None or transforms_file(path) is not None:
-            return "fit"
-        return "video" if is_sequence(path) else None
-    if path.suffix.lower() in VIDEO_INPUTS:
-        return "video"
-    return "encode" if is_scene_path(path) else None
+    if not is_folder:
+        end = path.suffix.lower()
+        return "encode" if end in _IMAGES_AND_SCENES else "video" if end in VIDEO_INPUTS else None
+    if is_scene_path(path):
+        return "encode"
+    if model_folder(path) is not None or transforms_file(path) is not None:
+        return "fit"
+    return "video" if is_sequence(path) else None
 
 
-def _item(path: Path, name: Path | PurePosixPath, suffix: str, command: Command | None = None, **more: Any) -> Item:
+def _item(path: Path, name: PurePosixPath, suffix: str, command: Command | None = None, **more: Any) -> Item:
     """The item of a path. name: of it in the source, of which that of its output is made."""
-    command = command or _command(path) or "encode"
+    is_folder = path.suffix.lower() not in PICTURES and path.is_dir()
+    command = command or _command(path, is_folder) or "encode"
     end = "" if command == "video" else suffix
-    stem = name.name if path.is_dir() else name.stem
+    stem = name.name if is_folder else name.stem
     return Item((name.parent / (stem + end)).as_posix(), str(path), command, **more)
 
 
