@@ -62,7 +62,6 @@ class RayCluster:
         except ImportError as error:
             raise InputError(f"--ray needs the package ray ({error}): pip install 'lightfield-gs[ray]'") from None
         self._ray, self._job = ray, job
-        os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # a process without a GPU hides none
         try:
             ray.init(address, log_to_driver=False, configure_logging=False)
             found = ray.cluster_resources()

@@ -16,6 +16,7 @@ from PIL import Image
 
 from lightfield_gs import cli
 from lightfield_gs.base.paths import config_path
+from lightfield_gs.io.images import read_image
 
 pytestmark = pytest.mark.not_sanitized  # what draws is in other processes, and the same as that of `encode`
 PHOTO = Path(__file__).resolve().parents[2] / "lightfield_gs/data/cat.png"
@@ -170,6 +171,13 @@ def test_captures_and_videos(folder, capsys):
         assert cli.main(f"video {source} -o v-{there} --fps 5 {more} {LIKE} --device cpu".split()) == 0
         for name in ("frame-000000.png", "frame-000001.png"):
             assert (Path("out") / there / name).read_bytes() == (Path(f"v-{there}") / name).read_bytes()
+
+    # The frames of one video over all processes: a folder of pictures, seen by the rig of the first
+    assert cli.main(f"encode frames/0.png -o 0.png --save-rig rig.yaml {LIKE} --device cpu".split()) == 0
+    batch(capsys, "frames -o each --rig rig.yaml")
+    for number in range(2):
+        there = read_image(f"v-frames/frame-{number:06d}.png", as_stored=True)
+        assert (read_image(f"each/{number}.png", as_stored=True) == there).all()
 
     # Other options start a fit and a video over, and another picture a video
     entries = len(lines())
