@@ -8,7 +8,7 @@ NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 CAPTURE := lightfield_gs/data/banana
 
-.PHONY: setup demo demo-fit test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda lint fuzz bench docs clean FORCE
+.PHONY: setup demo demo-fit test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda cuda-module lint fuzz bench docs clean FORCE
 
 setup: $(VENV)/.installed
 
@@ -76,6 +76,14 @@ sanitize-suite: sanitized-module
 	LD_PRELOAD="$(PRELOAD)" ASAN_OPTIONS=detect_leaks=0:quarantine_size_mb=16 UBSAN_OPTIONS=print_stacktrace=1 \
 	  LFGS_CORE=$$(ls build/sanitize/_core*.so) \
 	  $(PYTEST) $(BESIDE) --capture=sys -m "not not_sanitized" tests
+
+# The CUDA sources compiled for every kind of card that the kernels know, in a module that is not installed and needs no
+# GPU to load; and what it says of itself. Needs nvcc.
+CUDA_ARCHITECTURES := 75;86;89;90;120
+cuda-module: setup
+	$(CONFIGURE) -B build/cuda -DLFGS_CUDA=ON "-DLFGS_CUDA_ARCHITECTURES=$(CUDA_ARCHITECTURES)"
+	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/cuda --target _core
+	LFGS_CORE=$$(ls build/cuda/_core*.so) $(PYTEST) tests/house/test_build.py
 
 # What is read rather than run: style and types, with the versions of the extra "dev".
 CLANG_FORMATTED = $(shell find csrc tests/native tests/cuda_on_cpu -name '*.cpp' -o -name '*.h' -o -name '*.cu' -o -name '*.cuh')

@@ -1,7 +1,8 @@
 # The CUDA stages: AUTO builds them when nvcc is found, ON insists, OFF leaves them out. The runtime is linked statically,
 # so that the module loads on machines without a driver.
 set(LFGS_CUDA AUTO CACHE STRING "CUDA backend: AUTO, ON or OFF")
-set(LFGS_CUDA_ARCHITECTURES "" CACHE STRING "CUDA architectures, 75..120 (empty: the GPU of this machine, else 90)")
+set(LFGS_CUDA_ARCHITECTURES "" CACHE STRING
+  "CUDA architectures, 75..120, several as 75;86;89;90;120 (empty: the GPU of this machine, else 90)")
 
 if(LFGS_CUDA STREQUAL "OFF")
   return()
@@ -24,6 +25,14 @@ if(NOT architectures)
   else()
     set(architectures native)
   endif()
+endif()
+# Of numbers, each is machine code, and the newest PTX as well, for devices that are newer than all
+string(REGEX MATCHALL "[0-9]+" numbers "${architectures}")
+if("${numbers}" STREQUAL "${architectures}")
+  list(SORT numbers COMPARE NATURAL)
+  list(GET numbers -1 newest)
+  list(TRANSFORM numbers APPEND "-real" OUTPUT_VARIABLE architectures)
+  list(APPEND architectures "${newest}-virtual")
 endif()
 set(CMAKE_CUDA_ARCHITECTURES ${architectures})
 enable_language(CUDA)

@@ -14,10 +14,10 @@ TINY = {
 }
 
 
-def tiny_net() -> SplatterNet:
-    """With some relief, which an untrained one lacks."""
+def tiny_net(**changes: object) -> SplatterNet:
+    """With some relief, which an untrained one lacks. changes: of its configuration."""
     torch.manual_seed(0)
-    net = SplatterNet(ModelConfig.from_dict(TINY))
+    net = SplatterNet(ModelConfig.from_dict(TINY | changes))
     torch.nn.init.normal_(net.head.weight, std=0.02)
     return net.eval()
 

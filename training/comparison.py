@@ -107,12 +107,11 @@ def _predicted(
     fx, fy, cx, cy = intrinsics
     seen_by = torch.tensor([square.intrinsics((fx, fy), (cx, cy), size)], device=frame.device)
     cropped = crop_resize(frame, square, size)[None]
-    cloud = net(cropped, seen_by)
     if detail is None:
-        return cloud
+        return net(cropped, seen_by)
     fine = crop_resize(frame, square, detail * size)[None]
     level = DetailLevel(detail, magnified * square.side / (detail * size))
-    return net.detailed(cloud, cropped, fine, seen_by, level)
+    return net(cropped, seen_by, fine, level)
 
 
 @torch.no_grad()

@@ -10,8 +10,10 @@ import torch
 from torch import Tensor
 
 from lightfield_gs.models import ModelConfig, SplatterNet
+from lightfield_gs.models.detail_level import DetailLevel
 from training.config import TrainingConfig
 from training.data.batches import Batch
+from training.data.plan import made_up
 from training.distributed import Team
 from training.losses import total_loss
 from training.marks import NoMarks
@@ -52,6 +54,8 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
         net = SplatterNet(ModelConfig.from_yaml(config.model))
     if config.symmetric:  # has no weights of its own
         net.config = dataclasses.replace(net.config, symmetric=True)
+    if config.sheet and not net.config.sheet:
+        net = net.with_sheet()
     if config.trained == "head":
         net.unet.requires_grad_(False)
     return net
@@ -93,13 +97,22 @@ class Trainer:
         rate = learning_rate(self.step, config.total_steps, config.optimizer)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
+        level = self._level(batch)
+        under = () if level is None else (batch.source, level)
         with torch.autocast(device.type, torch.bfloat16, enabled=config.bfloat16):
-            gaussians = self._replica(batch.source, batch.source_intrinsics)
+            gaussians = self._replica(batch.source, batch.source_intrinsics, *under)
         marks.mark("network")
         images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
         marks.mark("rasterizer")
         loss, terms = self._loss(
-            images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source, config.loss
+            images,
+            alpha,
+            batch.targets,
+            batch.backgrounds,
+            gaussians.means,
+            batch.source,
+            config.loss,
+            None if level is None else batch.depths,
         )
         marks.mark("loss")
         marks.mark_at_gradient(images, "loss backward")
@@ -115,6 +128,17 @@ class Trainer:
         told = torch.full((), float(stop), device=device)
         values = {"loss": loss.detach(), "gradient_norm": norm, **terms, "stop": told}
         return StepValues(self.step - 1, rate, values, self.team)
+
+    def _level(self, batch: Batch) -> DetailLevel | None:
+        """How the next step lays the source pictures over what is predicted of them, None for not at all.
+
+        Their pixels are as wide on the target as where it is magnified most, so that the sheet closes in all.
+        """
+        config = self.config
+        if not made_up(self.step + 1, config.detail)[-1]:
+            return None
+        magnified = batch.targets.shape[-1] / (batch.source.shape[-1] * config.augmentation.target_zoom[0])
+        return DetailLevel(1, magnified)
 
     def state(self) -> dict:
         """Everything that resuming needs."""

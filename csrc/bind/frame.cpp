@@ -22,7 +22,7 @@ using cuda::LensKernel;
 // Makes a frame use this kernel in place of the one that it would choose; -1 lets it choose.
 void force(LensFrame& frame, int kernel) {
   require(kernel >= -1 && kernel < int(LensKernel::kCount), "no such kernel: " + std::to_string(kernel));
-  require(kernel != int(LensKernel::kOrdinal) || frame.has_ordinal,
+  require(kernel != int(LensKernel::kOrdinal) || frame.has_ordinal(),
           "the ordinal kernel cannot draw this lens on this device");
   require(!frame.rig.compensated() || (kernel != int(LensKernel::kPixel) && kernel != int(LensKernel::kPixelSmall)),
           "frames of compensated opacities are drawn by pixel-quadratic, pixel-quadratic-small or ordinal");
@@ -74,14 +74,18 @@ void bind_frame(py::module_ cuda) {
   cuda.attr("FRAME_KERNELS") =
       std::vector<std::string>{"pixel", "pixel-quadratic", "pixel-small", "pixel-quadratic-small", "ordinal"};
   py::class_<LensFrame>(cuda, "LensFrame")
-      .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, const Quality&, double>(),
+      .def(py::init<int64_t, int, int, const View<double>&, const Lens&, int64_t, const Quality&, double, int64_t>(),
            py::kw_only(), py::arg("gaussians"), py::arg("sh_degree"), py::arg("colour_order"), py::arg("rig"),
-           py::arg("lens"), py::arg("capacity"), py::arg("quality"), py::arg("tolerance"))
+           py::arg("lens"), py::arg("capacity"), py::arg("quality"), py::arg("tolerance"), py::arg("shared_memory"))
       .def("bytes", [](LensFrame frame) { return frame.place(nullptr); })
       .def(
           "place", [](LensFrame& frame, Address work) { return frame.place(at<void>(work)); }, py::arg("work"))
       .def("state_address", [](const LensFrame& frame) { return reinterpret_cast<Address>(frame.state); })
-      .def("force", &force, py::arg("kernel"));
+      .def("force", &force, py::arg("kernel"))
+      .def_property_readonly("ordinal_layout", [](const LensFrame& frame) {
+        constexpr const char* kNames[] = {"none", "compact", "full"};
+        return kNames[int(frame.ordinal_layout)];
+      });
   cuda.def("frame_state", &frame_state, py::arg("address"));
   bind_stages(cuda);
 }

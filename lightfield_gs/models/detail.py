@@ -38,25 +38,49 @@ _HAZE, _OBJECT = 0.1, 0.3
 _AVERAGED = 2.0
 _SOFTNESS = 1.5  # depth over which the cloud before the sheet fades, footprints
 _STEEPEST = 3.0  # footprints of depth from texel to texel up to which the sheet closes
+SHEET_CHANNELS = 2  # that a network may predict about the sheet, see corrected
+_TRUST, _FARTHEST = 0.95, 100.0  # of the sheet where a network says nothing; footprints that it may be moved
 
 
 def with_detail(
-    cloud: Gaussians, pixels: Pixels, texels: Pixels, layers: int, factor: int, texel_px: float = 1.0
+    cloud: Gaussians,
+    pixels: Pixels,
+    texels: Pixels,
+    layers: int,
+    factor: int,
+    texel_px: float = 1.0,
+    correction: Tensor | None = None,
 ) -> Gaussians:
     """The sheet, then the network's Gaussians, faded where they lie before it: N = (factor^2 + layers) * H * W.
 
     cloud: [B, layers * H * W, ...] as the network's composer gives it, in the axes of the photo's camera. pixels: those
     of the network's input, [B,.,H,W]; texels: those of the photo at [B,.,factor * H,factor * W], whose footprint is as
-    much smaller. texel_px: width of a texel in pixels where it will be drawn. Differentiable.
+    much smaller. texel_px: width of a texel in pixels where it will be drawn. correction: what a network says of the
+    sheet itself, see corrected; None: nothing. Differentiable.
     """
     disparity, harmonics = visible_surface(cloud, pixels, layers)
-    fine = along_surface(disparity, disparity, pixels.footprint, factor)
-    sheet = _sheet(fine, texels, texel_px)
+    trust = torch.ones_like(disparity)
+    if correction is not None:
+        disparity, trust = corrected(disparity, correction, pixels.footprint)
+    fine = along_surface(torch.cat([disparity, trust], 1), disparity, pixels.footprint, factor)
+    sheet = _sheet(fine[:, :1], fine[:, 1:], texels, texel_px)
     if harmonics.shape[1]:
         rest = _flat(along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
         sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
-    fields = cloud.fields() | {"opacities": _faded(cloud, disparity, pixels, layers)}
+    fields = cloud.fields() | {"opacities": _faded(cloud, disparity, trust * pixels.mask, layers, pixels.footprint)}
     return of_tensors(torch.cat(pair, dim=1) for pair in zip(sheet, fields.values()))
+
+
+def corrected(disparity: Tensor, correction: Tensor, footprint: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the sheet lies, as disparities [B,1,H,W], and how far it is to be trusted, 0..1: its share of the opacity.
+
+    correction: [B,SHEET_CHANNELS,H,W], by how many footprints it lies behind the disparities that are given, and a
+    logit about that of _TRUST; zeros leave it where it is. A network cannot know the depth of everything: a soft cloud
+    is nearer to all that may be there than a crisp sheet in the wrong place.
+    """
+    behind, logit = correction.split(1, 1)
+    moved = disparity / (1 + footprint * behind.clamp(-_FARTHEST, _FARTHEST))
+    return moved, torch.sigmoid(logit + math.log(_TRUST / (1 - _TRUST)))
 
 
 def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tensor, Tensor]:
@@ -102,16 +126,16 @@ def _areas(cloud: Gaussians, pixels: Pixels) -> Tensor:
     return 2 * math.pi * determinant.clamp_min(1e-20).sqrt() / (z * pixels.footprint[:, :, 0, 0]).square()
 
 
-def _faded(cloud: Gaussians, disparity: Tensor, pixels: Pixels, layers: int) -> Tensor:
-    """Opacities [B,N] of the cloud, those before the sheet fainter."""
+def _faded(cloud: Gaussians, disparity: Tensor, cover: Tensor, layers: int, footprint: Tensor) -> Tensor:
+    """Opacities [B,N] of the cloud, those before the sheet fainter, as far as it covers [B,1,H,W] its pixel."""
     depth = (1 / disparity).flatten(1).repeat(1, layers)
-    mask = pixels.mask.flatten(1).repeat(1, layers)
-    behind = (cloud.means[..., 2] / depth - 1) / pixels.footprint[:, :, 0, 0]
-    return (cloud.opacities * (1 - mask * torch.sigmoid(-behind / _SOFTNESS))).clamp(0, 1)
+    behind = (cloud.means[..., 2] / depth - 1) / footprint[:, :, 0, 0]
+    return (cloud.opacities * (1 - cover.flatten(1).repeat(1, layers) * torch.sigmoid(-behind / _SOFTNESS))).clamp(0, 1)
 
 
-def _sheet(disparity: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, ...]:
-    """Means, quaternions, scales, opacities and constant harmonics of the texels at these disparities [B,1,H,W]."""
+def _sheet(disparity: Tensor, trust: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, ...]:
+    """Means, quaternions, scales, opacities and constant harmonics of the texels at these disparities and with these
+    shares of their opacity [B,1,H,W]."""
     depth = 1 / disparity
     size = texels.footprint * depth
     own = max(_BLUR - _WIDENING / texel_px**2, _LEAST_BLUR)
@@ -120,7 +144,7 @@ def _sheet(disparity: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, 
     deviation = math.sqrt(own) * size
     scales = torch.cat([deviation * stretch, deviation, _THICKNESS * size], 1)
     mask, colour = _sharpened(texels, math.sqrt(blur))
-    opacity = (min(_OPTICAL_DEPTH / (2 * math.pi * blur), _MOST_OPAQUE) * mask).clamp(0, _MOST_OPAQUE)
+    opacity = trust * (min(_OPTICAL_DEPTH / (2 * math.pi * blur), _MOST_OPAQUE) * mask).clamp(0, _MOST_OPAQUE)
     means = torch.cat([texels.rays * depth, depth], 1)
     constant = (_flat(colour)[:, :, None] - 0.5) / SH_CONSTANT
     return _flat(means), _flat(axes), _flat(scales), opacity.flatten(1), constant

@@ -7,6 +7,7 @@ turns them into Gaussians.
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import cast
 
@@ -24,9 +25,9 @@ from lightfield_gs.models import crop
 from lightfield_gs.models.checkpoint import read_weights, save_weights
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
-from lightfield_gs.models.detail import with_detail
+from lightfield_gs.models.detail import SHEET_CHANNELS, with_detail
 from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
-from lightfield_gs.models.initializer import describe_pixels, mirror_image, network_input
+from lightfield_gs.models.initializer import Pixels, describe_pixels, mirror_image, network_input
 from lightfield_gs.models.unet import UNet
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.rasterizer.quality import OPACITY_CUT
@@ -42,7 +43,8 @@ class SplatterNet(nn.Module):
         super().__init__()
         expect("config", config, ModelConfig)
         self.config = config
-        predicted = config.layers * sum(parameter_groups(config.sh_degree).values())
+        self._channels = config.layers * sum(parameter_groups(config.sh_degree).values())  # of the Gaussians
+        predicted = self._channels + SHEET_CHANNELS * config.sheet
         features = config.features or predicted
         block = config.patch_px**2
         size = config.image_size_px // config.patch_px
@@ -56,44 +58,58 @@ class SplatterNet(nn.Module):
             self.composer = AbsoluteComposer(config)
             self.composer.initialise(self.head, block)
 
-    def forward(self, images: Tensor, intrinsics: Tensor) -> Gaussians:
+    def forward(
+        self, images: Tensor, intrinsics: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
+    ) -> Gaussians:
         """Predict the Gaussians of B pictures in the axes of their own cameras (OpenCV: x right, y down, z forward).
 
         images: [B,4,H,W], RGB premultiplied by alpha and alpha, 0..1. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of
-        those pictures. Returns Gaussians with leading B and N = layers * H * W, float32. The U-Net obeys autocast and
-        may be of lower precision; heads and composer are float32 always. Raises InputError unless H and W are multiples
-        of config.size_step.
+        those pictures. fine, level: the same pictures at level.factor times their size, [B,4,H',W'], whose colours a
+        sheet over what was predicted then has (models/detail.py); its H' * W' Gaussians come first. Returns Gaussians
+        with leading B, layers * H * W of them beside those, float32. Differentiable. The U-Net obeys autocast and may
+        be of lower precision; heads, composer and sheet are float32 always. Raises InputError unless H and W are
+        multiples of config.size_step.
         """
         for name, size in zip(("height", "width"), images.shape[-2:]):
             self.config.check_size(f"{name} of the images", size)
         pixels = describe_pixels(images, intrinsics)
+        raw = self._predicted(images, intrinsics, pixels)
+        with torch.autocast(images.device.type, enabled=False):
+            cloud = self.composer(raw[:, : self._channels], pixels)
+            if fine is None or level is None:
+                return cloud
+            correction = raw[:, self._channels :] if self.config.sheet else None
+            texels = describe_pixels(fine, level.factor * intrinsics)
+            return with_detail(cloud, pixels, texels, self.config.layers, level.factor, level.texel_px, correction)
+
+    @torch.no_grad()
+    def with_sheet(self) -> SplatterNet:
+        """The same network with a head for the sheet (config.sheet), which leaves it where it would lie without."""
+        net = SplatterNet(dataclasses.replace(self.config, sheet=True))
+        state = net.state_dict()
+        for name, weights in self.state_dict().items():
+            state[name][: len(weights)] = weights  # of the head more than before; what is new is zero
+        net.load_state_dict(state)
+        return net.to(self.device).train(self.training)
+
+    def _predicted(self, images: Tensor, intrinsics: Tensor, pixels: Pixels) -> Tensor:
+        """Raw numbers [B,C,H,W] float32: the composer's, then those of the sheet."""
         shown = network_input(images, pixels, self.config.input)
         if not self.config.symmetric:
-            return self.composer(self._raw(shown), pixels)
+            return self._raw(shown)
         mirror = mirror_image(images, intrinsics)
         there = network_input(mirror[0], describe_pixels(*mirror), self.config.input)
         own, other = self._raw(torch.cat([shown, there])).chunk(2)
-        return self.composer((own + mirrored(other, self.config.layers, self.config.sh_degree)) / 2, pixels)
+        turned = mirrored(other[:, : self._channels], self.config.layers, self.config.sh_degree)
+        return (own + torch.cat([turned, other[:, self._channels :].flip(3)], 1)) / 2
 
     def _raw(self, shown: Tensor) -> Tensor:
-        """What the composer takes, [B,C,H,W] float32, from what network_input gives."""
+        """What the head says, [B,C,H,W] float32, of what network_input gives."""
         folded = F.pixel_unshuffle(shown, self.config.patch_px)
         folded = folded.to(self.unet.stem.weight.dtype, memory_format=torch.channels_last)
         features = self.unet(folded)
         with torch.autocast(shown.device.type, enabled=False):
             return F.pixel_shuffle(self.head(features.float()), self.config.patch_px)
-
-    def detailed(
-        self, cloud: Gaussians, images: Tensor, fine: Tensor, intrinsics: Tensor, level: DetailLevel
-    ) -> Gaussians:
-        """What forward gave for `images` and `intrinsics`, under a sheet in the colours of `fine` (models/detail.py).
-
-        fine: the same pictures at level.factor times their size, [B,4,H,W]. Differentiable.
-        """
-        texels = describe_pixels(fine, level.factor * intrinsics)
-        return with_detail(
-            cloud, describe_pixels(images, intrinsics), texels, self.config.layers, level.factor, level.texel_px
-        )
 
     @torch.no_grad()
     def predict(
@@ -162,11 +178,9 @@ class SplatterNet(nn.Module):
         was_training = self.training
         self.eval()
         try:
-            batch = self(cropped[None], intrinsics)
+            batch = self(cropped[None], intrinsics, None if fine is None else fine[None], level)
         finally:
             self.train(was_training)
-        if fine is not None and level is not None:
-            batch = self.detailed(batch, cropped[None], fine[None], intrinsics, level)
         fields = (batch.means, F.normalize(batch.quaternions, dim=-1), batch.scales, batch.opacities, batch.sh)
         return of_tensors(field[0].contiguous() for field in fields)
 

@@ -7,6 +7,7 @@ right, every tile looking through all splats, and the next frame reserves more.
 
 from __future__ import annotations
 
+import os
 from collections import OrderedDict
 from dataclasses import replace
 from typing import Any, cast
@@ -28,6 +29,8 @@ COLOUR_ORDERS = (2, 4, 8, 12, 16)
 _LEAST_PAIRS = 1 << 12
 _MOST_PAIRS, _PAIR_BYTES = 2**32 - 1, 4  # pairs are numbered with 32 bits
 _MOST_KNOWN = 64  # kinds of frames that are remembered
+# An environment variable for tests and measurements: the kernels of frames draw as on a device of less shared memory
+SHARED_MEMORY_LIMIT = "LFGS_SHARED_MEMORY_LIMIT"
 # How far the polynomials of colours may err in exact frames, whose other errors leave less room than on the CPU. The
 # first bounds what the frame's order cannot express, the second what each splat's polynomial leaves out to be shorter.
 # The latter adds up over all splats of a sample.
@@ -58,6 +61,7 @@ class Frame:
             capacity=capacity,
             quality=quality.native,
             tolerance=_colour_tolerances(quality)[1],
+            shared_memory=shared_memory_limit(),
         )
         if kernel is not None:
             self.native.force(_core.cuda.FRAME_KERNELS.index(kernel))
@@ -104,6 +108,18 @@ class Frame:
         """The frame's state on the device, uint8: a part of its work buffer."""
         offset = self.native.state_address() - self.work.data_ptr()
         return self.work[offset : offset + _core.cuda.FRAME_STATE_BYTES]
+
+
+def shared_memory_limit() -> int:
+    """How many bytes of shared memory a block of a frame's kernels may take at most, from 1 on, as the environment
+    variable LFGS_SHARED_MEMORY_LIMIT says; 0: what the device has. Raises InputError where that is no such number."""
+    text = os.environ.get(SHARED_MEMORY_LIMIT, "")
+    if text and not (text.isascii() and text.isdigit() and len(text) <= 10 and 0 < int(text) < 2**31):
+        raise InputError(
+            f"{SHARED_MEMORY_LIMIT}: expected a number of bytes from 1 on in this environment variable, such as "
+            f"101376, got {text!r}; unset it for what the device has"
+        )
+    return int(text or 0)
 
 
 def _state_of(host: Tensor) -> dict[str, Any]:
@@ -225,7 +241,16 @@ forced_kernel: str | None = None
 def frames_of(job: LensJob, quality: Quality) -> Frames:
     """The frames of one view, number of Gaussians and quality. Remembers the last 64 of them."""
     scene = job.scene
-    key = (scene.device, scene.count, scene.degree, job.view, job.antialiased, quality, forced_kernel)
+    key = (
+        scene.device,
+        scene.count,
+        scene.degree,
+        job.view,
+        job.antialiased,
+        quality,
+        forced_kernel,
+        shared_memory_limit(),
+    )
     if key not in _known:
         _known[key] = Frames(job, quality, _SLACK)
         while len(_known) > _MOST_KNOWN:

@@ -38,6 +38,20 @@ def frames_of(kernel: str) -> list[tuple[str, int, str]]:
     return [*frames, ("default", 0, "continuous")]  # with harmonics or without, lists of more than fits at a time
 
 
+# What a block may take on cards whose multiprocessors have 100 KB; panels, SH degrees and views of frames drawn so
+SMALL_SHARED_MEMORY = 99 * 1024
+COMPACT_FRAMES = [
+    ("default", 0, "continuous"),
+    ("leaning the other way, BGR", 3, "continuous"),
+    ("cells", 3, "integer"),
+]
+
+
+# Gaussians, SH degree, order of colours and pairs of frames whose memory is counted
+_M = 10**6
+WORK_BUFFERS = [(0, 0, 0, 0), (_M, 0, 0, 0), (_M, 0, 0, 26 * _M), (0, 3, 8, 26 * _M), (_M, 3, 8, 26 * _M)]
+
+
 def scene_of(degree: int) -> Gaussians:
     return with_harmonics(cloud(900, 11), degree) if degree else sheet(24, 11)
 
@@ -205,6 +219,7 @@ ANTIALIASED = [
     ("ordinal", "default", 3, "continuous", "exact"),
     ("ordinal", "leaning the other way, BGR", 1, "continuous", "exact"),
 ]
+COMPACT_ANTIALIASED = ANTIALIASED[4]
 # Of the same, with a view filter of this many views and without anti-aliasing
 VIEW_FILTER = 12.0
 FILTERED = [ANTIALIASED[0], ANTIALIASED[2], ANTIALIASED[4]]

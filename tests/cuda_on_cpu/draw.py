@@ -23,17 +23,19 @@ import fit_cases
 import slot_cases
 import torch
 
+import lightfield_gs
 from lightfield_gs.models import group_norm
 from lightfield_gs.panels.lens import lens_view
+from lightfield_gs.panels.panel import DEFAULT_PANEL, Panel
 from lightfield_gs.rasterizer import frame_cuda
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 
 
-def frame(kernel: str, name: str, degree: int, views: str) -> dict[str, object]:
+def frame(kernel: str, name: str, degree: int, views: str, dtype: torch.dtype = torch.float32) -> dict[str, object]:
     """Continuous views: with half the places that the pairs need."""
-    panel, continuous = cases.panel_of(name), views == "continuous"
-    return drawn(cases.scene_of(degree), panel, cases.rig_of(panel), views, kernel, EXACT, 0.5 if continuous else 1.01)
+    panel, share = cases.panel_of(name), 0.5 if views == "continuous" else 1.01
+    return drawn(cases.scene_of(degree), panel, cases.rig_of(panel), views, kernel, EXACT, share, dtype)
 
 
 def lattice_frame(
@@ -78,7 +80,35 @@ def drawn(
     image = torch.full((job.height, job.width, 3), 7, dtype=dtype)
     frame = with_places(int(share * probe.state()["pairs"]))
     frame.draw(job.background, image)
-    return {"image": image, **frame.state()}
+    return {"image": image, "layout": frame.native.ordinal_layout, **frame.state()}
+
+
+def compact() -> list[dict[str, object]]:
+    """On a device of small shared memory: frames as floats and as bytes, an anti-aliased one, the piece of a cloud."""
+    os.environ[frame_cuda.SHARED_MEMORY_LIMIT] = str(cases.SMALL_SHARED_MEMORY)
+    dtypes = torch.float32, torch.uint8
+    frames = [frame("ordinal", *case, dtype) for case in cases.COMPACT_FRAMES for dtype in dtypes]
+    antialiased = compensated(*cases.COMPACT_ANTIALIASED, antialiased=True)
+    return [*frames, antialiased, harmonic_piece()]
+
+
+def harmonic_piece() -> dict[str, object]:
+    return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
+
+
+def work_bytes(gaussians: int, degree: int, order: int, pairs: int) -> int:
+    """What the work buffer of a frame takes, before the default 8K panel."""
+    panel = Panel.load(DEFAULT_PANEL)
+    job = LensJob(
+        cases.scene_of(degree).fields().values(),
+        torch.tensor(cases.BACKGROUND),
+        lens_view(panel, cases.rig_of(panel), False),
+    )
+    frame = lightfield_gs._core.cuda.LensFrame(
+        gaussians=gaussians, sh_degree=degree, colour_order=order, rig=job.native.rig, lens=job.native.lens,
+        capacity=pairs, quality=EXACT.native, tolerance=1e-5, shared_memory=0,
+    )  # fmt: skip
+    return frame.bytes()
 
 
 def chosen(scene, panel, rig) -> str:
@@ -176,7 +206,11 @@ def main(what: str) -> object:
             ),
         ]
     if what == "harmonics":
-        return drawn(*cases.harmonic_piece(), "integer", "ordinal", EXACT, 1.0, colour_order=16)
+        return harmonic_piece()
+    if what == "memory":
+        return [work_bytes(*case) for case in cases.WORK_BUFFERS]
+    if what == "compact":
+        return compact()
     if what == "opaque":
         return [drawn(*cases.opaque(name), "integer", kernel, EXACT, 1.0) for kernel, name in cases.OPAQUE_FRAMES]
     if what == "half empty":

@@ -6,6 +6,7 @@ leave out what no camera sees, and in the rasterizer: so the objects of several 
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -27,6 +28,9 @@ from training.rendering import render_views
 # Standard deviation of a surfel in cells: with its neighbours it leaves less than 2 % of what is behind.
 _SPREAD, _OPACITY = 0.7, 0.98
 _SUPERSAMPLING = 2
+# Depth beyond which nothing lies; opacity from which on a pixel shows the object alone; deviation of the depths within
+# a pixel from which on it shows an edge: some four footprints. Scene units.
+_DEEPEST, _WHOLE, _EDGE = 2.5, 0.95, 0.015
 _OBJECTS_AT_ONCE = 32  # enough work for a GPU to keep up with the host; some 150 MB each for a moment, at 256 px
 
 
@@ -39,13 +43,15 @@ class ProceduralBlock:
     """The objects of some steps in a row, drawn in one go when the first of them is asked for."""
 
     def __init__(self, plan: ProceduralPlan) -> None:
-        self._plan, self._drawn = plan, ()
+        self._plan = plan
+        self._drawn: tuple[Tensor | None, ...] = ()
 
-    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor, ...]:
+    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor | None, ...]:
         """The fields of a Batch of all objects, drawn as the first call says."""
         if not self._drawn:
             plan = on_device(self._plan, device)
-            self._drawn = *draw_pictures(plan, compiled), plan.world_to_camera, plan.backgrounds
+            *pictures, depths = draw_pictures(plan, compiled)
+            self._drawn = *pictures, plan.world_to_camera, plan.backgrounds, depths
         return self._drawn
 
 
@@ -56,14 +62,16 @@ class ProceduralExamples:
     block: ProceduralBlock
     chosen: slice
 
-    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor, ...]:
+    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor | None, ...]:
         """The fields of a Batch, on a device. compiled: see make_batch."""
-        return tuple(values[self.chosen] for values in self.block.drawn(device, compiled))
+        drawn = self.block.drawn(device, compiled)
+        return tuple(None if values is None else values[self.chosen] for values in drawn)
 
 
 @torch.no_grad()
-def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Input pictures [B,4,S,S] and their intrinsics [B,4], targets [B,V,4,T,T] and theirs [B,V,4], as in Batch.
+def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
+    """Input pictures [B,4,S,S] and their intrinsics [B,4], targets [B,V,4,T,T] and theirs [B,V,4], and depths [B,S,S]
+    where they are wanted, as in Batch.
 
     compiled: see make_batch; of what has the same shapes in all blocks.
     """
@@ -78,7 +86,8 @@ def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor,
     ):
         intrinsics = size * torch.cat([focal[:, chosen].expand(-1, -1, 2), centre[:, chosen]], -1)
         pictures += [_pictures(gaussians, cameras, intrinsics, size), intrinsics]
-    return pictures[0][:, 0], pictures[1][:, 0], pictures[2], pictures[3]
+    depths = _depths(gaussians, plan.world_to_camera[:, :1], pictures[1], plan.source_px) if plan.depths else None
+    return pictures[0][:, 0], pictures[1][:, 0], pictures[2], pictures[3], depths
 
 
 @torch.no_grad()
@@ -105,6 +114,19 @@ def _pictures(gaussians: Gaussians, cameras: Tensor, intrinsics: Tensor, size: i
     )
     images = torch.cat([images, alpha[:, :, None]], 2).flatten(0, 1)
     return F.avg_pool2d(images, _SUPERSAMPLING).clamp(0, 1).unflatten(0, cameras.shape[:2])
+
+
+def _depths(gaussians: Gaussians, cameras: Tensor, intrinsics: Tensor, size: int) -> Tensor:
+    """What one camera each, in whose axes the Gaussians are, sees of their depths: [B,size,size], 0 at edges and
+    beside the object. Arguments: of _pictures."""
+    shades = gaussians.means[..., 2] / _DEEPEST
+    # The mean of squares tells edges, where a pixel sees two depths, from slopes
+    colours = torch.stack([shades, shades.square(), torch.zeros_like(shades)], -1)
+    shaded = dataclasses.replace(gaussians, sh=((colours - 0.5) / SH_CONSTANT)[:, :, None])
+    shade, square, _, alpha = _pictures(shaded, cameras, intrinsics, size)[:, 0].unbind(1)
+    shade, square = shade / alpha.clamp_min(1e-3), square / alpha.clamp_min(1e-3)
+    plain = (alpha > _WHOLE) & (square - shade.square() < (_EDGE / _DEEPEST) ** 2)
+    return torch.where(plain, _DEEPEST * shade, 0)
 
 
 def _surfels(plan: ProceduralPlan) -> dict[str, Tensor]:

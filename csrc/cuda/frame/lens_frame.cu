@@ -131,7 +131,7 @@ struct Parts {
 }  // namespace
 
 LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const View<double>& rig_, const Lens& lens,
-                     int64_t capacity_, const Quality& quality, double tolerance_)
+                     int64_t capacity_, const Quality& quality, double tolerance_, int64_t shared_memory)
     : rig(rig_),
       optics(optics_of(lens)),
       pixel(pixel_tiling(lens)),
@@ -151,7 +151,8 @@ LensFrame::LensFrame(int64_t gaussians, int sh_degree_, int colour_order, const 
   require(!rig.compensated() || !(lattice > 0 || in_half),
           "a frame of compensated opacities is drawn neither from lattices nor in half precision");
   // The ordinal kernel numbers colours, splats times ordinals, with 32 bits
-  has_ordinal = can_composite_ordinal(lens) && gaussians * optics.ordinals.columns() < (int64_t(1) << 32);
+  if (gaussians * optics.ordinals.columns() < (int64_t(1) << 32))
+    ordinal_layout = cuda::ordinal_layout(lens, shared_memory);
   require(std::max(pixel.down, ordinal.down) <= kProbeRows * kMostProbeRows,
           "the panel has too many rows: " + std::to_string(lens.height_px));
   require(most_lists() < kMostTiles, "the panel has too many tiles: " + std::to_string(most_lists()));
@@ -172,12 +173,12 @@ size_t LensFrame::place(void* work) {
   splats.orders = nullptr;
   if (splats.colour_order > 0) {
     parts.take(splats.orders, n);
-    const int64_t colours = has_ordinal ? n * optics.ordinals.columns() : 0;
+    const int64_t colours = has_ordinal() ? n * optics.ordinals.columns() : 0;
     parts.take(ordinal_colours, 4 * colours), parts.take(ordinal_slopes, 2 * colours);
   }
   if (rig.compensated()) {
     parts.take(splats.compensations, n);
-    parts.take(ordinal_shares, has_ordinal ? 2 * n * optics.ordinals.columns() : 0);
+    parts.take(ordinal_shares, has_ordinal() ? 2 * n * optics.ordinals.columns() : 0);
   }
 
   // Lists, and lattices where the quality allows them

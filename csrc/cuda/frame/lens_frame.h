@@ -18,6 +18,9 @@ namespace lfgs::cuda {
 // (composite_ordinal.cu).
 enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadraticSmall, kOrdinal, kCount };
 
+// Whether kOrdinal can draw a lens on a device, and how its blocks use shared memory; see ordinal_operands.cuh.
+enum class OrdinalLayout : int { kNone, kCompact, kFull };
+
 constexpr unsigned kShortList = 256;  // the most splats of a list that a warp sorts
 constexpr int kMostProbeRows = 256;   // enough for 65,536 rows of pixels, see kProbeRows
 
@@ -94,8 +97,8 @@ struct LensFrame {
   View<double> rig;
   LensOptics optics;
   Tiling pixel, ordinal;
-  bool has_ordinal = false;  // whether kOrdinal can draw this lens on this device
-  int forced = -1;           // the LensKernel to use; -1: the frame chooses by cost
+  OrdinalLayout ordinal_layout = OrdinalLayout::kNone;
+  int forced = -1;  // the LensKernel to use; -1: the frame chooses by cost
   int sh_degree = 0;
   int64_t capacity = 0;     // the most pairs that the lists hold
   float tolerance = 0;      // error allowed of colour polynomials
@@ -123,15 +126,17 @@ struct LensFrame {
   uint32_t* refused = nullptr;      // [tiles, without groups]: those that lattices left, in any order
 
   LensFrame() = default;
-  // Throws Error when the sizes do not fit 32 bits.
+  // shared_memory: bytes of it that a block may take at most; 0: what the device has. Throws Error when the sizes do
+  // not fit 32 bits.
   LensFrame(int64_t gaussians, int sh_degree, int colour_order, const View<double>& rig, const Lens& lens,
-            int64_t capacity, const Quality& quality, double tolerance);
+            int64_t capacity, const Quality& quality, double tolerance, int64_t shared_memory);
   // Lays the parts out in `work` (null: only counts); returns the bytes.
   size_t place(void* work);
   // On the device only: the tiles of the kernel chosen; whether there are more pairs than the lists hold.
   LFGS_HD const Tiling& tiling() const { return state->kernel == int(LensKernel::kOrdinal) ? ordinal : pixel; }
   LFGS_HD bool overfull() const { return state->pairs > static_cast<unsigned long long>(capacity); }
-  int64_t most_lists() const { return std::max(pixel.tiles(), has_ordinal ? ordinal.tiles() : 0); }
+  LFGS_HD bool has_ordinal() const { return ordinal_layout != OrdinalLayout::kNone; }
+  int64_t most_lists() const { return std::max(pixel.tiles(), has_ordinal() ? ordinal.tiles() : 0); }
 };
 
 // The stages, in this order. gaussians must have the count and degree that the frame was made for; colours have an
@@ -148,8 +153,8 @@ void composite_lattice(const LensFrame& frame, const float* background, float* o
 void composite_pixel(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 void composite_ordinal(const LensFrame& frame, const float* background, float* out, uint8_t* out8, Stream stream);
 // A tile of composite_ordinal has so many lenses across and rows down, and so many ordinals are in a group of a list.
-// The function says whether it can draw a lens on the current device.
+// The function says how it draws a lens on the current device; shared_memory: see LensFrame.
 constexpr int kTileLenses = 16, kTileRows = 32, kGroupOrdinals = 6;
-bool can_composite_ordinal(const Lens& lens);
+OrdinalLayout ordinal_layout(const Lens& lens, int64_t shared_memory);
 
 }  // namespace lfgs::cuda

@@ -120,7 +120,7 @@ __device__ inline void shape_terms(const LensFrame& frame, const Splat<float>& s
         shape_limits(level).careful);
     terms[kCurved + level] = float(curved);
   }
-  if (frame.has_ordinal) ordinal_terms(frame.optics, s, terms[kOrdinalError], terms[kOrdinalCareful]);
+  if (frame.has_ordinal()) ordinal_terms(frame.optics, s, terms[kOrdinalError], terms[kOrdinalCareful]);
 }
 
 // Adds a splat a thread to the frame's sums; a splat that is not drawn adds nothing. By all threads of a block.
@@ -239,7 +239,7 @@ __device__ inline void choose_kernel(const LensFrame& frame) {
   const float tasks = 3 * pixels / 64 * ceilf(lens.line_number) / lens.line_number;
   const float careful_batches = 1 - powf(1 - fminf(mean(kOrdinalCareful), 1.f), 8);
   const float ordinal_each = 60 * (1 + 0.6f * careful_batches);
-  cost[int(LensKernel::kOrdinal)] = frame.has_ordinal && mean(kOrdinalError) <= most_ordinal_error(frame)
+  cost[int(LensKernel::kOrdinal)] = frame.has_ordinal() && mean(kOrdinalError) <= most_ordinal_error(frame)
                                         ? tasks * (ordinal_each * hits(across, 15, narrowing * 7 / 6) + 360) / rate
                                         : INFINITY;
 

@@ -20,8 +20,8 @@
 #define __noinline__
 #define __launch_bounds__(...)
 
-struct alignas(4) ushort2 {
-  unsigned short x, y;
+struct alignas(2) uchar2 {
+  unsigned char x, y;
 };
 struct alignas(8) float2 {
   float x, y;
@@ -46,7 +46,7 @@ inline float3 make_float3(float x, float y, float z) { return {x, y, z}; }
 inline float4 make_float4(float x, float y, float z, float w) { return {x, y, z, w}; }
 inline int2 make_int2(int x, int y) { return {x, y}; }
 inline uint2 make_uint2(unsigned x, unsigned y) { return {x, y}; }
-inline ushort2 make_ushort2(unsigned short x, unsigned short y) { return {x, y}; }
+inline uchar2 make_uchar2(unsigned char x, unsigned char y) { return {x, y}; }
 inline uint4 make_uint4(unsigned x, unsigned y, unsigned z, unsigned w) { return {x, y, z, w}; }
 struct dim3 {
   unsigned x, y, z;
@@ -56,8 +56,15 @@ struct dim3 {
 // --- host
 using cudaStream_t = void*;
 enum cudaError_t { cudaSuccess };
-enum cudaFuncAttribute { cudaFuncAttributeMaxDynamicSharedMemorySize };
-enum cudaDeviceAttr { cudaDevAttrMultiProcessorCount, cudaDevAttrMaxSharedMemoryPerBlockOptin };
+enum cudaFuncAttribute {
+  cudaFuncAttributeMaxDynamicSharedMemorySize,
+  cudaFuncAttributePreferredSharedMemoryCarveout,
+};
+enum cudaDeviceAttr {
+  cudaDevAttrMultiProcessorCount,
+  cudaDevAttrMaxSharedMemoryPerBlockOptin,
+  cudaDevAttrMaxSharedMemoryPerMultiprocessor,
+};
 inline const char* cudaGetErrorString(cudaError_t) { return "no error"; }
 inline cudaError_t cudaGetLastError() { return cudaSuccess; }
 inline cudaError_t cudaGetDevice(int* device) { return *device = 0, cudaSuccess; }
@@ -184,25 +191,40 @@ inline void run_block(int threads) {
   }
 }
 
+// What stands behind the shared memory that a launch asked for, to see that no block writes there.
+constexpr size_t kGuardBytes = 256;
+constexpr char kGuard = 0x5a;
+inline void set_guard(size_t bytes) {
+  if (bytes + kGuardBytes > sizeof dynamic_shared) fprintf(stderr, "too much shared memory\n"), abort();
+  memset(dynamic_shared + bytes, kGuard, kGuardBytes);
+}
+inline void check_guard(size_t bytes) {
+  for (size_t i = bytes; i < bytes + kGuardBytes; ++i)
+    if (dynamic_shared[i] != kGuard) fprintf(stderr, "a block writes behind its shared memory\n"), abort();
+}
+
 template <class Kernel>
 struct Launch {
   Kernel kernel;
   dim3 grid, threads;
+  size_t shared_bytes;
   template <class... A>
   void operator()(const A&... arguments) const {
     std::function<void()> run = [&] { kernel(arguments...); };
     body = &run, grid_size = grid, block_size = threads;
+    set_guard(shared_bytes);
     for (unsigned z = 0; z < grid.z; ++z)
       for (unsigned y = 0; y < grid.y; ++y)
         for (unsigned x = 0; x < grid.x; ++x) {
           block_index = {x, y, z};
           run_block(int(threads.x * threads.y * threads.z));
         }
+    check_guard(shared_bytes);
   }
 };
 template <class Kernel>
-Launch<Kernel> launch(Kernel kernel, dim3 grid, dim3 threads, size_t = 0, cudaStream_t = 0) {
-  return {kernel, grid, threads};
+Launch<Kernel> launch(Kernel kernel, dim3 grid, dim3 threads, size_t shared_bytes = 0, cudaStream_t = 0) {
+  return {kernel, grid, threads, shared_bytes};
 }
 
 template <class T>

@@ -326,7 +326,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 // The number of tiles of the tiling that has more of them: which one the frame uses is decided on the device.
 unsigned most_tiles(const LensFrame& frame) {
   auto tiles = [](const Tiling& tiling) { return tiling.across * tiling.down; };
-  return unsigned(std::max(tiles(frame.pixel), frame.has_ordinal ? tiles(frame.ordinal) : 0));
+  return unsigned(std::max(tiles(frame.pixel), frame.has_ordinal() ? tiles(frame.ordinal) : 0));
 }
 
 }  // namespace

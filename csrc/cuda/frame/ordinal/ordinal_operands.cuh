@@ -21,45 +21,67 @@ constexpr unsigned kNothing = 0xe3d0;    // -1000 and 0, as halves: an exponent 
 // Bytes of a sample's features; where the second part of d's coefficients begins, and those of A.
 constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 
-// Splats staged at a time: as many as leave room for two blocks on a multiprocessor. A queue names a staged splat by
-// one byte, its place in a *page* of 256 of them.
-template <bool Harmonics>
-constexpr int kBatch = Harmonics ? 400 : 416;
+// How a block uses shared memory. Two blocks should stand on a multiprocessor: with one, 8 warps are too few to cover
+// each other's waits. The full layout does so where it has 228 KB (sm_90), the compact one where it has 100 KB (sm_86,
+// sm_89, sm_120). KB of a block with harmonics, full and compact:
+//   samples 24, 12    queues 19, 4    operands 12.5    colours 9.5    lenses 3
+//   staged splats 19, 7.5    bytes of the tile 2 to 16, 0    all 89 to 103, 49
+// The compact layout stages fewer splats at a time, and draws half a group of ordinals at a time, a *pass*: so samples
+// and queues take less. What that costs was counted, in warp instructions: a task takes some 3000. Each further batch
+// that its list is cut into takes 200 to set up again. To walk a list twice takes 60, since what survives the first
+// step of cull() meets half of the ordinals. To store three bytes of a lens at a time takes 50. Rounds of 16 hits would
+// halve the operands instead, but leave half of the lanes without work.
+template <bool Harmonics_, bool Compact_>
+struct BlockLayout {
+  static constexpr bool kHarmonics = Harmonics_, kCompact = Compact_;
+  static constexpr int kOrdinals = kCompact ? kGroupOrdinals / 2 : kGroupOrdinals;  // drawn at a time
+  static constexpr int kBatch = kCompact ? 160 : kHarmonics ? 400 : 416;            // splats staged at a time
+  static_assert(kGroupOrdinals % kOrdinals == 0);  // those drawn at a time have one list
+};
+// A queue names a staged splat by one byte, its place in a *page* of 256 of them.
 constexpr int kPage = 256;
+// What the system takes for each block, and what a block may take where two stand on 100 KB.
+constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedBytes;
 
-// What a warp keeps in shared memory.
-template <bool Harmonics>
+// What a warp keeps in shared memory. The state of samples is the largest part, 512 bytes for each ordinal.
+template <class Layout>
 struct WarpMemory {
-  // Used in turn for the splats that survive the first step of cull(); for features, 32 samples x 48 bytes; and for the
-  // coefficients of 32 hits: those of d in two parts, then those of A, 16 bytes each.
+  static constexpr bool kHarmonics = Layout::kHarmonics;
+  // Used in turn for the splats that survive the first step of cull(); for features, 32 samples x 48 bytes; for the
+  // coefficients of 32 hits: those of d in two parts, then those of A, 16 bytes each; and for finished bytes, see
+  // Patch::store_bytes().
   alignas(16) char operands[kExponentOffset + 512];
-  uint4 colour[32], slope[Harmonics ? 32 : 1];
-  // The colours of this round's 32 hits and of the 32 before, which change places; in the form of LensFrame
-  float4 whole_colour[Harmonics ? 64 : 1];
-  uint2 whole_slope[Harmonics ? 64 : 1];
-  uint8_t queue[kGroupOrdinals][kBatch<Harmonics>];
-  int first_page[kGroupOrdinals];              // how many in a queue are of the first page; the others of the second
-  float2 state[kGroupOrdinals * kHalves][32];  // colour and transmittance of each sample of the group
-  // For the lens of each sample, in the sample's row: the sub-pixel at ordinal 0 and its phase; the first ordinal that
-  // is the lens's own, and the first that is no more. They are in memory since the compiler would rather compute them
-  // again for every ordinal than keep so many registers.
+  uint4 colour[32], slope[kHarmonics ? 32 : 1];
+  // The colours of the last hit of every quarter in this round and in the one before, which change places
+  float4 last_colour[2][kHarmonics ? 4 : 1];
+  uint2 last_slope[2][kHarmonics ? 4 : 1];
+  uint8_t queue[Layout::kOrdinals][Layout::kBatch];
+  int first_page[Layout::kOrdinals];              // how many in a queue are of the first page; the others of the second
+  float2 state[Layout::kOrdinals * kHalves][32];  // colour and transmittance of each sample
+  // For the lens of each sample, in the sample's row: the sub-pixel at ordinal 0; the first ordinal that is the lens's
+  // own, and the first that is no more. They are in memory since the compiler would rather compute them again for every
+  // ordinal than keep so many registers.
   int start[kHalves][32];
-  ushort2 ordinals[kHalves][32];
-  uint64_t phase[kHalves][32];
+  uchar2 ordinals[kHalves][32];
   float x_first;  // x of ordinal -1/2, the left edge of the first, in the middle row
 };
 
-static_assert(kBatch<false> * sizeof(uint16_t) <= sizeof(WarpMemory<false>::operands) && kBatch<false> <= 2 * kPage);
-
-// What a block keeps in shared memory. The bytes of the tile follow behind it: kTileRows x lens_row_bytes().
-template <bool Harmonics>
+// What a block keeps in shared memory. In the full layout the bytes of the tile follow behind it: kTileRows x
+// lens_row_bytes().
+template <class Layout>
 struct Memory {
-  float4 splat[3][kBatch<Harmonics>];                // the depth is replaced by a number, see stage()
-  float4 colour[Harmonics ? 1 : kBatch<false> + 1];  // with harmonics colours are read when a hit is drawn
-  WarpMemory<Harmonics> warps[kWarps];
+  static constexpr int kBatch = Layout::kBatch;
+  float4 splat[3][kBatch];                             // the depth is replaced by a number, see stage()
+  float4 colour[Layout::kHarmonics ? 1 : kBatch + 1];  // with harmonics colours are read when a hit is drawn
+  WarpMemory<Layout> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
   unsigned next_tile;
+
+  static_assert(kBatch * sizeof(uint16_t) <= sizeof(warps[0].operands) && kBatch <= 2 * kPage);
 };
+template <bool Harmonics>
+using CompactMemory = Memory<BlockLayout<Harmonics, true>>;
+static_assert(sizeof(CompactMemory<false>) <= kCompactBytes && sizeof(CompactMemory<true>) <= kCompactBytes);
 
 __device__ inline unsigned halves(float a, float b) { return bits(__floats2half2_rn(a, b)); }
 // A number as the sum of two halves: it keeps about twice the digits of one.

@@ -11,17 +11,18 @@
 namespace lfgs::cuda {
 
 #if __CUDA_ARCH__ >= 800
-template <bool Harmonics>
+template <class Layout>
 struct Patch {
+  static constexpr int kOrdinals = Layout::kOrdinals;  // of a *pass*: those that are drawn at a time
   const LensFrame& frame;
-  Memory<Harmonics>& memory;
-  WarpMemory<Harmonics>& own;
+  Memory<Layout>& memory;
+  WarpMemory<Layout>& own;
   int lane, row0, lens0;  // of the patch
   float middle_y;
   float x_sheared, half_x;  // x + tan(slant) y of ordinal -1/2; half the width between the outermost pixel centres
   unsigned places;          // bit 8 p + s: this lane's sample s is of a lens that starts at place p
 
-  __device__ Patch(const LensFrame& frame_, Memory<Harmonics>& memory_, int tile_x, int tile_y)
+  __device__ Patch(const LensFrame& frame_, Memory<Layout>& memory_, int tile_x, int tile_y)
       : frame(frame_), memory(memory_), own(memory_.warps[threadIdx.x / 32]), lane(threadIdx.x % 32) {
     const int warp = threadIdx.x / 32, across = warp % kWarpsAcross, down = warp / kWarpsAcross;
     const LensOptics& lens = frame.optics;
@@ -41,8 +42,7 @@ struct Patch {
       const int begin = lens_start(lens, row, number);
       const int start = lens.has_cells ? first_stripe(lens, row, number) - lens.lead : begin;
       own.start[h][lane] = start;
-      own.ordinals[h][lane] = make_ushort2(begin - start, lens_start(lens, row, number + 1) - start);
-      own.phase[h][lane] = phase_at(lens, row, start);
+      own.ordinals[h][lane] = make_uchar2(begin - start, lens_start(lens, row, number + 1) - start);
     }
     __syncwarp();
 
@@ -62,7 +62,7 @@ struct Patch {
     return Strip(s, row0 + 0.5f, row0 + kWarpRows - 0.5f, frame.optics.slant_tan);
   }
 
-  // Which staged splats may touch the patch at which ordinal of the group: fills the queues, which keep the splats in
+  // Which staged splats may touch the patch at which ordinal of the pass: fills the queues, which keep the splats in
   // their order, and returns in lane t how many there are at ordinal t.
   __device__ int cull(int count, int first, int last) {
     lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows from it here
@@ -72,7 +72,7 @@ struct Patch {
     const unsigned before = (1u << lane) - 1;  // the lanes before this one
     const float x = sheared(0.5f * (first + last)), half = half_x + (last - first) * (1.f / 6);
 
-    // First all ordinals of the group as one, a splat a lane: a splat that touches none of them is out
+    // First all ordinals of the pass as one, a splat a lane: a splat that touches none of them is out
     uint16_t* queue = reinterpret_cast<uint16_t*>(own.operands);
     int survivors = 0, first_page = 0;
     for (int begin = 0; begin < count; begin += 32) {
@@ -89,7 +89,7 @@ struct Patch {
 
     // Then the survivors at every ordinal, a page of staged splats after the other
     const float x_first_ordinal = sheared(first);
-    int counts[kGroupOrdinals] = {}, mine = 0;
+    int counts[kOrdinals] = {}, mine = 0;
 #pragma unroll 1
     for (int page = 0, begin = 0; page * kPage < count; ++page) {
       const int end = page ? survivors : first_page;
@@ -100,7 +100,7 @@ struct Patch {
         const Splat<float> splat = staged(i);
         const Strip rows = strip(splat);
 #pragma unroll
-        for (int t = 0; t < kGroupOrdinals; ++t) {
+        for (int t = 0; t < kOrdinals; ++t) {
           const int ordinal = min(first + t, last);
           const Span span = rows.at(splat, ordinals.centre[ordinal], ordinals.half[ordinal]);
           const bool hit = inside & (first + t <= last) & span.touches(x_first_ordinal + t * (1.f / 3), half_x);
@@ -111,8 +111,8 @@ struct Patch {
       }
       begin = end;
 #pragma unroll
-      for (int t = 0; t < kGroupOrdinals; ++t) mine = lane == t ? counts[t] : mine;
-      if (page == 0 && lane < kGroupOrdinals) own.first_page[lane] = mine;
+      for (int t = 0; t < kOrdinals; ++t) mine = lane == t ? counts[t] : mine;
+      if (page == 0 && lane < kOrdinals) own.first_page[lane] = mine;
     }
     __syncwarp();
     return mine;
@@ -121,6 +121,7 @@ struct Patch {
   // The staged splat at place k of the queue of ordinal t.
   __device__ int queued(int t, int k) const {
     const int i = own.queue[t][k];
+    if (Layout::kBatch <= kPage) return i;
     return k >= own.first_page[t] ? i + kPage : i;
   }
 
@@ -130,7 +131,7 @@ struct Patch {
     return make_int2(fragment / 2, fragment % 2 * 16 + sample % 2 * 8 + lane / 4);
   }
 
-  // Begins a group: nothing is drawn yet. Samples that are not on the panel, or not of the lens, count as opaque, so
+  // Begins a pass: nothing is drawn yet. Samples that are not on the panel, or not of the lens, count as opaque, so
   // that nobody works on them.
   __device__ void clear(int first) {
     const LensOptics& lens = frame.optics;
@@ -138,11 +139,11 @@ struct Patch {
     for (int i = 0; i < kHalves; ++i) {
       const int2 place = place_of_kept(i);
       const int row = row0 + place.y / kWarpLenses + 8 * place.x, start = own.start[place.x][place.y];
-      const ushort2 ordinals = own.ordinals[place.x][place.y];
+      const uchar2 ordinals = own.ordinals[place.x][place.y];
       const int begin = max(start + ordinals.x, 0);
       const int end = row < lens.height_px ? min(start + ordinals.y, 3 * lens.width_px) : 0;
 #pragma unroll
-      for (int t = 0; t < kGroupOrdinals; ++t) {
+      for (int t = 0; t < kOrdinals; ++t) {
         const int m = start + first + t;
         own.state[t * kHalves + i][lane] = make_float2(0, m >= begin && m < end ? 1.f : 0.f);
       }
@@ -150,7 +151,7 @@ struct Patch {
     __syncwarp();
   }
 
-  // Whether all samples of the patch are done: at ordinal t of the group; at all of the first ordinals.
+  // Whether all samples of the patch are done: at ordinal t of the pass; at all of the first ordinals.
   __device__ bool opaque(int t) const {
     bool all = true;
 #pragma unroll
@@ -163,7 +164,13 @@ struct Patch {
     return all;
   }
 
-  // Hands every finished sample of ordinals first .. last to put(row in the tile, sub-pixel from its first, value).
+  // A finished sample: its number in the patch, its row in the tile, its sub-pixel from the tile's first in that row,
+  // its ordinal in the pass.
+  struct Finished {
+    int number, row, at, t;
+  };
+
+  // Hands every finished sample of ordinals first .. last to put(Finished, value).
   template <class Put>
   __device__ void finish(int first, int last, const float4& background, const Put& put) {
     const int down = threadIdx.x / 32 / kWarpsAcross;
@@ -171,15 +178,36 @@ struct Patch {
     for (int i = 0; i < kHalves; ++i) {
       const int2 kept = place_of_kept(i);
       const int row = down * kWarpRows + kept.y / kWarpLenses + 8 * kept.x;
-      const ushort2 ordinals = own.ordinals[kept.x][kept.y];
-      const int start = own.start[kept.x][kept.y], begin = max(int(ordinals.x), first), end = min(ordinals.y - 1, last);
+      const uchar2 ordinals = own.ordinals[kept.x][kept.y];
+      const int start = own.start[kept.x][kept.y], begin = max(int(ordinals.x), first),
+                end = min(int(ordinals.y) - 1, last);
       int place = place_of(start + begin), at = start - memory.rows[row].x + begin;
       for (int ordinal = begin; ordinal <= end; ++ordinal, ++at) {
         const float2 state = own.state[(ordinal - first) * kHalves + i][lane];
         const float behind = place == 0 ? background.x : place == 1 ? background.y : background.z;
-        put(row, at, ended(fmaf(state.y, behind, state.x), state.y, behind));
+        put(Finished{kept.x * 32 + kept.y, row, at, ordinal - first},
+            ended(fmaf(state.y, behind, state.x), state.y, behind));
         place = place == 2 ? 0 : place + 1;
       }
+    }
+  }
+
+  // Compact layout: where finish() collects the bytes of a pass, a row of lenses after the other.
+  __device__ uint8_t& byte(int number, int t) const {
+    return reinterpret_cast<uint8_t*>(own.operands)[number * kOrdinals + t];
+  }
+  // Stores them in the image. Neighbouring lanes store what is next to each other there, as far as a pass has it.
+  __device__ void store_bytes(int first, int last, uint8_t* out) const {
+    const LensOptics& lens = frame.optics;
+    const int width = 3 * lens.width_px;
+#pragma unroll 1
+    for (int k = lane; k < kHalves * 32 * kOrdinals; k += 32) {
+      const int number = k / kOrdinals, ordinal = first + k % kOrdinals, row = row0 + number / kWarpLenses;
+      const uchar2 ordinals = own.ordinals[number / 32][number % 32];
+      const int m = own.start[number / 32][number % 32] + ordinal;
+      const bool inside = (ordinal >= ordinals.x) & (ordinal < ordinals.y) & (ordinal <= last);
+      if (inside & (row < lens.height_px) & (m >= 0) & (m < width))
+        out[int64_t(row) * width + in_image(lens, m)] = byte(number, k % kOrdinals);
     }
   }
 };

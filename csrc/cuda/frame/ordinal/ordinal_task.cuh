@@ -16,9 +16,11 @@ namespace lfgs::cuda {
 // All 32 lanes of a warp call the functions below together. Before the products a lane stands for one hit (its
 // coefficients) or for two samples, one of each half of the patch (their features); after them it has, as the tensor
 // cores lay out a product, eight samples at two hits.
-template <bool Harmonics, bool Compensated>
-struct Task : Patch<Harmonics> {
-  using Base = Patch<Harmonics>;
+template <class Layout, bool Compensated>
+struct Task : Patch<Layout> {
+  static constexpr bool Harmonics = Layout::kHarmonics;
+  static constexpr int kBatch = Layout::kBatch;
+  using Base = Patch<Layout>;
   using Base::Base, Base::frame, Base::memory, Base::own, Base::lane, Base::middle_y, Base::places;
   using Base::row0, Base::staged, Base::queued;
 
@@ -33,13 +35,13 @@ struct Task : Patch<Harmonics> {
     uint4 low[kHalves], high[kHalves], rows[kHalves];
 #pragma unroll
     for (int h = 0; h < kHalves; ++h) {
-      const int pixel = int(floorf((own.start[h][lane] + ordinal + 0.5f) * (1.f / 3)));
+      const int m = own.start[h][lane] + ordinal, row = row0 + lane / kWarpLenses + 8 * h;
+      const int pixel = int(floorf((m + 0.5f) * (1.f / 3)));
       const float x = pixel + 0.5f - x_centre, y = lane / kWarpLenses + 8 * h + 0.5f - 0.5f * kWarpRows;
-      // The phase is added up from the start of the lens, so that it does not wrap within the lens. With cells an
-      // ordinal may also lie before that start or behind the lens's end; there v could be too large for a half, which
-      // the clamp below prevents
-      uint64_t phase = own.phase[h][lane] + lens.phase_x * uint64_t(ordinal);
-      if (lens.has_cells) phase += cell_phase(lens, row0 + lane / kWarpLenses, own.start[h][lane] + ordinal);
+      // With cells an ordinal may also lie before the start of the lens or behind its end; there v could be too large
+      // for a half, which the clamp below prevents
+      uint64_t phase = phase_at(lens, row, m);
+      if (lens.has_cells) phase += cell_phase(lens, row, m);
       float v = (camera_of(lens, phase) - lens.ordinals.view[ordinal]) * lens.ordinals.view_unit;
       if (lens.has_cells) v = fminf(fmaxf(v, -2.f), 2.f);
       const float vv = v * v, rest = lens.continuous ? v - __half2float(__float2half_rn(v)) : vv;
@@ -110,13 +112,21 @@ struct Task : Patch<Harmonics> {
     out.slope[0] = __float_as_uint(c.w), out.slope[1] = slopes.x, out.slope[2] = slopes.y;
     return out;
   }
-  // With harmonics: keeps such a colour in the warp's memory, and reads it again, for the hits that follow take the
-  // difference to it.
-  __device__ void keep(int place, const float4& c, const uint2& slopes) {
-    own.whole_colour[Harmonics ? place : 0] = c, own.whole_slope[Harmonics ? place : 0] = slopes;
+  // With harmonics: keeps such a colour in the warp's memory, as the last of a quarter in a round, and reads it again,
+  // for the hit that follows takes the difference to it. Odd rounds have places of their own (turn 1).
+  __device__ void keep(int turn, int quarter, const float4& c, const uint2& slopes) {
+    own.last_colour[turn][Harmonics ? quarter : 0] = c, own.last_slope[turn][Harmonics ? quarter : 0] = slopes;
   }
-  __device__ Colour kept_colour(int place) const {
-    return whole(own.whole_colour[Harmonics ? place : 0], own.whole_slope[Harmonics ? place : 0]);
+  __device__ Colour kept_colour(int turn, int quarter) const {
+    return whole(own.last_colour[turn][Harmonics ? quarter : 0], own.last_slope[turn][Harmonics ? quarter : 0]);
+  }
+  // The colour that another lane of the warp has.
+  static __device__ Colour of_lane(const Colour& own, int lane) {
+    Colour out;
+#pragma unroll
+    for (int c = 0; c < 3; ++c)
+      out.value[c] = __shfl_sync(~0u, own.value[c], lane), out.slope[c] = __shfl_sync(~0u, own.slope[c], lane);
+    return out;
   }
 
   // The samples of this lane, a bit each, that stand at a place of their pixel at an ordinal; none for place 3.
@@ -184,7 +194,7 @@ struct Task : Patch<Harmonics> {
     }
   }
 
-  // Adds the n hits of the queue of ordinal t of the group to the state of the samples. The hits are taken in four
+  // Adds the n hits of the queue of ordinal t of the pass to the state of the samples. The hits are taken in four
   // quarters at once, and of each quad a lane blends one quarter: over is associative, and join() puts the quarters
   // together. In each round 8 hits of every quarter become operands, one a lane; then come up to four batches of
   // products, each of 8 hits (two of every quarter) and all 64 samples.
@@ -204,8 +214,8 @@ struct Task : Patch<Harmonics> {
 #pragma unroll
     for (int s = 0; s < 2 * kFragments; ++s) transmittances[s] = 1;
     const int quarter = (n + 3) / 4;
-    int begin = 0, hit = kBatch<Harmonics>, kept = hit;  // this lane's hit of this round, of the last; kBatch: none
-    if (Harmonics) keep(32 + lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
+    int begin = 0, hit = kBatch, kept = hit;  // this lane's hit of this round, of the last; kBatch: none
+    if (Harmonics && lane < 4) keep(1, lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
     for (; begin < quarter; begin += 8) {
       // Read this lane's hit: those of quarter q are in the columns 2 q and 2 q + 1 of the four batches
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
@@ -235,13 +245,14 @@ struct Task : Patch<Harmonics> {
 
       // Store them, the colour as the difference to that of the hit before
       if constexpr (Harmonics) {
-        const int turn = begin / 8 % 2 * 32;
-        keep(turn + lane, c, slopes);
-        __syncwarp();
-        const Colour last = kept_colour((first_of_quarter() ? 32 - turn : turn) + lane_before());
-        store_operands(operands, whole(c, slopes), last);
+        const int turn = begin / 8 % 2;
+        const Colour now = whole(c, slopes);
+        Colour last = of_lane(now, lane_before());
+        if (first_of_quarter()) last = kept_colour(1 - turn, q);
+        if (j - begin == min(7, quarter - 1 - begin)) keep(turn, q, c, slopes);
+        store_operands(operands, now, last);
       } else {
-        kept = hit, hit = valid ? i : kBatch<Harmonics>;
+        kept = hit, hit = valid ? i : kBatch;
         store_operands(operands, colour(hit), colour(before(hit, kept)));
       }
 
@@ -325,7 +336,7 @@ struct Task : Patch<Harmonics> {
     // columns is odd the spare one, which is black, has done so
     if (quarter % 2 == 0) {
       const int j = quarter - 1 - (begin - 8), last = j / 2 * 8 + quad * 2 + j % 2;
-      const Colour end = Harmonics ? kept_colour((begin / 8 - 1) % 2 * 32 + last) : colour(__shfl_sync(~0u, hit, last));
+      const Colour end = Harmonics ? kept_colour((begin / 8 - 1) % 2, quad) : colour(__shfl_sync(~0u, hit, last));
       close(end, ordinal % 3, A_features, colours, transmittances);
     }
     join(t, colours, transmittances);
