@@ -43,8 +43,8 @@ def read_items(source: str | Path, suffix: str, output: Path) -> tuple[list[Item
     for item in items:
         if (other := first.setdefault(item.name, item.input)) is not item.input:
             raise InputError(
-                f'{other} and {item.input} would both become {item.name}; name outputs in a list, {{"input": '
-                '"...", "output": "..."}'
+                f"{_brief(other)} and {_brief(item.input)} would both become {_brief(item.name)}; name outputs in a "
+                'list, {"input": "...", "output": "..."}'
             )
     return items, left
 
@@ -89,7 +89,7 @@ def _command(path: Path, is_folder: bool) -> Command | None:
 
 def _item(path: Path, name: PurePosixPath, suffix: str, command: Command | None = None, **more: Any) -> Item:
     """The item of a path. name: of it in the source, of which that of its output is made."""
-    is_folder = path.suffix.lower() not in PICTURES and path.is_dir()
+    is_folder = path.suffix.lower() not in PICTURES and os.path.isdir(path)  # any name, however long
     command = command or _command(path, is_folder) or "encode"
     end = "" if command == "video" else suffix
     stem = name.name if is_folder else name.stem
@@ -153,6 +153,11 @@ def _word(name: str, value: Any) -> str:
     if not parts or not all(isinstance(part, (str, int, float)) for part in parts):
         raise InputError(f"{name}: expected a text, a number, true, false or a list of numbers, got {shown(value)}")
     return f"--{option}={','.join(str(part) for part in parts)}"
+
+
+def _brief(path: str) -> str:
+    """The end of a path that is too long for a message."""
+    return path if len(path) <= 300 else f"...{path[-300:]}"
 
 
 def split(text: str | None) -> tuple[str, ...]:

@@ -71,11 +71,13 @@ class Manifest:
         for start, line in self._lines():
             try:
                 record = parse_json(line.decode())
-                if (name := record.get("item")) is not None:
-                    self._places[name] = start, len(line)
-                else:
-                    self.is_unfinished = "ended" not in record
-            except (ValueError, TypeError, AttributeError):
+            except ValueError:
+                record = None
+            if _tells_of_item(record):
+                self._places[record["item"]] = start, len(line)
+            elif isinstance(record, dict) and "run" in record and "item" not in record:
+                self.is_unfinished = "ended" not in record
+            else:
                 self.damaged += 1
         if not line.endswith(b"\n"):
             os.write(self._file, b"\n")
@@ -87,6 +89,20 @@ class Manifest:
             for line in file:
                 yield place, line
                 place += len(line)
+
+
+def _tells_of_item(record: Any) -> bool:
+    """Whether a line has what the next run goes by."""
+    if not isinstance(record, dict) or not all(isinstance(record.get(key), str) for key in ("item", "status", "job")):
+        return False
+    if record["status"] != "done":
+        return True
+    facts = [record.get(key) for key in ("inputs", "outputs")]
+    held = [fact for part in facts if isinstance(part, dict) for fact in part.values()]
+    return all(isinstance(part, dict) for part in facts) and all(
+        isinstance(fact, dict) and isinstance(fact.get("stamp"), list) and isinstance(fact.get("sha256"), str)
+        for fact in held
+    )
 
 
 def _lock(file: int, folder: Path) -> None:

@@ -10,24 +10,27 @@ from lightfield_gs.batch.item import Item
 from lightfield_gs.batch.manifest import Manifest
 from lightfield_gs.batch.plan import Known, make_plan
 
+RECORD = {"item": "a", "status": "done", "job": "", "inputs": {}, "outputs": {}}
+LINE = json.dumps(RECORD).encode() + b"\n"
+
 
 def test_the_last_line_of_an_item_counts(tmp_path):
     with Manifest(tmp_path / "out") as manifest:
         assert manifest.last("a") is None
         for status in ("begun", "failed", "done"):
-            manifest.append({"item": "a", "status": status, "said": ["öäü 光"]})
+            manifest.append(RECORD | {"status": status, "said": ["öäü 光"]})
     with Manifest(tmp_path / "out") as manifest:
-        assert manifest.last("a") == {"item": "a", "status": "done", "said": ["öäü 光"]}
+        assert manifest.last("a") == RECORD | {"status": "done", "said": ["öäü 光"]}
     assert len((tmp_path / "out/batch.jsonl").read_bytes().splitlines()) == 3
 
 
-@pytest.mark.parametrize("torn", [b'{"item": "b", "sta', b'{"item": "b", "status": "done"}', b"\x00\x00\n", b"[1]\n"])
+@pytest.mark.parametrize("torn", [b'{"item": "b", "sta', LINE.replace(b"a", b"b", 1).rstrip(), b"\x00\x00\n", b"[1]\n"])
 def test_what_a_power_failure_left_of_a_line_is_passed_over(tmp_path, torn):
     path = tmp_path / "batch.jsonl"
-    path.write_bytes(b'{"item": "a", "status": "done"}\n' + torn)
+    path.write_bytes(LINE + torn)
     with Manifest(tmp_path) as manifest:
         assert manifest.last("a") is not None and manifest.damaged == (b"done" not in torn)
-        manifest.append({"item": "c", "status": "done"})
+        manifest.append(RECORD | {"item": "c"})
     with Manifest(tmp_path) as manifest:
         assert manifest.last("c") is not None and (manifest.last("b") is not None) == (b"done" in torn)
 

@@ -117,7 +117,10 @@ def _is_panel_name(word: str) -> bool:
 def _with_small_panel(words: list[str]) -> list[str]:
     """The panels that have names, and the default one, become the small one."""
     words = ["small.yaml" if _is_panel_name(word) else word for word in words]
-    takes_panel = words[0] in ("encode", "batch", "simulate", "prune", "bench") and words[1] not in ("dense", "training-step")
+    takes_panel = words[0] in ("encode", "batch", "simulate", "prune", "bench") and words[1] not in (
+        "dense",
+        "training-step",
+    )
     return [*words, "--panel", "small.yaml"] if takes_panel and "--panel" not in words else words
 
 
