@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import NoReturn, cast
 
 from lightfield_gs.base.complaint import assumptions_said, complain
-from lightfield_gs.base.errors import InputError
+from lightfield_gs.commands.options.parser import Parser, joined
 
 # Each command is a file of lightfield_gs/commands, which has its arguments and runs it
 COMMANDS = {
@@ -26,6 +26,7 @@ COMMANDS = {
     "weave": "a quilt, or a folder of views, to the image of a panel",
     "prune": "leave out of a scene what hardly shows on a panel",
     "video": "a scene with moving cameras, or pictures in a row, to frames for a panel",
+    "batch": "many photos, scenes, captures and videos to images, on all GPUs",
     "simulate": "what an eye sees through the lenses",
     "view": "a page that shows and steers a scene",
     "show": "an encoded image on the panel, full screen",
@@ -34,17 +35,6 @@ COMMANDS = {
     "bench": "measure speed and accuracy",
 }
 _REMEDIES = {"fit": "use fewer --gaussians, a smaller --scale or a lower --sh-degree"}  # where memory does not suffice
-# Options whose values may begin with a minus sign
-_VECTOR_OPTIONS: tuple[str, ...] = ("--eye", "--eyes", "--background", "--depth-range", "--intrinsics", "--up", "--pan")
-_VECTOR_OPTIONS += ("--shift", "--corners")
-_VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre", "line-number", "slant", "phase"))
-
-
-class _Parser(argparse.ArgumentParser):
-    """Complains in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        raise InputError(f"{message}; see {self.prog} --help")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Names of files, and what they hold, may have bytes that are no text
         cast(io.TextIOWrapper, sys.stdout).reconfigure(errors="backslashreplace")
     try:
-        args = build_parser(*arguments[:1]).parse_args(_joined(arguments), argparse.Namespace(began=began))
+        args = build_parser(*arguments[:1]).parse_args(joined(arguments), argparse.Namespace(began=began))
         with assumptions_said():
             code = importlib.import_module(args.module).run(args) or 0
         sys.stdout.flush()
@@ -72,30 +62,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     """The parser, with the arguments of one command: those of others are not read, and `bench` would import torch."""
-    parser = _Parser(
+    parser = Parser(
         "lightfield-gs",
         description="One photo, or a scene of 3D Gaussians, to the image that a slanted-lenticular 3D panel shows.",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=_Parser)
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=Parser)
     for name, purpose in COMMANDS.items():
         subparser = commands.add_parser(name, help=purpose, allow_abbrev=False)
         subparser.set_defaults(module=f"lightfield_gs.commands.{name}")
         if name == command:
             importlib.import_module(f"lightfield_gs.commands.{name}").add_arguments(subparser)
     return parser
-
-
-def _joined(arguments: list[str]) -> list[str]:
-    """`--eye -5,0,600` as `--eye=-5,0,600`: argparse takes the value for an option otherwise."""
-    out: list[str] = []
-    for argument in arguments:
-        if out and out[-1] in _VECTOR_OPTIONS:
-            out[-1] += f"={argument}"
-        else:
-            out.append(argument)
-    return out
 
 
 class _Version(argparse.Action):

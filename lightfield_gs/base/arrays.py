@@ -32,3 +32,12 @@ def dense_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:
 def bytes_of(colours: Tensor) -> Tensor:
     """round(255 clamp(c, 0, 1)), ties to even, as uint8: byte_of of math/image_byte.h. Writes over `colours`."""
     return colours.clamp_(0, 1).mul_(255).round_().to(torch.uint8)
+
+
+def on_host(image: Tensor) -> np.ndarray:
+    """A picture that nothing draws over any more. From CUDA into page-locked memory, which takes a third of the
+    time."""
+    if not image.is_cuda:
+        return image.numpy()
+    host = torch.empty(image.shape, dtype=image.dtype, pin_memory=True)
+    return host.copy_(image).numpy()

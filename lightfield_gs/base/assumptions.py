@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 
 class Assumption(UserWarning):
@@ -17,6 +20,25 @@ class Loss(Assumption):
     label = "lost"
 
 
+_heard: ContextVar[list[str] | None] = ContextVar("heard", default=None)
+
+
+@contextmanager
+def heard() -> Iterator[list[str]]:
+    """The lines of what is assumed meanwhile in this thread, in place of warnings: those are of a whole process, in
+    which other threads may assume other things at the same time."""
+    lines: list[str] = []
+    token = _heard.set(lines)
+    try:
+        yield lines
+    finally:
+        _heard.reset(token)
+
+
 def assume(words: str, category: type[Assumption] = Assumption) -> None:
     """Warns with one line: what is assumed, why, and what follows if that is wrong; or what is lost."""
-    warnings.warn(" ".join(words.split()), category, stacklevel=3)
+    words, lines = " ".join(words.split()), _heard.get()
+    if lines is None:
+        warnings.warn(words, category, stacklevel=3)
+    elif (line := f"{category.label}: {words}") not in lines:
+        lines.append(line)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 import shutil
 import tempfile
@@ -12,6 +13,8 @@ from pathlib import Path
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.paths import checked_path
+
+_TEMPORARY = re.compile(r"\..*\.[0-9a-f]{12}(\.[^.]*)?")  # names that atomic_path makes
 
 
 def check_output_path(path: str | Path) -> Path:
@@ -94,6 +97,15 @@ def remove_file(path: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"cannot remove {path}: {error.strerror or error}") from error
+
+
+def remove_left_over(folder: Path) -> None:
+    """Removes what atomic_path left in a folder, and in those below, of processes that were killed. Raises InputError.
+    Nothing else may be writing there."""
+    for place, _, names in os.walk(folder):
+        for name in names:
+            if _TEMPORARY.fullmatch(name):
+                remove_file(Path(place) / name)
 
 
 @contextlib.contextmanager

@@ -20,8 +20,8 @@ from lightfield_gs.io.images import MAX_PIXELS, write_image
 from lightfield_gs.video.av_library import av_library
 
 VIDEO_INPUTS = (".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v")
-_PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
-_MAPS = (*_PICTURES, ".npy", ".npz")
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
+_MAPS = (*PICTURES, ".npy", ".npz")
 _CHUNK_BYTES = 1 << 20
 
 
@@ -65,7 +65,7 @@ def is_sequence(path: str | Path) -> bool:
     path = checked_path(path)
     if not path.is_dir():
         return path.suffix.lower() in VIDEO_INPUTS
-    return not (path / "meta.json").exists() and bool(_files(path, _PICTURES))
+    return not (path / "meta.json").exists() and bool(_files(path, PICTURES))
 
 
 def open_sequence(path: str | Path, maps: bool = False) -> Sequence:
@@ -76,9 +76,9 @@ def open_sequence(path: str | Path, maps: bool = False) -> Sequence:
     path = checked_path(path)
     if not path.is_dir():
         return _of_video(path)
-    files = _files(path, _MAPS if maps else _PICTURES)
+    files = _files(path, _MAPS if maps else PICTURES)
     if not files:
-        raise InputError(f"{path}: expected a folder of pictures ({', '.join(_MAPS if maps else _PICTURES)}), got none")
+        raise InputError(f"{path}: expected a folder of pictures ({', '.join(_MAPS if maps else PICTURES)}), got none")
     return Sequence(path, len(files), tuple(files))
 
 

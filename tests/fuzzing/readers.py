@@ -19,7 +19,12 @@ from scene_formats import sog, written
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
 from lightfield_gs.base.assumptions import Assumption
 from lightfield_gs.base.errors import InputError, reading
+from lightfield_gs.batch.item import Item
+from lightfield_gs.batch.items import read_items
+from lightfield_gs.batch.manifest import MANIFEST, Manifest
+from lightfield_gs.batch.plan import make_plan
 from lightfield_gs.encoding.view_files import read_cameras, read_view_map
+from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.camera_files import read_camera_file
 from lightfield_gs.io.captures.capture import read_capture
 from lightfield_gs.io.captures.colmap import read_model_file
@@ -115,7 +120,21 @@ def _read_display(path: Path) -> None:
         Panel.load(path, serial="B")
 
 
+def _read_manifest(path: Path) -> Any:
+    """In a folder, whose last items are looked at; what is damaged is passed over."""
+    folder = make_folder(path.with_name("folder"))
+    with reading(path):
+        (folder / MANIFEST).write_bytes(path.read_bytes())
+    items = [Item("a.png", "a.png"), Item("deep/b.png", "b.ply", "encode", ("--zoom=2",))]
+    with Manifest(folder) as manifest:
+        make_plan(items, manifest, {"all": {}}, check=True)
+        if manifest.damaged:
+            raise InputError("passed over")
+
+
 READERS = {
+    "batch-list": Reader(".txt", lambda path: read_items(path, ".png", path.parent / "out"), "batch-list"),
+    "batch-manifest": Reader(".jsonl", _read_manifest, "batch-manifest"),
     "ply": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply"),
     "ply-valid": Reader(".ply", lambda path: read_scene(path, skip_invalid=True).gaussians.validate(), "ply"),
     "ply-compressed": Reader(".ply", lambda path: read_scene(path).gaussians.validate(), "ply-compressed"),

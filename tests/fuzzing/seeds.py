@@ -172,12 +172,23 @@ def _colmap_models() -> None:
                 shutil.copy(Path(folder) / f"{kind}.{form}", CORPUS / f"colmap-{name}{ending}/small.{form}")
 
 
+def _batches(folder: Path, manifests: Path) -> None:
+    """A list, and the manifest of a run that did it."""
+    options = {"input": "b.ply", "output": "deep/b.png", "zoom": 2, "pan": [0.1, -0.2], "fit_options": "--steps 9"}
+    (folder / "two.txt").write_text(f"# mine\na.png\n{json.dumps(options)}\n")
+    held = {"stamp": [3, 5], "sha256": "0" * 64}
+    ended = {"item": "a.png", "status": "done", "job": "0" * 64, "inputs": {"a": held}, "outputs": {"a.png": held}}
+    lines = [{"run": "1", "options": {}}, ended, {"item": "deep/b.png", "status": "begun", "job": ""}]
+    (manifests / "two.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
 def main() -> None:
     folders = {reader.corpus: CORPUS / reader.corpus for reader in READERS.values()}
     for folder in folders.values():
         folder.mkdir(parents=True, exist_ok=True)
     if "heif" in READERS:  # and a HEIC, which Pillow does not write
         Image.linear_gradient("L").resize((16, 12)).convert("RGB").save(folders["heif"] / "small.avif", quality=50)
+    _batches(folders["batch-list"], folders["batch-manifest"])
     _scenes(folders["ply"])
     _scene_formats(folders)
     _images(folders["image"], {"panel": "small"})

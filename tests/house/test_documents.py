@@ -75,6 +75,9 @@ def _write_photos() -> None:
     cat.save("photo.png")
     white.convert("RGB").save("photo.jpg", quality=95)
     cat.getchannel("A").save("mask.png")
+    Path("photos").mkdir()
+    for number in range(2):
+        cat.save(f"photos/{number}.png")
     Image.fromarray(depth).save("depth.png")
     np.save("depth.npy", 1 + depth.astype(np.float32) / 255)
     pair = np.concatenate([np.asarray(white.convert("RGB")), np.repeat(depth[..., None], 3, 2)], axis=1)
@@ -114,7 +117,10 @@ def _is_panel_name(word: str) -> bool:
 def _with_small_panel(words: list[str]) -> list[str]:
     """The panels that have names, and the default one, become the small one."""
     words = ["small.yaml" if _is_panel_name(word) else word for word in words]
-    takes_panel = words[0] in ("encode", "simulate", "prune", "bench") and words[1] not in ("dense", "training-step")
+    takes_panel = words[0] in ("encode", "batch", "simulate", "prune", "bench") and words[1] not in (
+        "dense",
+        "training-step",
+    )
     return [*words, "--panel", "small.yaml"] if takes_panel and "--panel" not in words else words
 
 

@@ -27,6 +27,7 @@ ROOMS = (
     "lightfield_gs.fitting",
     "training",
     "lightfield_gs.bench",
+    "lightfield_gs.batch",
     "lightfield_gs.commands",
     "lightfield_gs.cli",
     "lightfield_gs.__main__",

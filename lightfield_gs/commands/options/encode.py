@@ -9,13 +9,42 @@ from typing import Any
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import COMPRESSIONS, DEVICES, METHODS, QUALITY_NAMES, VIEWS, of_other_methods
-from lightfield_gs.commands.options.look import refuse_look
+from lightfield_gs.commands.options.camera import add_camera
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
+from lightfield_gs.commands.options.look import add_depth_report, add_look, refuse_look
+from lightfield_gs.commands.options.panel import add_panel
 from lightfield_gs.commands.options.rig import load_cameras
-from lightfield_gs.commands.options.scene import check_scene_options
+from lightfield_gs.commands.options.scene import add_scene, check_scene_options
 from lightfield_gs.commands.options.values import byte_size, threads
 from lightfield_gs.panels.panel import Panel
 
 Add = Callable[..., argparse.Action]
+
+
+def add_encoding(add: Add) -> None:
+    """All that says how one input becomes an image, whether it is alone or one of many."""
+    add_panel(add, "for --preview, for framing, and for `simulate` afterwards")
+    add_camera(add)
+    add_look(add)
+    add_depth_report(add)
+    add_views(add)
+    add_scene(
+        add, "cut the object out of a photo with rembg (pip install 'lightfield-gs[rembg]'; downloads 176 MB once)"
+    )
+    add_method(add)
+    add_antialiased(add)
+    add_view_filter(add)
+    add_background(add)
+    add_file(add)
+
+
+def add_device(add: Add) -> None:
+    add(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)",
+    )
 
 
 def add_views(add: Add) -> None:
@@ -38,7 +67,7 @@ def add_views(add: Add) -> None:
 
 
 def add_method(add: Add) -> None:
-    """How and where the image is computed."""
+    """How the image is computed."""
     add(
         "--method",
         choices=METHODS,
@@ -52,12 +81,6 @@ def add_method(add: Add) -> None:
         metavar="SIZE",
         help="work memory of --method sorted beside the image, for example 256MB (B, KB, MB, GB, KiB, MiB, GiB; "
         "default 256MiB, or 1GiB on cuda, beside the sorted sub-pixels, 0.2GB on an 8K panel)",
-    )
-    add(
-        "--device",
-        choices=DEVICES,
-        default="auto",
-        help="where network and rasterizer run (default auto: cuda where there is a GPU and this build can use it)",
     )
     add(
         "--views",
@@ -74,7 +97,7 @@ def add_method(add: Add) -> None:
 
 
 def add_file(add: Add) -> None:
-    """How the image is stored, and what is told of it."""
+    """How the image is stored."""
     add(
         "--bit-depth",
         type=int,
@@ -84,7 +107,6 @@ def add_file(add: Add) -> None:
     )
     add("--compression", choices=COMPRESSIONS, default="fast", help="of the file: quick to write, or small")
     add("--threads", type=threads, metavar="N", help="number of threads (default: all cores)")
-    add("--stats", action="store_true", help="print what was drawn and what was skipped")
 
 
 def check_options(args: argparse.Namespace) -> None:

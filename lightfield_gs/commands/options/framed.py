@@ -11,10 +11,11 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import Given, choose_rig
 from lightfield_gs.commands.options.drawn import settle_drawing
 from lightfield_gs.commands.options.look import apply_look, report_depth
-from lightfield_gs.commands.options.scene import load_scene
+from lightfield_gs.commands.options.scene import read_source, scene_of
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
+    from lightfield_gs.commands.options.photo import ReadPhoto
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.files import SceneFile
     from lightfield_gs.scene.gaussians import Gaussians
@@ -51,8 +52,15 @@ def load_drawn(
     args: argparse.Namespace, panel: Panel, device: str, watch: Stopwatch
 ) -> tuple[Gaussians, SceneFile | None, list[str]]:
     """The Gaussians, on the device, what else their file holds (None of a photo), and lines on how they are drawn,
-    which is settled in args. panel: see load_scene. Raises InputError."""
-    gaussians, file = load_scene(args, device, watch, panel)
+    which is settled in args. panel: see scene_of. Raises InputError."""
+    return drawn_of(args, read_source(args), panel, device, watch)
+
+
+def drawn_of(
+    args: argparse.Namespace, source: SceneFile | ReadPhoto, panel: Panel, device: str, watch: Stopwatch
+) -> tuple[Gaussians, SceneFile | None, list[str]]:
+    """What load_drawn returns, of an input that was read."""
+    gaussians, file = scene_of(args, source, device, watch, panel)
     return gaussians, file, settle_drawing(args, file)
 
 

@@ -3,31 +3,62 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from lightfield_gs.base.complaint import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stopwatch import Stopwatch
-from lightfield_gs.commands.options.depth_map import depth_beside, depth_of_file
+from lightfield_gs.commands.options.depth_map import depth_beside, depth_of_file, has_depth
 from lightfield_gs.commands.options.detail import detail_given, detail_words
 from lightfield_gs.commands.options.estimated import AUTO, depth_by_network, is_estimated
+from lightfield_gs.commands.options.network import network_of
 from lightfield_gs.commands.options.photo_camera import camera_of_photo
 from lightfield_gs.commands.options.placing import place_photo
 from lightfield_gs.photo.side_by_side import depth_side, halves
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
+    from lightfield_gs.photo.depth import DepthMap
     from lightfield_gs.photo.load import Photo
     from lightfield_gs.scene.gaussians import Gaussians
 
 
-def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel) -> Gaussians:
-    """The Gaussians of the object in a photo, by the network; or of all that it shows, where no object is cut out and
-    there is a network for its depths, which args.depth says then. Raises InputError."""
+@dataclass
+class ReadPhoto:
+    """What the files of a photo hold, before anything is computed of it.
+
+    is_whole: whether all of it is shown. depth: of its map, then; None where a network estimates it, and of an object.
+    refused: why no object was cut out where all is shown instead. notes: lines.
+    """
+
+    photo: Photo
+    is_whole: bool = False
+    depth: DepthMap | None = None
+    refused: InputError | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def read_photo(args: argparse.Namespace) -> ReadPhoto:
+    """The photo of args.input, with its depth map where it has one. Raises InputError."""
+    return _read_whole(args) if has_depth(args) else _read_object(args)
+
+
+def photo_scene(args: argparse.Namespace, source: ReadPhoto, device: str, watch: Stopwatch, panel: Panel) -> Gaussians:
+    """The Gaussians of a photo that was read: of its object, by the network, or of all that it shows. Raises
+    InputError."""
+    if source.refused is not None:
+        return _whole_instead(args, source, device, watch, panel)
+    scene = _scene_of_whole if source.is_whole else _scene_of_object
+    return scene(args, source, device, watch, panel)
+
+
+def _read_object(args: argparse.Namespace) -> ReadPhoto:
+    """A photo whose object is cut out; or all of it, where none is and there is a network for its depths, which
+    args.depth says then."""
     from lightfield_gs.io.images import read_picture
-    from lightfield_gs.models import SplatterNet
-    from lightfield_gs.models.detail_level import detail_level
     from lightfield_gs.photo.load import NoCutOut, photo_of
 
     picture = read_picture(args.input)
@@ -47,32 +78,43 @@ def photo_object(args: argparse.Namespace, device: str, watch: Stopwatch, panel:
         of_network = (args.checkpoint, args.detail, args.detail_budget)
         if not isinstance(error, NoCutOut) or any(value is not None for value in of_network):
             raise
-        return _whole_instead(args, device, watch, panel, error)
-    del picture
-    network = SplatterNet.from_pretrained(args.checkpoint).to(device)
+        return _read_whole_instead(args, error)
+    return ReadPhoto(photo, notes=[f"{args.input}: {hint}"] if side else [])
+
+
+def _scene_of_object(
+    args: argparse.Namespace, source: ReadPhoto, device: str, watch: Stopwatch, panel: Panel
+) -> Gaussians:
+    from lightfield_gs.models.detail_level import detail_level
+
+    photo = source.photo
+    network = network_of(args.checkpoint, device)
     watch.lap("load")
     detail, budget = detail_given(args)
     gaussians = network.predict(photo.pixels, detail, panel, budget)
     watch.lap("network")
     level = detail_level(detail, network.config, max(photo.pixels.shape[:2]), panel, budget)
-    _say(args, photo, [detail_words(level, network.config)], [f"{args.input}: {hint}"] if side else [])
+    _say(args, photo, [detail_words(level, network.config)], source.notes)
     return gaussians
 
 
-def _whole_instead(
-    args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel, refused: InputError
-) -> Gaussians:
-    """The Gaussians of a photo in which no object is cut out, with estimated depths. Raises `refused` where there is no
-    network for them."""
+def _read_whole_instead(args: argparse.Namespace, refused: InputError) -> ReadPhoto:
+    """All of a photo in which no object is cut out, for estimated depths. Raises `refused` where there is no network
+    for them."""
     from lightfield_gs.photo.depth_network import is_installed
 
     if not is_installed():
         raise refused
     args.depth = AUTO
-    try:
-        gaussians = photo_scene(args, device, watch, panel)
-    except InputError as error:
-        raise InputError(f"{refused}; that was tried: {error}") from None
+    with _tried(refused):
+        return replace(_read_whole(args), refused=refused)
+
+
+def _whole_instead(
+    args: argparse.Namespace, source: ReadPhoto, device: str, watch: Stopwatch, panel: Panel
+) -> Gaussians:
+    with _tried(source.refused):
+        gaussians = _scene_of_whole(args, source, device, watch, panel)
     note(
         f"{args.input} has no cut-out and no plain background: it is shown as a whole scene, as with --depth auto; for "
         "one object give --mask FILE or --remove-background"
@@ -80,13 +122,20 @@ def _whole_instead(
     return gaussians
 
 
-def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel) -> Gaussians:
-    """The Gaussians of all that a photo with depths shows. Raises InputError."""
-    import torch
+@contextmanager
+def _tried(refused: InputError | None) -> Iterator[None]:
+    """Puts why no object was cut out before what is wrong with the whole photo."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{refused}; that was tried: {error}") from None
 
+
+def _read_whole(args: argparse.Namespace) -> ReadPhoto:
+    """All that a photo shows, with its depth map unless that is estimated."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.photo.load import photo_of
-    from lightfield_gs.photo.rgbd import check_depth_size, from_depth, known_camera
+    from lightfield_gs.photo.rgbd import check_depth_size
 
     picture = read_picture(args.input)
     side = None if args.depth is not None else args.rgbd or depth_side(picture.pixels)
@@ -105,14 +154,27 @@ def photo_scene(args: argparse.Namespace, device: str, watch: Stopwatch, panel: 
         map_orientation=args.map_orientation,
     )
     if is_estimated(args):
+        return ReadPhoto(photo, is_whole=True)
+    depth = depth_of_file(args, photo) if side is None else depth_beside(args, picture, side)
+    check_depth_size(str(args.depth), depth.z, photo.pixels)
+    return ReadPhoto(photo, is_whole=True, depth=depth)
+
+
+def _scene_of_whole(
+    args: argparse.Namespace, source: ReadPhoto, device: str, watch: Stopwatch, panel: Panel
+) -> Gaussians:
+    import torch
+
+    from lightfield_gs.photo.rgbd import check_depth_size, from_depth, known_camera
+
+    photo, depth = source.photo, source.depth
+    if depth is None:
         watch.lap("load")
         depth = depth_by_network(args, photo, device)
-    else:
-        depth = depth_of_file(args, photo) if side is None else depth_beside(args, picture, side)
-    check_depth_size(str(args.depth), depth.z, photo.pixels)
+        check_depth_size(str(args.depth), depth.z, photo.pixels)
     height, width = photo.pixels.shape[:2]
     focal, centre, camera, notes = camera_of_photo(args, height, width, depth.focal_px)
-    watch.lap("depth network" if is_estimated(args) else "load")
+    watch.lap("load" if source.depth is not None else "depth network")
     image = torch.from_numpy(photo.floats()).to(device)
     known = known_camera(focal, centre, height, width)
     margin, placed = place_photo(args, panel, image, torch.from_numpy(depth.z), *known)

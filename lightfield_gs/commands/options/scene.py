@@ -14,7 +14,7 @@ from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.depth_map import add_depth, has_depth
 from lightfield_gs.commands.options.detail import add_detail
 from lightfield_gs.commands.options.estimated import depth_file, is_estimated
-from lightfield_gs.commands.options.photo import photo_object, photo_scene
+from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, read_photo
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
 
@@ -110,23 +110,35 @@ def say_origin(path: Path, gaussians: Gaussians) -> None:
         print(f"{path}: origin {place}, taken off its double coordinates (rigs and cameras are in the file's)")
 
 
-def load_scene(
-    args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel
-) -> tuple[Gaussians, SceneFile | None]:
-    """The Gaussians of the input, on the device, and what else its file holds; None of a photo.
-
-    panel: where it will be shown, which decides how finely a photo is taken, and what one with depths is to fill.
-    """
+def read_source(args: argparse.Namespace) -> SceneFile | ReadPhoto:
+    """What the files of the input hold; nothing is computed yet. Raises InputError."""
     if _is_scene_file(args):
         file = read_noted(args.input, args.skip_invalid)
         say_origin(args.input, file.gaussians)
-        gaussians = file.gaussians.to(device)
-        watch.lap("load")
-        return gaussians, file
+        return file
     _note_quilt(args.input)
-    if has_depth(args):
-        return photo_scene(args, device, watch, panel), None
-    return photo_object(args, device, watch, panel), None
+    return read_photo(args)
+
+
+def scene_of(
+    args: argparse.Namespace, source: SceneFile | ReadPhoto, device: str, watch: Stopwatch, panel: Panel
+) -> tuple[Gaussians, SceneFile | None]:
+    """The Gaussians of an input that was read, on the device, and what else its file holds; None of a photo.
+
+    panel: where it will be shown, which decides how finely a photo is taken, and what one with depths is to fill.
+    """
+    if isinstance(source, ReadPhoto):
+        return photo_scene(args, source, device, watch, panel), None
+    gaussians = source.gaussians.to(device)
+    watch.lap("load")
+    return gaussians, source
+
+
+def load_scene(
+    args: argparse.Namespace, device: str, watch: Stopwatch, panel: Panel
+) -> tuple[Gaussians, SceneFile | None]:
+    """What scene_of makes of the input. Raises InputError."""
+    return scene_of(args, read_source(args), device, watch, panel)
 
 
 def _note_quilt(path: Path) -> None:

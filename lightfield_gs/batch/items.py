@@ -1,0 +1,168 @@
+"""What a batch does: one item for each photo, scene, capture or video of a folder or a list."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from lightfield_gs.base.checks import shown
+from lightfield_gs.base.errors import InputError, named, reading
+from lightfield_gs.base.paths import checked_path
+from lightfield_gs.batch.item import COMMANDS, Command, Item
+from lightfield_gs.io.captures.colmap_capture import model_folder
+from lightfield_gs.io.captures.transforms_capture import transforms_file
+from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.scenes.stored import SUFFIXES, is_scene_path
+from lightfield_gs.io.text_file import read_text
+from lightfield_gs.video.sequence import PICTURES, VIDEO_INPUTS, is_sequence
+
+_LIST_LIMIT_BYTES = 1 << 30
+_IMAGES_AND_SCENES = {*PICTURES, *SUFFIXES}
+
+
+def read_items(source: str | Path, suffix: str, output: Path) -> tuple[list[Item], Counter[str]]:
+    """The items of a folder or a list, in order, and how many files of a folder are none, by the ends of their names.
+
+    suffix: of images. output: the folder of the batch, which is left out where it is in the other. Raises InputError
+    where there is none, and where two would become one file.
+    """
+    source = checked_path(source)
+    left: Counter[str] = Counter()
+    if source.is_dir():
+        found = _found(source, PurePosixPath(), output, left)
+        items = [_item(source / name, name, suffix, command) for name, command in found]
+    else:
+        items = list(_listed(source, suffix))
+    if not items:
+        raise InputError(f"{source}: expected photos, scenes, captures or videos, got none")
+    first: dict[str, str] = {}
+    for item in items:
+        if (other := first.setdefault(item.name, item.input)) is not item.input:
+            raise InputError(
+                f"{_brief(other)} and {_brief(item.input)} would both become {_brief(item.name)}; name outputs in a "
+                'list, {"input": "...", "output": "..."}'
+            )
+    return items, left
+
+
+def _found(
+    source: Path, at: PurePosixPath, output: Path, left: Counter[str]
+) -> Iterator[tuple[PurePosixPath, Command]]:
+    """What a folder, and those in it, hold, by names from `source`, in order; hidden ones are left out. at: the name
+    of the folder itself."""
+    folder = source / at
+    if (command := _command(folder, is_folder=True)) in ("fit", "encode"):
+        raise InputError(f"{folder} is one {'capture' if command == 'fit' else 'scene'}; give the folder it is in")
+    with reading(folder), os.scandir(folder) as entries:
+        inside = sorted((entry.name, entry.is_dir()) for entry in entries if not entry.name.startswith("."))
+    for name, is_folder in inside:
+        path = folder / name
+        command = _command(path, is_folder)
+        if not is_folder:
+            if command is None:
+                left[path.suffix.lower() or name] += 1
+            else:
+                yield at / name, command
+        elif path.resolve() == output.resolve() or folder.resolve().is_relative_to(path.resolve()):
+            continue  # a link that leads back
+        elif command in ("fit", "encode"):
+            yield at / name, command
+        else:  # a folder of photos is as many items as it holds
+            yield from _found(source, at / name, output, left)
+
+
+def _command(path: Path, is_folder: bool) -> Command | None:
+    """What is done with a path where nothing else is said; None: nothing."""
+    if not is_folder:
+        end = path.suffix.lower()
+        return "encode" if end in _IMAGES_AND_SCENES else "video" if end in VIDEO_INPUTS else None
+    if is_scene_path(path):
+        return "encode"
+    if model_folder(path) is not None or transforms_file(path) is not None:
+        return "fit"
+    return "video" if is_sequence(path) else None
+
+
+def _item(path: Path, name: PurePosixPath, suffix: str, command: Command | None = None, **more: Any) -> Item:
+    """The item of a path. name: of it in the source, of which that of its output is made."""
+    is_folder = path.suffix.lower() not in PICTURES and os.path.isdir(path)  # any name, however long
+    command = command or _command(path, is_folder) or "encode"
+    end = "" if command == "video" else suffix
+    stem = name.name if is_folder else name.stem
+    return Item((name.parent / (stem + end)).as_posix(), str(path), command, **more)
+
+
+def _listed(path: Path, suffix: str) -> Iterator[Item]:
+    """The items of a text file: a path on each line, or a JSON object; empty lines and those that begin with # are
+    none."""
+    for number, line in enumerate(read_text(path, _LIST_LIMIT_BYTES, "a list of inputs").splitlines(), 1):
+        line = line.strip()
+        if line and not line.startswith("#"):
+            with named(f"{path}, line {number}"):
+                yield _of_object(line, suffix) if line.startswith("{") else _of_path(line, suffix)
+
+
+def _of_path(text: str, suffix: str) -> Item:
+    path = checked_path(text)
+    return _item(path, _relative(path), suffix)
+
+
+def _relative(path: Path) -> PurePosixPath:
+    """A path as it was written; one that leads elsewhere from its root."""
+    plain = path if not path.is_absolute() and ".." not in path.parts else Path(os.path.abspath(path))
+    return PurePosixPath(*(part for part in plain.parts if part != plain.anchor))
+
+
+def _of_object(line: str, suffix: str) -> Item:
+    """{"input": PATH, "output": NAME, "command": ..., "fit_options": TEXT, and options of `encode`, or of `video`, by
+    their names}."""
+    try:
+        given = parse_json(line)
+    except ValueError as error:
+        raise InputError(f"expected a path or a JSON object, got {shown(line)} ({error})") from None
+    texts = {name: given.pop(name, None) for name in ("input", "output", "command", "fit_options")}
+    for name, text in texts.items():
+        if not isinstance(text, str) and (text is not None or name == "input"):
+            raise InputError(f"{name}: expected a text, got {shown(text)}")
+    if texts["command"] not in (None, *COMMANDS):
+        raise InputError(f"command: expected {', '.join(COMMANDS)}, got {shown(texts['command'])}")
+    path, output = checked_path(texts["input"]), texts["output"]
+    words = tuple(_word(name, value) for name, value in given.items())
+    item = _item(path, _relative(path), suffix, texts["command"], words=words, fit_words=split(texts["fit_options"]))
+    if output is None:
+        return item
+    place = PurePosixPath(output)
+    if place.is_absolute() or ".." in place.parts or not place.name:
+        raise InputError(f"output: expected a name in the folder of the batch, got {shown(output)}")
+    if item.command != "video" and place.suffix.lower() not in (".png", ".tif", ".tiff", ".exr"):
+        raise InputError(f"output: expected a .png, .tif or .exr, got {shown(output)}")
+    return Item(place.as_posix(), item.input, item.command, item.words, item.fit_words)
+
+
+def _word(name: str, value: Any) -> str:
+    """An option as on the command line: {"depth_amount": 0.5} is --depth-amount=0.5, true is the option by itself,
+    false is --no-..., a list has commas between."""
+    option = name.replace("_", "-")
+    if isinstance(value, bool):
+        return f"--{option}" if value else f"--no-{option}"
+    parts = value if isinstance(value, list) else [value]
+    if not parts or not all(isinstance(part, (str, int, float)) for part in parts):
+        raise InputError(f"{name}: expected a text, a number, true, false or a list of numbers, got {shown(value)}")
+    return f"--{option}={','.join(str(part) for part in parts)}"
+
+
+def _brief(path: str) -> str:
+    """The end of a path that is too long for a message."""
+    return path if len(path) <= 300 else f"...{path[-300:]}"
+
+
+def split(text: str | None) -> tuple[str, ...]:
+    """Words of a command line. Raises InputError where a quotation mark is left open."""
+    try:
+        return tuple(shlex.split(text or ""))
+    except ValueError as error:
+        raise InputError(f"expected options as on the command line, got {shown(text)} ({error})") from None

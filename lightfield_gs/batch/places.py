@@ -1,0 +1,91 @@
+"""The places of a batch's processes: one a GPU, or one a few cores."""
+
+from __future__ import annotations
+
+import os
+import re
+
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.batch.worker import Place
+
+CORES_A_PROCESS = 4  # of a CPU: more draw one image faster, and fewer images in all
+_MOST_WRITERS, _MOST_READERS = 32, 8
+
+
+def cores() -> list[int]:
+    """The cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
+
+
+def places_here(devices: str | None, processes: int | None, threads: int | None) -> list[Place]:
+    """The places on this machine.
+
+    devices: "cpu", or "cuda:0,cuda:1"; None: all GPUs that are seen, or the CPU where there is none that can be used.
+    processes: how many, which take turns on the devices; None: one a GPU, or one for every CORES_A_PROCESS cores.
+    threads: that draw in each on the CPU (None: one a core of its own). Raises InputError.
+    """
+    gpus = _gpus(devices)
+    own = cores()
+    if not gpus:
+        count = processes or max(1, len(own) // CORES_A_PROCESS)
+        return [_on_cpu(number, own[number::count] or own, threads) for number in range(count)]
+    count = processes or len(gpus)
+    names = [gpus[number % len(gpus)] for number in range(count)]
+    share = max(1, len(own) // count)
+    return [
+        Place(
+            f"cuda:{gpu}" + (f" process {number // len(gpus)}" if count > len(gpus) else ""),
+            "cuda",
+            _visible(gpu),
+            (),
+            threads or share,
+            *threads_beside(share),
+        )
+        for number, gpu in enumerate(names)
+    ]
+
+
+def threads_beside(share: int) -> tuple[int, int]:
+    """Threads that read and that write beside a GPU, of a process that has so many cores."""
+    return min(_MOST_READERS, max(2, share // 2)), min(_MOST_WRITERS, max(2, share))
+
+
+def on_cpu(name: str, own: tuple[int, ...], threads: int) -> Place:
+    """A process that draws on the CPU, where reading and writing take from the drawing."""
+    return Place(name, "cpu", cores=own, threads=threads, readers=1, writers=max(1, threads // 2))
+
+
+def _on_cpu(number: int, own: list[int], threads: int | None) -> Place:
+    return on_cpu(f"cpu:{number}", tuple(own), threads or len(own))
+
+
+def _gpus(devices: str | None) -> list[int]:
+    """Numbers of the GPUs, of those that are seen; [] for the CPU. Raises InputError."""
+    if devices is None:
+        if choose_device("auto") == "cpu":
+            return []
+        import torch
+
+        return list(range(torch.cuda.device_count()))
+    if devices == "cpu":
+        return []
+    numbers = [re.fullmatch(r"cuda:(\d{1,3})", word) for word in devices.split(",")]
+    if not all(numbers):
+        raise InputError(f"--devices: expected cpu, or GPUs such as cuda:0,cuda:1, got {devices!r}")
+    choose_device("cuda")
+    import torch
+
+    found = [int(number[1]) for number in numbers if number is not None]
+    count = torch.cuda.device_count()
+    if max(found) >= count or len(set(found)) < len(found):
+        raise InputError(f"--devices: expected different ones of cuda:0 to cuda:{count - 1}, got {devices}")
+    return found
+
+
+def _visible(gpu: int) -> str:
+    """What CUDA_VISIBLE_DEVICES says for a process that is to see this one alone, of those that are seen here."""
+    seen = [word.strip() for word in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if word.strip()]
+    return seen[gpu] if seen else str(gpu)

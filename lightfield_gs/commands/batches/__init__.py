@@ -1,0 +1,1 @@
+"""What `lightfield-gs batch` does with each item."""

@@ -1,0 +1,225 @@
+"""The items of a batch in a process of it: each is what `encode`, `fit` or `video` does, by their own functions."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.batch.hashes import facts
+from lightfield_gs.batch.item import Item
+from lightfield_gs.batch.pipeline import Record
+from lightfield_gs.batch.plan import Known
+from lightfield_gs.batch.worker import Place
+from lightfield_gs.commands.options.encoding import Encoding, outputs_of, use_threads
+from lightfield_gs.commands.options.estimated import AUTO
+from lightfield_gs.commands.options.framed import files_read
+from lightfield_gs.commands.options.parser import Parser, joined
+from lightfield_gs.io.atomic import make_folder
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all items have in common.
+
+    folder: of the batch; start: the folder that it was started in, which paths are relative to. given: options of
+    `encode` that were given, by their names in its arguments. fit_words: options of `fit`; video_words: of `video`.
+    """
+
+    folder: Path
+    start: Path
+    given: dict[str, Any]
+    fit_words: tuple[str, ...] = ()
+    video_words: tuple[str, ...] = ()
+
+
+def maker(options: dict[str, Any], place: Place) -> Callable[[tuple[Item, Known | None]], Any]:
+    """What makes the task of an item, once the process has what all of them need."""
+    import torch
+
+    setup = Setup(**options)
+    os.chdir(setup.start)
+    use_threads(place.threads)
+    if place.device == "cuda":
+        torch.zeros(1, device="cuda")  # which loads what takes seconds
+    kinds = {"encode": EncodeTask, "fit": FitTask, "video": VideoTask}
+    return lambda pair: kinds[pair[0].command](pair[0], pair[1], setup, place)
+
+
+class EncodeTask:
+    """A photo or a scene to the image of a panel. known: what is known of it from before."""
+
+    def __init__(self, item: Item, known: Known | None, setup: Setup, place: Place) -> None:
+        self.item, self.known, self.setup, self.place = item, known, setup, place
+        self.output = setup.folder / item.name
+        self.inputs: Record = {}
+        self.outputs: Record = {}
+        self.status = "done"
+
+    def read(self) -> bool:
+        """Reads the input, unless it holds what it held when it was done."""
+        if self._is_kept():
+            return False
+        make_folder(self.output.parent)
+        self.begin()
+        return True
+
+    def begin(self) -> None:
+        """What is done while others are drawn."""
+        self.encoding = Encoding(self.encode_args(self.item.input), Stopwatch(0.0))
+        self.encoding.read()
+
+    def draw(self) -> None:
+        """Draws the image."""
+        self.encoding.draw()
+
+    def write(self) -> None:
+        """Writes it, and notes what it holds."""
+        self.encoding.write()
+        self.note_outputs(*outputs_of(self.encoding.args))
+
+    def record(self) -> Record:
+        """Status, inputs and outputs, as far as they are known."""
+        said = getattr(getattr(self, "encoding", None), "said", [])
+        return {"status": self.status, "inputs": self.inputs, "outputs": self.outputs, "said": list(said)}
+
+    def files(self) -> list[Path | str | None]:
+        """Files and folders that are read."""
+        return list(files_read(self.encode_args(self.item.input)))
+
+    def encode_args(self, source: str | Path) -> argparse.Namespace:
+        """The arguments of `encode` for what is to become the image."""
+        words = [*self.item.words, "-o", str(self.output), "--", str(source)]
+        return _parsed("encode", words, self._given())
+
+    def note_outputs(self, *paths: Path | None) -> None:
+        """Notes what was written."""
+        for path in paths:
+            if path is not None and path.exists():
+                name = path.relative_to(self.setup.folder) if path.is_relative_to(self.setup.folder) else path
+                self.outputs[name.as_posix()] = facts(path)
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether what a run before left unfinished is of other options or inputs."""
+        known = self.known
+        return known is not None and (known.is_other or bool(known.inputs))
+
+    def _given(self) -> dict[str, Any]:
+        return self.setup.given | {"device": self.place.device, "threads": self.place.threads}
+
+    def _is_kept(self) -> bool:
+        """Notes what the inputs hold; whether that is what the outputs that are there were made of."""
+        named = [path for path in self.files() if path not in (None, AUTO)]
+        source = named[0]  # the input; of the others their readers say better what is wrong with them
+        self.inputs = {str(path): facts(str(path)) for path in named if path == source or Path(str(path)).exists()}
+        if self.known is None or not self.known.outputs:
+            return False
+        now, before = ([held["sha256"] for held in each.values()] for each in (self.inputs, self.known.inputs))
+        if now != before:
+            return False
+        self.status, self.outputs = "kept", self.known.outputs
+        return True
+
+
+class FitTask(EncodeTask):
+    """A capture to a scene, name.ply, and that to the image of a panel."""
+
+    def begin(self) -> None:
+        """Checks the options before the photographs are read."""
+        self.scene = self.output.with_suffix(".ply")
+        self.fit_args = self._fit_args()
+
+    def draw(self) -> None:
+        """Fits the scene, where it was left off, and draws it."""
+        from lightfield_gs.commands import fit
+        from lightfield_gs.fitting.display import rig_path
+
+        fit.run(self.fit_args)
+        args = self.encode_args(self.scene)
+        if args.rig is None and args.camera is None and rig_path(self.scene).exists():
+            args.rig = rig_path(self.scene)
+        self.encoding = Encoding(args, Stopwatch(0.0))
+        self.encoding.read()
+        self.encoding.draw()
+
+    def write(self) -> None:
+        """Writes the image, and notes what image and scene hold."""
+        from lightfield_gs.fitting.display import rig_path
+
+        super().write()
+        self.note_outputs(self.scene, rig_path(self.scene))
+
+    def files(self) -> list[Path | str | None]:
+        """The folder of the capture, and what else is read."""
+        source, args = Path(self.item.input), self._fit_args()
+        more = files_read(self.encode_args(source))[1:]
+        return [source if source.is_dir() else source.parent, args.images, args.mask_folder, args.test_list, *more]
+
+    def _fit_args(self) -> argparse.Namespace:
+        scene = str(self.output.with_suffix(".ply"))
+        words = [*self.setup.fit_words, *self.item.fit_words, "-o", scene, "--", self.item.input]
+        args = _parsed("fit", words, {"device": self.place.device})
+        args.fresh |= self.is_fresh
+        return args
+
+
+class VideoTask(EncodeTask):
+    """A scene with moving cameras, or pictures in a row, to frames."""
+
+    def begin(self) -> None:
+        """Checks the options before the first picture is read."""
+        from lightfield_gs.commands.options.panel import load_panel
+        from lightfield_gs.commands.options.video import checked_result
+
+        self.args = self._args()
+        self.result = checked_result(self._args(), load_panel(self.args)).path
+
+    def draw(self) -> None:
+        """Draws and writes the frames that are not there."""
+        from lightfield_gs.commands import video
+
+        self.args.began = time.perf_counter()
+        video.run(self.args)
+
+    def write(self) -> None:
+        """Notes what the frames hold."""
+        self.note_outputs(self.result)
+
+    def files(self) -> list[Path | str | None]:
+        """Files and folders that are read."""
+        return list(files_read(self._args()))
+
+    def _args(self) -> argparse.Namespace:
+        words = [*self.setup.video_words, *self.item.words, "-o", str(self.output), "--", self.item.input]
+        args = _parsed("video", words, self._given())
+        args.overwrite |= self.is_fresh
+        return args
+
+
+@cache
+def _parser(command: str) -> Parser:
+    parser = Parser(f"lightfield-gs {command}", allow_abbrev=False)
+    import_module(f"lightfield_gs.commands.{command}").add_arguments(parser)
+    return parser
+
+
+def _parsed(command: str, words: list[str], given: dict[str, Any]) -> argparse.Namespace:
+    """The arguments of a command. given: values in place of its defaults, of those options that it has."""
+    parser = _parser(command)
+    known = {action.dest for action in parser._actions}
+    return parser.parse_args(
+        joined(words), argparse.Namespace(**{name: value for name, value in given.items() if name in known})
+    )
+
+
+def defaults(command: str) -> dict[str, Any]:
+    """The values of a command's options where none is given."""
+    return vars(_parsed(command, ["-o", "-", "--", "-"], {}))

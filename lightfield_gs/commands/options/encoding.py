@@ -1,0 +1,221 @@
+"""An input on its way to the image of a panel, in three parts: what `encode` does once, and `batch` over and over."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from lightfield_gs.base.arrays import on_host
+from lightfield_gs.base.complaint import note
+from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.stopwatch import Stopwatch
+from lightfield_gs.commands.options.camera import comments_of, read_given
+from lightfield_gs.commands.options.encode import bits_of, check_options, views_given
+from lightfield_gs.commands.options.estimated import depth_file, depth_model, is_estimated
+from lightfield_gs.commands.options.framed import drawn_of, files_read, frame_scene
+from lightfield_gs.commands.options.panel import load_panel
+from lightfield_gs.commands.options.provenance import file_facts, package_versions, scene_facts, software
+from lightfield_gs.commands.options.scene import check_scene_path, read_source
+from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
+from lightfield_gs.io.images import check_image_path, write_image
+from lightfield_gs.panels.panel import Panel
+
+if TYPE_CHECKING:
+    from lightfield_gs.commands.options.photo import ReadPhoto
+    from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.scene.files import SceneFile
+    from lightfield_gs.scene.gaussians import Gaussians
+
+
+class Encoding:
+    """args.input to args.output: `read`, then `draw`, then `write`, each in any thread.
+
+    `draw` alone needs the device; `read` and `write` are the host's work, beside which other inputs are drawn. What can
+    be refused before anything is read is refused when it is made. said: lines on what was decided; stats: those of
+    `encode`. All raise InputError.
+    """
+
+    def __init__(self, args: argparse.Namespace, watch: Stopwatch) -> None:
+        self.args, self.watch, self.said = args, watch, list[str]()
+        self.bits = _check_files(args)
+        check_options(args)
+        self.panel = load_panel(args)
+        self.device = choose_device(args.device)
+        self.given, self.views = read_given(args, self.panel), views_given(args, self.panel)
+        self.rig: Rig | None = None
+        self.stats: dict[str, Any] = {}
+        self._source: SceneFile | ReadPhoto | None = None
+        watch.lap("start")
+
+    def read(self) -> None:
+        """Reads the files of the input."""
+        self._source = read_source(self.args)
+
+    def draw(self) -> None:
+        """Makes the scene of what was read, and the image of the scene, which is on the host then."""
+        import torch
+
+        args, panel = self.args, self.panel
+        source, self._source = self._source, None  # its memory is of no use any more
+        with torch.inference_mode():
+            gaussians, self.file, self.said = drawn_of(args, cast("SceneFile", source), panel, self.device, self.watch)
+            _note_slow_ways(args, panel, self.device)
+            # Files of cameras are in the coordinates of the scene's file, and so is what is written of them
+            if "cameras" in self.views:
+                self.views["cameras"] = self.views["cameras"].relative_to(gaussians.origin)
+            else:
+                self.rig, how = frame_scene(args, panel, self.given, gaussians, self.file)
+                self.said += how
+            self.gaussians = gaussians
+            self.image, self.stats = _drawn(args, gaussians, panel, self.rig, self.views, self.bits)
+        self.watch.lap("image", self.stats["stages_ms"])
+
+    def write(self) -> None:
+        """Writes all that was asked for."""
+        import torch
+
+        args, gaussians, panel = self.args, self.gaussians, self.panel
+        rig_of_file = self.rig and self.rig.relative_to([-part for part in gaussians.origin])
+        with torch.inference_mode():
+            facts = _metadata(args, gaussians, panel, rig_of_file)
+            write_image(args.output, _stored(self.image, self.bits), facts, args.compression)
+            if args.save_rig is not None:
+                cast("Rig", rig_of_file).to_yaml(args.save_rig)
+            if args.save_gaussians is not None:
+                gaussians.save(args.save_gaussians, comments_of(args, panel, self.file, rig_of_file))
+                along = ", with the framing and what is up" if args.save_gaussians.suffix.lower() == ".ply" else ""
+                self.said.append(f"{args.save_gaussians}: the Gaussians in their own axes{along}")
+            self.watch.lap("write")
+            if args.preview is not None:
+                from lightfield_gs.show.preview import write_preview
+
+                drawn_as = args.background, args.antialiased, args.view_filter
+                write_preview(args.preview, self.image, gaussians, panel, cast("Rig", self.rig), *drawn_as)
+                self.watch.lap("preview")
+        self._note_if_empty()
+
+    def _note_if_empty(self) -> None:
+        count = self.gaussians.count
+        if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == count:
+            note(
+                f"{self.args.output} is all background: none of {count} Gaussians is within what the cameras see, or "
+                "opaque enough to show; look at the pose (OpenCV axes: z forward, y down) of the rig or the cameras"
+            )
+
+
+def _check_files(args: argparse.Namespace) -> int:
+    """Raises InputError for files that cannot be written, or would be written over; returns the bits of the image."""
+    bits = bits_of(check_image_path(args.output), args.bit_depth)
+    if args.save_rig is not None:
+        check_output_path(args.save_rig)
+    if args.save_gaussians is not None:
+        check_scene_path(args.save_gaussians)
+    if args.preview is not None:
+        check_folder(args.preview)
+    check_outputs(outputs_of(args), files_read(args))
+    return bits
+
+
+def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None:
+    """Says where a panel or an option keeps the method `direct` from its fastest ways."""
+    from lightfield_gs.panels.lens import slow_way
+    from lightfield_gs.rasterizer.quality import Quality
+
+    lattices = args.method == "direct" and Quality.of(args.quality).lattice_error > 0
+    if args.method == "direct" and (why := slow_way(panel, lattices and device == "cuda")):
+        note(why)
+    if (args.antialiased or args.view_filter) and args.quality != "exact" and device == "cuda":
+        note(
+            f"{'anti-aliased scenes' if args.antialiased else 'filtered views'} are drawn neither from lattices nor in "
+            f"half precision on CUDA: --quality {args.quality} saves little time"
+        )
+
+
+def _drawn(
+    args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig | None, views: dict[str, Any], bits: int
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """The image on the host, and what `encode` tells of it; views: arguments in place of the rig."""
+    from lightfield_gs.encoding.encode import encode
+
+    stats: dict[str, Any] = {}
+    drawn = encode(
+        gaussians,
+        panel,
+        rig,
+        args.method,
+        views=args.views,
+        background=args.background,
+        output="uint8" if bits == 8 else "float32",
+        quality=args.quality,
+        threads=args.threads,
+        stats=stats,
+        antialiased=args.antialiased,
+        view_filter=args.view_filter,
+        **views,
+    )
+    return on_host(drawn), stats
+
+
+def outputs_of(args: argparse.Namespace) -> list[Path | None]:
+    """All files that the command writes; None for what was not asked for."""
+    outputs = [args.output, args.save_rig, args.save_gaussians]
+    if args.preview is None:
+        return outputs
+    from lightfield_gs.show.preview import FILES
+
+    return [*outputs, *(args.preview / name for name in FILES)]
+
+
+def _stored(image: np.ndarray, bits: int) -> np.ndarray:
+    if bits != 16:
+        return image
+    from lightfield_gs.show.preview import to_integers
+
+    return to_integers(image, 16)
+
+
+def use_threads(threads: int) -> None:
+    import OpenImageIO as oiio
+    import torch
+
+    torch.set_num_threads(threads)
+    oiio.attribute("threads", threads)
+
+
+def _metadata(args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig | None) -> dict[str, str]:
+    """What the image was made from and by; the values but "software" and "input" are JSON."""
+    scene = scene_facts(gaussians)
+    if any(gaussians.origin):
+        scene["origin"] = gaussians.origin
+    encoding = {
+        "method": args.method,
+        "views": args.views,
+        "background": list(args.background),
+        "quality": args.quality,
+        **({"antialiased": True} if args.antialiased else {}),
+        **({"view_filter": args.view_filter} if args.view_filter else {}),
+    }
+    for name, path in (
+        ("cameras", args.cameras),
+        ("view_map", args.view_map),
+        ("depth", depth_file(args)),
+        ("camera", args.camera and args.camera[0]),
+    ):
+        if path is not None:
+            encoding[name] = file_facts(path)
+    if is_estimated(args):
+        encoding["depth"] = {"model": depth_model(args)}
+    maker = {} if rig is None else {"rig": json.dumps(rig.to_dict())}
+    return {
+        "software": software(),
+        "input": args.input.name,
+        "panel": json.dumps(panel.to_dict()),
+        **maker,
+        "scene": json.dumps(scene),
+        "encoding": json.dumps(encoding),
+        "versions": json.dumps(package_versions()),
+    }

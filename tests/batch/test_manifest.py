@@ -1,0 +1,87 @@
+"""What a batch did is never lost, and never mixed with what another does at the same time."""
+
+import json
+
+import pytest
+
+from lightfield_gs import InputError
+from lightfield_gs.batch.hashes import facts, stamp
+from lightfield_gs.batch.item import Item
+from lightfield_gs.batch.manifest import Manifest
+from lightfield_gs.batch.plan import Known, make_plan
+
+RECORD = {"item": "a", "status": "done", "job": "", "inputs": {}, "outputs": {}}
+LINE = json.dumps(RECORD).encode() + b"\n"
+
+
+def test_the_last_line_of_an_item_counts(tmp_path):
+    with Manifest(tmp_path / "out") as manifest:
+        assert manifest.last("a") is None
+        for status in ("begun", "failed", "done"):
+            manifest.append(RECORD | {"status": status, "said": ["öäü 光"]})
+    with Manifest(tmp_path / "out") as manifest:
+        assert manifest.last("a") == RECORD | {"status": "done", "said": ["öäü 光"]}
+    assert len((tmp_path / "out/batch.jsonl").read_bytes().splitlines()) == 3
+
+
+@pytest.mark.parametrize("torn", [b'{"item": "b", "sta', LINE.replace(b"a", b"b", 1).rstrip(), b"\x00\x00\n", b"[1]\n"])
+def test_what_a_power_failure_left_of_a_line_is_passed_over(tmp_path, torn):
+    path = tmp_path / "batch.jsonl"
+    path.write_bytes(LINE + torn)
+    with Manifest(tmp_path) as manifest:
+        assert manifest.last("a") is not None and manifest.damaged == (b"done" not in torn)
+        manifest.append(RECORD | {"item": "c"})
+    with Manifest(tmp_path) as manifest:
+        assert manifest.last("c") is not None and (manifest.last("b") is not None) == (b"done" in torn)
+
+
+def test_two_batches_do_not_share_a_folder(tmp_path):
+    with Manifest(tmp_path), pytest.raises(InputError, match="another batch is at work"), Manifest(tmp_path):
+        pass
+    with Manifest(tmp_path):
+        pass
+
+
+def test_the_hash_of_a_folder_is_of_names_and_contents(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name / "in").mkdir(parents=True)
+        (tmp_path / name / "in/one").write_text("1")
+        (tmp_path / name / "two").write_text("2")
+    assert facts(tmp_path / "a")["sha256"] == facts(tmp_path / "b")["sha256"]
+    (tmp_path / "b/two").rename(tmp_path / "b/three")
+    (tmp_path / "b/in/one").write_text("12")
+    assert facts(tmp_path / "a")["sha256"] != facts(tmp_path / "b")["sha256"]
+    assert stamp(tmp_path / "b")[::2] == [3, 2]
+
+
+def test_what_is_to_be_done_again(tmp_path):
+    source, output = tmp_path / "a.png", tmp_path / "out/a.png"
+    output.parent.mkdir()
+    source.write_text("in")
+    output.write_text("out")
+    item, options = Item("a.png", str(source)), {"all": {}}
+    record = {"item": "a.png", "inputs": {str(source): facts(source)}, "outputs": {"a.png": facts(output)}}
+    with Manifest(tmp_path / "out") as manifest:
+        job = make_plan([item], manifest, options).jobs["a.png"]
+        manifest.append(record | {"status": "done", "job": job})
+    held = record["inputs"], record["outputs"]
+
+    def todo(options=options, **more):
+        with Manifest(tmp_path / "out") as manifest:
+            plan = make_plan([item], manifest, options, **more)
+            assert plan.kept + len(plan.todo) == 1
+            return plan.todo[0][1] if plan.todo else "kept"
+
+    assert todo() == "kept"
+    assert todo({"all": {"zoom": "2"}}) == Known(is_other=True) == todo(overwrite=True)
+    assert todo(check=True) == Known(*held)
+    source.write_text("in, another")
+    assert todo() == Known(*held)  # whose hash tells
+    output.write_text("tuo")
+    assert todo(check=True) == Known() and todo() == Known(*held)
+    output.unlink()
+    assert todo() == Known()
+    with Manifest(tmp_path / "out") as manifest:
+        manifest.append({"item": "a.png", "status": "failed", "job": job})
+    assert json.loads((tmp_path / "out/batch.jsonl").read_text().splitlines()[-1])["status"] == "failed"
+    assert todo() == Known()
