@@ -4,11 +4,12 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEBIAN_PACKAGES := g++ cmake python3-venv libglm-dev libhwy-dev
+ARM_PACKAGES := g++-aarch64-linux-gnu qemu-user
 NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 CAPTURE := lightfield_gs/data/banana
 
-.PHONY: setup demo demo-fit test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda cuda-module lint fuzz bench docs clean FORCE
+.PHONY: setup demo demo-fit test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda cuda-module test-arm clang lint fuzz bench docs clean FORCE
 
 setup: $(VENV)/.installed
 
@@ -85,6 +86,26 @@ cuda-module: setup
 	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/cuda --target _core
 	LFGS_CORE=$$(ls build/cuda/_core*.so) $(PYTEST) tests/house/test_build.py
 
+# The stages on 64-bit ARM: cross-compiled, run by QEMU, and compared with the same program on this processor and with the
+# native module.
+STAGES = -DLFGS_MODULE=OFF -DCMAKE_BUILD_TYPE=Release -G Ninja -S .
+test-arm: setup $(VENV)/.arm
+	for kind in arm x86; do \
+	  toolchain=$$([ $$kind = arm ] && echo -DCMAKE_TOOLCHAIN_FILE=cmake/aarch64-linux-gnu.cmake); \
+	  PATH=$(CURDIR)/$(BIN):$$PATH cmake $(STAGES) -B build/$$kind $$toolchain && \
+	  MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/$$kind --target stages_to_file || exit 1; \
+	done
+	qemu-aarch64 -L /usr/aarch64-linux-gnu build/arm/stages_to_file build/arm/stages
+	build/x86/stages_to_file build/x86/stages
+	LFGS_STAGES_ARM=build/arm/stages LFGS_STAGES_X86=build/x86/stages $(PYTEST) tests/native
+
+# The native module by Clang, with GCC's warnings as errors, and the tests of the rasterizer with it.
+clang: setup
+	@command -v clang++ >/dev/null || { echo "make: no clang++ (Debian: sudo apt-get install clang)"; exit 1; }
+	$(CONFIGURE) -B build/clang -DCMAKE_CXX_COMPILER=clang++ -DCMAKE_CXX_FLAGS=-Werror
+	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/clang --target _core
+	LFGS_CORE=$$(ls build/clang/_core*.so) $(PYTEST) $(BESIDE) tests/rasterizer
+
 # What is read rather than run: style and types, with the versions of the extra "dev".
 CLANG_FORMATTED = $(shell find csrc tests/native tests/cuda_on_cpu -name '*.cpp' -o -name '*.h' -o -name '*.cu' -o -name '*.cuh')
 lint: setup $(VENV)/.dev
@@ -119,11 +140,11 @@ bench: setup
 clean:
 	rm -rf build demo bench.json $(VENV)/.installed $(VENV)/.docs $(VENV)/.dev
 
-# Compiler, and headers that CMake would else download: installed as root, named otherwise.
-$(VENV)/.system:
+# What the system must have, $(1): installed as root, named otherwise, with what comes of doing without, $(2).
+define system_packages
 	@missing=""; \
 	if command -v dpkg-query >/dev/null; then \
-	  for package in $(DEBIAN_PACKAGES); do \
+	  for package in $(1); do \
 	    dpkg-query -W -f '$${Status}' $$package 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$package"; \
 	  done; \
 	fi; \
@@ -131,10 +152,25 @@ $(VENV)/.system:
 	  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends $$missing; \
 	elif [ -n "$$missing" ]; then \
 	  echo "make: not installed:$$missing; to install: sudo apt-get install$$missing"; \
-	  echo "make: going on without: CMake downloads GLM and Highway where they are missing"; \
+	  echo "make: going on without: $(2)"; \
 	fi
+endef
+
+# Compiler, and headers that CMake would else download.
+$(VENV)/.system:
+	$(call system_packages,$(DEBIAN_PACKAGES),CMake downloads GLM and Highway where they are missing)
 	@command -v c++ >/dev/null || { echo "make: no C++ compiler; install g++ (Debian: sudo apt-get install g++)"; exit 1; }
 	@mkdir -p $(VENV) && touch $@
+
+# The cross compiler and QEMU. Highway is a library: Debian has it for ARM once dpkg knows of that kind of processor,
+# which is not changed here, and CMake downloads it elsewhere.
+$(VENV)/.arm: | $(VENV)/.system
+	$(call system_packages,$(ARM_PACKAGES),they may be here by other means)
+	@for program in aarch64-linux-gnu-g++ qemu-aarch64; do command -v $$program >/dev/null || { \
+	  echo "make: no $$program (Debian: sudo apt-get install $(ARM_PACKAGES))"; exit 1; }; done
+	@ls /usr/lib/aarch64-linux-gnu/libhwy.so >/dev/null 2>&1 || echo "make: no Highway for ARM: CMake downloads it;" \
+	  "or (Debian) sudo dpkg --add-architecture arm64 && sudo apt-get update && sudo apt-get install libhwy-dev:arm64"
+	@touch $@
 
 # torch comes from the constraint, as its CPU build; no other may get in.
 $(VENV)/.python: constraints.txt | $(VENV)/.system

@@ -12,3 +12,11 @@
 #define LFGS_UNROLL
 #define LFGS_NO_UNROLL
 #endif
+
+// On the CPU: unrolls the next loop, over the taps of a window, so that the loop around it becomes vectors. Compilers
+// that do not know the pragma decide for themselves.
+#if defined(__GNUC__)
+#define LFGS_UNROLL_TAPS _Pragma("GCC unroll 16")
+#else
+#define LFGS_UNROLL_TAPS
+#endif

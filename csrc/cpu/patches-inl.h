@@ -9,6 +9,7 @@
 #endif
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstring>
 
@@ -71,7 +72,7 @@ struct Patches {
       std::memcpy(&word, bits, 8);
       touched[p / 64] |= word << p % 64 & open[p / 64];
     }
-    for (int w = 0; w < kWords; ++w) count += __builtin_popcountll(touched[w]);
+    for (int w = 0; w < kWords; ++w) count += std::popcount(touched[w]);
     return count;
   }
 
@@ -79,7 +80,7 @@ struct Patches {
   template <class Visit>
   HWY_INLINE void for_each_touched(const Visit& visit) const {
     for (int w = 0; w < kWords; ++w)
-      for (uint64_t todo = touched[w]; todo; todo &= todo - 1) visit(64 * w + __builtin_ctzll(todo));
+      for (uint64_t todo = touched[w]; todo; todo &= todo - 1) visit(64 * w + std::countr_zero(todo));
   }
 };
 

@@ -111,7 +111,7 @@ def machine(device: str) -> dict[str, Any]:
     """What the times depend on besides the program: processor, cores, GPU, versions."""
     found: dict[str, Any] = {
         "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": _cores(),
         "system": platform.platform(),
         "python": platform.python_version(),
         "torch": torch.__version__,
@@ -121,6 +121,11 @@ def machine(device: str) -> dict[str, Any]:
         properties = torch.cuda.get_device_properties("cuda")
         found |= {"gpu": properties.name, "gpu_memory_bytes": properties.total_memory, "cuda": torch.version.cuda}
     return found
+
+
+def _cores() -> int:
+    """How many cores this process may use; those of the machine where the system does not tell (macOS, Windows)."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _processor() -> str:

@@ -146,6 +146,8 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
     try:
         make_folder(temporary)
         yield temporary
+        if path.exists():
+            path.rmdir()  # it is empty; Windows renames no folder to one that is there
         os.replace(temporary, path)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error

@@ -1,181 +1,13 @@
-// The CPU's stages, forward and backward, every sensor and both precisions, on several threads, and two renders at a
-// time: for the thread sanitizer, which stops at the first race. Prints what it drew; fails where threads change it.
+// The CPU's stages on several threads, and two renders at a time: for the thread sanitizer, which stops at the first
+// race. Prints what it drew; fails where threads change it.
 #include <cstdio>
 #include <cstring>
-#include <random>
 #include <thread>
-#include <vector>
 
-#include "stages/fit.h"
-#include "stages/stages.h"
+#include "native/render.h"
 
 namespace lfgs {
 namespace {
-
-constexpr int64_t kCount = 1500, kWidth = 150, kHeight = 70, kViews = 3;
-const double kPose[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1}, kCamera[4] = {90, 90, 75, 35};
-const double kLimits[5] = {-1.5, 1.5, -1, 1, 0};
-constexpr Quality kLattice{-5, 0.05, 0.5};
-
-Lens lens_of(int64_t views, bool continuous) {
-  const uint64_t step = uint64_t(18446744073709551615.0 / 9.85);
-  return {kWidth, kHeight, views, step, step, step / 2, 9.85, 1.0 / 6, 1, false, continuous, 0.7, -1.4 / double(views)};
-}
-
-template <class T>
-struct Render {
-  std::vector<T> means, quaternions, scales, opacities, sh, image, alpha, depth, gradient, sums;
-  std::vector<T> poses, cameras, limits;
-  std::vector<T> colours, pairs, g_means, g_quaternions, g_scales, g_opacities, g_sh, g_pose, g_background;
-  std::vector<Splat<T>> splats;
-  std::vector<int32_t> orders, sorted, lists;
-  std::vector<int64_t> drawn, offsets, first;
-  const T background[3] = {T(0.2), T(0.4), T(0.6)};
-  int threads;
-
-  explicit Render(int threads_) : threads(threads_) {
-    std::mt19937 random(3);
-    std::uniform_real_distribution<float> unit(-1, 1);
-    auto fill = [&](std::vector<T>& values, int64_t n, double low, double high) {
-      values.resize(size_t(n));
-      for (T& v : values) v = T(low + (high - low) * (0.5 + 0.5 * double(unit(random))));
-    };
-    fill(means, 3 * kCount, -0.8, 0.8), fill(quaternions, 4 * kCount, -1, 1), fill(scales, 3 * kCount, 0.005, 0.1);
-    fill(opacities, kCount, 0.1, 1), fill(sh, 12 * kCount, -0.5, 0.5);
-    for (int64_t i = 0; i < kCount; ++i) means[size_t(3 * i + 2)] += T(2);
-    fill(gradient, 3 * kWidth * kHeight, -1, 1);
-    for (int64_t i = 0; i < kViews; ++i) {
-      poses.insert(poses.end(), kPose, kPose + 16), cameras.insert(cameras.end(), kCamera, kCamera + 4);
-      limits.insert(limits.end(), kLimits, kLimits + 5);
-      poses[size_t(16 * i + 3)] = T(i) / 10;
-    }
-    image.resize(3 * kWidth * kHeight), alpha.resize(kWidth * kHeight), depth.resize(kWidth * kHeight);
-    g_means.resize(means.size()), g_quaternions.resize(quaternions.size()), g_scales.resize(scales.size());
-    g_opacities.resize(opacities.size()), g_sh.resize(sh.size()), g_pose.resize(16);
-    g_background.resize(size_t(3 * band_count(kHeight)));
-  }
-
-  Gaussians<const T> scene() const {
-    return {kCount, 1, means.data(), quaternions.data(), scales.data(), opacities.data(), sh.data()};
-  }
-  Gaussians<T> gradients() {
-    return {kCount, 1, g_means.data(), g_quaternions.data(), g_scales.data(), g_opacities.data(), g_sh.data()};
-  }
-  Cameras<T> views(int64_t count) const {
-    return {1, count, kWidth, kHeight, poses.data(), cameras.data(), limits.data()};
-  }
-  Splats<T> buffers(int64_t images, int order) {
-    const size_t n = size_t(images * kCount);
-    splats.resize(n), orders.resize(n), colours.assign(n * size_t((order + 1) * kColourStride), T(0));
-    return {images, kCount, order, splats.data(), colours.data(), orders.data()};
-  }
-
-  Bins order_and_bin(const Splats<T>& s) {
-    sorted.resize(splats.size()), drawn.resize(size_t(s.images));
-    offsets.resize(size_t(s.images * band_count(kHeight) + 1));
-    order<T>(s, sorted.data(), drawn.data(), threads);
-    Bins bins{offsets.data(), nullptr};
-    lists.resize(size_t(bin_count<T>(s, sorted.data(), drawn.data(), kHeight, bins, threads)));
-    bins.band_splats = lists.data();
-    bin_fill<T>(s, sorted.data(), drawn.data(), kHeight, bins, threads);
-    first.resize(splats.size()), first_pairs<T>(s, kHeight, bins, first.data(), threads);
-    pairs.assign(lists.size() * size_t(pair_gradient_size(s.colour_order)), T(0));
-    return bins;
-  }
-
-  void lens(bool continuous, const Quality& quality) {
-    const Lens panel = lens_of(24, continuous);
-    View<double> rig = make_view<double>(kPose, kCamera, kLimits);
-    rig.sweep = panel.reach(), rig.inverse_zero_depth = 0.5;
-    const Splats<T> s = buffers(1, 8);
-    project_lens<T>(scene(), rig, panel, quality, 5e-5, s, threads);
-    const Bins bins = order_and_bin(s);
-    composite_lens<T>(s, bins, panel, quality, background, image.data(), nullptr, threads);
-    if (quality.ends_early()) return keep();
-    composite_lens_backward<T>(s, bins, panel, background, image.data(), gradient.data(), first.data(), pairs.data(),
-                               g_background.data(), threads);
-    project_lens_backward<T>(scene(), rig, panel, s, first.data(), pairs.data(), gradients(), threads);
-    keep();
-  }
-
-  void dense() {
-    const Cameras<T> cameras = views(1);
-    const Splats<T> s = buffers(1, 0);
-    project_dense<T>(scene(), cameras, s, threads);
-    const Bins bins = order_and_bin(s);
-    composite_dense<T>(s, bins, cameras, background, {image.data(), alpha.data(), depth.data()}, threads);
-    composite_dense_backward<T>(s, bins, cameras, background, {image.data(), alpha.data(), depth.data()},
-                                {gradient.data(), alpha.data(), depth.data()}, false, first.data(), pairs.data(),
-                                g_background.data(), threads);
-    project_dense_backward<T>(scene(), cameras, s, first.data(), pairs.data(), gradients(), nullptr, false,
-                              g_pose.data(), threads);
-    keep();
-  }
-
-  void by_view() {
-    const ViewMap map{kWidth, kHeight, kViews, nullptr, lens_of(kViews, false)};
-    const SubpixelTile tile{50, 4};
-    const int64_t tiles = tile.count(kWidth, kHeight);
-    const std::vector<int32_t> places{0, 1, 2};
-    std::vector<int32_t> counts(size_t(kViews * tiles));
-    plan_sorted_count(map, tile, places.data(), kViews, counts.data(), threads);
-    std::vector<int64_t> starts{0};
-    for (int32_t n : counts)
-      starts.push_back(starts.back() + (n + kSubpixelBlock - 1) / kSubpixelBlock * kSubpixelBlock);
-    std::vector<uint16_t> codes(size_t(starts.back()));
-    plan_sorted_fill(map, tile, places.data(), kViews, starts.data(), codes.data(), threads);
-    const Splats<T> s = buffers(kViews, 0);
-    project_dense<T>(scene(), views(kViews), s, threads);
-    const Bins bins = order_and_bin(s);
-    composite_sorted<T>(s, bins, views(kViews), {tile, starts.data(), codes.data()}, background, image.data(), nullptr,
-                        threads);
-    keep();
-  }
-
-  // The loss of the last image against other numbers; a step along the last gradients, with noise; random numbers.
-  void fit() {
-    std::vector<T> photo(image.size()), weighted(image.size()), derivatives(3 * image.size()), found(1);
-    for (size_t i = 0; i < photo.size(); ++i) photo[i] = T(0.5) + gradient[i] / 2;
-    std::vector<double> partials(size_t(photo_loss_partials(1, kHeight, kWidth))), uniform(20000);
-    PhotoLoss<T> loss{1, kHeight, kWidth, image.data(), photo.data()};
-    loss.derivatives = derivatives.data(), loss.partials = partials.data();
-    loss.loss = found.data(), loss.gradient = weighted.data();
-    photo_loss<T>(loss, threads);
-
-    std::vector<T> values(23 * kCount, T(-1)), first_moments(values.size()), second_moments(values.size());
-    auto fields_in = [](std::vector<T>& of) {
-      T* at = of.data();
-      return Fields<T>{at, at + 3 * kCount, at + 6 * kCount, at + 10 * kCount, at + 11 * kCount};
-    };
-    const StepNumbers<T> row{T(0.01), T(0.01), T(0.01), T(0.01), T(0.01), T(0.01), T(0.1), T(0.001), 100, 1, 1};
-    const int64_t step = 0;
-    int64_t skipped = 0;
-    Update<T> job;
-    job.gradients = {kCount, 1, g_means.data(), g_quaternions.data(), g_scales.data(), g_opacities.data(), g_sh.data()};
-    job.fields = fields_in(values), job.first = fields_in(first_moments), job.second = fields_in(second_moments);
-    std::vector<T> drawn_scales(scales), drawn_opacities(opacities);
-    job.scales = drawn_scales.data(), job.opacities = drawn_opacities.data();
-    job.table = &row, job.rows = 1, job.step = &step, job.skipped = &skipped;
-    update<T>(job, threads);
-
-    std::vector<T> normal(20000);
-    uniforms({7, 0, 1}, int64_t(uniform.size()), uniform.data(), threads);
-    normals<T>({7, 0, 2}, int64_t(normal.size()), normal.data(), threads);
-    normal.insert(normal.end(), uniform.begin(), uniform.end());
-    for (const auto* part : {&found, &weighted, &values, &second_moments, &drawn_scales, &normal})
-      sums.insert(sums.end(), part->begin(), part->end());
-  }
-
-  void keep() {
-    for (const auto* part : {&image, &g_means, &g_quaternions, &g_scales, &g_opacities, &g_sh})
-      sums.insert(sums.end(), part->begin(), part->end());
-  }
-
-  void run() {
-    lens(false, {}), lens(true, {}), dense(), by_view(), fit();
-    if constexpr (sizeof(T) == 4) lens(false, kLattice), lens(true, kLattice);
-  }
-};
 
 template <class T>
 bool same_on_any_number_of_threads() {
@@ -184,11 +16,17 @@ bool same_on_any_number_of_threads() {
   std::thread beside([&] { three.run(); });
   two.run();
   beside.join();
+  size_t numbers = 0;
+  for (const auto& [name, values] : one.results) numbers += values.size();
   auto same = [&](const Render<T>& other) {
-    return one.sums.size() == other.sums.size() &&
-           std::memcmp(one.sums.data(), other.sums.data(), one.sums.size() * sizeof(T)) == 0;
+    bool equal = one.results.size() == other.results.size();
+    for (size_t i = 0; equal && i < one.results.size(); ++i) {
+      const std::vector<T>&a = one.results[i].second, &b = other.results[i].second;
+      equal = a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0;
+    }
+    return equal;
   };
-  std::printf("%zu numbers of %zu bytes, %s\n", one.sums.size(), sizeof(T),
+  std::printf("%zu numbers of %zu bytes, %s\n", numbers, sizeof(T),
               same(two) && same(three) ? "the same bits on 1, 3 and 4 threads" : "DIFFERENT");
   return same(two) && same(three);
 }

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <vector>
 
+#include "base/config.h"
 #include "base/parallel.h"
 #include "math/fit/ssim.h"
 #include "stages/fit.h"
@@ -63,7 +64,7 @@ template <class T>
 HWY_ATTR void blur_along(const T* in, int64_t row, T* __restrict out) {
   for (int64_t j = 0; j < row; ++j) {
     T sum = T(window_tap(kWindowReach)) * in[j];
-#pragma GCC unroll 16
+    LFGS_UNROLL_TAPS
     for (int d = 1; d <= kWindowReach; ++d) sum += T(window_tap(kWindowReach - d)) * (in[j - 3 * d] + in[j + 3 * d]);
     out[j] = sum;
   }
@@ -75,7 +76,7 @@ HWY_ATTR void blur_moments(const T* x, const T* y, int64_t pitch, int64_t row, T
                            T* __restrict mxx, T* __restrict myy, T* __restrict mxy) {
   for (int64_t j = 0; j < row; ++j) {
     T sx = 0, sy = 0, sxx = 0, syy = 0, sxy = 0;
-#pragma GCC unroll 16
+    LFGS_UNROLL_TAPS
     for (int tap = 0; tap < kWindow; ++tap) {
       const T a = x[tap * pitch + j], b = y[tap * pitch + j], weight = T(window_tap(tap));
       const T wa = weight * a, wb = weight * b;
@@ -90,7 +91,7 @@ template <class T>
 HWY_ATTR void blur_across(const T* in, int64_t pitch, int64_t row, T* __restrict out) {
   for (int64_t j = 0; j < row; ++j) {
     T sum = T(window_tap(kWindowReach)) * in[kWindowReach * pitch + j];
-#pragma GCC unroll 16
+    LFGS_UNROLL_TAPS
     for (int tap = 0; tap < kWindowReach; ++tap)
       sum += T(window_tap(tap)) * (in[tap * pitch + j] + in[(2 * kWindowReach - tap) * pitch + j]);
     out[j] = sum;

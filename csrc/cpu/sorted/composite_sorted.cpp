@@ -162,8 +162,8 @@ void CompositeBand(const SortedJob<T>& job, int64_t image, int64_t band, TileLis
   }
 }
 
-// The groups of bands in the order of their pairs, most first: then the last work items to be handed out are small, and
-// threads end together.
+// The groups of bands in the order of their pairs, most first and the upper of equals: then the last work items to be
+// handed out are small, and threads end together.
 template <class T>
 std::vector<int64_t> HeaviestFirst(const SortedJob<T>& job) {
   const int64_t bands = band_count(job.height_px), groups = (bands + kBandsPerItem - 1) / kBandsPerItem;
@@ -171,8 +171,10 @@ std::vector<int64_t> HeaviestFirst(const SortedJob<T>& job) {
   for (int64_t item = 0; item < job.splats.images * bands; ++item)
     weights[size_t(item % bands / kBandsPerItem)] += job.bins.band_offsets[item + 1] - job.bins.band_offsets[item];
   std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(),
-                   [&](int64_t a, int64_t b) { return weights[size_t(a)] > weights[size_t(b)]; });
+  std::sort(order.begin(), order.end(), [&](int64_t a, int64_t b) {
+    const int64_t of_a = weights[size_t(a)], of_b = weights[size_t(b)];
+    return of_a != of_b ? of_a > of_b : a < b;
+  });
   return order;
 }
 

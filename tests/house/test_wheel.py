@@ -1,0 +1,80 @@
+"""The wheel: what is in it, how large it is, and that it runs where there is no compiler."""
+
+import re
+import shutil
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("scikit_build_core")
+ROOT = Path(__file__).parents[2]
+pytestmark = [pytest.mark.slow, pytest.mark.not_sanitized]
+# The module of the CPU stages takes 1 to 1.5 MB of a wheel, Python 0.7 and the pictures of the demo 0.2. More would be
+# what does not belong into it: symbols for debuggers, photographs of tests, trained networks.
+MOST_BYTES = 4_000_000
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """Made from what `make setup` has compiled, where that is up to date."""
+    out = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", out, ROOT]
+    subprocess.run(command, check=True)
+    (found,) = out.glob("*.whl")
+    return found
+
+
+@pytest.fixture(scope="module")
+def bare(wheel, tmp_path_factory) -> Path:
+    """The folder of programs of an environment that has the wheel, and of the packages of this one only what is
+    imported by its path: so none of this one's programs, nor the package as it is installed here."""
+    folder = tmp_path_factory.mktemp("bare")
+    venv.create(folder, with_pip=False)
+    (packages,) = folder.glob("lib/python*/site-packages")
+    (packages / "borrowed.pth").write_text("\n".join(p for p in sys.path if "-packages" in p))
+    python = folder / "bin" / "python"
+    install = [sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps", "--no-index", wheel]
+    subprocess.run([*install, "--ignore-installed"], check=True)
+    return folder / "bin"
+
+
+def run(bare: Path, *words: object) -> str:
+    """What a program of the bare environment prints, with nothing else on PATH."""
+    environment = {"PATH": str(bare), "HOME": str(bare.parent), "OMP_NUM_THREADS": "1"}
+    assert not any(
+        shutil.which(name, path=str(bare)) for name in ("cc", "c++", "gcc", "g++", "clang", "cmake", "ninja")
+    )
+    done = subprocess.run(
+        [bare / str(words[0]), *map(str, words[1:])], capture_output=True, text=True, env=environment, cwd=bare.parent
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_it_holds_the_module_the_panels_and_no_more(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    assert sum(bool(re.fullmatch(r"lightfield_gs/_core\..*(so|pyd)", name)) for name in names) == 1
+    assert any(name.startswith("lightfield_gs/configs/panels/") for name in names) or any(
+        "configs/" in n for n in names
+    )
+    assert not any(re.match(r"(tests|csrc|training|docs|notebooks)/|.*banana", name) for name in names)
+
+
+def test_its_size(wheel, bare):
+    if "'cuda'" in run(bare, "python", "-c", "import lightfield_gs; print(lightfield_gs.build_info()['devices'])"):
+        pytest.skip("built with CUDA stages, whose size depends on the architectures")
+    assert wheel.stat().st_size < MOST_BYTES
+
+
+def test_it_runs_without_a_compiler(bare, tmp_path):
+    where = run(bare, "python", "-c", "import lightfield_gs; print(lightfield_gs.__file__)")
+    assert Path(where.strip()).is_relative_to(bare.parent)
+    assert "encode" in run(bare, "lightfield-gs", "--help")
+    out = tmp_path / "cat.png"
+    run(bare, "lightfield-gs", "encode", ROOT / "lightfield_gs" / "data" / "cat.png", "-o", out, "--panel", "toy-8v")
+    assert "toy-8v" in run(bare, "lightfield-gs", "info", out)

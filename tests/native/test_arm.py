@@ -1,0 +1,77 @@
+"""The stages on 64-bit ARM (NEON) against x86-64, from the files of stages_to_file: `make test-arm` makes them, with
+QEMU in place of a processor, and names them in the environment."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+FILES = {name: os.environ.get(f"LFGS_STAGES_{name.upper()}", "") for name in ("arm", "x86")}
+if not all(FILES.values()):
+    pytest.skip("`make test-arm` runs these: they need a cross compiler and QEMU", allow_module_level=True)
+
+WIDTH, HEIGHT, VIEWS, STEP = 150, 70, 24, int(18446744073709551615.0 / 9.85)
+FIELDS = ("means", "quaternions", "scales", "opacities", "sh")
+SHAPES = {"means": (-1, 3), "quaternions": (-1, 4), "scales": (-1, 3), "opacities": (-1,), "sh": (-1, 4, 3)}
+INPUTS = (*FIELDS, "gradient")
+# By precision: how far the worst number of a result may be off, in units of its largest, and how far they may be in the
+# mean. In float32 a sample may lie on either side of a threshold, as alpha = 1/255, by the last digit of an exponent.
+TOLERANCES = {"float32": (5e-3, 1e-5), "float64": (1e-9, 1e-12)}
+# Lattices are judged by what they get wrong, so that a tile on the brink is drawn by either way: within what
+# stages_to_file allows them, 0.5 at a check, in the worst number
+LATTICE = (0.1, 1e-4)
+
+
+def read(path: str) -> tuple[str, dict[tuple[str, str], np.ndarray]]:
+    """The vectors' name, and results by precision and name."""
+    target, rest = Path(path).read_bytes().split(b"\n", 1)
+    results = {}
+    while rest:
+        head, rest = rest.split(b"\n", 1)
+        name, size, count = head.decode().rsplit(" ", 2)
+        dtype = {"4": "float32", "8": "float64"}[size]
+        results[dtype, name] = np.frombuffer(rest, dtype, int(count))
+        rest = rest[int(size) * int(count) :]
+    return target.decode(), results
+
+
+TARGET, ARM = read(FILES["arm"])
+TWIN = read(FILES["x86"])[1]
+
+
+def agree(precision: str, name: str, got: np.ndarray, want: np.ndarray) -> None:
+    worst, mean = LATTICE if name.startswith("lattice") else TOLERANCES[precision]
+    assert got.size == want.size and np.isfinite(want).all()
+    off = np.abs(got.astype(np.float64) - want.astype(np.float64).ravel()) / max(np.abs(want).max(), 1e-30)
+    assert off.max() <= worst and off.mean() <= mean, f"{name}: {off.max():.2g} at most, {off.mean():.2g} in the mean"
+
+
+def test_the_vectors_are_neon():
+    assert TARGET.startswith("NEON")
+
+
+@pytest.mark.parametrize("precision, name", ARM)
+def test_every_stage_computes_what_it_does_on_x86(precision, name):
+    got, want = ARM[precision, name], TWIN[precision, name]
+    if name in INPUTS or name == "fit uniforms":
+        assert got.tobytes() == want.tobytes()
+    else:
+        agree(precision, name, got, want)
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+@pytest.mark.parametrize("precision", TOLERANCES)
+def test_light_fields_and_their_gradients_are_those_of_the_module(precision, continuous):
+    fields = [torch.from_numpy(ARM[precision, f].copy()).reshape(SHAPES[f]).requires_grad_() for f in FIELDS]
+    background = torch.tensor([0.2, 0.4, 0.6], dtype=fields[0].dtype)
+    rig = [*np.eye(4).ravel(), 90, 90, 75, 35, -1.5, 1.5, -1, 1, 0, 2.0]
+    lens = [WIDTH, HEIGHT, VIEWS, STEP, STEP, STEP // 2, False, continuous]
+    shape = [9.85, 1 / 6, 1.0, 0.7, -1.4 / VIEWS]
+    image = torch.ops.lightfield_gs.render_lens(*fields, background, list(map(float, rig)), lens, shape)
+    image.backward(torch.from_numpy(ARM[precision, "gradient"].copy()).reshape(image.shape))
+    name = "continuous" if continuous else "steps"
+    agree(precision, name, ARM[precision, f"{name} image"], image.detach().numpy())
+    for field, tensor in zip(FIELDS, fields):
+        agree(precision, name, ARM[precision, f"{name} g_{field}"], tensor.grad.numpy())
