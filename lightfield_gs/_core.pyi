@@ -122,6 +122,7 @@ class SheetLook:
         blur: float,
         opacity: float,
         most_opaque: float,
+        most_of_sheet: float,
         sharper_colour: float,
         sharper_outline: float,
         haze: float,

@@ -32,6 +32,7 @@ _BLUR, _LEAST_BLUR = 0.36, 0.2
 # Optical depth of the sheet, -log of what shines through it: high enough to cover the cloud, low enough that of texels
 # that overlap not only the nearest is seen, whose colour is that of a neighbour half the time
 _OPTICAL_DEPTH, _MOST_OPAQUE = 1.8, 0.98
+_MOST_OF_SHEET = -math.expm1(-_OPTICAL_DEPTH)  # the opacity of the sheet where the object is whole
 _THICKNESS = 0.3  # standard deviation along the normal, texels
 # How much of what blur takes from the photo is put back beforehand, of colours and of outlines
 _SHARPER_COLOUR, _SHARPER_OUTLINE = 1.0, 2.0
@@ -108,6 +109,7 @@ def sheet_look(texel_px: float) -> _core.SheetLook:
         blur=math.sqrt(blur),
         opacity=_opacity(blur),
         most_opaque=_MOST_OPAQUE,
+        most_of_sheet=_MOST_OF_SHEET,
         sharper_colour=_SHARPER_COLOUR,
         sharper_outline=_SHARPER_OUTLINE,
         haze=_HAZE,
@@ -208,12 +210,16 @@ def _opacity(blur: float) -> float:
 
 
 def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
-    """Mask and colours that, blurred with this deviation in texels, are about those of the photo."""
+    """Optical depths of the texels, 1 where the object is whole, and colours that, blurred with this deviation in texels,
+    are about those of the photo."""
     mask = texels.mask
-    soft = blurred(torch.cat([texels.colour * mask, mask], 1), deviation)
-    near = soft[:, :3] / soft[:, 3:].clamp_min(1e-3)
+    # What overlaps adds up as optical depth, and only that may be blurred and sharpened: half an opacity takes much less
+    # than half the depth of a whole one
+    depth = -torch.log1p(-_MOST_OF_SHEET * mask) / _OPTICAL_DEPTH
+    soft = blurred(torch.cat([texels.colour * mask, mask, depth], 1), deviation)
+    near = soft[:, :3] / soft[:, 3:4].clamp_min(1e-3)
     colour = texels.colour + _SHARPER_COLOUR * (texels.colour - near)
-    outline = (mask + _SHARPER_OUTLINE * (mask - soft[:, 3:])).clamp_min(0)
+    outline = (depth + _SHARPER_OUTLINE * (depth - soft[:, 4:])).clamp_min(0)
     there = ((mask - _HAZE) / (_OBJECT - _HAZE)).clamp(0, 1)
     return outline * there, torch.where(there > 0, colour, texels.colour).clamp(0, 1)
 

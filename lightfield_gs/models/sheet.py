@@ -14,7 +14,7 @@ from lightfield_gs.models.detail_level import DetailLevel
 from lightfield_gs.models.initializer import Pixels
 from lightfield_gs.scene.gaussians import Gaussians, mapped
 
-_SCRATCH = 6  # numbers that the stage keeps of each texel
+_SCRATCH = 7  # numbers that the stage keeps of each texel
 
 
 def is_native(photo: Tensor) -> bool:
@@ -103,7 +103,7 @@ def lay_texels(
             intrinsics=camera.data_ptr(),
             look=look,
             soft=scratch.data_ptr(),
-            surface=scratch[4 * texels :].data_ptr(),
+            surface=scratch[5 * texels :].data_ptr(),
             out=_native(fields),
         )
         _run("sheet", job, fine)

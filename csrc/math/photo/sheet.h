@@ -19,6 +19,7 @@ struct SheetLook {
   float deviation, thickness;             // of a texel along the surface and across it
   float blur;                             // the deviation by which drawing blurs the photo
   float opacity, most_opaque;             // of a texel that is covered, and the most that one may have
+  float most_of_sheet;                    // the opacity of the sheet where the photo's is 1
   float sharper_colour, sharper_outline;  // how much of what blur takes is put back
   float haze, object;                     // opacities of the photo: nothing up to the first, all from the second on
   float same_surface, steepest;           // footprints of depth between pixels of one surface, and from texel to texel
@@ -33,7 +34,7 @@ struct Sheet {
   const float* photo = nullptr;       // [4, rows, columns] premultiplied RGB and alpha, 0..1
   const float* intrinsics = nullptr;  // [4] fx, fy, cx, cy in pixels of the grid
   SheetLook look;
-  float* soft = nullptr;     // [rows, columns, 4] colours and alpha, blurred along rows
+  float* soft = nullptr;     // [rows, columns, 5] colours, alpha and optical depth, blurred along rows
   float* surface = nullptr;  // [rows, columns, 2] disparity and trust of the texels
   Gaussians<float> out;      // [rows * columns]
 
@@ -102,27 +103,47 @@ LFGS_HD glm::vec4 covering_texel(const Sheet& sheet, int64_t texel) {
   return {glm::clamp(glm::vec3(photo[0], photo[step], photo[2 * step]), 0.f, alpha), alpha};
 }
 
+// The optical depth of the sheet over that of a whole object: what overlaps adds up as such.
+LFGS_HD float thickness_of(const SheetLook& look, float alpha) {
+  return std::log1p(-look.most_of_sheet * alpha) / std::log1p(-look.most_of_sheet);
+}
+
+// A texel's colour times alpha, alpha and optical depth, blurred.
+struct SoftTexel {
+  glm::vec4 covering{0};
+  float thickness = 0;
+
+  LFGS_HD void add(float weight, const glm::vec4& more, float thicker) {
+    covering += weight * more;
+    thickness += weight * thicker;
+  }
+};
+
 // The first pass: `weight` gives those of Blur.
 template <class Weight>
 LFGS_HD void prepare_texel(const Sheet& sheet, int reach, const Weight& weight, int64_t row, int64_t column) {
   const int64_t columns = sheet.columns(), texel = row * columns + column;
-  glm::vec4 soft(0);
-  for (int k = -reach; k <= reach; ++k)
-    if (column + k >= 0 && column + k < columns) soft += weight(k) * covering_texel(sheet, texel + k);
-  for (int c = 0; c < 4; ++c) sheet.soft[4 * texel + c] = soft[c];
+  SoftTexel soft;
+  for (int k = -reach; k <= reach; ++k) {
+    if (column + k < 0 || column + k >= columns) continue;
+    const glm::vec4 covering = covering_texel(sheet, texel + k);
+    soft.add(weight(k), covering, thickness_of(sheet.look, covering.w));
+  }
+  for (int c = 0; c < 4; ++c) sheet.soft[5 * texel + c] = soft.covering[c];
+  sheet.soft[5 * texel + 4] = soft.thickness;
   const Mix mix = mix_of(sheet, row, column);
   sheet.surface[2 * texel] = mix(sheet.disparity);
   sheet.surface[2 * texel + 1] = mix(sheet.trust);
 }
 
 template <class Weight>
-LFGS_HD glm::vec4 blurred_down(const Sheet& sheet, int reach, const Weight& weight, int64_t row, int64_t column) {
+LFGS_HD SoftTexel blurred_down(const Sheet& sheet, int reach, const Weight& weight, int64_t row, int64_t column) {
   const int64_t rows = sheet.rows(), columns = sheet.columns();
-  glm::vec4 soft(0);
+  SoftTexel soft;
   for (int k = -reach; k <= reach; ++k) {
     if (row + k < 0 || row + k >= rows) continue;
-    const float* from = sheet.soft + 4 * ((row + k) * columns + column);
-    soft += weight(k) * glm::vec4(from[0], from[1], from[2], from[3]);
+    const float* from = sheet.soft + 5 * ((row + k) * columns + column);
+    soft.add(weight(k), glm::vec4(from[0], from[1], from[2], from[3]), from[4]);
   }
   return soft;
 }
@@ -182,10 +203,11 @@ LFGS_HD TexelGaussian finish_texel(const Sheet& sheet, int reach, const Weight& 
       ray * depth, size * glm::vec3(look.deviation, look.deviation, look.thickness), {}, {1, 0, 0, 0}, 0};
 
   if (there > 0) {
-    const glm::vec4 soft = blurred_down(sheet, reach, weight, row, column);
-    const glm::vec3 near = glm::vec3(soft) / glm::max(soft.w, 1e-3f);
+    const SoftTexel soft = blurred_down(sheet, reach, weight, row, column);
+    const glm::vec3 near = glm::vec3(soft.covering) / glm::max(soft.covering.w, 1e-3f);
+    const float thickness = thickness_of(look, alpha);
     colour = glm::clamp(colour + look.sharper_colour * (colour - near), 0.f, 1.f);
-    const float outline = glm::max(alpha + look.sharper_outline * (alpha - soft.w), 0.f);
+    const float outline = glm::max(thickness + look.sharper_outline * (thickness - soft.thickness), 0.f);
     found.opacity = disparity[1] * glm::clamp(look.opacity * outline * there, 0.f, look.most_opaque);
 
     const float slope = -1 / (disparity[0] * footprint);
