@@ -88,6 +88,9 @@ cuda-module: setup
 
 # The stages on 64-bit ARM: cross-compiled, run by QEMU, and compared with the same program on this processor and with the
 # native module.
+# Libraries for ARM are the system's where it has them (they came with Highway's), else the cross compiler's: of the two
+# mixed, programs hang.
+QEMU = qemu-aarch64 $(if $(wildcard /lib/ld-linux-aarch64.so.1),,-L /usr/aarch64-linux-gnu)
 STAGES = -DLFGS_MODULE=OFF -DCMAKE_BUILD_TYPE=Release -G Ninja -S .
 test-arm: setup $(VENV)/.arm
 	for kind in arm x86; do \
@@ -95,7 +98,7 @@ test-arm: setup $(VENV)/.arm
 	  PATH=$(CURDIR)/$(BIN):$$PATH cmake $(STAGES) -B build/$$kind $$toolchain && \
 	  MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/$$kind --target stages_to_file || exit 1; \
 	done
-	qemu-aarch64 -L /usr/aarch64-linux-gnu build/arm/stages_to_file build/arm/stages
+	$(QEMU) build/arm/stages_to_file build/arm/stages
 	build/x86/stages_to_file build/x86/stages
 	LFGS_STAGES_ARM=build/arm/stages LFGS_STAGES_X86=build/x86/stages $(PYTEST) tests/native
 

@@ -2,6 +2,7 @@
 // beside this file compare what comes of it: on several threads, and on another processor.
 #pragma once
 
+#include <algorithm>
 #include <random>
 #include <string>
 #include <utility>
@@ -69,6 +70,8 @@ struct Render {
   }
   Splats<T> buffers(int64_t images, int order) {
     const size_t n = size_t(images * kCount);
+    for (auto* sums : {&g_means, &g_quaternions, &g_scales, &g_opacities, &g_sh, &g_pose, &g_background})
+      std::fill(sums->begin(), sums->end(), T(0));  // the reverse adds to them
     splats.resize(n), orders.resize(n), colours.assign(n * size_t((order + 1) * kColourStride), T(0));
     return {images, kCount, order, splats.data(), colours.data(), orders.data()};
   }

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+import lightfield_gs.rasterizer.lens  # noqa: F401  the operator
+
 FILES = {name: os.environ.get(f"LFGS_STAGES_{name.upper()}", "") for name in ("arm", "x86")}
 if not all(FILES.values()):
     pytest.skip("`make test-arm` runs these: they need a cross compiler and QEMU", allow_module_level=True)

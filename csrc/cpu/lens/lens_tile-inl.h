@@ -329,7 +329,8 @@ class LensTile {
     for (int t = 0; t < layout_.ordinals; ++t) {
       const int64_t i = (patch * layout_.ordinals + t) * kLanes;
       const auto ordinal = hn::Set(di, TI(t));
-      const auto shown = hn::RebindMask(d, hn::And(hn::Gt(ordinal, before), hn::Lt(ordinal, end)));
+      // Rebound one by one: of one lane on ARM, GCC 12 takes the conjunction of integer masks, rebound, for false
+      const auto shown = hn::And(hn::RebindMask(d, hn::Gt(ordinal, before)), hn::RebindMask(d, hn::Lt(ordinal, end)));
       alignas(64) uint64_t in_cells[kLanes];
       alignas(64) TI channels[kLanes];
       if constexpr (kCells)
