@@ -117,8 +117,8 @@ HWY_INLINE hn::Vec<D> SharedAlpha(D d, hn::Vec<D> power, hn::Vec<D> share, hn::V
 template <class T>
 struct FaintFootprint : ExactFootprint<T> {
   using V = typename ExactFootprint<T>::V;
-  using ExactFootprint<T>::ExactFootprint;
 
+  HWY_INLINE FaintFootprint(const Splat<T>& s, T log2_cut) : ExactFootprint<T>(s, log2_cut) {}
   static bool fits(const Splat<T>& s) { return s.log2_opacity <= T(kLog2MaxAlpha); }
   HWY_INLINE V alpha(V power, V) const { return FaintAlpha(Tag<T>(), power, this->cut); }
 };
