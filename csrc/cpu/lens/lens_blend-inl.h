@@ -29,6 +29,7 @@ template <class Footprint, int kOrder, class T>
 HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
                                const Footprint& shape, int64_t count) {
   constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share one test for samples that stop
+  constexpr int kChunk = 16;                              // vectors whose powers, alphas and colours follow each other
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
@@ -43,14 +44,14 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
   const auto one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
   const bool ends_early = job.quality.ends_early();
 
-  auto blend = [&](auto vectors, const uint16_t* list) {
+  auto blend = [&](auto vectors, const uint16_t* list, const T* alphas) {
     // Weights, and the light that is left
     V weights[vectors], afters[vectors];
     auto least = limit;
     for (int n = 0; n < vectors; ++n) {
       const int64_t i = int64_t(list[n]) * kLanes;
       const V before = hn::Load(d, transmittances + i);
-      weights[n] = footprint.weight(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n]), before);
+      weights[n] = hn::Mul(hn::Load(d, alphas + n * kLanes), before);
       afters[n] = hn::Sub(before, weights[n]);
       least = hn::Min(least, hn::Sub(hn::BitCast(du, afters[n]), one));
     }
@@ -76,10 +77,24 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
     }
   };
 
-  // Four vectors at a time, and the last ones by themselves
-  const uint16_t *list = tile.list(), *end = list + count;
-  for (; list + kStep <= end; list += kStep) blend(std::integral_constant<int, kStep>(), list);
-  for (; list < end; ++list) blend(std::integral_constant<int, 1>(), list);
+  // First the powers of a few vectors, then their alphas, then their colours. Each is a chain of operations that wait
+  // for one another, and the shorter a chain the more of them does a processor work on at a time.
+  alignas(64) T values[kChunk * kLanes];
+  for (const uint16_t *list = tile.list(), *all = list + count; list < all;) {
+    const int some = int(std::min<int64_t>(all - list, kChunk));
+    for (int n = 0; n < some; ++n) {
+      const int64_t i = int64_t(list[n]) * kLanes;
+      hn::Store(footprint.power(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n])), d, values + n * kLanes);
+    }
+    for (int n = 0; n < some; ++n) {
+      T* value = values + n * kLanes;
+      hn::Store(footprint.alpha(hn::Load(d, value), hn::Load(d, ss + int64_t(list[n]) * kLanes)), d, value);
+    }
+    int n = 0;
+    for (; n + kStep <= some; n += kStep) blend(std::integral_constant<int, kStep>(), list + n, values + n * kLanes);
+    for (; n < some; ++n) blend(std::integral_constant<int, 1>(), list + n, values + n * kLanes);
+    list += some;
+  }
 }
 
 // Calls visit with the order of a colour polynomial, as a constant where it is small (else -1).

@@ -48,6 +48,12 @@ HWY_INLINE hn::Vec<Tag<T>> DistanceX(hn::Vec<Tag<T>> x, hn::Vec<Tag<T>> s, const
   return hn::NegMulAdd(s, Term(d, rows.M1), hn::Sub(x, Term(d, rows.M0)));
 }
 
+// alpha = 2^power of a splat that is never so opaque that alpha must be limited, zero where power is below the cut.
+template <class D>
+HWY_INLINE hn::Vec<D> FaintAlpha(D d, hn::Vec<D> power, hn::Vec<D> cut) {
+  return hn::IfThenElseZero(hn::Ge(power, cut), Exp2<4>(d, power));
+}
+
 // The footprint by the formula of math/projection.h, right for every splat without compensation.
 template <class T>
 struct ExactFootprint {
@@ -59,20 +65,26 @@ struct ExactFootprint {
     const D d;
     S0 = hn::Set(d, s.S0), S1 = hn::Set(d, s.S1), S2 = hn::Set(d, s.S2), cut = hn::Set(d, log2_cut);
   }
+  // 1 / S(s)
+  HWY_INLINE V inverse(V s) const {
+    const D d;
+    return Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
+  }
   // Returns log2 of opacity * weight; also sets dx = px - m(s) and inverse_S = 1 / S(s).
   template <class Rows>
   HWY_INLINE V power(V x, V s, const Rows& rows, V& dx, V& inverse_S) const {
     const D d;
     dx = DistanceX<T>(x, s, rows);
-    inverse_S = Reciprocal(d, hn::MulAdd(hn::MulAdd(s, S2, S1), s, S0));
+    inverse_S = inverse(s);
     return hn::NegMulAdd(hn::Mul(dx, dx), inverse_S, Term(d, rows.A));
   }
-  // Returns alpha * transmittance, by which the splat's colour counts in a sample.
   template <class Rows>
-  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
+  HWY_INLINE V power(V x, V s, const Rows& rows) const {
     V dx, inverse_S;
-    return hn::Mul(Alpha(D(), power(x, s, rows, dx, inverse_S), cut), transmittance);
+    return power(x, s, rows, dx, inverse_S);
   }
+  // Returns alpha of a power at the offset s.
+  HWY_INLINE V alpha(V power, V) const { return Alpha(D(), power, cut); }
 };
 
 // The share sqrt(D(s) / S(s)) of its opacity that a compensated splat keeps at its samples, see math/compensation.h.
@@ -101,6 +113,16 @@ HWY_INLINE hn::Vec<D> SharedAlpha(D d, hn::Vec<D> power, hn::Vec<D> share, hn::V
   return hn::IfThenElseZero(hn::Ge(alpha, least), hn::Min(alpha, hn::Set(d, hn::TFromD<D>(kMaxAlpha))));
 }
 
+// The same for a splat that is never so opaque that alpha must be limited.
+template <class T>
+struct FaintFootprint : ExactFootprint<T> {
+  using V = typename ExactFootprint<T>::V;
+
+  HWY_INLINE FaintFootprint(const Splat<T>& s, T log2_cut) : ExactFootprint<T>(s, log2_cut) {}
+  static bool fits(const Splat<T>& s) { return s.log2_opacity <= T(kLog2MaxAlpha); }
+  HWY_INLINE V alpha(V power, V) const { return FaintAlpha(Tag<T>(), power, this->cut); }
+};
+
 // The exact footprint of a compensated splat.
 template <class T>
 struct CompensatedFootprint {
@@ -113,15 +135,15 @@ struct CompensatedFootprint {
   HWY_INLINE CompensatedFootprint(const Splat<T>& s, const Compensation<T>& c, T log2_cut)
       : exact(s, log2_cut), share(c), least(hn::Set(D(), std::exp2(log2_cut))) {}
   template <class Rows>
-  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
-    V dx, inverse_S;
-    const V power = exact.power(x, s, rows, dx, inverse_S);
-    return hn::Mul(SharedAlpha(D(), power, share.at(s, inverse_S), exact.cut, least), transmittance);
+  HWY_INLINE V power(V x, V s, const Rows& rows) const {
+    return exact.power(x, s, rows);
+  }
+  HWY_INLINE V alpha(V power, V s) const {
+    return SharedAlpha(D(), power, share.at(s, exact.inverse(s)), exact.cut, least);
   }
 };
 
-// The footprint of a splat whose S^(-1/2) is near enough to a parabola over the rig, and which is never so opaque that
-// alpha must be limited.
+// The footprint of a faint splat whose S^(-1/2) is near enough to a parabola over the rig.
 template <class T>
 struct PlainFootprint {
   using D = Tag<T>;
@@ -133,15 +155,15 @@ struct PlainFootprint {
     r0 = hn::Set(d, root.r0), r1 = hn::Set(d, root.r1), r2 = hn::Set(d, root.r2), cut = hn::Set(d, log2_cut);
   }
   static bool fits(const Splat<T>& s, const InverseRoot<T>& root) {
-    return root.error < T(kMostRootError) && s.log2_opacity <= T(kLog2MaxAlpha);
+    return root.error < T(kMostRootError) && FaintFootprint<T>::fits(s);
   }
   template <class Rows>
-  HWY_INLINE V weight(V x, V s, const Rows& rows, V transmittance) const {
+  HWY_INLINE V power(V x, V s, const Rows& rows) const {
     const D d;
     const V e = hn::Mul(DistanceX<T>(x, s, rows), hn::MulAdd(hn::MulAdd(s, r2, r1), s, r0));
-    const V power = hn::NegMulAdd(e, e, Term(d, rows.A));
-    return hn::IfThenElseZero(hn::Ge(power, cut), hn::Mul(Exp2<4>(d, power), transmittance));
+    return hn::NegMulAdd(e, e, Term(d, rows.A));
   }
+  HWY_INLINE V alpha(V power, V) const { return FaintAlpha(D(), power, cut); }
 };
 
 // The footprint in few operations, for rough evaluation. S^(-1/2) is taken as constant over the rig (kEven) or as a
@@ -195,6 +217,7 @@ void with_footprint(const TileSplat<T>& tile_splat, const Compensation<T>* compe
   if constexpr (sizeof(T) == 4) {
     const InverseRoot<T>& root = tile_splat.root;
     if (PlainFootprint<T>::fits(splat, root)) return visit(PlainFootprint<T>(root, cut));
+    if (FaintFootprint<T>::fits(splat)) return visit(FaintFootprint<T>(splat, cut));
   }
   visit(ExactFootprint<T>(splat, cut));
 }
