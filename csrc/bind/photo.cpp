@@ -11,14 +11,14 @@ namespace lfgs {
 void bind_photo(py::module_ root) {
   py::class_<SheetLook>(root, "SheetLook")
       .def(py::init([](float deviation, float thickness, float blur, float opacity, float most_opaque,
-                       float most_of_sheet, float sharper_colour, float sharper_outline, float haze, float object, float same_surface,
-                       float steepest) {
-             return SheetLook{deviation,       thickness, blur,   opacity,      most_opaque, most_of_sheet, sharper_colour,
-                              sharper_outline, haze,      object, same_surface, steepest};
+                       float most_of_sheet, float sharper_colour, float sharper_outline, float haze, float object,
+                       float same_surface, float steepest) {
+             return SheetLook{deviation,      thickness,       blur, opacity, most_opaque,  most_of_sheet,
+                              sharper_colour, sharper_outline, haze, object,  same_surface, steepest};
            }),
            py::kw_only(), py::arg("deviation"), py::arg("thickness"), py::arg("blur"), py::arg("opacity"),
-           py::arg("most_opaque"), py::arg("most_of_sheet"), py::arg("sharper_colour"), py::arg("sharper_outline"), py::arg("haze"),
-           py::arg("object"), py::arg("same_surface"), py::arg("steepest"));
+           py::arg("most_opaque"), py::arg("most_of_sheet"), py::arg("sharper_colour"), py::arg("sharper_outline"),
+           py::arg("haze"), py::arg("object"), py::arg("same_surface"), py::arg("steepest"));
   py::class_<Sheet>(root, "Sheet")
       .def(py::init([](int64_t height, int64_t width, int factor, Address disparity, Address trust, Address harmonics,
                        Address photo, Address intrinsics, const SheetLook& look, Address soft, Address surface,

@@ -214,8 +214,8 @@ def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
     are about those of the photo."""
     mask = texels.mask
     # What overlaps adds up as optical depth, and only that may be blurred and sharpened: half an opacity takes much less
-    # than half the depth of a whole one
-    depth = -torch.log1p(-_MOST_OF_SHEET * mask) / _OPTICAL_DEPTH
+    # than half the depth of a whole one. It gets less yet, for what spreads beyond the outline cannot be taken back there.
+    depth = -torch.log1p(-_MOST_OF_SHEET * mask) / _OPTICAL_DEPTH * mask
     soft = blurred(torch.cat([texels.colour * mask, mask, depth], 1), deviation)
     near = soft[:, :3] / soft[:, 3:4].clamp_min(1e-3)
     colour = texels.colour + _SHARPER_COLOUR * (texels.colour - near)

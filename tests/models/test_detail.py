@@ -203,3 +203,13 @@ def test_corrections_have_gradients():
     raw = torch.randn(1, 2, 4, 4, dtype=torch.float64, requires_grad=True)
     footprint = torch.full((1, 1, 1, 1), 1 / 45, dtype=torch.float64)
     assert torch.autograd.gradcheck(lambda raw: corrected(disparity, raw, footprint), raw)
+
+
+def test_outlines_are_where_the_photo_has_them():
+    """Overlapping texels add up as optical depth: were opacities blurred as they are, half-covered pixels would be drawn
+    nearly whole, and the object larger by half a pixel all round (0.54, and 0.26 of opacity at the rim)."""
+    truth = picture(2 * SIZE)[0, 3]
+    _, alpha = drawn(detailed(slanted(), 2, opacity=0.01), 2)
+    errors = alpha / alpha[truth == 1].median() - truth
+    assert errors.sum().abs() / (2 * math.pi * 0.4 * 2 * SIZE) < 0.3  # over the outline's length
+    assert errors[(truth > 0) & (truth < 1)].abs().mean() < 0.15

@@ -103,9 +103,10 @@ LFGS_HD glm::vec4 covering_texel(const Sheet& sheet, int64_t texel) {
   return {glm::clamp(glm::vec3(photo[0], photo[step], photo[2 * step]), 0.f, alpha), alpha};
 }
 
-// The optical depth of the sheet over that of a whole object: what overlaps adds up as such.
+// The optical depth of the sheet over that of a whole object: what overlaps adds up as such. Where the photo shows the
+// object in part it is less yet, for what spreads beyond the outline cannot be taken back there.
 LFGS_HD float thickness_of(const SheetLook& look, float alpha) {
-  return std::log1p(-look.most_of_sheet * alpha) / std::log1p(-look.most_of_sheet);
+  return alpha * std::log1p(-look.most_of_sheet * alpha) / std::log1p(-look.most_of_sheet);
 }
 
 // A texel's colour times alpha, alpha and optical depth, blurred.
