@@ -210,11 +210,12 @@ def _opacity(blur: float) -> float:
 
 
 def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
-    """Optical depths of the texels, 1 where the object is whole, and colours that, blurred with this deviation in texels,
-    are about those of the photo."""
+    """Optical depths of the texels, 1 where the object is whole, and colours, which are about those of the photo when they
+    are blurred with this deviation in texels."""
     mask = texels.mask
-    # What overlaps adds up as optical depth, and only that may be blurred and sharpened: half an opacity takes much less
-    # than half the depth of a whole one. It gets less yet, for what spreads beyond the outline cannot be taken back there.
+    # What overlaps adds up as optical depth, and only that may be blurred and sharpened: half an opacity takes much
+    # less than half the depth of a whole one. It gets less yet, for what spreads beyond the outline cannot be taken
+    # back there.
     depth = -torch.log1p(-_MOST_OF_SHEET * mask) / _OPTICAL_DEPTH * mask
     soft = blurred(torch.cat([texels.colour * mask, mask, depth], 1), deviation)
     near = soft[:, :3] / soft[:, 3:4].clamp_min(1e-3)

@@ -34,7 +34,9 @@ def limit(monkeypatch: pytest.MonkeyPatch, bytes_: int | None) -> None:
 
 
 def layout(panel: Panel) -> str:
-    job = LensJob(on_gpu(scene_of(0)).fields().values(), torch.zeros(3, device="cuda"), lens_view(panel, rig(panel), False))
+    job = LensJob(
+        on_gpu(scene_of(0)).fields().values(), torch.zeros(3, device="cuda"), lens_view(panel, rig(panel), False)
+    )
     return frame_cuda.Frame(job, EXACT, 0, 0).native.ordinal_layout
 
 

@@ -206,8 +206,8 @@ def test_corrections_have_gradients():
 
 
 def test_outlines_are_where_the_photo_has_them():
-    """Overlapping texels add up as optical depth: were opacities blurred as they are, half-covered pixels would be drawn
-    nearly whole, and the object larger by half a pixel all round (0.54, and 0.26 of opacity at the rim)."""
+    """Overlapping texels add up as optical depth: were opacities blurred as they are, half-covered pixels would be
+    drawn nearly whole, and the object larger by half a pixel all round (0.54, and 0.26 of opacity at the rim)."""
     truth = picture(2 * SIZE)[0, 3]
     _, alpha = drawn(detailed(slanted(), 2, opacity=0.01), 2)
     errors = alpha / alpha[truth == 1].median() - truth
