@@ -210,8 +210,8 @@ def _opacity(blur: float) -> float:
 
 
 def _sharpened(texels: Pixels, deviation: float) -> tuple[Tensor, Tensor]:
-    """Optical depths of the texels, 1 where the object is whole, and colours, which are about those of the photo when they
-    are blurred with this deviation in texels."""
+    """Optical depths of the texels, 1 where the object is whole, and colours, which are about those of the photo when
+    they are blurred with this deviation in texels."""
     mask = texels.mask
     # What overlaps adds up as optical depth, and only that may be blurred and sharpened: half an opacity takes much
     # less than half the depth of a whole one. It gets less yet, for what spreads beyond the outline cannot be taken
