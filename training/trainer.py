@@ -112,7 +112,7 @@ class Trainer:
             gaussians.means,
             batch.source,
             config.loss,
-            None if level is None else batch.depths,
+            batch.depths if level is not None and len(batch.depths) else None,
         )
         marks.mark("loss")
         marks.mark_at_gradient(images, "loss backward")

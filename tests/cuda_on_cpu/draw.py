@@ -150,7 +150,8 @@ def recoloured(kernel: str, quality: str, views: str, changes: dict, share: floa
     frame.draw(job.background, image)
     scene.sh.copy_(right)
     frame.draw(job.background, image, keep_lists=True)
-    return {"expected": expected, "found": {"image": image, **frame.state()}}
+    found = {"image": image, "layout": frame.native.ordinal_layout, **frame.state()}
+    return {"expected": expected, "found": found}
 
 
 def in_chunks() -> list[dict[str, object]]:

@@ -271,7 +271,8 @@ def test_shares_make_up_the_whole_step(small_set, share):
         order = [*np.flatnonzero(~made), *np.flatnonzero(made)]
         rows = [order.index(i) for chosen in (~made[part], made[part]) for i in np.arange(4)[part][chosen]]
         for found, all_of_it in zip(vars(batch).values(), vars(whole).values()):
-            torch.testing.assert_close(found, all_of_it[rows], atol=1e-5, rtol=0)
+            wanted = all_of_it[rows] if len(all_of_it) else all_of_it  # of depths there are none
+            torch.testing.assert_close(found, wanted, atol=1e-5, rtol=0)
 
 
 def test_stored_views_stay_the_same_beside_procedural_objects(small_set):
@@ -324,4 +325,5 @@ def test_compiled_objects_are_the_same_and_compiled_once(small_set):
                 for planner, compiled in ((_planner(small_set, 0.5), flag) for flag in (False, True))
             )
             for a, b in zip(vars(found).values(), vars(expected).values()):
-                assert (a - b).abs().mean() < 1e-4  # a surfel at the border of seen and unseen may fall to either side
+                # A surfel at the border of seen and unseen may fall to either side.
+                assert (a - b).abs().sum() <= 1e-4 * a.numel()

@@ -22,7 +22,7 @@ class Batch:
     source: [B,4,S,S] premultiplied RGBA, 0..1. source_intrinsics: [B,4] (fx, fy, cx, cy) in pixels.
     targets: [B,V,4,T,T]. intrinsics: [B,V,4]. world_to_camera: [B,V,4,4], the world being the source camera's axes.
     backgrounds: [B,V,3], plain colours 0..1. depths: [P,S,S], scene units, what the source camera sees of the last P
-    examples, 0 where it sees nothing or an edge; None where they are not wanted.
+    examples, 0 where it sees nothing or an edge; P = 0 where they are not wanted.
     """
 
     source: Tensor
@@ -31,7 +31,7 @@ class Batch:
     intrinsics: Tensor
     world_to_camera: Tensor
     backgrounds: Tensor
-    depths: Tensor | None = None
+    depths: Tensor
 
 
 def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) -> Batch:
@@ -42,10 +42,11 @@ def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) ->
     """
     plan = on_device(plan, views.device)
     stored = dataclasses.replace(plan, procedural=None, photo=None)  # what else it has must not be compiled for
-    batch = Batch(*fused(_stored_pictures, compiled)(stored, views), plan.world_to_camera, plan.backgrounds)
+    unknown = plan.backgrounds.new_zeros(0, plan.source_px, plan.source_px)
+    batch = Batch(*fused(_stored_pictures, compiled)(stored, views), plan.world_to_camera, plan.backgrounds, unknown)
     if plan.procedural is not None:
-        *made, depths = plan.procedural.drawn(views.device, compiled)
-        batch = Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), made)), depths)
+        made = plan.procedural.drawn(views.device, compiled)
+        batch = Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), made)))
     if plan.photo is not None:
         batch.source = fused(photographed, compiled)(batch.source, plan.photo)
     return batch

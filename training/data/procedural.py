@@ -44,9 +44,9 @@ class ProceduralBlock:
 
     def __init__(self, plan: ProceduralPlan) -> None:
         self._plan = plan
-        self._drawn: tuple[Tensor | None, ...] = ()
+        self._drawn: tuple[Tensor, ...] = ()
 
-    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor | None, ...]:
+    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor, ...]:
         """The fields of a Batch of all objects, drawn as the first call says."""
         if not self._drawn:
             plan = on_device(self._plan, device)
@@ -62,16 +62,15 @@ class ProceduralExamples:
     block: ProceduralBlock
     chosen: slice
 
-    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor | None, ...]:
+    def drawn(self, device: torch.device, compiled: bool) -> tuple[Tensor, ...]:
         """The fields of a Batch, on a device. compiled: see make_batch."""
-        drawn = self.block.drawn(device, compiled)
-        return tuple(None if values is None else values[self.chosen] for values in drawn)
+        return tuple(values[self.chosen] for values in self.block.drawn(device, compiled))
 
 
 @torch.no_grad()
-def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
+def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Input pictures [B,4,S,S] and their intrinsics [B,4], targets [B,V,4,T,T] and theirs [B,V,4], and depths [B,S,S]
-    where they are wanted, as in Batch.
+    where they are wanted, else [0,S,S], as in Batch.
 
     compiled: see make_batch; of what has the same shapes in all blocks.
     """
@@ -86,7 +85,10 @@ def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor,
     ):
         intrinsics = size * torch.cat([focal[:, chosen].expand(-1, -1, 2), centre[:, chosen]], -1)
         pictures += [_pictures(gaussians, cameras, intrinsics, size), intrinsics]
-    depths = _depths(gaussians, plan.world_to_camera[:, :1], pictures[1], plan.source_px) if plan.depths else None
+    size = plan.source_px
+    depths = gaussians.means.new_zeros(0, size, size)
+    if plan.depths:
+        depths = _depths(gaussians, plan.world_to_camera[:, :1], pictures[1], size)
     return pictures[0][:, 0], pictures[1][:, 0], pictures[2], pictures[3], depths
 
 
