@@ -10,8 +10,7 @@ from stat import S_ISDIR
 from typing import Any
 
 from lightfield_gs.base.errors import reading
-
-_CHUNK_BYTES = 1 << 20
+from lightfield_gs.io.hashes import sha256_of
 
 
 def stamp(path: str | Path) -> list[int]:
@@ -38,17 +37,9 @@ def facts(path: str | Path) -> dict[str, Any]:
 def _digest(path: str, version: tuple[int, ...]) -> str:
     with reading(path):
         if not os.path.isdir(path):
-            return _of_file(path)
-        lines = [f"{_of_file(file)} {file.relative_to(path).as_posix()}\n" for file in _files(Path(path))]
+            return sha256_of(path)
+        lines = [f"{sha256_of(file)} {file.relative_to(path).as_posix()}\n" for file in _files(Path(path))]
     return hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
-
-
-def _of_file(path: str | Path) -> str:
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while chunk := file.read(_CHUNK_BYTES):
-            digest.update(chunk)
-    return digest.hexdigest()
 
 
 def _files(folder: Path) -> list[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import tempfile
 from collections.abc import Iterator
@@ -16,13 +15,13 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
+from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.io.images import MAX_PIXELS, write_image
 from lightfield_gs.video.av_library import av_library
 
 VIDEO_INPUTS = (".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
 _MAPS = (*PICTURES, ".npy", ".npz")
-_CHUNK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -52,12 +51,7 @@ class Sequence:
 
     def digest(self) -> str:
         """SHA-256 over the contents of its files."""
-        digest = hashlib.sha256()
-        for path in self.files or (self.path,):
-            with reading(path), path.open("rb") as file:
-                while chunk := file.read(_CHUNK_BYTES):
-                    digest.update(chunk)
-        return digest.hexdigest()
+        return sha256_of(*(self.files or (self.path,)))
 
 
 def is_sequence(path: str | Path) -> bool:

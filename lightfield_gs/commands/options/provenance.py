@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lightfield_gs.io.hashes import sha256_of
+
 if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
 
@@ -42,4 +44,4 @@ def scene_facts(gaussians: Gaussians) -> dict[str, Any]:
 
 
 def file_facts(path: Path) -> dict[str, str]:
-    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return {"file": path.name, "sha256": sha256_of(path)}

@@ -27,6 +27,7 @@ from lightfield_gs.commands.options.placing import photo_rig
 from lightfield_gs.commands.options.provenance import scene_hash
 from lightfield_gs.commands.options.scene import check_scene_options, load_scene
 from lightfield_gs.commands.options.video import DEFAULT_FPS, DEFAULT_SECONDS
+from lightfield_gs.io.hashes import sha256_of
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import stated_up, upright
@@ -170,7 +171,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
         **{name: part.digest() for name, part in beside.items() if part is not None},
         **{name: getattr(args, name) for name in (*_OF_PICTURES, *_MORE_OF_PICTURES)},
         **({"depth_model": depth_model(args)} if is_estimated(args) else {}),
-        "checkpoint": args.checkpoint and hashlib.sha256(args.checkpoint.read_bytes()).hexdigest(),
+        "checkpoint": args.checkpoint and sha256_of(args.checkpoint),
     }
     words = "each by itself" if args.reframe else f"all as {first.input.name}, the first (each by itself: --reframe)"
     watch.lap("first picture")
