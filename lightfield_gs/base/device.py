@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Literal, cast
 
 from lightfield_gs.base.errors import InputError
@@ -31,3 +32,10 @@ def _missing_for_cuda() -> str | None:
     if not torch.cuda.is_available():
         return f"torch {torch.__version__} finds no GPU that it can use; see whether nvidia-smi lists one"
     return None
+
+
+def cores() -> list[int]:
+    """The cores that this process may use; those of the machine where the system does not tell (macOS, Windows)."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))

@@ -5,19 +5,12 @@ from __future__ import annotations
 import os
 import re
 
-from lightfield_gs.base.device import choose_device
+from lightfield_gs.base.device import choose_device, cores
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.worker import Place
 
 CORES_A_PROCESS = 4  # of a CPU: more draw one image faster, and fewer images in all
 _MOST_WRITERS, _MOST_READERS = 32, 8
-
-
-def cores() -> list[int]:
-    """The cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count() or 1))
 
 
 def places_here(devices: str | None, processes: int | None, threads: int | None) -> list[Place]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import time
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ from typing import Any
 import torch
 
 from lightfield_gs import build_info
+from lightfield_gs.base.device import cores
 
 SECONDS_PER_CALL = 60.0  # a call whose runs have taken so long together is not run again
 SHORT_MS = 50.0  # on CUDA calls that take less are repeated more often, for one hiccup moves their median further
@@ -111,7 +111,7 @@ def machine(device: str) -> dict[str, Any]:
     """What the times depend on besides the program: processor, cores, GPU, versions."""
     found: dict[str, Any] = {
         "processor": _processor(),
-        "cores": _cores(),
+        "cores": len(cores()),
         "system": platform.platform(),
         "python": platform.python_version(),
         "torch": torch.__version__,
@@ -121,11 +121,6 @@ def machine(device: str) -> dict[str, Any]:
         properties = torch.cuda.get_device_properties("cuda")
         found |= {"gpu": properties.name, "gpu_memory_bytes": properties.total_memory, "cuda": torch.version.cuda}
     return found
-
-
-def _cores() -> int:
-    """How many cores this process may use; those of the machine where the system does not tell (macOS, Windows)."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _processor() -> str:
