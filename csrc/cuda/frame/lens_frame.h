@@ -22,7 +22,7 @@ enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadra
 // Whether kOrdinal can draw a lens on a device, and how its blocks use shared memory; see ordinal_operands.cuh.
 enum class OrdinalLayout : int { kNone, kCompact, kFull };
 
-constexpr int kMostProbeRows = 256;   // enough for 65,536 rows of pixels, see kProbeRows
+constexpr int kMostProbeRows = 256;  // enough for 65,536 rows of pixels, see kProbeRows
 
 // What one frame found out: written on the device, read by the host when it likes. The first four numbers come from
 // bin, the rest from project and composite; project clears all, or all but the first four.
