@@ -150,7 +150,7 @@ class Sheet:
     ) -> None: ...
 
 class SurfaceLook:
-    def __init__(self, *, averaged: float, softness: float, trust: float, farthest: float) -> None: ...
+    def __init__(self, *, averaged: float, softness: float) -> None: ...
 
 class Surface:
     def __init__(
@@ -162,7 +162,6 @@ class Surface:
         cloud: _Stages.Gaussians,
         mask: Address,
         intrinsics: Address,
-        correction: Address,
         look: SurfaceLook,
         planes: Address,
         disparity: Address,

@@ -42,27 +42,18 @@ _HAZE, _OBJECT = 0.1, 0.3
 _AVERAGED = 2.0
 _SOFTNESS = 1.5  # depth over which the cloud before the sheet fades, footprints
 _STEEPEST = 3.0  # footprints of depth from texel to texel up to which the sheet closes
-SHEET_CHANNELS = 2  # that a network may predict about the sheet, see corrected
-_TRUST, _FARTHEST = 0.95, 100.0  # of the sheet where a network says nothing; footprints that it may be moved
 
 
 def with_detail(
-    cloud: Gaussians,
-    pixels: Pixels,
-    texels: Pixels,
-    layers: int,
-    factor: int,
-    texel_px: float = 1.0,
-    correction: Tensor | None = None,
+    cloud: Gaussians, pixels: Pixels, texels: Pixels, layers: int, factor: int, texel_px: float = 1.0
 ) -> Gaussians:
     """The sheet, then the network's Gaussians, faded where they lie before it: N = (factor^2 + layers) * H * W.
 
     cloud: [B, layers * H * W, ...] as the network's composer gives it, in the axes of the photo's camera. pixels: those
     of the network's input, [B,.,H,W]; texels: those of the photo at [B,.,factor * H,factor * W], whose footprint is as
-    much smaller. texel_px: width of a texel in pixels where it will be drawn. correction: what a network says of the
-    sheet itself, see corrected; None: nothing. Differentiable.
+    much smaller. texel_px: width of a texel in pixels where it will be drawn. Differentiable.
     """
-    surface, faded = sheet_surface(cloud, pixels, layers, correction)
+    surface, faded = sheet_surface(cloud, pixels, layers)
     disparity, harmonics = surface.disparity, surface.harmonics
     fine = along_surface(torch.cat([disparity, surface.trust], 1), disparity, pixels.footprint, factor)
     sheet = _sheet(fine[:, :1], fine[:, 1:], texels, texel_px)
@@ -81,23 +72,17 @@ class SheetSurface(NamedTuple):
     harmonics: Tensor
 
 
-def sheet_surface(
-    cloud: Gaussians, pixels: Pixels, layers: int, correction: Tensor | None
-) -> tuple[SheetSurface, Gaussians]:
+def sheet_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[SheetSurface, Gaussians]:
     """Where the sheet of with_detail lies, and the cloud under it, faded where it lies before it."""
     disparity, harmonics = visible_surface(cloud, pixels, layers)
     trust = torch.ones_like(disparity)
-    if correction is not None:
-        disparity, trust = corrected(disparity, correction, pixels.footprint)
     opacities = _faded(cloud, disparity, trust * pixels.mask, layers, pixels.footprint)
     return SheetSurface(disparity, trust, harmonics), replace(cloud, opacities=opacities)
 
 
 def surface_look() -> _core.SurfaceLook:
     """What the native stage of sheet_surface has to know of this file."""
-    return _core.SurfaceLook(
-        averaged=_AVERAGED, softness=_SOFTNESS, trust=math.log(_TRUST / (1 - _TRUST)), farthest=_FARTHEST
-    )
+    return _core.SurfaceLook(averaged=_AVERAGED, softness=_SOFTNESS)
 
 
 def sheet_look(texel_px: float) -> _core.SheetLook:
@@ -117,18 +102,6 @@ def sheet_look(texel_px: float) -> _core.SheetLook:
         same_surface=SAME_SURFACE,
         steepest=_STEEPEST,
     )
-
-
-def corrected(disparity: Tensor, correction: Tensor, footprint: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the sheet lies, as disparities [B,1,H,W], and how far it is to be trusted, 0..1: its share of the opacity.
-
-    correction: [B,SHEET_CHANNELS,H,W], by how many footprints it lies behind the disparities that are given, and a
-    logit about that of _TRUST; zeros leave it where it is. A network cannot know the depth of everything: a soft cloud
-    is nearer to all that may be there than a crisp sheet in the wrong place.
-    """
-    behind, logit = correction.split(1, 1)
-    moved = disparity / (1 + footprint * behind.clamp(-_FARTHEST, _FARTHEST))
-    return moved, torch.sigmoid(logit + math.log(_TRUST / (1 - _TRUST)))
 
 
 def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tensor, Tensor]:
