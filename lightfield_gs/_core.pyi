@@ -139,7 +139,6 @@ class Sheet:
         width: int,
         factor: int,
         disparity: Address,
-        trust: Address,
         harmonics: Address,
         photo: Address,
         intrinsics: Address,
@@ -165,7 +164,6 @@ class Surface:
         look: SurfaceLook,
         planes: Address,
         disparity: Address,
-        trust: Address,
         harmonics: Address,
     ) -> None: ...
 

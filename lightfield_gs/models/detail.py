@@ -55,8 +55,7 @@ def with_detail(
     """
     surface, faded = sheet_surface(cloud, pixels, layers)
     disparity, harmonics = surface.disparity, surface.harmonics
-    fine = along_surface(torch.cat([disparity, surface.trust], 1), disparity, pixels.footprint, factor)
-    sheet = _sheet(fine[:, :1], fine[:, 1:], texels, texel_px)
+    sheet = _sheet(along_surface(disparity, disparity, pixels.footprint, factor), texels, texel_px)
     if harmonics.shape[1]:
         rest = _flat(along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
         sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
@@ -64,20 +63,18 @@ def with_detail(
 
 
 class SheetSurface(NamedTuple):
-    """Where the sheet lies on the network's grid: disparities 1/z [B,1,H,W], how far it is to be trusted [B,1,H,W], and
-    harmonics beyond the first [B,3(K-1),H,W]."""
+    """Where the sheet lies on the network's grid: disparities 1/z [B,1,H,W], and harmonics beyond the first
+    [B,3(K-1),H,W]."""
 
     disparity: Tensor
-    trust: Tensor
     harmonics: Tensor
 
 
 def sheet_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[SheetSurface, Gaussians]:
     """Where the sheet of with_detail lies, and the cloud under it, faded where it lies before it."""
     disparity, harmonics = visible_surface(cloud, pixels, layers)
-    trust = torch.ones_like(disparity)
-    opacities = _faded(cloud, disparity, trust * pixels.mask, layers, pixels.footprint)
-    return SheetSurface(disparity, trust, harmonics), replace(cloud, opacities=opacities)
+    opacities = _faded(cloud, disparity, pixels.mask, layers, pixels.footprint)
+    return SheetSurface(disparity, harmonics), replace(cloud, opacities=opacities)
 
 
 def surface_look() -> _core.SurfaceLook:
@@ -154,9 +151,8 @@ def _faded(cloud: Gaussians, disparity: Tensor, cover: Tensor, layers: int, foot
     return (cloud.opacities * (1 - cover.flatten(1).repeat(1, layers) * torch.sigmoid(-behind / _SOFTNESS))).clamp(0, 1)
 
 
-def _sheet(disparity: Tensor, trust: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, ...]:
-    """Means, quaternions, scales, opacities and constant harmonics of the texels at these disparities and with these
-    shares of their opacity [B,1,H,W]."""
+def _sheet(disparity: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, ...]:
+    """Means, quaternions, scales, opacities and constant harmonics of the texels at these disparities [B,1,H,W]."""
     depth = 1 / disparity
     size = texels.footprint * depth
     own, blur = _blurs(texel_px)
@@ -164,7 +160,7 @@ def _sheet(disparity: Tensor, trust: Tensor, texels: Pixels, texel_px: float) ->
     deviation = math.sqrt(own) * size
     scales = torch.cat([deviation * stretch, deviation, _THICKNESS * size], 1)
     mask, colour = _sharpened(texels, math.sqrt(blur))
-    opacity = trust * (_opacity(blur) * mask).clamp(0, _MOST_OPAQUE)
+    opacity = (_opacity(blur) * mask).clamp(0, _MOST_OPAQUE)
     means = torch.cat([texels.rays * depth, depth], 1)
     constant = (_flat(colour)[:, :, None] - 0.5) / SH_CONSTANT
     return _flat(means), _flat(axes), _flat(scales), opacity.flatten(1), constant

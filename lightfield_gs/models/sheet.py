@@ -14,7 +14,7 @@ from lightfield_gs.models.detail_level import DetailLevel
 from lightfield_gs.models.initializer import Pixels
 from lightfield_gs.scene.gaussians import Gaussians, mapped
 
-_SCRATCH = 7  # numbers that the stage keeps of each texel
+_SCRATCH = 6  # numbers that the stage keeps of each texel
 
 
 def is_native(photo: Tensor) -> bool:
@@ -53,9 +53,9 @@ def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int
     batch, _, height, width = mask.shape
     rest, look = 3 * (cloud.sh.shape[2] - 1), surface_look()
     planes = mask.new_empty(3, max(3 * layers, 2 + rest), height, width)
-    surface = SheetSurface(*(mask.new_empty(batch, channels, height, width) for channels in (1, 1, rest)))
+    surface = SheetSurface(*(mask.new_empty(batch, channels, height, width) for channels in (1, rest)))
     each = zip(mask.contiguous(), intrinsics.contiguous(), *surface, *cloud.fields().values())
-    for shown, camera, disparity, trust, harmonics, *fields in each:
+    for shown, camera, disparity, harmonics, *fields in each:
         job = _core.Surface(
             height=height,
             width=width,
@@ -66,7 +66,6 @@ def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int
             look=look,
             planes=planes.data_ptr(),
             disparity=disparity.data_ptr(),
-            trust=trust.data_ptr(),
             harmonics=harmonics.data_ptr(),
         )
         _run("surface", job, mask)
@@ -81,13 +80,12 @@ def lay_texels(
     surface = SheetSurface(*(channels.contiguous() for channels in surface))
     scratch = fine.new_empty(_SCRATCH * texels)
     each = zip(fine.contiguous(), intrinsics.contiguous(), *surface, *gaussians.fields().values())
-    for photo, camera, disparity, trust, harmonics, *fields in each:
+    for photo, camera, disparity, harmonics, *fields in each:
         job = _core.Sheet(
             height=disparity.shape[1],
             width=disparity.shape[2],
             factor=level.factor,
             disparity=disparity.data_ptr(),
-            trust=trust.data_ptr(),
             harmonics=harmonics.data_ptr(),
             photo=photo.data_ptr(),
             intrinsics=camera.data_ptr(),

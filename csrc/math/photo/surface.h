@@ -30,7 +30,6 @@ struct Surface {
   SurfaceLook look;
   float* planes = nullptr;     // [3, most_planes(), height, width]: three sets, see plane()
   float* disparity = nullptr;  // [height, width] 1 / z
-  float* trust = nullptr;      // [height, width] 0..1
   float* harmonics = nullptr;  // [rest(), height, width] beyond the first
 
   LFGS_HD int64_t pixels() const { return height * width; }
@@ -110,13 +109,13 @@ LFGS_HD float logistic(float x) { return 1 / (1 + std::exp(-x)); }
 // From what is seen on average, in set 0: the surface of a pixel, and the opacities of its Gaussians.
 LFGS_HD void finish_surface(const Surface& job, int64_t pixel) {
   const float seen = job.plane(0, job.seen_planes() - 1)[pixel], footprint = 1 / job.intrinsics[0];
-  const float disparity = job.plane(0, 0)[pixel] / seen, trust = 1;
-  job.disparity[pixel] = disparity, job.trust[pixel] = trust;
+  const float disparity = job.plane(0, 0)[pixel] / seen;
+  job.disparity[pixel] = disparity;
   for (int c = 0; c < job.rest(); ++c) job.harmonics[c * job.pixels() + pixel] = job.plane(0, 1 + c)[pixel] / seen;
   for (int layer = 0; layer < job.layers; ++layer) {
     const int64_t i = layer * job.pixels() + pixel;
     const float behind = (job.cloud.means[3 * i + 2] * disparity - 1) / footprint;
-    const float hidden = trust * job.mask[pixel] * logistic(-behind / job.look.softness);
+    const float hidden = job.mask[pixel] * logistic(-behind / job.look.softness);
     job.cloud.opacities[i] = glm::clamp(job.cloud.opacities[i] * (1 - hidden), 0.f, 1.f);
   }
 }
