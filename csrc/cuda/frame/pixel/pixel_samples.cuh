@@ -125,9 +125,18 @@ struct FloatSamples {
   // Adds the hits [h, end), at least one. Parabola: whether they are special, that is, have parabolas for r or for the
   // steps of their colours. An exp2 keeps its pipe busy for 8 cycles, so that what a hit has of them takes nearly as
   // long as all its other instructions. They must be spread evenly among those: therefore the exponents of the row that
-  // comes next, which may be one of the next hit, are made while a row is blended.
+  // comes next, which may be one of the next hit, are made while a row is blended. See Config::MadeAhead.
   template <bool Parabola>
   __device__ void add_all(const StagedOf<C>& staged, int h, int end, float cut) {
+    if constexpr (!C::MadeAhead) {
+#pragma unroll 1
+      for (; h < end; ++h) {
+        const HitFit<C, Parabola> hit(staged, h, pixels.x, pixels.y);
+#pragma unroll
+        for (int r = 0; r < C::lane_rows; ++r) blend<Parabola>(hit.step, exponents(hit, r), r, cut);
+      }
+      return;
+    }
     HitFit<C, Parabola> hit(staged, h, pixels.x, pixels.y);
     Exponents ready = exponents(hit, 0);
     auto finish_rows = [&] {  // all of this hit but its last row, whose exponents are then ready
