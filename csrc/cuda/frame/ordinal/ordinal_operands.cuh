@@ -2,6 +2,8 @@
 // and the instructions of the tensor cores.
 #pragma once
 
+#include <type_traits>
+
 #include "cuda/common/blend.cuh"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
@@ -35,7 +37,8 @@ template <bool Harmonics_, bool Compact_>
 struct BlockLayout {
   static constexpr bool kHarmonics = Harmonics_, kCompact = Compact_;
   static constexpr int kOrdinals = kCompact ? kGroupOrdinals / 2 : kGroupOrdinals;  // drawn at a time
-  static constexpr int kBatch = kCompact ? 160 : kHarmonics ? 400 : 416;            // splats staged at a time
+  // Splats staged at a time
+  static constexpr int kBatch = kHarmonics ? (kCompact ? 152 : 400) : (kCompact ? 176 : 416);
   static_assert(kGroupOrdinals % kOrdinals == 0);  // those drawn at a time have one list
 };
 // A queue names a staged splat by one byte, its place in a *page* of 256 of them.
@@ -47,9 +50,8 @@ constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedB
 template <class Layout>
 struct WarpMemory {
   static constexpr bool kHarmonics = Layout::kHarmonics;
-  // Used in turn for the splats that survive the first step of cull(); for features, 32 samples x 48 bytes; for the
-  // coefficients of 32 hits: those of d in two parts, then those of A, 16 bytes each; and for finished bytes, see
-  // Patch::store_bytes().
+  // Used in turn for features, 32 samples x 48 bytes; for the coefficients of 32 hits: those of d in two parts, then
+  // those of A, 16 bytes each; and for finished bytes, see Patch::store_bytes().
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[kHarmonics ? 32 : 1];
   // The colours of the last hit of every quarter in this round and in the one before, which change places
@@ -73,11 +75,13 @@ struct Memory {
   static constexpr int kBatch = Layout::kBatch;
   float4 splat[3][kBatch];                             // the depth is replaced by a number, see stage()
   float4 colour[Layout::kHarmonics ? 1 : kBatch + 1];  // with harmonics colours are read when a hit is drawn
+  using Patches = std::conditional_t<Layout::kCompact, uint16_t, uint32_t>;
+  Patches touched[kWarpsDown][kBatch];  // by those splats: see patches_touched()
   WarpMemory<Layout> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
   unsigned next_tile;
 
-  static_assert(kBatch * sizeof(uint16_t) <= sizeof(warps[0].operands) && kBatch <= 2 * kPage);
+  static_assert(kBatch <= 2 * kPage);
 };
 template <bool Harmonics>
 using CompactMemory = Memory<BlockLayout<Harmonics, true>>;
