@@ -465,11 +465,9 @@ class _Cuda:
     LENS_SUMS: int
     FRAME_STATE_BYTES: int
     FRAME_KERNELS: list[str]
+    SORTED_STATE_BYTES: int
     class Image:
-        @overload
         def __init__(self, count: int, width_px: int, height_px: int, lens: bool) -> None: ...
-        @overload
-        def __init__(self, count: int, width_px: int, height_px: int, tile: SubpixelTile) -> None: ...
         def tiles(self) -> int: ...
 
     class Pairs:
@@ -484,6 +482,14 @@ class _Cuda:
             sorted_splats: Address,
             total: Address = ...,
         ) -> None: ...
+
+    class SortedChunk:
+        def __init__(
+            self, *, views: int, gaussians: int, width_px: int, height_px: int, tile: SubpixelTile
+        ) -> None: ...
+        def bytes(self) -> int: ...
+        def place(self, work: Address) -> int: ...
+        def place_ids(self, ids: Address) -> None: ...
 
     class LensFrame:
         def __init__(
@@ -687,13 +693,19 @@ class _Cuda:
         frame: _Cuda.LensFrame, background: Address, out: Address, out8: Address, stream: Address
     ) -> None: ...
     @staticmethod
+    def project_sorted(
+        chunk: _Cuda.SortedChunk, gaussians: _Stages.Gaussians, cameras: _Stages.Cameras, stream: Address
+    ) -> None: ...
+    @staticmethod
+    def count_sorted(chunk: _Cuda.SortedChunk, stream: Address) -> None: ...
+    @staticmethod
+    def fill_sorted(chunk: _Cuda.SortedChunk, stream: Address) -> None: ...
+    @staticmethod
+    def order_sorted(chunk: _Cuda.SortedChunk, stream: Address) -> None: ...
+    @staticmethod
     def composite_sorted(
-        splats: _Stages.Splats,
-        image: _Cuda.Image,
-        ranges: Address,
-        pairs: _Cuda.Pairs,
+        chunk: _Cuda.SortedChunk,
         lists: SubpixelLists,
-        order: Address,
         background: Address,
         out: Address,
         out8: Address,

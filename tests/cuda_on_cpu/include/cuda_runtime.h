@@ -32,6 +32,9 @@ struct float3 {
 struct alignas(16) float4 {
   float x, y, z, w;
 };
+struct alignas(8) ushort4 {
+  unsigned short x, y, z, w;
+};
 struct alignas(8) int2 {
   int x, y;
 };
@@ -252,6 +255,15 @@ inline unsigned __ballot_sync(unsigned, int v) {
   unsigned bits = 0;
   for (int i = 0; i < emulation::block->warps[emulation::block->current / 32].size; ++i) bits |= unsigned(all[i]) << i;
   return bits;
+}
+// The lanes that gave the same value.
+template <class T>
+unsigned __match_any_sync(unsigned, T v) {
+  const uint64_t* all = emulation::exchange(v);
+  unsigned same = 0;
+  for (int i = 0; i < emulation::block->warps[emulation::block->current / 32].size; ++i)
+    same |= unsigned(all[i] == v) << i;
+  return same;
 }
 inline int __any_sync(unsigned mask, int v) { return __ballot_sync(mask, v) != 0; }
 inline int __all_sync(unsigned mask, int v) { return __ballot_sync(mask, !v) == 0; }
