@@ -12,7 +12,7 @@ from typing import Any
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.dispatch import Event
 from lightfield_gs.batch.pipeline import Pipeline
-from lightfield_gs.batch.places import CORES_A_PROCESS, on_cpu, threads_beside
+from lightfield_gs.batch.places import CORES_A_PROCESS, on_a_gpu, on_cpu, threads_beside
 from lightfield_gs.batch.said import route
 from lightfield_gs.batch.worker import Job, Place, where
 
@@ -120,7 +120,7 @@ class RayCluster:
 def _shares(gpus: int, cpus: int, processes: int | None, threads: int | None) -> tuple[dict[str, float], Place, int]:
     """What of the cluster each process needs, a place, and how many there are."""
     if gpus:
-        count = processes or gpus
+        count = processes or gpus * on_a_gpu(cpus // gpus)
         share = max(1, cpus // max(count, gpus))
         place = Place("", "cuda", None, (), threads or share, *threads_beside(share))
         return {"num_gpus": min(1.0, gpus / count), "num_cpus": 0}, place, count

@@ -50,7 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="png",
         help="of the images, named as their inputs (default png)",
     )
-    add("--processes", type=whole(1, 4096), metavar="N", help="how many (default: one a GPU, or one for 4 cores)")
+    add(
+        "--processes",
+        type=whole(1, 4096),
+        metavar="N",
+        help="how many (default: 1 to 4 a GPU, one for 8 of its cores, or without one for 4)",
+    )
     add("--devices", metavar="cuda:0,...|cpu", help="where they work (default: all GPUs, or the CPU without one)")
     add(
         "--ray",
