@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from lightfield_gs import _core
 from lightfield_gs.base.arrays import dense_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
@@ -24,6 +25,7 @@ from lightfield_gs.models import crop
 from lightfield_gs.models.checkpoint import read_weights, save_weights
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
+from lightfield_gs.models.crop_cuda import crop_on_device
 from lightfield_gs.models.detail import with_detail
 from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
 from lightfield_gs.models.initializer import Pixels, describe_pixels, mirror_image, network_input
@@ -132,9 +134,17 @@ class SplatterNet(nn.Module):
 
     def crops(self, photo: Tensor, level: DetailLevel | None) -> tuple[Tensor, Tensor | None]:
         """What crop_photo returns, and the same at level.factor times the size; None without a level."""
-        photo = photo.to(self.device)
+        photo, size = photo.to(self.device), self.config.image_size_px
+        if photo.is_cuda and hasattr(_core, "cuda"):
+            checks, (cropped, *finer) = crop_on_device(
+                photo.contiguous(), [size] if level is None else [size, level.factor * size]
+            )
+            values_in_range, has_object = checks.tolist()
+            check_values(values_in_range)
+            crop.check_object(has_object)
+            return cropped, finer[0] if finer else None
         check_values(in_range(photo))
-        square, size = crop.object_square(photo[..., 3]), self.config.image_size_px
+        square = crop.object_square(photo[..., 3])
         fine = None if level is None else crop.crop_resize_premultiplied(photo, square, level.factor * size)
         return crop.crop_resize_premultiplied(photo, square, size), fine
 
@@ -142,9 +152,7 @@ class SplatterNet(nn.Module):
         self, cropped: Tensor, fine: Tensor | None = None, level: DetailLevel | None = None
     ) -> Gaussians:
         """all_gaussians of a cropped photo, but for those too faint to be drawn. Waits for the device."""
-        gaussians = self.all_gaussians(cropped, self.photo_intrinsics(), fine, level)
-        seen = gaussians.opacities >= OPACITY_CUT
-        return of_tensors(field[seen].contiguous() for field in gaussians.fields().values())
+        return seen(self.all_gaussians(cropped, self.photo_intrinsics(), fine, level))
 
     @property
     def device(self) -> torch.device:
@@ -189,6 +197,12 @@ class SplatterNet(nn.Module):
             raise InputError(f"{path}: damaged checkpoint: the weights do not fit the configuration beside them")
         net.load_state_dict(weights, assign=True)
         return net.eval()
+
+
+def seen(gaussians: Gaussians) -> Gaussians:
+    """Those that are not too faint to be drawn. Waits for the device, once."""
+    which = (gaussians.opacities >= OPACITY_CUT).nonzero().squeeze(1)
+    return of_tensors(field.index_select(0, which) for field in gaussians.fields().values())
 
 
 def checked_photo(rgba: np.ndarray | Tensor) -> Tensor:

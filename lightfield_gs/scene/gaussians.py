@@ -121,16 +121,18 @@ class Gaussians:
         self.validate_layout()
         if self.count == 0:
             return self
-        for name, tensor in self.fields().items():
-            low, high = _extremes(tensor)
+        turned = self.quaternions.any(-1)
+        ends = [end for tensor in self.fields().values() for end in tensor.detach().aminmax()]
+        *found, all_turned = torch.stack([*ends, turned.all().to(self.dtype)]).tolist()  # which waits for a device once
+        for (name, tensor), low, high in zip(self.fields().items(), found[::2], found[1::2]):
             if not (math.isfinite(low) and math.isfinite(high)):
                 _complain(torch.isfinite(tensor), name, tensor, "a finite number")
             if name == "scales" and low <= 0:
                 _complain(tensor > 0, name, tensor, "a standard deviation > 0")
             if name == "opacities" and (low < 0 or high > 1):
                 _complain((tensor >= 0) & (tensor <= 1), name, tensor, "0..1")
-        if not self.quaternions.any(-1).all():
-            _complain(self.quaternions.any(-1), "quaternions", self.quaternions, "not all four zero")
+        if not all_turned:
+            _complain(turned, "quaternions", self.quaternions, "not all four zero")
         return self
 
     def validate_layout(self) -> None:
@@ -212,12 +214,6 @@ class Gaussians:
         arrays = {name: value.cpu().double().numpy() for name, value in values.items()}
         for words in write_stored(path, arrays, self.origin, comments):
             assume(f"{path}: {words}", Loss)
-
-
-def _extremes(tensor: torch.Tensor) -> tuple[float, float]:
-    """Smallest and largest value, or NaN where there is one; found in one pass, without a temporary."""
-    low, high = tensor.detach().aminmax()
-    return float(low), float(high)
 
 
 def check_finite(name: str, tensor: torch.Tensor) -> None:
