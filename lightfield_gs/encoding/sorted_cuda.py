@@ -49,9 +49,7 @@ class CudaStages:
         out: Tensor,
     ) -> None:
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
-        _core.cuda.composite_sorted(
-            work.native, native, background.data_ptr(), *floats_or_bytes(out), work.stream
-        )
+        _core.cuda.composite_sorted(work.native, native, background.data_ptr(), *floats_or_bytes(out), work.stream)
 
 
 class SortedWorkspace:

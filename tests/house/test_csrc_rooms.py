@@ -16,7 +16,6 @@ ROOMS = {  # and what each may include beside itself
     "cpu": "base scene math stages",
     "cpu/dense": "base scene math stages cpu",
     "cpu/fit": "base math/fit stages",
-    "cpu/image": "stages",
     "cpu/lens": "base scene math stages cpu",
     "cpu/photo": "base math/photo stages",
     "cpu/sorted": "base scene math stages cpu",
