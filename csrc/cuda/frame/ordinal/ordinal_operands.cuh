@@ -27,12 +27,12 @@ constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 // each other's waits. The full layout does so where it has 228 KB (sm_90), the compact one where it has 100 KB (sm_86,
 // sm_89, sm_120). KB of a block with harmonics, full and compact:
 //   samples 24, 12    queues 19, 4    operands 12.5    colours 9.5    lenses 3
-//   staged splats 19, 7.5    bytes of the tile 2 to 16, 0    all 89 to 103, 49
+//   staged splats and their patches 22, 8    bytes of the tile 2 to 16, 0    all 92 to 107, 49
 // The compact layout stages fewer splats at a time, and draws half a group of ordinals at a time, a *pass*: so samples
 // and queues take less. What that costs was counted, in warp instructions: a task takes some 3000. Each further batch
-// that its list is cut into takes 200 to set up again. To walk a list twice takes 60, since what survives the first
-// step of cull() meets half of the ordinals. To store three bytes of a lens at a time takes 50. Rounds of 16 hits would
-// halve the operands instead, but leave half of the lanes without work.
+// that its list is cut into takes 200 to set up again. To walk a list twice takes 60, since each time it meets half of
+// the ordinals. To store three bytes of a lens at a time takes 50. Rounds of 16 hits would halve the operands instead,
+// but leave half of the lanes without work.
 template <bool Harmonics_, bool Compact_>
 struct BlockLayout {
   static constexpr bool kHarmonics = Harmonics_, kCompact = Compact_;
