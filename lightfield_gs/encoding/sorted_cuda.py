@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,7 +13,7 @@ from lightfield_gs.encoding.sorted_plan import SortedPlan
 from lightfield_gs.rasterizer.scene import Scene, floats_or_bytes
 from lightfield_gs.rasterizer.stats import Stats
 
-_MOST_NUMBERED = (1 << 31) - 1  # splats, and lists, of a chunk
+_MOST_VIEWS, _MOST_NUMBERED = 4096, (1 << 31) - 1  # of a chunk: views; splats, and lists
 # Bytes of a chunk: for a splat (a footprint of 32, a colour of 16, a depth), for a pair, and for a list of pairs; and
 # what the parts may begin later than the one before ends, with the state
 _SPLAT_BYTES, _PAIR_BYTES, _LIST_BYTES, _GAPS = 52, 4, 12, 2048
@@ -26,7 +27,7 @@ class CudaStages:
 
     def __init__(self, scene: Scene, plan: SortedPlan):
         self.scene, self.plan = scene, plan
-        self.most_views = max(1, _MOST_NUMBERED // max(scene.count, plan.tiles))
+        self.most_views = max(1, min(_MOST_VIEWS, _MOST_NUMBERED // max(scene.count, plan.tiles)))
 
     def geometry_bytes(self, views: int) -> int:
         return views * self.scene.count * _SPLAT_BYTES
@@ -34,19 +35,14 @@ class CudaStages:
     def binning_bytes(self, views: int, counts: tuple[int, int]) -> int:
         return _PAIR_BYTES * counts[0] + _LIST_BYTES * views * self.plan.tiles + _GAPS
 
-    def workspace(self, scene: Scene, views: int, stats: Stats) -> SortedWorkspace:
+    def workspace(self, scene: Scene, views: int, stats: Stats) -> Any:
         return SortedWorkspace(scene, self.plan, views, stats)
 
-    def counts(self, work: SortedWorkspace) -> tuple[int, int]:
+    def counts(self, work: Any) -> tuple[int, int]:
         return work.pair_count, 0
 
     def composite(
-        self,
-        work: SortedWorkspace,
-        cameras: _core._Stages.Cameras,
-        lists: tuple[Tensor, Tensor],
-        background: Tensor,
-        out: Tensor,
+        self, work: Any, cameras: _core._Stages.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
     ) -> None:
         native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
         _core.cuda.composite_sorted(work.native, native, background.data_ptr(), *floats_or_bytes(out), work.stream)
