@@ -81,6 +81,15 @@ class Bits {
   int held_bits_ = 0;
 };
 
+// Whether kLeastRun bytes from `at` on are as the one before. One more may be read.
+bool begins_run(const uint8_t* at) {
+  uint32_t before, here;
+  std::memcpy(&before, at - 1, sizeof before);
+  std::memcpy(&here, at, sizeof here);
+  constexpr uint32_t three = std::endian::native == std::endian::little ? 0x00ffffff : 0xffffff00;
+  return ((before ^ here) & three) == 0;
+}
+
 // How many bytes from `at` on are as the one before, up to `most`. Eight more may be read.
 int run_length(const uint8_t* at, int64_t most) {
   const uint64_t same = at[-1] * uint64_t{0x0101010101010101};
@@ -105,9 +114,14 @@ class Block {
     uint16_t* token = tokens_.data();
     *token++ = bytes[0];
     for (int64_t i = 1; i < count;) {
-      const int run = run_length(bytes + i, std::min<int64_t>(kMostRun, count - i));
-      *token++ = static_cast<uint16_t>(run < kLeastRun ? bytes[i] : kEnd + run);
-      i += run < kLeastRun ? 1 : run;
+      const int64_t most = std::min<int64_t>(kMostRun, count - i);
+      if (most < kLeastRun || !begins_run(bytes + i)) {
+        *token++ = bytes[i++];
+        continue;
+      }
+      const int run = run_length(bytes + i, most);
+      *token++ = static_cast<uint16_t>(kEnd + run);
+      i += run;
     }
     *token++ = kEnd;
     tokens_.resize(token - tokens_.data());
