@@ -7,6 +7,8 @@ they are classes, which a stub in one file can name.
 from collections.abc import Sequence
 from typing import Any, TypeAlias, overload
 
+from typing_extensions import Buffer
+
 Address: TypeAlias = int  # of a buffer, as Tensor.data_ptr() gives it, or 0; a stream of CUDA likewise
 
 version: str
@@ -173,8 +175,7 @@ class Surface:
 def surface(job: Surface, threads: int) -> None: ...
 def sheet(job: Sheet, threads: int) -> None: ...
 
-class Bytes:
-    def __buffer__(self, flags: int, /) -> memoryview: ...
+class Bytes(Buffer): ...
 
 def png_stream(pixels: Address, rows: int, row_bytes: int) -> Bytes: ...
 
