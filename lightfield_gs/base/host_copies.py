@@ -49,7 +49,7 @@ class HostCopies:
                     size = tensor.numel() * tensor.element_size()
                     copy = buffer[start : start + size].view(tensor.dtype).view(tensor.shape)
                     copies.append(copy.copy_(tensor, non_blocking=True))
-                reached = torch.cuda.Event()
+                reached = torch.cuda.Event(blocking=True)  # whoever waits leaves its core to others
                 reached.record()
         return HostCopy(list(tensors), copies, reached, buffer, self._buffers)
 

@@ -31,9 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs batch`."""
     parser.description = (
         "Encodes all photos and scenes of a folder or a list, fits captures and encodes their scenes, and makes "
-        "videos, in one process for each GPU. DIR/batch.jsonl tells what was done; the same command goes on where it "
-        "was stopped, however that was, does what failed again, and leaves alone what was done. Options of `encode` "
-        "are for all."
+        "videos, in one to four processes for each GPU. DIR/batch.jsonl tells what was done; the same command goes on "
+        "where it was stopped, however that was, does what failed again, and leaves alone what was done. Options of "
+        "`encode` are for all."
     )
     add = parser.add_argument
     add(

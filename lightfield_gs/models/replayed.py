@@ -58,11 +58,12 @@ class _Graph:
     """SplatterNet.all_gaussians of photos of one level of detail."""
 
     def __init__(self, net: SplatterNet, cropped: Tensor, fine: Tensor | None, level: DetailLevel | None) -> None:
-        self._cropped, self._fine = cropped.clone(), None if fine is None else fine.clone()
-        self._intrinsics = net.photo_intrinsics()
-        self._graph, self._gaussians = captured(
-            lambda: net.all_gaussians(self._cropped, self._intrinsics, self._fine, level)
-        )
+        with torch.inference_mode(False), torch.no_grad():  # tensors that can be written to in any mode
+            self._cropped, self._fine = cropped.clone(), None if fine is None else fine.clone()
+            self._intrinsics = net.photo_intrinsics()
+            self._graph, self._gaussians = captured(
+                lambda: net.all_gaussians(self._cropped, self._intrinsics, self._fine, level)
+            )
 
     def replayed(self, cropped: Tensor, fine: Tensor | None) -> Gaussians:
         """The Gaussians, which the next call writes over."""
