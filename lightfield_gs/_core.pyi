@@ -139,7 +139,6 @@ class Sheet:
         width: int,
         factor: int,
         disparity: Address,
-        trust: Address,
         harmonics: Address,
         photo: Address,
         intrinsics: Address,
@@ -150,7 +149,7 @@ class Sheet:
     ) -> None: ...
 
 class SurfaceLook:
-    def __init__(self, *, averaged: float, softness: float, trust: float, farthest: float) -> None: ...
+    def __init__(self, *, averaged: float, softness: float) -> None: ...
 
 class Surface:
     def __init__(
@@ -162,11 +161,9 @@ class Surface:
         cloud: _Stages.Gaussians,
         mask: Address,
         intrinsics: Address,
-        correction: Address,
         look: SurfaceLook,
         planes: Address,
         disparity: Address,
-        trust: Address,
         harmonics: Address,
     ) -> None: ...
 

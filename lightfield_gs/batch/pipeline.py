@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from threading import Semaphore
 from typing import Any, Protocol
 
 from lightfield_gs.base.complaint import is_out_of_memory
@@ -15,6 +16,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.said import kept
 
 PARTS = ("read", "draw", "write")
+DRAWN_AHEAD = 2  # images that wait to be written, beside those that are: no more, for they are large
 _BROKEN_DEVICE = "CUDA error"  # torch's words, after which a process can use its GPU no more
 Record = dict[str, Any]
 
@@ -43,6 +45,7 @@ class _Running:
     seconds: dict[str, float] = field(default_factory=dict)
     reason: str | None = None
     trace: str | None = None
+    is_drawn: bool = False  # or being drawn
 
 
 class Pipeline:
@@ -68,6 +71,7 @@ class Pipeline:
             part: ThreadPoolExecutor(count, thread_name_prefix=part)
             for part, count in zip(PARTS, (readers, 1, writers))
         }
+        self._room = Semaphore(writers + DRAWN_AHEAD)
 
     def submit(self, number: int, item: Any) -> None:
         """Begins with an item as soon as there is a thread for it."""
@@ -83,6 +87,8 @@ class Pipeline:
         self._go_on(running, "draw", self._draw, is_to_do)
 
     def _draw(self, running: _Running) -> None:
+        self._room.acquire()
+        running.is_drawn = True
         with self._part("draw", running):
             assert running.task is not None
             running.task.draw()
@@ -117,6 +123,8 @@ class Pipeline:
             running.seconds[name] = round(time.perf_counter() - began, 4)
 
     def _end(self, running: _Running) -> None:
+        if running.is_drawn:
+            self._room.release()
         record: Record = {"status": "done" if running.reason is None else "failed"}
         if running.task is not None:
             told = running.task.record()

@@ -11,13 +11,19 @@ from lightfield_gs.batch.worker import Place
 
 CORES_A_PROCESS = 4  # of a CPU: more draw one image faster, and fewer images in all
 _MOST_WRITERS, _MOST_READERS = 32, 8
+# For one process of Python, whose threads take turns, feeds a GPU no faster than so many cores write
+_CORES_BESIDE_A_GPU, _MOST_ON_A_GPU = 8, 4
 
 
-def places_here(devices: str | None, processes: int | None, threads: int | None) -> list[Place]:
+def places_here(
+    devices: str | None, processes: int | None, threads: int | None, have_gpus: bool = False
+) -> list[Place]:
     """The places on this machine.
 
     devices: "cpu", or "cuda:0,cuda:1"; None: all GPUs that are seen, or the CPU where there is none that can be used.
-    processes: how many, which take turns on the devices; None: one a GPU, or one for every CORES_A_PROCESS cores.
+    processes: how many, which take turns on the devices; None: one to four a GPU, one for every eight of its share of
+    the cores, or without a GPU one for every CORES_A_PROCESS.
+    have_gpus: whether each process is to have a GPU for itself, as for fits, where nothing else is said.
     threads: that draw in each on the CPU (None: one a core of its own). Raises InputError.
     """
     gpus = _gpus(devices)
@@ -25,7 +31,7 @@ def places_here(devices: str | None, processes: int | None, threads: int | None)
     if not gpus:
         count = processes or max(1, len(own) // CORES_A_PROCESS)
         return [_on_cpu(number, own[number::count] or own, threads) for number in range(count)]
-    count = processes or len(gpus)
+    count = processes or len(gpus) * on_a_gpu(len(own) // len(gpus), have_gpus)
     names = [gpus[number % len(gpus)] for number in range(count)]
     share = max(1, len(own) // count)
     return [
@@ -39,6 +45,11 @@ def places_here(devices: str | None, processes: int | None, threads: int | None)
         )
         for number, gpu in enumerate(names)
     ]
+
+
+def on_a_gpu(cores: int, have_gpus: bool) -> int:
+    """Processes on a GPU that has so many cores; have_gpus: see places_here."""
+    return 1 if have_gpus else min(_MOST_ON_A_GPU, max(1, cores // _CORES_BESIDE_A_GPU))
 
 
 def threads_beside(share: int) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from typing import Any
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.dispatch import Event
 from lightfield_gs.batch.pipeline import Pipeline
-from lightfield_gs.batch.places import CORES_A_PROCESS, on_cpu, threads_beside
+from lightfield_gs.batch.places import CORES_A_PROCESS, on_a_gpu, on_cpu, threads_beside
 from lightfield_gs.batch.said import route
 from lightfield_gs.batch.worker import Job, Place, where
 
@@ -49,11 +49,19 @@ class RayCluster:
     """Actors on a cluster, that are started anew where they die. Use it in a `with`.
 
     address: of the cluster; "local": one of this machine that ends with the program. devices: "cpu", or None for the
-    cluster's GPUs where it has any. processes, threads: see places_here. most: processes at most. Raises InputError.
+    cluster's GPUs where it has any. processes, threads, have_gpus: see places_here. most: processes at most. Raises
+    InputError.
     """
 
     def __init__(
-        self, address: str, job: Job, devices: str | None, processes: int | None, threads: int | None, most: int
+        self,
+        address: str,
+        job: Job,
+        devices: str | None,
+        processes: int | None,
+        threads: int | None,
+        have_gpus: bool,
+        most: int,
     ):
         if devices not in (None, "cpu"):
             raise InputError(f"--devices: Ray places its processes itself; expected cpu or none, got {devices}")
@@ -68,7 +76,7 @@ class RayCluster:
         except (ConnectionError, ValueError, RuntimeError, OSError) as error:
             raise InputError(f"--ray {address}: {' '.join(str(error).split())[:300]}") from None
         gpus = 0 if devices == "cpu" else int(found.get("GPU", 0))
-        self._need, place, count = _shares(gpus, int(found.get("CPU", 1)), processes, threads)
+        self._need, place, count = _shares(gpus, int(found.get("CPU", 1)), processes, threads, have_gpus)
         self.places = [replace(place, name=f"{place.device}:{number}") for number in range(min(count, most))]
         self._actors: list[Any] = []
         self._pending: dict[Any, tuple[int, int | None]] = {}  # of each call: its actor, and its item
@@ -117,10 +125,12 @@ class RayCluster:
         self._pending[actor.ready.remote()] = worker, None
 
 
-def _shares(gpus: int, cpus: int, processes: int | None, threads: int | None) -> tuple[dict[str, float], Place, int]:
+def _shares(
+    gpus: int, cpus: int, processes: int | None, threads: int | None, have_gpus: bool
+) -> tuple[dict[str, float], Place, int]:
     """What of the cluster each process needs, a place, and how many there are."""
     if gpus:
-        count = processes or gpus
+        count = processes or gpus * on_a_gpu(cpus // gpus, have_gpus)
         share = max(1, cpus // max(count, gpus))
         place = Place("", "cuda", None, (), threads or share, *threads_beside(share))
         return {"num_gpus": min(1.0, gpus / count), "num_cpus": 0}, place, count

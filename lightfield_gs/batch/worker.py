@@ -6,6 +6,7 @@ import importlib
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.batch.pipeline import Pipeline, Task
 from lightfield_gs.batch.said import route
 
+_SWITCH_S = 2e-4  # after which a thread lets others run: the one that draws must not wait for those that read and write
 _BROKEN = 70  # the exit code of a process whose device cannot be used any more
 
 
@@ -62,6 +64,7 @@ def serve(connection: Connection, job: Job, place: Place) -> None:
     if place.cores and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, place.cores)
     route()
+    sys.setswitchinterval(_SWITCH_S)
     lock = threading.Lock()
 
     def tell(*message: Any) -> None:

@@ -31,9 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `lightfield-gs batch`."""
     parser.description = (
         "Encodes all photos and scenes of a folder or a list, fits captures and encodes their scenes, and makes "
-        "videos, in one process for each GPU. DIR/batch.jsonl tells what was done; the same command goes on where it "
-        "was stopped, however that was, does what failed again, and leaves alone what was done. Options of `encode` "
-        "are for all."
+        "videos, in one to four processes for each GPU. DIR/batch.jsonl tells what was done; the same command goes on "
+        "where it was stopped, however that was, does what failed again, and leaves alone what was done. Options of "
+        "`encode` are for all."
     )
     add = parser.add_argument
     add(
@@ -50,7 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="png",
         help="of the images, named as their inputs (default png)",
     )
-    add("--processes", type=whole(1, 4096), metavar="N", help="how many (default: one a GPU, or one for 4 cores)")
+    add(
+        "--processes",
+        type=whole(1, 4096),
+        metavar="N",
+        help="how many (default: 1 to 4 a GPU, one for 8 of its cores, or without one for 4)",
+    )
     add("--devices", metavar="cuda:0,...|cpu", help="where they work (default: all GPUs, or the CPU without one)")
     add(
         "--ray",
@@ -86,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         if not plan.todo:
             print(f"{args.output}: all {plan.kept} items were done before, by {manifest.path}")
             return 0
-        with _crew(args, setup, len(plan.todo)) as crew:
+        with _crew(args, setup, plan) as crew:
             return Batch(args, plan, manifest, options, crew).run()
 
 
@@ -107,19 +112,20 @@ def _setup(args: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any]]:
     return vars(setup), {"all": {"panel": panel, "given": words}, "fit": fit, "video": video}
 
 
-def _crew(args: argparse.Namespace, setup: dict[str, Any], count: int) -> Any:
+def _crew(args: argparse.Namespace, setup: dict[str, Any], plan: Plan) -> Any:
     """The processes, no more than there are items."""
     from lightfield_gs.batch.worker import Job
 
     job = Job("lightfield_gs.commands.batches.work:maker", setup)
+    count, have_gpus = len(plan.todo), any(item.is_long for item, _ in plan.todo)
     if args.ray is not None:
         from lightfield_gs.batch.ray_cluster import RayCluster
 
-        return RayCluster(args.ray, job, args.devices, args.processes, args.threads, count)
+        return RayCluster(args.ray, job, args.devices, args.processes, args.threads, have_gpus, count)
     from lightfield_gs.batch.places import places_here
     from lightfield_gs.batch.processes import Processes
 
-    return Processes(job, places_here(args.devices, args.processes, args.threads)[:count])
+    return Processes(job, places_here(args.devices, args.processes, args.threads, have_gpus)[:count])
 
 
 class Batch:

@@ -21,6 +21,7 @@ from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.png_chunks import png_damage
 from lightfield_gs.io.png_colour import png_colour
+from lightfield_gs.io.png_file import write_png
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
@@ -38,6 +39,7 @@ _COLOUR_ATTRIBUTES = (
 )
 _MAYBE_ASSOCIATED = ("tiff", "openexr")  # alpha may be premultiplied in these; in all other formats it is straight
 _METADATA_KEY = "ImageDescription"  # the one text field that PNG, EXR and TIFF all keep
+_PNG_KEYWORDS = {_METADATA_KEY: "Description"}  # what OpenImageIO calls otherwise
 _DTYPES = {
     ".png": ("uint8", "uint16"),
     ".exr": ("float32",),
@@ -45,16 +47,16 @@ _DTYPES = {
     ".tiff": ("uint8", "uint16", "float32"),
 }
 # Why PNG is written so: neighbours in a row belong to different views, so that nothing repeats but plain areas, which
-# are runs, while the pixel above is often of the same view. Ordinary pictures become smaller where every row has the
-# filter that suits it ("small").
-# Measured on 8K frames of a photo's object and of a whole photo, on one core. PNG not compressed: 0.2 s, 89 MB; "fast":
-# 0.6 and 1.0 s, 12 and 31 MB; without a filter and with the usual search for repetitions: 0.6 and 1.4 s, 16 and 38 MB
-# at level 1, 1.2 and 2.2 s, 15 and 37 MB at level 6. EXR not compressed: 0.5 s, zip 1.7 s. TIFF not compressed: 0.1 s,
-# zip 7 s.
-_PNG_FILTER_UP, _PNG_FILTER_ANY = 0x20, 0xF8
+# are runs, while the pixel above is often of the same view: all that "fast" looks for (io/png_file.py). Ordinary
+# pictures become smaller where every row has the filter that suits it ("small").
+# Measured on 8K frames of a photo's object and of a whole photo, on one core. PNG not compressed: 0.2 s, 89 MB; the
+# filter Up and runs by zlib at level 1: 0.6 and 1.0 s, 12 and 31 MB, as "fast" does in a third of it by ISA-L;
+# without a filter and with the usual search for repetitions: 0.6 and 1.4 s, 16 and 38 MB at level 1, 1.2 and 2.2 s, 15
+# and 37 MB at level 6. EXR not compressed: 0.5 s, zip 1.7 s. TIFF not compressed: 0.1 s, zip 7 s.
+_PNG_FILTER_ANY = 0xF8
 _SETTINGS: dict[Compression, dict[str, dict[str, int | str]]] = {
     "fast": {
-        ".png": {"png:compressionLevel": 1, "compression": "rle", "png:filter": _PNG_FILTER_UP},
+        ".png": {},  # by io/png_file.py
         ".exr": {"compression": "none"},
         ".tif": {"compression": "none"},
         ".tiff": {"compression": "none"},
@@ -115,8 +117,6 @@ def write_image(
     object in the image's description. compression: "fast" or "small". Alpha is straight, not premultiplied.
     Raises InputError.
     """
-    import OpenImageIO as oiio
-
     path = check_image_path(path)
     suffix = path.suffix.lower()
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape or max(array.shape) > MAX_SIDE_PX:
@@ -125,22 +125,32 @@ def write_image(
         raise InputError(f"cannot write {path}: {suffix} takes {' or '.join(_DTYPES[suffix])}, got {array.dtype.name}")
     if compression not in _SETTINGS:
         raise InputError(f"compression must be fast or small, got {compression!r}")
+    texts = {}
+    if metadata:
+        texts = {_METADATA_KEY: json.dumps(metadata), "Software": metadata.get("software", "lightfield-gs")}
+    with atomic_path(path) as temporary:
+        if suffix == ".png" and compression == "fast":
+            write_png(temporary, array, {_PNG_KEYWORDS.get(key, key): text for key, text in texts.items()})
+        else:
+            _write_by_oiio(path, temporary, array, {**_SETTINGS[compression][suffix], **texts})
+
+
+def _write_by_oiio(path: Path, temporary: Path, array: np.ndarray, attributes: dict[str, int | str]) -> None:
+    """Writes what write_image has checked, for `path`, with these attributes of OpenImageIO. Raises InputError."""
+    import OpenImageIO as oiio
+
     height, width, channels = array.shape
-    if suffix == ".exr" and channels == 4:
+    if path.suffix.lower() == ".exr" and channels == 4:
         array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], 2)  # its alpha is premultiplied
     spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(_oiio_type(array.dtype)))
-    for key, value in {**_SETTINGS[compression][suffix], "oiio:UnassociatedAlpha": 1}.items():
+    for key, value in {**attributes, "oiio:UnassociatedAlpha": 1}.items():
         spec[key] = value
-    if metadata:
-        spec[_METADATA_KEY] = json.dumps(metadata)
-        spec["Software"] = metadata.get("software", "lightfield-gs")
-    with atomic_path(path) as temporary:
-        output = oiio.ImageOutput.create(str(temporary))
-        if output is None:
-            raise InputError(f"cannot write {path}: {_first_line(oiio.geterror)}")
-        written = output.open(str(temporary), spec) and output.write_image(np.ascontiguousarray(array))
-        if not (output.close() and written):
-            raise InputError(f"cannot write {path}: {_first_line(output.geterror)}")
+    output = oiio.ImageOutput.create(str(temporary))
+    if output is None:
+        raise InputError(f"cannot write {path}: {_first_line(oiio.geterror)}")
+    written = output.open(str(temporary), spec) and output.write_image(np.ascontiguousarray(array))
+    if not (output.close() and written):
+        raise InputError(f"cannot write {path}: {_first_line(output.geterror)}")
 
 
 def read_info(path: str | Path) -> ImageInfo:

@@ -12,7 +12,7 @@ import struct
 import zlib
 from pathlib import Path
 
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _LONGEST = 2**31 - 1
 _HEADER = struct.Struct(">IIBBBBB")
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
@@ -28,14 +28,14 @@ def png_damage(path: Path, pixels: bool) -> str | None:
     take as long as reading them.
     """
     with open(path, "rb") as file:
-        if file.read(len(_SIGNATURE)) != _SIGNATURE:
+        if file.read(len(SIGNATURE)) != SIGNATURE:
             return None
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data, memoryview(data) as view:
             return _damage(view, pixels)
 
 
 def _damage(data: memoryview, pixels: bool) -> str | None:
-    place, least_bytes = len(_SIGNATURE), 0
+    place, least_bytes = len(SIGNATURE), 0
     packed: list[tuple[int, int]] = []
     while place + 8 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, place)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
+from lightfield_gs.base.cuda_graph import captured
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.arguments import check_options
@@ -31,8 +31,6 @@ from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.gaussians import Gaussians
-
-_WARM_UP = 2  # calls before a capture, in which libraries load and choose their algorithms
 
 
 class PhotoEncoder:
@@ -153,11 +151,11 @@ class _Capture:
         self.host = torch.empty(photo.shape, dtype=photo.dtype, pin_memory=True)
         self.photo = torch.empty(photo.shape, dtype=photo.dtype, device=net.device)
         self.photo.copy_(photo)
-        self._crop, (self.cropped, self.fine, self.checks) = _captured(self._cropped)
-        self._network, self.gaussians = _captured(
+        self._crop, (self.cropped, self.fine, self.checks) = captured(self._cropped)
+        self._network, self.gaussians = captured(
             lambda: net.all_gaussians(self.cropped, self.intrinsics, self.fine, level)
         )
-        self._framing, self.numbers = _captured(lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)]))
+        self._framing, self.numbers = captured(lambda: torch.cat([self.checks, framing.photo_extent(self.gaussians)]))
 
     def takes(self, photo: Tensor) -> bool:
         return photo.shape == self.photo.shape and photo.dtype == self.photo.dtype
@@ -188,22 +186,3 @@ class _Capture:
         factors = [1] if self.level is None else [1, self.level.factor]
         checks, (cropped, *fine) = crop_on_device(self.photo, [size * factor for factor in factors])
         return cropped, fine[0] if fine else None, checks
-
-
-def _captured(call: Callable[[], Any]) -> tuple[torch.cuda.CUDAGraph, Any]:
-    """The launches of a call as a graph, and what the call returned, which every replay writes over.
-
-    The graph is replayed once here: a capture computes nothing, and the calls that are captured next read the result
-    when they warm up.
-    """
-    beside = torch.cuda.Stream()
-    beside.wait_stream(torch.cuda.current_stream())
-    with torch.cuda.stream(beside):
-        for _ in range(_WARM_UP):
-            call()
-    torch.cuda.current_stream().wait_stream(beside)
-    graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph, stream=beside):  # torch's own stream belongs to the device that captured first
-        result = call()
-    graph.replay()
-    return graph, result

@@ -8,7 +8,7 @@ import pytest
 from lightfield_gs import InputError
 from lightfield_gs.batch.dispatch import Dispatch
 from lightfield_gs.batch.item import Item
-from lightfield_gs.batch.places import places_here
+from lightfield_gs.batch.places import on_a_gpu, places_here
 from lightfield_gs.batch.processes import Processes
 from lightfield_gs.batch.tally import Tally
 from lightfield_gs.batch.worker import Job, Place
@@ -83,5 +83,6 @@ def test_cores_are_shared_out():
     assert len(set(own)) == len(own) or len(own) == 2 and len(set(own)) == 1
     assert all(place.threads == len(place.cores) for place in places)
     assert places_here("cpu", 1, 3)[0].threads == 3
+    assert [on_a_gpu(cores, False) for cores in (1, 8, 16, 64)] == [1, 1, 2, 4] and on_a_gpu(64, True) == 1
     with pytest.raises(InputError, match="--devices: expected cpu, or GPUs such as cuda:0,cuda:1, got 'gpu'"):
         places_here("gpu", None, None)

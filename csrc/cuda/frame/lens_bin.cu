@@ -62,6 +62,30 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
 // the lists; if the frame has more pairs than places it fills one list of all splats drawn instead.
 enum class Pass { kCount, kFill };
 
+// The lanes that are here together for a pair of the same list. Splats that follow each other often lie side by side,
+// as in the sheet of a photo, and additions to the ends of lists are what bin waits for: so these lanes make one of
+// theirs.
+struct Together {
+  unsigned lanes, before;  // a bit each; before: those of smaller number than this one
+  int first;
+
+  __device__ explicit Together(int list)
+      : lanes(__match_any_sync(__activemask(), list)),
+        before(lanes & ((1u << threadIdx.x % 32) - 1)),
+        first(__ffs(int(lanes)) - 1) {}
+  __device__ unsigned count() const { return unsigned(__popc(lanes)); }
+  // Makes a list longer by a pair of each lane.
+  __device__ void lengthen(unsigned& end) const {
+    if (!before) atomicAdd(&end, count());
+  }
+  // The same; returns this lane's place.
+  __device__ unsigned place(unsigned& end) const {
+    unsigned begin = 0;
+    if (!before) begin = atomicAdd(&end, count());
+    return __shfl_sync(lanes, begin, first) + unsigned(__popc(before));
+  }
+};
+
 // Goes through the pairs. Some lanes of a warp share a splat, see lanes_of(); a block takes as many splats at a time as
 // it has threads for, until there are no more. One kernel does both passes, so that they find the same tiles to the
 // last bit.
@@ -81,10 +105,11 @@ __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__
     }
     for_each_run(splat, frame, lane, lanes, [&](int first, int last) {
       for (int tile = first; tile <= last; tile += groups) {
+        const Together together(tile);
         if (fill)
-          frame.ids[atomicAdd(&ranges[tile].y, 1u)] = uint32_t(id);
+          frame.ids[together.place(ranges[tile].y)] = uint32_t(id);
         else
-          atomicAdd(&ranges[tile].y, 1u);
+          together.lengthen(ranges[tile].y);
       }
     });
   }

@@ -12,10 +12,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from lightfield_gs.base.host_copies import HostCopies
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.batch.hashes import facts
 from lightfield_gs.batch.item import Item
-from lightfield_gs.batch.pipeline import Record
+from lightfield_gs.batch.pipeline import DRAWN_AHEAD, Record
 from lightfield_gs.batch.plan import Known
 from lightfield_gs.batch.worker import Place
 from lightfield_gs.commands.options.encoding import Encoding, outputs_of, use_threads
@@ -49,15 +50,18 @@ def maker(options: dict[str, Any], place: Place) -> Callable[[tuple[Item, Known 
     use_threads(place.threads)
     if place.device == "cuda":
         torch.zeros(1, device="cuda")  # which loads what takes seconds
+    copies = HostCopies(place.writers + DRAWN_AHEAD) if place.device == "cuda" else None
     kinds = {"encode": EncodeTask, "fit": FitTask, "video": VideoTask}
-    return lambda pair: kinds[pair[0].command](pair[0], pair[1], setup, place)
+    return lambda pair: kinds[pair[0].command](pair[0], pair[1], setup, place, copies)
 
 
 class EncodeTask:
-    """A photo or a scene to the image of a panel. known: what is known of it from before."""
+    """A photo or a scene to the image of a panel. known: what is known of it from before. copies: see Encoding."""
 
-    def __init__(self, item: Item, known: Known | None, setup: Setup, place: Place) -> None:
-        self.item, self.known, self.setup, self.place = item, known, setup, place
+    def __init__(
+        self, item: Item, known: Known | None, setup: Setup, place: Place, copies: HostCopies | None = None
+    ) -> None:
+        self.item, self.known, self.setup, self.place, self.copies = item, known, setup, place, copies
         self.output = setup.folder / item.name
         self.inputs: Record = {}
         self.outputs: Record = {}
@@ -73,7 +77,7 @@ class EncodeTask:
 
     def begin(self) -> None:
         """What is done while others are drawn."""
-        self.encoding = Encoding(self.encode_args(self.item.input), Stopwatch(0.0))
+        self.encoding = Encoding(self.encode_args(self.item.input), Stopwatch(0.0), self.copies)
         self.encoding.read()
 
     def draw(self) -> None:
@@ -146,7 +150,7 @@ class FitTask(EncodeTask):
         args = self.encode_args(self.scene)
         if args.rig is None and args.camera is None and rig_path(self.scene).exists():
             args.rig = rig_path(self.scene)
-        self.encoding = Encoding(args, Stopwatch(0.0))
+        self.encoding = Encoding(args, Stopwatch(0.0), self.copies)
         self.encoding.read()
         self.encoding.draw()
 

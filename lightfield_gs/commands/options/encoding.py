@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -25,6 +26,9 @@ from lightfield_gs.io.images import check_image_path, write_image
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
+    from lightfield_gs.base.host_copies import HostCopies, HostCopy
     from lightfield_gs.commands.options.photo import ReadPhoto
     from lightfield_gs.panels.rig import Rig
     from lightfield_gs.scene.files import SceneFile
@@ -36,10 +40,11 @@ class Encoding:
 
     `draw` alone needs the device; `read` and `write` are the host's work, beside which other inputs are drawn. What can
     be refused before anything is read is refused when it is made. said: lines on what was decided; stats: those of
-    `encode`. All raise InputError.
+    `encode`. copies: of one input after the other from CUDA to the host; with them `draw` does not wait for the image,
+    and counts nothing for the stats. All raise InputError.
     """
 
-    def __init__(self, args: argparse.Namespace, watch: Stopwatch) -> None:
+    def __init__(self, args: argparse.Namespace, watch: Stopwatch, copies: HostCopies | None = None) -> None:
         self.args, self.watch, self.said = args, watch, list[str]()
         self.bits = _check_files(args)
         check_options(args)
@@ -48,6 +53,9 @@ class Encoding:
         self.given, self.views = read_given(args, self.panel), views_given(args, self.panel)
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
+        self._counts = copies is None or self.device == "cpu"
+        self._copies = copies
+        self._copy: HostCopy | None = None
         self._source: SceneFile | ReadPhoto | None = None
         watch.lap("start")
 
@@ -56,7 +64,7 @@ class Encoding:
         self._source = read_source(self.args)
 
     def draw(self) -> None:
-        """Makes the scene of what was read, and the image of the scene, which is on the host then."""
+        """Makes the scene of what was read, and the image of the scene, which is on its way to the host then."""
         import torch
 
         args, panel = self.args, self.panel
@@ -71,11 +79,52 @@ class Encoding:
                 self.rig, how = frame_scene(args, panel, self.given, gaussians, self.file)
                 self.said += how
             self.gaussians = gaussians
-            self.image, self.stats = _drawn(args, gaussians, panel, self.rig, self.views, self.bits)
-        self.watch.lap("image", self.stats["stages_ms"])
+            image = self._drawn(self.stats if self._counts else None)
+            if self._copies is not None and image.is_cuda:
+                self._copy = self._copies.begin([image, *gaussians.fields().values()])
+            else:
+                self.image = on_host(image)
+        self.watch.lap("image", self.stats.get("stages_ms"))
+
+    def _drawn(self, stats: dict[str, Any] | None) -> Tensor:
+        """The image, and what `encode` tells of it in stats."""
+        from lightfield_gs.encoding.encode import encode
+
+        args = self.args
+        return encode(
+            self.gaussians,
+            self.panel,
+            self.rig,
+            args.method,
+            views=args.views,
+            background=args.background,
+            output="uint8" if self.bits == 8 else "float32",
+            quality=args.quality,
+            threads=args.threads,
+            stats=stats,
+            antialiased=args.antialiased,
+            view_filter=args.view_filter,
+            **self.views,
+        )
 
     def write(self) -> None:
         """Writes all that was asked for."""
+        from lightfield_gs.scene.gaussians import of_tensors
+
+        if self._copy is None:
+            self._write()
+            return
+        image, *fields = self._copy.wait()
+        try:
+            self.image = image.numpy()
+            if self.args.preview is None:  # which is drawn where they were
+                self.gaussians = replace(of_tensors(fields), origin=self.gaussians.origin)
+            self._write()
+        finally:
+            del self.image, self.gaussians  # which are in memory that others write over
+            self._copy.release()
+
+    def _write(self) -> None:
         import torch
 
         args, gaussians, panel = self.args, self.gaussians, self.panel
@@ -100,6 +149,11 @@ class Encoding:
 
     def _note_if_empty(self) -> None:
         count = self.gaussians.count
+        if not self._counts:
+            if not _is_plain(self.image):
+                return
+            self.gaussians = self.gaussians.to(self.device)
+            self._drawn(self.stats)
         if self.stats["pairs"] == 0 and self.stats["gaussians_culled"] == count:
             note(
                 f"{self.args.output} is all background: none of {count} Gaussians is within what the cameras see, or "
@@ -135,29 +189,9 @@ def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None
         )
 
 
-def _drawn(
-    args: argparse.Namespace, gaussians: Gaussians, panel: Panel, rig: Rig | None, views: dict[str, Any], bits: int
-) -> tuple[np.ndarray, dict[str, Any]]:
-    """The image on the host, and what `encode` tells of it; views: arguments in place of the rig."""
-    from lightfield_gs.encoding.encode import encode
-
-    stats: dict[str, Any] = {}
-    drawn = encode(
-        gaussians,
-        panel,
-        rig,
-        args.method,
-        views=args.views,
-        background=args.background,
-        output="uint8" if bits == 8 else "float32",
-        quality=args.quality,
-        threads=args.threads,
-        stats=stats,
-        antialiased=args.antialiased,
-        view_filter=args.view_filter,
-        **views,
-    )
-    return on_host(drawn), stats
+def _is_plain(image: np.ndarray) -> bool:
+    """Whether an image has one colour."""
+    return all(bool((part == image[0, 0]).all()) for part in (image[::64, ::16], image))
 
 
 def outputs_of(args: argparse.Namespace) -> list[Path | None]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import Given, choose_rig
+from lightfield_gs.commands.options.depth_map import has_depth
 from lightfield_gs.commands.options.drawn import settle_drawing
 from lightfield_gs.commands.options.look import apply_look, report_depth
 from lightfield_gs.commands.options.scene import read_source, scene_of
@@ -71,7 +72,9 @@ def frame_scene(
     deep the scene is. Raises InputError."""
     chosen, how = choose_rig(given, args, panel, gaussians, file)
     rig, looks = apply_look(args, chosen, panel, gaussians)
-    return rig, [*how, *looks, *report_depth(args, rig, panel, gaussians)]
+    # Framing leaves room around the object of a photo, as around no other scene
+    may_fill = file is not None or given.rig is not None or has_depth(args)
+    return rig, [*how, *looks, *report_depth(args, rig, panel, gaussians, may_fill)]
 
 
 def files_read(args: argparse.Namespace) -> tuple[Path | str | None, ...]:

@@ -60,14 +60,19 @@ def add_depth_report(add: Callable[..., argparse.Action]) -> None:
     )
 
 
-def report_depth(args: argparse.Namespace, rig: Rig, panel: Panel, gaussians: Gaussians) -> list[str]:
+def report_depth(
+    args: argparse.Namespace, rig: Rig, panel: Panel, gaussians: Gaussians, may_fill: bool = True
+) -> list[str]:
     """The lines of --depth-report, [] where it was not given; notes where a scene that fills the picture does not fill
     the outermost views, and all that looks wrong where depth or place were steered, or asked about.
 
-    gaussians: in the rig's coordinates. Raises InputError where it was asked about, and the rig shows nothing.
+    gaussians: in the rig's coordinates; may_fill: whether they can fill the picture where nothing was steered. Raises
+    InputError where it was asked about, and the rig shows nothing.
     """
     is_asked = getattr(args, "depth_report", False)  # not every command has it
     if not is_asked and not is_given(args):
+        if not may_fill:
+            return []
         from lightfield_gs.panels.unseen import share_past, words_on_past
 
         past = share_past(gaussians, panel, rig)

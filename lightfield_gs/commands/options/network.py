@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lightfield_gs.models import SplatterNet
+    from lightfield_gs.models.replayed import ReplayedNet
 
 
-def network_of(checkpoint: Path | None, device: str) -> SplatterNet:
+def network_of(checkpoint: Path | None, device: str) -> ReplayedNet:
     """The network of --checkpoint, on the device; None: the one inside. The last one is kept, and read again when its
     file is another. Raises InputError."""
     version = None
@@ -23,10 +23,11 @@ def network_of(checkpoint: Path | None, device: str) -> SplatterNet:
 
 
 @lru_cache(maxsize=1)
-def _network(checkpoint: Path | None, version: tuple[int, int] | None, device: str) -> SplatterNet:
+def _network(checkpoint: Path | None, version: tuple[int, int] | None, device: str) -> ReplayedNet:
     import torch
 
     from lightfield_gs.models import SplatterNet
+    from lightfield_gs.models.replayed import ReplayedNet
 
     with torch.inference_mode(False):  # whose weights could not be used outside
-        return SplatterNet.from_pretrained(checkpoint).to(device)
+        return ReplayedNet(SplatterNet.from_pretrained(checkpoint).to(device))

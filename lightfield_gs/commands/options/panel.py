@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 
 from lightfield_gs.base.complaint import note
 from lightfield_gs.commands.options.values import within
@@ -44,10 +47,20 @@ def load_panel(args: argparse.Namespace) -> Panel:
 
     Says where its numbers look as if they were in other units. Raises InputError.
     """
-    panel = at_distance(Panel.load(args.panel, serial=args.device_serial), args.viewing_distance)
+    version = None
+    with suppress(OSError):  # its reader says what is wrong with it
+        found = Path(args.panel).stat()
+        version = found.st_size, found.st_mtime_ns
+    panel = at_distance(_panel(args.panel, args.device_serial, version), args.viewing_distance)
     for doubt in doubts_of_units(panel):
         note(f"panel {panel.name}: {doubt}")
     return panel
+
+
+@lru_cache(maxsize=8)
+def _panel(name: str, serial: str | None, version: tuple[int, int] | None) -> Panel:
+    """A panel that is read once, however many inputs the command takes, and again when its file is another."""
+    return Panel.load(name, serial=serial)
 
 
 def doubts_of_units(panel: Panel) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from lightfield_gs.scene.gaussians import Gaussians
 
 
+@cache
 def package_versions() -> dict[str, str]:
     """Versions of this package and of those that decide what comes out."""
     from importlib.metadata import PackageNotFoundError, version

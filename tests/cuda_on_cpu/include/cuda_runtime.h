@@ -267,9 +267,12 @@ unsigned __match_any_sync(unsigned, T v) {
 }
 inline int __any_sync(unsigned mask, int v) { return __ballot_sync(mask, v) != 0; }
 inline int __all_sync(unsigned mask, int v) { return __ballot_sync(mask, !v) == 0; }
+// Of lanes that have gone different ways, each goes on by itself.
+inline unsigned __activemask() { return 1u << emulation::lane(); }
+inline unsigned __match_any_sync(unsigned mask, int) { return mask; }
 template <class T>
-T __shfl_sync(unsigned, T v, int source) {
-  return emulation::of_lane(v, source & 31);
+T __shfl_sync(unsigned mask, T v, int source) {
+  return mask == 1u << emulation::lane() ? v : emulation::of_lane(v, source & 31);
 }
 template <class T>
 T __shfl_xor_sync(unsigned, T v, int mask) {

@@ -1,0 +1,74 @@
+"""The network on photo after photo: on CUDA its launches are a graph, for the host takes longer over them than the
+device."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightfield_gs.base.cuda_graph import captured
+from lightfield_gs.base.options import Detail
+from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
+from lightfield_gs.models.splatter_net import SplatterNet, checked_photo, seen
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.scene.gaussians import Gaussians
+
+_MOST_GRAPHS = 4  # each keeps the memory of what it computes
+
+
+class ReplayedNet:
+    """SplatterNet.predict of a network that does not change: the same kernels in the same precision, so that all comes
+    out the same. A level of detail gets its graph the second time that it is met."""
+
+    def __init__(self, net: SplatterNet) -> None:
+        self.net, self.config = net, net.config
+        self._met: set[DetailLevel | None] = set()
+        self._graphs: dict[DetailLevel | None, _Graph] = {}
+
+    @torch.no_grad()
+    def predict(
+        self,
+        rgba: np.ndarray | Tensor,
+        detail: Detail | None = None,
+        panel: Panel | None = None,
+        budget: int = DEFAULT_BUDGET,
+    ) -> Gaussians:
+        """What SplatterNet.predict returns. Raises InputError as it does."""
+        photo = checked_photo(rgba)
+        level = detail_level(detail, self.config, max(photo.shape[:2]), panel, budget)
+        cropped, fine = self.net.crops(photo, level)
+        if not cropped.is_cuda or not self._is_repeated(level):
+            return self.net.seen_gaussians(cropped, fine, level)
+        with torch.cuda.device(cropped.device):
+            if level not in self._graphs:
+                self._graphs[level] = _Graph(self.net, cropped, fine, level)
+            return seen(self._graphs[level].replayed(cropped, fine))
+
+    def _is_repeated(self, level: DetailLevel | None) -> bool:
+        if level in self._graphs:
+            return True
+        if level in self._met:
+            return len(self._graphs) < _MOST_GRAPHS
+        self._met.add(level)
+        return False
+
+
+class _Graph:
+    """SplatterNet.all_gaussians of photos of one level of detail."""
+
+    def __init__(self, net: SplatterNet, cropped: Tensor, fine: Tensor | None, level: DetailLevel | None) -> None:
+        with torch.inference_mode(False), torch.no_grad():  # tensors that can be written to in any mode
+            self._cropped, self._fine = cropped.clone(), None if fine is None else fine.clone()
+            self._intrinsics = net.photo_intrinsics()
+            self._graph, self._gaussians = captured(
+                lambda: net.all_gaussians(self._cropped, self._intrinsics, self._fine, level)
+            )
+
+    def replayed(self, cropped: Tensor, fine: Tensor | None) -> Gaussians:
+        """The Gaussians, which the next call writes over."""
+        self._cropped.copy_(cropped)
+        if self._fine is not None and fine is not None:
+            self._fine.copy_(fine)
+        self._graph.replay()
+        return self._gaussians
