@@ -69,10 +69,11 @@ struct Together {
   unsigned lanes, before;  // a bit each; before: those of smaller number than this one
   int first;
 
-  __device__ explicit Together(int list)
-      : lanes(__match_any_sync(__activemask(), list)),
-        before(lanes & ((1u << threadIdx.x % 32) - 1)),
-        first(__ffs(int(lanes)) - 1) {}
+  __device__ explicit Together(int list) {
+    lanes = __match_any_sync(__activemask(), list);
+    before = lanes & ((1u << threadIdx.x % 32) - 1);
+    first = __ffs(int(lanes)) - 1;
+  }
   __device__ unsigned count() const { return unsigned(__popc(lanes)); }
   // Makes a list longer by a pair of each lane.
   __device__ void lengthen(unsigned& end) const {
