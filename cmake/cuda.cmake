@@ -60,7 +60,9 @@ target_sources(_core PRIVATE
   csrc/cuda/photo/crop.cu
   csrc/cuda/photo/sheet.cu
   csrc/cuda/photo/surface.cu
+  csrc/cuda/sorted/bin_sorted.cu
   csrc/cuda/sorted/composite_sorted.cu
+  csrc/cuda/sorted/project_sorted.cu
   csrc/cuda/frame/lens_bin.cu
   csrc/cuda/frame/lens_frame.cu
   csrc/cuda/frame/lens_order.cu

@@ -7,8 +7,6 @@ they are classes, which a stub in one file can name.
 from collections.abc import Sequence
 from typing import Any, TypeAlias, overload
 
-from typing_extensions import Buffer
-
 Address: TypeAlias = int  # of a buffer, as Tensor.data_ptr() gives it, or 0; a stream of CUDA likewise
 
 version: str
@@ -141,7 +139,6 @@ class Sheet:
         width: int,
         factor: int,
         disparity: Address,
-        trust: Address,
         harmonics: Address,
         photo: Address,
         intrinsics: Address,
@@ -152,7 +149,7 @@ class Sheet:
     ) -> None: ...
 
 class SurfaceLook:
-    def __init__(self, *, averaged: float, softness: float, trust: float, farthest: float) -> None: ...
+    def __init__(self, *, averaged: float, softness: float) -> None: ...
 
 class Surface:
     def __init__(
@@ -164,20 +161,14 @@ class Surface:
         cloud: _Stages.Gaussians,
         mask: Address,
         intrinsics: Address,
-        correction: Address,
         look: SurfaceLook,
         planes: Address,
         disparity: Address,
-        trust: Address,
         harmonics: Address,
     ) -> None: ...
 
 def surface(job: Surface, threads: int) -> None: ...
 def sheet(job: Sheet, threads: int) -> None: ...
-
-class Bytes(Buffer): ...
-
-def png_stream(pixels: Address, rows: int, row_bytes: int) -> Bytes: ...
 
 class WeaveWindow:
     def __init__(
@@ -474,11 +465,9 @@ class _Cuda:
     LENS_SUMS: int
     FRAME_STATE_BYTES: int
     FRAME_KERNELS: list[str]
+    SORTED_STATE_BYTES: int
     class Image:
-        @overload
         def __init__(self, count: int, width_px: int, height_px: int, lens: bool) -> None: ...
-        @overload
-        def __init__(self, count: int, width_px: int, height_px: int, tile: SubpixelTile) -> None: ...
         def tiles(self) -> int: ...
 
     class Pairs:
@@ -493,6 +482,14 @@ class _Cuda:
             sorted_splats: Address,
             total: Address = ...,
         ) -> None: ...
+
+    class SortedChunk:
+        def __init__(
+            self, *, views: int, gaussians: int, width_px: int, height_px: int, tile: SubpixelTile
+        ) -> None: ...
+        def bytes(self) -> int: ...
+        def place(self, work: Address) -> int: ...
+        def place_ids(self, ids: Address) -> None: ...
 
     class LensFrame:
         def __init__(
@@ -696,13 +693,19 @@ class _Cuda:
         frame: _Cuda.LensFrame, background: Address, out: Address, out8: Address, stream: Address
     ) -> None: ...
     @staticmethod
+    def project_sorted(
+        chunk: _Cuda.SortedChunk, gaussians: _Stages.Gaussians, cameras: _Stages.Cameras, stream: Address
+    ) -> None: ...
+    @staticmethod
+    def count_sorted(chunk: _Cuda.SortedChunk, stream: Address) -> None: ...
+    @staticmethod
+    def fill_sorted(chunk: _Cuda.SortedChunk, stream: Address) -> None: ...
+    @staticmethod
+    def order_sorted(chunk: _Cuda.SortedChunk, stream: Address) -> None: ...
+    @staticmethod
     def composite_sorted(
-        splats: _Stages.Splats,
-        image: _Cuda.Image,
-        ranges: Address,
-        pairs: _Cuda.Pairs,
+        chunk: _Cuda.SortedChunk,
         lists: SubpixelLists,
-        order: Address,
         background: Address,
         out: Address,
         out8: Address,

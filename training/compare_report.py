@@ -23,7 +23,7 @@ from training.evaluation import labelled, score_folder
 
 FLOORS = {"copy": "copy the input", "card": "flat card"}
 _SPLIT = "val"
-_LIMIT_BYTES = 64 << 20
+LIMIT_BYTES = 64 << 20
 # What score_folder returned, for each arm and each folder that is scored.
 Scores = dict[str, dict[str, dict[str, Any]]]
 
@@ -66,7 +66,7 @@ def score_arm(run: TrainingConfig, scored: dict[str, Path], decoded: dict[Path, 
         },
     }
     kept = weights.with_name("final_scores.json")
-    if kept.exists() and (known := read_object(kept, _LIMIT_BYTES)).get("of") == of:
+    if kept.exists() and (known := read_object(kept, LIMIT_BYTES)).get("of") == of:
         return known["scores"]
     device = choose_device(run.device)
     net = SplatterNet.from_pretrained(weights).to(device)
@@ -109,11 +109,13 @@ def leads(scores: Scores) -> Scores:
     }
 
 
-def _markdown_table(head: list[str], rows: list[list[str]]) -> str:
+def markdown_table(head: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown: its head, and its rows of as many cells."""
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows))
 
 
-def _lead_cell(lead: dict[str, float]) -> str:
+def lead_cell(lead: dict[str, float]) -> str:
+    """A lead as tables have it: dB (+- standard error where it is known) / SSIM."""
     error = f" +- {lead['psnr_standard_error']:.2f}" if "psnr_standard_error" in lead else ""
     return f"{lead['psnr_db']:+.2f}{error} / {lead['ssim']:+.3f}"
 
@@ -147,15 +149,15 @@ def to_markdown(runs: dict[str, TrainingConfig], scores: Scores) -> str:
             ]
             for label, row in labelled(report)
         ]
-        lines += ["", f"## {folder}", "", _markdown_table(["angle", "views", *scores, *FLOORS.values()], rows)]
+        lines += ["", f"## {folder}", "", markdown_table(["angle", "views", *scores, *FLOORS.values()], rows)]
         if skipped := report.get("skipped"):
             lines += ["", f"{len(skipped)} objects could not be scored: {', '.join(skipped)}"]
         if others:
             rows = [
-                [label, *(_lead_cell(lead[folder][label]) for lead in differences.values())]
+                [label, *(lead_cell(lead[folder][label]) for lead in differences.values())]
                 for label, _ in labelled(report)
             ]
-            lines += ["", _markdown_table(["angle", *(f"{first} - {other}" for other in others)], rows)]
+            lines += ["", markdown_table(["angle", *(f"{first} - {other}" for other in others)], rows)]
     return "\n".join(lines) + "\n"
 
 
@@ -174,17 +176,18 @@ def _save_plots(output: Path, scores: Scores, curves: dict[str, list[dict[str, f
             axes.plot(labels, [row[f"{floor}_psnr_db"] for row in rows], ".--", label=meaning)
         axes.set(title=folder, xlabel="azimuth from the source", ylabel="PSNR, dB")
         axes.legend()
-    _save(figure, output / "angles.png")
+    save_figure(figure, output / "angles.png")
     figure = Figure(figsize=(6, 4.5), layout="constrained")
     axes = figure.subplots()
     for arm, rows in ((arm, rows) for arm, rows in curves.items() if rows):
         axes.plot([row["step"] for row in rows], [row["psnr_db"] for row in rows], ".-", label=arm)
     axes.set(title="validation during training", xlabel="steps", ylabel="PSNR, dB")
     axes.legend()
-    _save(figure, output / "curves.png")
+    save_figure(figure, output / "curves.png")
 
 
-def _save(figure: Any, path: Path) -> None:
+def save_figure(figure: Any, path: Path) -> None:
+    """Writes a figure as PNG, atomically."""
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=120)
 

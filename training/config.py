@@ -88,8 +88,6 @@ class TrainingConfig:
         initial_weights: checkpoint to start from, "pretrained" for the one in the package; its network takes the place
             of model. "": none.
         symmetric: make the network symmetric (see ModelConfig), also where model or initial_weights do not.
-        sheet: let the network predict the sheet of a photo's detail (see ModelConfig), also where model or
-            initial_weights do not; a sheet that they lack begins where it would lie without.
         detail: share of the steps, 0..1, that draw the predicted Gaussians under a sheet of the source picture's own
             pixels, as photos are shown; the others draw them alone.
         trained: the whole network, or the head alone, which takes the U-Net's features as they are: quick, also on a
@@ -130,7 +128,6 @@ class TrainingConfig:
     model: str = "default"
     initial_weights: str = ""
     symmetric: bool = False
-    sheet: bool = False
     detail: float = 0.0
     trained: Literal["network", "head"] = "network"
     seed: int = 0
@@ -155,8 +152,6 @@ class TrainingConfig:
     augmentation: Augmentation = field(default_factory=Augmentation)
 
     def __post_init__(self) -> None:
-        if self.loss.depth and not (self.detail and self.procedural):
-            raise InputError("loss.depth: expected detail and procedural above 0 with it: only then depths are known")
         for name in ("output_dir", "cache_dir", "data", "stages"):
             if not getattr(self, name):
                 raise InputError(f"{name}: expected {'a folder' if name.endswith('dir') else 'at least one'}, got none")

@@ -63,7 +63,6 @@ def make_planner(config: TrainingConfig, team: Team, tell: bool = False) -> Batc
         partners,
         config.procedural,
         read_photographs(Path(config.photographs)) if config.photographs else None,
-        config.loss.depth > 0,
     )
 
 

@@ -33,8 +33,6 @@ class LossWeights:
             error is least at the probability that it is: a halo. This makes it decide: its weight against those of the
             squared errors says how much sharper outlines get.
         roughness: of the roughness of depth.
-        depth: of the difference between the sheet's disparity and the true one, 1 / scene units, where both are known:
-            of procedural objects, in steps with detail.
     """
 
     colour: float = 1.0
@@ -44,7 +42,6 @@ class LossWeights:
     alpha: float = 0.1
     translucency: float = 0.0
     roughness: float = 0.0
-    depth: float = 0.0
 
     def __post_init__(self) -> None:
         weights = dataclasses.asdict(self)
@@ -92,19 +89,6 @@ def translucency(alpha: Tensor) -> Tensor:
     return (alpha * (1 - alpha)).mean()
 
 
-def depth_error(means: Tensor, depths: Tensor) -> Tensor:
-    """The mean difference of the disparities 1/z of a sheet's Gaussians from the true ones, 1 / scene units.
-
-    means: [B,N,3] in the source camera's axes, the sheet's H * W first. depths: [P,H,W], true depths in the last P
-    examples, 0 where there is none.
-    """
-    count, height, width = depths.shape
-    found = means[-count:, : height * width, 2].view_as(depths)
-    known = depths > 0
-    errors = (1 / found - 1 / torch.where(known, depths, 1.0)).abs()
-    return (errors * known).sum() / known.sum().clamp_min(1)
-
-
 def total_loss(
     images: Tensor,
     alpha: Tensor,
@@ -113,12 +97,11 @@ def total_loss(
     means: Tensor,
     source: Tensor,
     weights: LossWeights,
-    depths: Tensor | None = None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The weighted sum and its unweighted terms.
 
     images: rendered [B,V,3,H,W] over backgrounds [B,V,3]. alpha: rendered opacity [B,V,H,W]. targets: [B,V,4,H,W]
-    premultiplied RGBA. means, source: see roughness. depths: see depth_error; None: without.
+    premultiplied RGBA. means, source: see roughness.
     """
     wanted = composite(targets, backgrounds)
     errors = (images - wanted).square().mean((2, 3, 4))
@@ -133,7 +116,5 @@ def total_loss(
         terms["translucency"] = translucency(alpha)
     if weights.roughness:
         terms["roughness"] = roughness(means, source)
-    if depths is not None:
-        terms["depth"] = depth_error(means, depths)
     total = torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()
     return total, {name: term.detach() for name, term in terms.items()}

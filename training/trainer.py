@@ -54,8 +54,6 @@ def _initial_net(config: TrainingConfig) -> SplatterNet:
         net = SplatterNet(ModelConfig.from_yaml(config.model))
     if config.symmetric:  # has no weights of its own
         net.config = dataclasses.replace(net.config, symmetric=True)
-    if config.sheet and not net.config.sheet:
-        net = net.with_sheet()
     if config.trained == "head":
         net.unet.requires_grad_(False)
     return net
@@ -105,14 +103,7 @@ class Trainer:
         images, alpha = render_views(gaussians, batch.world_to_camera, batch.intrinsics, size, size, batch.backgrounds)
         marks.mark("rasterizer")
         loss, terms = self._loss(
-            images,
-            alpha,
-            batch.targets,
-            batch.backgrounds,
-            gaussians.means,
-            batch.source,
-            config.loss,
-            batch.depths if level is not None and len(batch.depths) else None,
+            images, alpha, batch.targets, batch.backgrounds, gaussians.means, batch.source, config.loss
         )
         marks.mark("loss")
         marks.mark_at_gradient(images, "loss backward")

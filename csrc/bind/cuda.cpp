@@ -27,10 +27,6 @@ void bind_image_and_pairs(py::module_ m) {
              return cuda::Image{count, width_px, height_px, lens ? cuda::kLensTile : cuda::kDenseTile};
            }),
            py::arg("count"), py::arg("width_px"), py::arg("height_px"), py::arg("lens"))
-      .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, const SubpixelTile& tile) {
-             return cuda::Image{count, width_px, height_px, {tile.width_px, tile.height_px()}};
-           }),
-           py::arg("count"), py::arg("width_px"), py::arg("height_px"), py::arg("tile"))
       .def("tiles", [](const cuda::Image& i) { return i.count * cuda::tile_count(i.tile, i.width_px, i.height_px); });
   py::class_<cuda::Pairs>(m, "Pairs")
       .def(py::init([](int64_t count, Address tiles, Address sorted_tiles, Address slots, Address sorted_slots,

@@ -28,7 +28,6 @@ PYBIND11_MODULE(_core, m) {
   bind_fit(m);
   bind_photo(m);
   bind_weave(m);
-  bind_image(m);
 #ifdef LFGS_WITH_CUDA
   py::module_ cuda = m.def_submodule("cuda");
   bind_cuda(cuda);

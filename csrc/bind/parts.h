@@ -12,7 +12,6 @@ void bind_sorted(pybind11::module_ root);
 void bind_fit(pybind11::module_ root);
 void bind_photo(pybind11::module_ root);
 void bind_weave(pybind11::module_ root);
-void bind_image(pybind11::module_ root);
 #ifdef LFGS_WITH_CUDA
 void bind_cuda(pybind11::module_ cuda);
 void bind_frame(pybind11::module_ cuda);

@@ -20,14 +20,13 @@ void bind_photo(py::module_ root) {
            py::arg("most_opaque"), py::arg("most_of_sheet"), py::arg("sharper_colour"), py::arg("sharper_outline"),
            py::arg("haze"), py::arg("object"), py::arg("same_surface"), py::arg("steepest"));
   py::class_<Sheet>(root, "Sheet")
-      .def(py::init([](int64_t height, int64_t width, int factor, Address disparity, Address trust, Address harmonics,
-                       Address photo, Address intrinsics, const SheetLook& look, Address soft, Address surface,
+      .def(py::init([](int64_t height, int64_t width, int factor, Address disparity, Address harmonics, Address photo,
+                       Address intrinsics, const SheetLook& look, Address soft, Address surface,
                        const Gaussians<float>& out) {
              return Sheet{height,
                           width,
                           factor,
                           at<float>(disparity),
-                          at<float>(trust),
                           at<float>(harmonics),
                           at<float>(photo),
                           at<float>(intrinsics),
@@ -37,33 +36,28 @@ void bind_photo(py::module_ root) {
                           out};
            }),
            py::kw_only(), py::arg("height"), py::arg("width"), py::arg("factor"), py::arg("disparity"),
-           py::arg("trust"), py::arg("harmonics"), py::arg("photo"), py::arg("intrinsics"), py::arg("look"),
-           py::arg("soft"), py::arg("surface"), py::arg("out"));
+           py::arg("harmonics"), py::arg("photo"), py::arg("intrinsics"), py::arg("look"), py::arg("soft"),
+           py::arg("surface"), py::arg("out"));
   py::class_<SurfaceLook>(root, "SurfaceLook")
-      .def(py::init([](float averaged, float softness, float trust, float farthest) {
-             return SurfaceLook{averaged, softness, trust, farthest};
-           }),
-           py::kw_only(), py::arg("averaged"), py::arg("softness"), py::arg("trust"), py::arg("farthest"));
+      .def(py::init([](float averaged, float softness) { return SurfaceLook{averaged, softness}; }), py::kw_only(),
+           py::arg("averaged"), py::arg("softness"));
   py::class_<Surface>(root, "Surface")
       .def(py::init([](int64_t height, int64_t width, int layers, const Gaussians<float>& cloud, Address mask,
-                       Address intrinsics, Address correction, const SurfaceLook& look, Address planes,
-                       Address disparity, Address trust, Address harmonics) {
+                       Address intrinsics, const SurfaceLook& look, Address planes, Address disparity,
+                       Address harmonics) {
              return Surface{height,
                             width,
                             layers,
                             cloud,
                             at<float>(mask),
                             at<float>(intrinsics),
-                            at<float>(correction),
                             look,
                             at<float>(planes),
                             at<float>(disparity),
-                            at<float>(trust),
                             at<float>(harmonics)};
            }),
            py::kw_only(), py::arg("height"), py::arg("width"), py::arg("layers"), py::arg("cloud"), py::arg("mask"),
-           py::arg("intrinsics"), py::arg("correction"), py::arg("look"), py::arg("planes"), py::arg("disparity"),
-           py::arg("trust"), py::arg("harmonics"));
+           py::arg("intrinsics"), py::arg("look"), py::arg("planes"), py::arg("disparity"), py::arg("harmonics"));
   root.def(
       "surface", [](const Surface& job, int threads) { surface(job, threads); }, NoGil(), py::arg("job"),
       py::arg("threads"));

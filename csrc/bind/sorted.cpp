@@ -3,7 +3,7 @@
 #include "bind/parts.h"
 #include "stages/stages.h"
 #ifdef LFGS_WITH_CUDA
-#include "cuda/stages/stages.h"
+#include "cuda/sorted/sorted.h"
 #endif
 
 namespace py = pybind11;
@@ -74,15 +74,39 @@ void bind_sorted(py::module_ root) {
 
 #ifdef LFGS_WITH_CUDA
 void bind_sorted_cuda(py::module_ m) {
+  using cuda::SortedChunk;
+  m.attr("SORTED_STATE_BYTES") = sizeof(cuda::SortedState);
+  py::class_<SortedChunk>(m, "SortedChunk")
+      .def(py::init<int64_t, int64_t, int64_t, int64_t, const SubpixelTile&>(), py::kw_only(), py::arg("views"),
+           py::arg("gaussians"), py::arg("width_px"), py::arg("height_px"), py::arg("tile"))
+      .def("bytes", [](SortedChunk chunk) { return chunk.place(nullptr); })
+      .def(
+          "place", [](SortedChunk& chunk, Address work) { return chunk.place(at<void>(work)); }, py::arg("work"))
+      .def("place_ids", [](SortedChunk& chunk, Address ids) { chunk.ids = at<uint32_t>(ids); }, py::arg("ids"));
+  m.def(
+      "project_sorted",
+      [](const SortedChunk& chunk, const Gaussians<float>& gaussians, const Cameras<float>& cameras, Address stream) {
+        cuda::project_sorted(chunk, read_only(gaussians), cameras, at<void>(stream));
+      },
+      NoGil(), py::arg("chunk"), py::arg("gaussians"), py::arg("cameras"), py::arg("stream"));
+  m.def(
+      "count_sorted", [](const SortedChunk& chunk, Address stream) { cuda::count_sorted(chunk, at<void>(stream)); },
+      NoGil(), py::arg("chunk"), py::arg("stream"));
+  m.def(
+      "fill_sorted", [](const SortedChunk& chunk, Address stream) { cuda::fill_sorted(chunk, at<void>(stream)); },
+      NoGil(), py::arg("chunk"), py::arg("stream"));
+  m.def(
+      "order_sorted", [](const SortedChunk& chunk, Address stream) { cuda::order_sorted(chunk, at<void>(stream)); },
+      NoGil(), py::arg("chunk"), py::arg("stream"));
   m.def(
       "composite_sorted",
-      [](const Splats<float>& splats, const cuda::Image& image, Address ranges, const cuda::Pairs& pairs,
-         const SubpixelLists& lists, Address order, Address background, Address out, Address out8, Address stream) {
-        cuda::composite_sorted(splats, image, at<int64_t>(ranges), pairs, lists, at<int64_t>(order),
-                               at<float>(background), at<float>(out), at<uint8_t>(out8), at<void>(stream));
+      [](const SortedChunk& chunk, const SubpixelLists& lists, Address background, Address out, Address out8,
+         Address stream) {
+        cuda::composite_sorted(chunk, lists, at<float>(background), at<float>(out), at<uint8_t>(out8),
+                               at<void>(stream));
       },
-      NoGil(), py::arg("splats"), py::arg("image"), py::arg("ranges"), py::arg("pairs"), py::arg("lists"),
-      py::arg("order"), py::arg("background"), py::arg("out"), py::arg("out8"), py::arg("stream"));
+      NoGil(), py::arg("chunk"), py::arg("lists"), py::arg("background"), py::arg("out"), py::arg("out8"),
+      py::arg("stream"));
 }
 #endif
 

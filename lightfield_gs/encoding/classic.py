@@ -42,8 +42,8 @@ def encode_classic(
     for first in range(0, len(x), chunk):
         cameras = rig.cameras_at(panel, x[first : first + chunk])
         one = Stats(device=stats.device)
-        images, alpha, depth = draw_cameras(gaussians, cameras, background, antialiased, aperture, one, threads)
-        one.add_buffers(images, alpha, depth)
+        images = draw_cameras(gaussians, cameras, background, antialiased, aperture, one, threads)
+        one.add_buffers(images)
         stats.add_render(one)
         with stats.stage("interlace"):
             if dtype == torch.uint8:

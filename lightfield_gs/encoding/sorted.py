@@ -16,6 +16,7 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import bytes_of
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.encoding.sorted_cuda import CudaStages
 from lightfield_gs.encoding.sorted_plan import SortedPlan, panel_plan, views_shown
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -23,14 +24,12 @@ from lightfield_gs.rasterizer.dense_job import PINHOLE, Aperture
 from lightfield_gs.rasterizer.scene import Scene, check, floats_or_bytes
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace_cpu import CpuWorkspace
-from lightfield_gs.rasterizer.workspace_cuda import CudaWorkspace
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
-_MOST_VIEWS = 4096  # in a chunk
 _MOST_PAIRS = (1 << 31) - 1
 _PROBE = 65536  # Gaussians whose pairs are counted at a time, where even one view does not fit the budget
-_KEY_BYTES, _PAIR_BYTES = 40, 24  # what CudaWorkspace.order_and_bin takes at most for a splat and for a pair
+_PAIRS_GUESSED = 4  # of a Gaussian in a view, until the first chunk is counted
 
 Counts = tuple[int, int]  # pairs of a chunk, most of them in one band of one view
 
@@ -90,6 +89,7 @@ class _CpuStages:
 
     default_work = 1 << 28  # bytes beside the plan where no budget is given; with more, views take no less time
     reserve = 16  # 1 / reserve of the budget is left for pages used in part and for what the C library needs itself
+    most_views = 4096  # in a chunk
 
     def __init__(self, scene: Scene, plan: SortedPlan, threads: int):
         self.scene, self.plan, self.threads = scene, plan, threads
@@ -97,9 +97,8 @@ class _CpuStages:
         self.bands = _core.band_count(plan.height_px)
 
     def geometry_bytes(self, views: int) -> int:
-        """Splats, colours, and the cameras that they are seen by."""
-        per_splat = self.number * (_core.SPLAT_FIELDS + _core.COLOUR_STRIDE) + 4
-        return views * (self.scene.count * per_splat + 25 * self.number)
+        """Splats and colours."""
+        return views * self.scene.count * (self.number * (_core.SPLAT_FIELDS + _core.COLOUR_STRIDE) + 4)
 
     def binning_bytes(self, views: int, counts: Counts) -> int:
         """Order and lists of bands, and the largest of what each stage takes for itself while it runs."""
@@ -137,54 +136,6 @@ class _CpuStages:
                 *floats_or_bytes(out),
                 self.threads,
             )
-        )
-
-
-class _CudaStages:
-    """The same on a CUDA device, where the stages take their scratch memory from torch too."""
-
-    default_work = 1 << 30
-    reserve = 256  # 1 / reserve of the budget is left, for torch rounds every buffer up
-
-    def __init__(self, scene: Scene, plan: SortedPlan):
-        self.scene, self.plan = scene, plan
-
-    def geometry_bytes(self, views: int) -> int:
-        return views * (self.scene.count * (4 * (_core.SPLAT_FIELDS + _core.COLOUR_STRIDE) + 4) + 100)
-
-    def binning_bytes(self, views: int, counts: Counts) -> int:
-        """Keys and order, pairs and ranges, and the tiles by falling work (64 bytes each: two numbers, the sort)."""
-        items, pairs = views * self.scene.count, counts[0]
-        keys = _KEY_BYTES * items + _core.cuda.order_bytes(items) + _core.cuda.count_bytes(items)
-        parts = pairs // _MOST_PAIRS + 1  # fill_bytes takes no more than a chunk may have; only an estimate has more
-        fill = parts * _core.cuda.fill_bytes(items, -(-pairs // parts))
-        return keys + _PAIR_BYTES * pairs + fill + (16 + 64) * views * self.plan.tiles
-
-    def workspace(self, scene: Scene, views: int, stats: Stats) -> Any:
-        return CudaWorkspace(
-            scene, views, self.plan.width_px, self.plan.height_px, 0, stats, lens=False, tile=self.plan.tile
-        )
-
-    def counts(self, work: Any) -> Counts:
-        return work.pair_count, 0
-
-    def composite(
-        self, work: Any, cameras: _core._Stages.Cameras, lists: tuple[Tensor, Tensor], background: Tensor, out: Tensor
-    ) -> None:
-        pairs = work.tile_ranges().diff().squeeze(1)
-        # The tiles with the most work come first, or one of them might begin when all others are done
-        heaviest = torch.argsort((pairs + 1) * lists[0].diff(), descending=True)
-        native = _core.SubpixelLists(self.plan.tile, *(t.data_ptr() for t in lists))
-        _core.cuda.composite_sorted(
-            work.splats.native,
-            work.image,
-            work.ranges,
-            work.pair_lists,
-            native,
-            heaviest.data_ptr(),
-            background.data_ptr(),
-            *floats_or_bytes(out),
-            work.stream,
         )
 
 
@@ -226,6 +177,13 @@ def encode_sorted(
     return out
 
 
+def _camera_tensors(cameras: Cameras, plan: SortedPlan, scene: Scene) -> list[Tensor]:
+    """Poses, intrinsics and limits of the cameras of all views shown, as the core takes them. They go to the device at
+    once, for a copy from the host waits until the device has nothing else to do."""
+    seen = cameras.select(torch.from_numpy(plan.shown)).to(scene.dtype)
+    return [t.to(scene.device).contiguous() for t in (seen.world_to_camera, seen.intrinsics(), seen.limits())]
+
+
 class _Encoding:
     """One image: the chunks of views, and the memory that they take."""
 
@@ -241,15 +199,16 @@ class _Encoding:
         antialiased: bool,
         aperture: Aperture,
     ):
-        self.scene, self.cameras, self.plan, self.budget = scene, cameras, plan, budget
+        self.scene, self.plan, self.budget = scene, plan, budget
         self.background, self.threads, self.stats = background, threads, stats
         self.antialiased, self.aperture = antialiased, aperture
+        self.cameras = _camera_tensors(cameras, plan, scene)
         self.device = scene.device
-        self.stages = _CudaStages(scene, plan) if self.device.type == "cuda" else _CpuStages(scene, plan, threads)
+        self.stages = CudaStages(scene, plan) if self.device.type == "cuda" else _CpuStages(scene, plan, threads)
         total = budget or self.stages.default_work + plan.table_bytes() + plan.bytes()
         self.usable = total - total // self.stages.reserve
         self.resident = True  # whether the whole plan is kept, and not only the lists of the chunk at hand
-        self.expected: Counts = (2 * scene.count, scene.count // 8)  # of one view: a guess until the first is counted
+        self.expected: Counts = (_PAIRS_GUESSED * scene.count, scene.count // 8)  # of one view
         self.total: Counts = (0, 0)
 
     def run(self, out: Tensor) -> None:
@@ -275,7 +234,7 @@ class _Encoding:
         plan, resident = self.plan, self.resident if resident is None else resident
         lists = plan.bytes() if resident else plan.bytes(first, first + views)
         return {
-            "geometry": self.stages.geometry_bytes(views),
+            "geometry": self.stages.geometry_bytes(views) + sum(t.nbytes for t in self.cameras),
             "image": plan.table_bytes() + lists,
             "binning": self.stages.binning_bytes(views, counts),
         }
@@ -283,7 +242,7 @@ class _Encoding:
     def _most_views(self, first: int) -> int:
         """How many views from `first` are expected to fit; at least one."""
         pairs, most = self.expected
-        left = min(self.plan.count - first, _MOST_VIEWS)
+        left = min(self.plan.count - first, self.stages.most_views)
         return max(
             1,
             bisect_right(
@@ -301,7 +260,7 @@ class _Encoding:
             return False
         with stats.stage("plan"):
             lists = plan.lists(first, first + views, self.device, self.resident, self.threads)
-        cameras, held = self._native_cameras(first, views)  # held: the tensors that `cameras` points into
+        cameras = self._native_cameras(first, views)
         with stats.stage("project"):
             work = self.stages.workspace(self.scene, views, stats)
             work.project_dense(cameras)
@@ -316,7 +275,6 @@ class _Encoding:
             self.stats.memory_bytes = memory
         self.stats.add_render(stats)
         self.total = (self.total[0] + counts[0], max(self.total[1], counts[1]))
-        del held
         return True
 
     def _admit(self, work: Any, first: int, views: int) -> bool:
@@ -334,16 +292,12 @@ class _Encoding:
         self.plan.release()
         self.resident = False
 
-    def _native_cameras(self, first: int, views: int) -> tuple[_core._Stages.Cameras, list[Tensor]]:
-        """The core's view of a chunk's cameras, and the tensors that it points into."""
-        chosen = torch.from_numpy(self.plan.shown[first : first + views])
-        cameras = self.cameras.select(chosen).to(self.scene.tensors[0])
-        tensors = [t.contiguous() for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
-        poses, optics, edges = (t.data_ptr() for t in tensors)
-        native = self.scene.core.Cameras(
+    def _native_cameras(self, first: int, views: int) -> _core._Stages.Cameras:
+        """The core's view of a chunk's cameras, which holds as long as self.cameras does."""
+        poses, optics, edges = (t[first:].data_ptr() for t in self.cameras)
+        return self.scene.core.Cameras(
             1, views, self.plan.width_px, self.plan.height_px, poses, optics, edges, self.antialiased, *self.aperture
         )
-        return native, tensors
 
     # The least budget
 
@@ -358,7 +312,7 @@ class _Encoding:
 
     def _counts_of(self, place: int) -> Counts:
         """Pairs of one view and a bound on those of a band, counted in little memory: some Gaussians at a time."""
-        cameras, held = self._native_cameras(place, 1)
+        cameras = self._native_cameras(place, 1)
         pairs = most = 0
         for first in range(0, self.scene.count, _PROBE):
             some = Scene(*(t[:, first : first + _PROBE] for t in self.scene.tensors))
@@ -367,5 +321,4 @@ class _Encoding:
             work.order_and_bin(lambda: False)
             counts = self.stages.counts(work)
             pairs, most = pairs + counts[0], most + counts[1]
-        del held
         return pairs, most

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import torch
@@ -15,8 +16,8 @@ from lightfield_gs.panels.lens import view_aperture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.rasterizer.background import background_tensor
-from lightfield_gs.rasterizer.dense import dense_forward
 from lightfield_gs.rasterizer.dense_job import Aperture
+from lightfield_gs.rasterizer.dense_parts import dense_in_parts
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
@@ -42,7 +43,7 @@ def render_views(
         gaussians.validate()  # on CUDA looking at values would wait for the device
     aperture = view_aperture(panel, rig, check_view_filter(view_filter))
     colour = background_tensor(background, gaussians.means)
-    return draw_cameras(gaussians, rig.cameras_at(panel, x), colour, antialiased, aperture)[0][0]
+    return draw_cameras(gaussians, rig.cameras_at(panel, x), colour, antialiased, aperture)[0]
 
 
 def draw_cameras(
@@ -53,20 +54,18 @@ def draw_cameras(
     aperture: Aperture,
     stats: Stats | None = None,
     threads: int | None = None,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Image [1, K, H, W, 3], alpha and depth [1, K, H, W] of one scene before cameras [K], unchecked and without
-    gradients. background: what broadcasts to [1, K, 3]."""
+) -> Tensor:
+    """Image [1, K, H, W, 3] of one scene before cameras [K], unchecked and without gradients. background: what
+    broadcasts to [1, K, 3]."""
     cameras = cameras.to(gaussians.means)
-    return dense_forward(
-        *(field.unsqueeze(0) for field in gaussians.fields().values()),
+    return dense_in_parts(
+        [field.unsqueeze(0) for field in gaussians.fields().values()],
         background.expand(1, cameras.count, 3),
-        cameras.world_to_camera[None],
-        cameras.intrinsics()[None],
-        cameras.limits()[None],
-        cameras.width_px,
-        cameras.height_px,
+        [t[None] for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())],
+        cast(int, cameras.width_px),
+        cast(int, cameras.height_px),
         antialiased,
         stats=stats,
         threads=threads,
         aperture=aperture,
-    )
+    ).image

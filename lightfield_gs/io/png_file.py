@@ -1,23 +1,24 @@
-"""Writes PNG files of panels' images, several times as fast as zlib does at its fastest.
+"""Writes PNG files of panels' images, three times as fast as zlib does: deflate by ISA-L.
 
-Source: Portable Network Graphics (PNG) Specification (Third Edition), W3C, 2025, sections 5.3 and 11.
+Source: Portable Network Graphics (PNG) Specification (Third Edition), W3C, 2025, sections 5.3, 9.2 and 11.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from lightfield_gs import _core
 from lightfield_gs.io.png_chunks import SIGNATURE
 
 _COLOUR_TYPES = {1: 0, 3: 2, 4: 6}  # by channels: grey, RGB, RGB with alpha
-_MOST_CHUNK_BYTES = 1 << 30
+_UP = 2  # the filter that takes off the pixel above
+_LEVEL = 1  # of ISA-L's four, 0..3: files as large as zlib's runs make them; more costs time and saves nothing
+_BLOCK_BYTES = 1 << 20  # about what is filtered at once, and stays in the cache
 # What readers are to take the numbers for, sRGB, and for those that do not know of it the same in numbers
 _SRGB = {
     b"sRGB": b"\0",
@@ -32,22 +33,40 @@ def write_png(path: Path, pixels: np.ndarray, texts: Mapping[str, str]) -> None:
     Nothing is checked, and the file grows as it is written. Raises OSError.
     """
     height, width, channels = pixels.shape
-    bits = 8 * pixels.dtype.itemsize
-    rows = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder(">"))
-    stream = memoryview(_core.png_stream(rows.ctypes.data, height, width * channels * bits // 8))
     with path.open("wb") as file:
         file.write(SIGNATURE)
-        _write(file, b"IHDR", struct.pack(">IIBBBBB", width, height, bits, _COLOUR_TYPES[channels], 0, 0, 0))
+        header = (width, height, 8 * pixels.dtype.itemsize, _COLOUR_TYPES[channels], 0, 0, 0)
+        _write(file, b"IHDR", struct.pack(">IIBBBBB", *header))
         for kind, data in _SRGB.items():
             _write(file, kind, data)
         for keyword, text in texts.items():
             _write(file, b"tEXt", f"{keyword}\0{text}".encode("latin-1", "replace"))
-        for start in range(0, len(stream), _MOST_CHUNK_BYTES):
-            _write(file, b"IDAT", stream[start : start + _MOST_CHUNK_BYTES])
+        for part in _compressed(pixels):
+            _write(file, b"IDAT", part)
         _write(file, b"IEND", b"")
 
 
-def _write(file: BinaryIO, kind: bytes, data: bytes | memoryview) -> None:
+def _compressed(pixels: np.ndarray) -> Iterator[bytes]:
+    """The zlib stream of the filtered rows, in parts."""
+    from isal import isal_zlib
+
+    height = len(pixels)
+    rows = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder(">")).reshape(height, -1).view(np.uint8)
+    count = max(1, _BLOCK_BYTES // rows.shape[1])
+    filtered = np.empty((count, 1 + rows.shape[1]), np.uint8)
+    filtered[:, 0] = _UP
+    stream = isal_zlib.compressobj(_LEVEL)
+    for first in range(0, height, count):
+        block = rows[first : first + count]
+        out = filtered[: len(block), 1:]
+        np.subtract(block[1:], block[:-1], out=out[1:])
+        out[0] = block[0] - (rows[first - 1] if first else 0)
+        if part := stream.compress(filtered[: len(block)]):
+            yield part
+    yield stream.flush()
+
+
+def _write(file: BinaryIO, kind: bytes, data: bytes) -> None:
     """A chunk: length, type, data and checksum."""
     file.write(struct.pack(">I", len(data)) + kind)
     file.write(data)

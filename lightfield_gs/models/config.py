@@ -29,8 +29,6 @@ class ModelConfig:
     composer: "delta" (base Gaussians + predicted change) or "absolute" (the original's activations).
     layers: Gaussians per pixel, each layer behind the one before. "absolute" has one.
     sh_degree: degree of the spherical harmonics, 0..3.
-    sheet: also predict where the sheet lies that carries a photo's detail, and how far it is to be trusted (corrected
-        in models/detail.py; "delta" only). Without it the sheet follows from the Gaussians.
     near, far: depth range in scene units (the camera is about 1.3 before the object's centre).
     base_depth: depth of the untrained first layer ("delta" only).
     photo_focal: focal length assumed for photos, in units of the side of the square round the object.
@@ -46,7 +44,6 @@ class ModelConfig:
     composer: str = "delta"
     layers: int = 2
     sh_degree: int = 0
-    sheet: bool = False
     near: float = 0.75
     far: float = 1.85
     base_depth: float = 1.1
@@ -66,7 +63,6 @@ class ModelConfig:
             (self.features >= 0, "features", "at least 0"),
             (self.layers >= 1 if self.composer == "delta" else self.layers == 1, "layers", "at least 1 (absolute: 1)"),
             (0 <= self.sh_degree <= 3, "sh_degree", "0 to 3"),
-            (self.composer == "delta" or not self.sheet, "sheet", "false with the composer absolute"),
             (0 < self.near < self.base_depth < self.far, "base_depth", "0 < near < base_depth < far"),
             (self.photo_focal > 0, "photo_focal", "positive"),
         )

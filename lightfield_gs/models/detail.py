@@ -42,30 +42,20 @@ _HAZE, _OBJECT = 0.1, 0.3
 _AVERAGED = 2.0
 _SOFTNESS = 1.5  # depth over which the cloud before the sheet fades, footprints
 _STEEPEST = 3.0  # footprints of depth from texel to texel up to which the sheet closes
-SHEET_CHANNELS = 2  # that a network may predict about the sheet, see corrected
-_TRUST, _FARTHEST = 0.95, 100.0  # of the sheet where a network says nothing; footprints that it may be moved
 
 
 def with_detail(
-    cloud: Gaussians,
-    pixels: Pixels,
-    texels: Pixels,
-    layers: int,
-    factor: int,
-    texel_px: float = 1.0,
-    correction: Tensor | None = None,
+    cloud: Gaussians, pixels: Pixels, texels: Pixels, layers: int, factor: int, texel_px: float = 1.0
 ) -> Gaussians:
     """The sheet, then the network's Gaussians, faded where they lie before it: N = (factor^2 + layers) * H * W.
 
     cloud: [B, layers * H * W, ...] as the network's composer gives it, in the axes of the photo's camera. pixels: those
     of the network's input, [B,.,H,W]; texels: those of the photo at [B,.,factor * H,factor * W], whose footprint is as
-    much smaller. texel_px: width of a texel in pixels where it will be drawn. correction: what a network says of the
-    sheet itself, see corrected; None: nothing. Differentiable.
+    much smaller. texel_px: width of a texel in pixels where it will be drawn. Differentiable.
     """
-    surface, faded = sheet_surface(cloud, pixels, layers, correction)
+    surface, faded = sheet_surface(cloud, pixels, layers)
     disparity, harmonics = surface.disparity, surface.harmonics
-    fine = along_surface(torch.cat([disparity, surface.trust], 1), disparity, pixels.footprint, factor)
-    sheet = _sheet(fine[:, :1], fine[:, 1:], texels, texel_px)
+    sheet = _sheet(along_surface(disparity, disparity, pixels.footprint, factor), texels, texel_px)
     if harmonics.shape[1]:
         rest = _flat(along_surface(harmonics, disparity, pixels.footprint, factor)).unflatten(2, (-1, 3))
         sheet = (*sheet[:4], torch.cat([sheet[4], rest], 2))
@@ -73,31 +63,23 @@ def with_detail(
 
 
 class SheetSurface(NamedTuple):
-    """Where the sheet lies on the network's grid: disparities 1/z [B,1,H,W], how far it is to be trusted [B,1,H,W], and
-    harmonics beyond the first [B,3(K-1),H,W]."""
+    """Where the sheet lies on the network's grid: disparities 1/z [B,1,H,W], and harmonics beyond the first
+    [B,3(K-1),H,W]."""
 
     disparity: Tensor
-    trust: Tensor
     harmonics: Tensor
 
 
-def sheet_surface(
-    cloud: Gaussians, pixels: Pixels, layers: int, correction: Tensor | None
-) -> tuple[SheetSurface, Gaussians]:
+def sheet_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[SheetSurface, Gaussians]:
     """Where the sheet of with_detail lies, and the cloud under it, faded where it lies before it."""
     disparity, harmonics = visible_surface(cloud, pixels, layers)
-    trust = torch.ones_like(disparity)
-    if correction is not None:
-        disparity, trust = corrected(disparity, correction, pixels.footprint)
-    opacities = _faded(cloud, disparity, trust * pixels.mask, layers, pixels.footprint)
-    return SheetSurface(disparity, trust, harmonics), replace(cloud, opacities=opacities)
+    opacities = _faded(cloud, disparity, pixels.mask, layers, pixels.footprint)
+    return SheetSurface(disparity, harmonics), replace(cloud, opacities=opacities)
 
 
 def surface_look() -> _core.SurfaceLook:
     """What the native stage of sheet_surface has to know of this file."""
-    return _core.SurfaceLook(
-        averaged=_AVERAGED, softness=_SOFTNESS, trust=math.log(_TRUST / (1 - _TRUST)), farthest=_FARTHEST
-    )
+    return _core.SurfaceLook(averaged=_AVERAGED, softness=_SOFTNESS)
 
 
 def sheet_look(texel_px: float) -> _core.SheetLook:
@@ -117,18 +99,6 @@ def sheet_look(texel_px: float) -> _core.SheetLook:
         same_surface=SAME_SURFACE,
         steepest=_STEEPEST,
     )
-
-
-def corrected(disparity: Tensor, correction: Tensor, footprint: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the sheet lies, as disparities [B,1,H,W], and how far it is to be trusted, 0..1: its share of the opacity.
-
-    correction: [B,SHEET_CHANNELS,H,W], by how many footprints it lies behind the disparities that are given, and a
-    logit about that of _TRUST; zeros leave it where it is. A network cannot know the depth of everything: a soft cloud
-    is nearer to all that may be there than a crisp sheet in the wrong place.
-    """
-    behind, logit = correction.split(1, 1)
-    moved = disparity / (1 + footprint * behind.clamp(-_FARTHEST, _FARTHEST))
-    return moved, torch.sigmoid(logit + math.log(_TRUST / (1 - _TRUST)))
 
 
 def visible_surface(cloud: Gaussians, pixels: Pixels, layers: int) -> tuple[Tensor, Tensor]:
@@ -181,9 +151,8 @@ def _faded(cloud: Gaussians, disparity: Tensor, cover: Tensor, layers: int, foot
     return (cloud.opacities * (1 - cover.flatten(1).repeat(1, layers) * torch.sigmoid(-behind / _SOFTNESS))).clamp(0, 1)
 
 
-def _sheet(disparity: Tensor, trust: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, ...]:
-    """Means, quaternions, scales, opacities and constant harmonics of the texels at these disparities and with these
-    shares of their opacity [B,1,H,W]."""
+def _sheet(disparity: Tensor, texels: Pixels, texel_px: float) -> tuple[Tensor, ...]:
+    """Means, quaternions, scales, opacities and constant harmonics of the texels at these disparities [B,1,H,W]."""
     depth = 1 / disparity
     size = texels.footprint * depth
     own, blur = _blurs(texel_px)
@@ -191,7 +160,7 @@ def _sheet(disparity: Tensor, trust: Tensor, texels: Pixels, texel_px: float) ->
     deviation = math.sqrt(own) * size
     scales = torch.cat([deviation * stretch, deviation, _THICKNESS * size], 1)
     mask, colour = _sharpened(texels, math.sqrt(blur))
-    opacity = trust * (_opacity(blur) * mask).clamp(0, _MOST_OPAQUE)
+    opacity = (_opacity(blur) * mask).clamp(0, _MOST_OPAQUE)
     means = torch.cat([texels.rays * depth, depth], 1)
     constant = (_flat(colour)[:, :, None] - 0.5) / SH_CONSTANT
     return _flat(means), _flat(axes), _flat(scales), opacity.flatten(1), constant

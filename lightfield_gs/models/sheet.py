@@ -14,7 +14,7 @@ from lightfield_gs.models.detail_level import DetailLevel
 from lightfield_gs.models.initializer import Pixels
 from lightfield_gs.scene.gaussians import Gaussians, mapped
 
-_SCRATCH = 7  # numbers that the stage keeps of each texel
+_SCRATCH = 6  # numbers that the stage keeps of each texel
 
 
 def is_native(photo: Tensor) -> bool:
@@ -25,17 +25,11 @@ def is_native(photo: Tensor) -> bool:
 
 
 def lay_sheet(
-    cloud: Gaussians,
-    pixels: Pixels,
-    fine: Tensor,
-    intrinsics: Tensor,
-    layers: int,
-    level: DetailLevel,
-    correction: Tensor | None = None,
+    cloud: Gaussians, pixels: Pixels, fine: Tensor, intrinsics: Tensor, layers: int, level: DetailLevel
 ) -> Gaussians:
     """What with_detail returns, but that texels beside the object, of opacity 0, are not turned along the surface.
 
-    cloud, pixels, layers, correction: those of with_detail. fine: the photo at level.factor times the size of pixels,
+    cloud, pixels, layers: those of with_detail. fine: the photo at level.factor times the size of pixels,
     [B,4,H',W'], premultiplied. intrinsics: [B,4], (fx, fy, cx, cy) in pixels of the network's input. Everything is
     float32 on one device, for which is_native must hold; nothing waits for it.
     """
@@ -48,23 +42,20 @@ def lay_sheet(
 
     gaussians = mapped(cloud, with_room)
     under = mapped(gaussians, lambda field: field[:, texels:])
-    surface = find_surface(under, pixels.mask, intrinsics, layers, correction)
+    surface = find_surface(under, pixels.mask, intrinsics, layers)
     lay_texels(surface, fine, intrinsics, level, gaussians)
     return gaussians
 
 
-def find_surface(
-    cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int, correction: Tensor | None
-) -> SheetSurface:
+def find_surface(cloud: Gaussians, mask: Tensor, intrinsics: Tensor, layers: int) -> SheetSurface:
     """The surface of sheet_surface; the opacities of the cloud fade. cloud: each set of the B is contiguous. mask:
     [B,1,H,W]."""
     batch, _, height, width = mask.shape
     rest, look = 3 * (cloud.sh.shape[2] - 1), surface_look()
     planes = mask.new_empty(3, max(3 * layers, 2 + rest), height, width)
-    surface = SheetSurface(*(mask.new_empty(batch, channels, height, width) for channels in (1, 1, rest)))
-    corrections = None if correction is None else correction.contiguous()
+    surface = SheetSurface(*(mask.new_empty(batch, channels, height, width) for channels in (1, rest)))
     each = zip(mask.contiguous(), intrinsics.contiguous(), *surface, *cloud.fields().values())
-    for k, (shown, camera, disparity, trust, harmonics, *fields) in enumerate(each):
+    for shown, camera, disparity, harmonics, *fields in each:
         job = _core.Surface(
             height=height,
             width=width,
@@ -72,11 +63,9 @@ def find_surface(
             cloud=_native(fields),
             mask=shown.data_ptr(),
             intrinsics=camera.data_ptr(),
-            correction=0 if corrections is None else corrections[k].data_ptr(),
             look=look,
             planes=planes.data_ptr(),
             disparity=disparity.data_ptr(),
-            trust=trust.data_ptr(),
             harmonics=harmonics.data_ptr(),
         )
         _run("surface", job, mask)
@@ -91,13 +80,12 @@ def lay_texels(
     surface = SheetSurface(*(channels.contiguous() for channels in surface))
     scratch = fine.new_empty(_SCRATCH * texels)
     each = zip(fine.contiguous(), intrinsics.contiguous(), *surface, *gaussians.fields().values())
-    for photo, camera, disparity, trust, harmonics, *fields in each:
+    for photo, camera, disparity, harmonics, *fields in each:
         job = _core.Sheet(
             height=disparity.shape[1],
             width=disparity.shape[2],
             factor=level.factor,
             disparity=disparity.data_ptr(),
-            trust=trust.data_ptr(),
             harmonics=harmonics.data_ptr(),
             photo=photo.data_ptr(),
             intrinsics=camera.data_ptr(),

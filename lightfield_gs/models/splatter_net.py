@@ -7,7 +7,6 @@ turns them into Gaussians.
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import cast
 
@@ -27,7 +26,7 @@ from lightfield_gs.models.checkpoint import read_weights, save_weights
 from lightfield_gs.models.composer import AbsoluteComposer, DeltaComposer, mirrored, parameter_groups
 from lightfield_gs.models.config import INPUT_CHANNELS, ModelConfig
 from lightfield_gs.models.crop_cuda import crop_on_device
-from lightfield_gs.models.detail import SHEET_CHANNELS, with_detail
+from lightfield_gs.models.detail import with_detail
 from lightfield_gs.models.detail_level import DEFAULT_BUDGET, DetailLevel, detail_level
 from lightfield_gs.models.initializer import Pixels, describe_pixels, mirror_image, network_input
 from lightfield_gs.models.sheet import is_native, lay_sheet
@@ -46,8 +45,7 @@ class SplatterNet(nn.Module):
         super().__init__()
         expect("config", config, ModelConfig)
         self.config = config
-        self._channels = config.layers * sum(parameter_groups(config.sh_degree).values())  # of the Gaussians
-        predicted = self._channels + SHEET_CHANNELS * config.sheet
+        predicted = config.layers * sum(parameter_groups(config.sh_degree).values())
         features = config.features or predicted
         block = config.patch_px**2
         size = config.image_size_px // config.patch_px
@@ -78,35 +76,23 @@ class SplatterNet(nn.Module):
         pixels = describe_pixels(images, intrinsics)
         raw = self._predicted(images, intrinsics, pixels)
         with torch.autocast(images.device.type, enabled=False):
-            cloud = self.composer(raw[:, : self._channels], pixels)
+            cloud = self.composer(raw, pixels)
             if fine is None or level is None:
                 return cloud
-            correction = raw[:, self._channels :] if self.config.sheet else None
             if is_native(fine):
-                return lay_sheet(cloud, pixels, fine, intrinsics, self.config.layers, level, correction)
+                return lay_sheet(cloud, pixels, fine, intrinsics, self.config.layers, level)
             texels = describe_pixels(fine, level.factor * intrinsics)
-            return with_detail(cloud, pixels, texels, self.config.layers, level.factor, level.texel_px, correction)
-
-    @torch.no_grad()
-    def with_sheet(self) -> SplatterNet:
-        """The same network with a head for the sheet (config.sheet), which leaves it where it would lie without."""
-        net = SplatterNet(dataclasses.replace(self.config, sheet=True))
-        state = net.state_dict()
-        for name, weights in self.state_dict().items():
-            state[name][: len(weights)] = weights  # of the head more than before; what is new is zero
-        net.load_state_dict(state)
-        return net.to(self.device).train(self.training)
+            return with_detail(cloud, pixels, texels, self.config.layers, level.factor, level.texel_px)
 
     def _predicted(self, images: Tensor, intrinsics: Tensor, pixels: Pixels) -> Tensor:
-        """Raw numbers [B,C,H,W] float32: the composer's, then those of the sheet."""
+        """The composer's raw numbers [B,C,H,W], float32."""
         shown = network_input(images, pixels, self.config.input)
         if not self.config.symmetric:
             return self._raw(shown)
         mirror = mirror_image(images, intrinsics)
         there = network_input(mirror[0], describe_pixels(*mirror), self.config.input)
         own, other = self._raw(torch.cat([shown, there])).chunk(2)
-        turned = mirrored(other[:, : self._channels], self.config.layers, self.config.sh_degree)
-        return (own + torch.cat([turned, other[:, self._channels :].flip(3)], 1)) / 2
+        return (own + mirrored(other, self.config.layers, self.config.sh_degree)) / 2
 
     def _raw(self, shown: Tensor) -> Tensor:
         """What the head says, [B,C,H,W] float32, of what network_input gives."""

@@ -148,11 +148,11 @@ class DenseJob:
         """What the Gaussians are in each image, [B * V, N, SPLAT_FIELDS]."""
         return self.work.splats.splats
 
-    def draw(self) -> DenseImages:
-        """The images."""
-        scene = self.scene
+    def draw(self, out: DenseImages | None = None) -> DenseImages:
+        """The images; out: those of them that there is memory for, contiguous, where None stands for new ones."""
+        scene, given = self.scene, out or (None, None, None)
         with scene.guard, self.stats.stage("composite"):
-            image, alpha, depth = (scene.new(*shape) for shape in self._shapes())
+            image, alpha, depth = (scene.new(*s) if t is None else t for t, s in zip(given, self._shapes()))
             native = scene.core.DenseImages(image.data_ptr(), alpha.data_ptr(), depth.data_ptr())
             self.work.composite_dense(self.arguments.cameras, self.background, native)
         return DenseImages(image, alpha, depth)

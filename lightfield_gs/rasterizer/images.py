@@ -13,6 +13,8 @@ from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.background import background_tensor
 from lightfield_gs.rasterizer.dense import dense_forward, dense_forward_with_splats, dense_with_splats, render_scene
+from lightfield_gs.rasterizer.dense_job import DenseImages
+from lightfield_gs.rasterizer.dense_parts import dense_in_parts, divide_by_alpha
 from lightfield_gs.rasterizer.screen import radii_px
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
@@ -176,6 +178,11 @@ def render(
         screen = _checked_screen(screen, gaussians, cameras.count)
     needs_gradients = screen is not None or any(t.requires_grad for t in (*fields, colour, *views))
     splats: list[Tensor] = []
+    if not (torch.is_grad_enabled() and needs_gradients) and not radii and not batched:
+        drawn = dense_in_parts(
+            [field.unsqueeze(0) for field in fields], colour, views, *options, alpha=alpha or depth, depth=depth
+        )
+        return _asked_for(drawn, alpha)
     if torch.is_grad_enabled() and needs_gradients and not radii and not batched:
         image, coverage, weighted_depth = render_scene(fields, colour, (*views,), (*options, screen))
     else:
@@ -194,6 +201,17 @@ def render(
     if radii:
         out.append(radii_px(splats[0]).view(*coverage.shape[:2], gaussians.count))
     out = [t if batched else t.squeeze(0) for t in out]
+    return tuple(out) if len(out) > 1 else out[0]
+
+
+def _asked_for(drawn: DenseImages, alpha: bool) -> Tensor | tuple[Tensor, ...]:
+    """What render returns of one scene's images without gradients; depth has been drawn only if it was asked for."""
+    image, coverage, depth = drawn
+    out = [image.squeeze(0)]
+    if alpha and coverage is not None:
+        out.append(coverage.squeeze(0))
+    if depth is not None and coverage is not None:
+        out.append(divide_by_alpha(depth, coverage).squeeze(0))
     return tuple(out) if len(out) > 1 else out[0]
 
 

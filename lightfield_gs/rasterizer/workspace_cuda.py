@@ -31,13 +31,12 @@ class CudaWorkspace:
         stats: Stats,
         lens: bool,
         state: State | None = None,
-        tile: _core.SubpixelTile | None = None,
         compensated: bool = False,
         room: int | None = None,
     ):
         self.room = room
         self.scene, self.images, self.stats, self.items = scene, images, stats, images * scene.count
-        self.image = _core.cuda.Image(images, width, height, lens if tile is None else tile)
+        self.image = _core.cuda.Image(images, width, height, lens)
         self.stream = torch.cuda.current_stream(scene.device).cuda_stream
         self.ranges_bytes = 16 * self.image.tiles()  # a range of pairs for each tile
         self.lists_bytes = self.ranges_bytes + 8 * self.items  # these, and a range of slots for each splat
@@ -71,10 +70,6 @@ class CudaWorkspace:
             sorted_slots + 4 * self.pair_count,
             0 if self.room is None else self.pairs_on_device.data_ptr(),
         )
-
-    def tile_ranges(self) -> Tensor:
-        """[tiles, 2] int64, of each tile's pairs among the sorted ones."""
-        return self.lists[: self.ranges_bytes].view(torch.int64).view(-1, 2)
 
     def state(self) -> State:
         return State(self.splats.splats, self.splats.colours, self.lists)

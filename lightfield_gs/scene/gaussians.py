@@ -121,18 +121,16 @@ class Gaussians:
         self.validate_layout()
         if self.count == 0:
             return self
-        turned = self.quaternions.any(-1)
-        ends = [end for tensor in self.fields().values() for end in tensor.detach().aminmax()]
-        *found, all_turned = torch.stack([*ends, turned.all().to(self.dtype)]).tolist()  # which waits for a device once
-        for (name, tensor), low, high in zip(self.fields().items(), found[::2], found[1::2]):
+        fields, (extremes, turned) = self.fields(), _looked_at(self)
+        for (name, tensor), (low, high) in zip(fields.items(), extremes):
             if not (math.isfinite(low) and math.isfinite(high)):
                 _complain(torch.isfinite(tensor), name, tensor, "a finite number")
             if name == "scales" and low <= 0:
                 _complain(tensor > 0, name, tensor, "a standard deviation > 0")
             if name == "opacities" and (low < 0 or high > 1):
                 _complain((tensor >= 0) & (tensor <= 1), name, tensor, "0..1")
-        if not all_turned:
-            _complain(turned, "quaternions", self.quaternions, "not all four zero")
+        if not turned:
+            _complain(self.quaternions.any(-1), "quaternions", self.quaternions, "not all four zero")
         return self
 
     def validate_layout(self) -> None:
@@ -214,6 +212,15 @@ class Gaussians:
         arrays = {name: value.cpu().double().numpy() for name, value in values.items()}
         for words in write_stored(path, arrays, self.origin, comments):
             assume(f"{path}: {words}", Loss)
+
+
+def _looked_at(gaussians: Gaussians) -> tuple[list[tuple[float, float]], bool]:
+    """Of each field the smallest and the largest value, or NaN where there is one; and whether all quaternions are
+    other than zero. On a device one copy brings all of them, since each would be waited for."""
+    found = [value for tensor in gaussians.fields().values() for value in tensor.detach().aminmax()]
+    turned = gaussians.quaternions.detach().any(-1).all()
+    *numbers, last = torch.stack([*found, turned.to(found[0].dtype)]).tolist()
+    return list(zip(numbers[::2], numbers[1::2])), bool(last)
 
 
 def check_finite(name: str, tensor: torch.Tensor) -> None:

@@ -34,7 +34,7 @@ def use_cuda_stages() -> None:
     dense_job.workspace_of = lens_job.workspace_of = workspace
     dense._is_for_cuda = lambda means: True
     sorted_plan._tile = lambda views, width_px, _: tile(views, width_px, "cuda")
-    sorted._CpuStages = lambda scene, plan, threads: sorted._CudaStages(scene, plan)
+    sorted._CpuStages = lambda scene, plan, threads: sorted.CudaStages(scene, plan)
     torch.set_num_threads(1)
     _use_cuda_fit()
     lightfield_gs._core.surface = lambda job, threads: lightfield_gs._core.cuda.surface(job, 0)

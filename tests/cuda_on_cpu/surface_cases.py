@@ -17,20 +17,19 @@ from lightfield_gs.scene.gaussians import Gaussians, mapped
 
 
 class Case(NamedTuple):
-    """Photos, side of the network's grid, layers, degree of the harmonics, whether a network corrects the surface."""
+    """Photos, side of the network's grid, layers, degree of the harmonics."""
 
     photos: int
     size: int
     layers: int
     degree: int
-    corrected: bool
 
 
-CASES = [Case(1, 32, 2, 0, True), Case(2, 16, 3, 1, False), Case(1, 8, 1, 2, True)]
+CASES = [Case(1, 32, 2, 0), Case(2, 16, 3, 1), Case(1, 8, 1, 2)]
 
 
-def inputs(case: Case) -> tuple[Gaussians, Tensor, Tensor, Tensor | None]:
-    """A cloud as networks predict it, pictures of a disc, their cameras, and a correction, float32."""
+def inputs(case: Case) -> tuple[Gaussians, Tensor, Tensor]:
+    """A cloud as networks predict it, pictures of a disc, and their cameras, float32."""
     random = torch.Generator().manual_seed(case.size)
     config = ModelConfig(image_size_px=case.size, layers=case.layers, sh_degree=case.degree)
     channels = case.layers * sum(parameter_groups(case.degree).values())
@@ -39,26 +38,23 @@ def inputs(case: Case) -> tuple[Gaussians, Tensor, Tensor, Tensor | None]:
     alpha = (3 * (0.9 - torch.hypot(places, places[:, None]))).clamp(0, 1).expand(case.photos, 1, -1, -1)
     images = torch.cat([alpha * torch.rand(case.photos, 3, case.size, case.size, generator=random), alpha], 1)
     camera = torch.tensor([[1.4, 1.4, 0.5, 0.45]]).expand(case.photos, 4) * case.size
-    correction = 3 * torch.randn(case.photos, 2, case.size, case.size, generator=random) if case.corrected else None
-    return DeltaComposer(config)(raw, describe_pixels(images, camera)), images, camera, correction
+    return DeltaComposer(config)(raw, describe_pixels(images, camera)), images, camera
 
 
 @torch.no_grad()
 def found(case: Case, device: str = "cpu") -> dict[str, Tensor]:
-    cloud, images, camera, correction = inputs(case)
+    cloud, images, camera = inputs(case)
     cloud = mapped(cloud, lambda field: field.to(device).contiguous())
-    moved = None if correction is None else correction.to(device)
-    surface = find_surface(cloud, images[:, 3:].to(device), camera.to(device), case.layers, moved)
+    surface = find_surface(cloud, images[:, 3:].to(device), camera.to(device), case.layers)
     return {name: part.cpu() for name, part in (surface._asdict() | {"opacities": cloud.opacities}).items()}
 
 
 @torch.no_grad()
 def expected(case: Case) -> tuple[SheetSurface, Gaussians]:
     """PyTorch's in float64, of the same numbers."""
-    cloud, images, camera, correction = inputs(case)
+    cloud, images, camera = inputs(case)
     pixels = describe_pixels(images.double(), camera.double())
-    moved = None if correction is None else correction.double()
-    return sheet_surface(mapped(cloud, Tensor.double), pixels, case.layers, moved)
+    return sheet_surface(mapped(cloud, Tensor.double), pixels, case.layers)
 
 
 def compare(case: Case, have: dict[str, Tensor]) -> None:

@@ -16,7 +16,6 @@ ROOMS = {  # and what each may include beside itself
     "cpu": "base scene math stages",
     "cpu/dense": "base scene math stages cpu",
     "cpu/fit": "base math/fit stages",
-    "cpu/image": "stages",
     "cpu/lens": "base scene math stages cpu",
     "cpu/photo": "base math/photo stages",
     "cpu/sorted": "base scene math stages cpu",
@@ -33,7 +32,8 @@ ROOMS = {  # and what each may include beside itself
     "cuda/frame/ordinal": "base scene math stages cuda/common cuda/stages cuda/frame",
     "cuda/frame/lattice": "base scene math stages cuda/common cuda/stages cuda/frame",
     "network": "base cuda/common cuda/stages",
-    "bind": "base scene math math/fit math/photo stages cuda/common cuda/fit cuda/photo cuda/stages cuda/frame network",
+    "bind": "base scene math math/fit math/photo stages cuda/common cuda/fit cuda/photo cuda/stages cuda/sorted cuda/frame "
+    "network",
 }
 SUFFIXES = {".h", ".cuh", ".cpp", ".cu"}
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)

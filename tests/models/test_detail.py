@@ -9,8 +9,8 @@ from photo_cases import PANEL, photo, tiny_net
 from lightfield_gs import Cameras, Gaussians, InputError, Panel, PhotoEncoder, render
 from lightfield_gs.base.harmonics import SH_CONSTANT, rotations
 from lightfield_gs.models import ModelConfig
-from lightfield_gs.models.detail import corrected, visible_surface, with_detail
-from lightfield_gs.models.detail_level import DetailLevel, count, detail_level
+from lightfield_gs.models.detail import visible_surface, with_detail
+from lightfield_gs.models.detail_level import count, detail_level
 from lightfield_gs.models.initializer import describe_pixels
 from lightfield_gs.models.upsample import along_surface
 
@@ -174,35 +174,6 @@ def test_the_encoder_draws_what_is_predicted():
     gaussians = net.predict(rgba, 2, PANEL)
     assert encoder.gaussians.count == gaussians.count > net.predict(rgba).count
     assert torch.equal(encoder.gaussians.means, gaussians.means)
-
-
-@pytest.mark.parametrize("symmetric", [False, True])
-def test_a_network_says_where_its_sheet_lies_and_how_opaque_it_is(symmetric):
-    """Nothing at first, then so many footprints behind, in the picture and in its mirror image; the cloud stays."""
-    net = tiny_net(symmetric=symmetric).with_sheet().double()
-    images, texels = picture(SIZE), SIZE**2
-    plain = net(images, INTRINSICS)
-    with torch.no_grad():
-        before = net(images, INTRINSICS, images, DetailLevel(1))
-        net.head.bias[-2], net.head.bias[-1] = 10.0, -3.0
-        after = net(images, INTRINSICS, images, DetailLevel(1))
-    footprint, inside = 1 / INTRINSICS[0, 0], before.opacities[0, :texels] > 0.3
-    moved = (after.means[0, :texels, 2] / before.means[0, :texels, 2])[inside]
-    torch.testing.assert_close(moved, (1 + 10 * footprint).expand_as(moved))
-    fainter = (after.opacities[0, :texels] / before.opacities[0, :texels])[inside]
-    logit = math.log(0.95 / 0.05)
-    expected = torch.sigmoid(torch.tensor([logit - 3, logit], dtype=torch.float64))
-    torch.testing.assert_close(fainter, (expected[0] / expected[1]).expand_as(fainter))
-    torch.testing.assert_close(net(images, INTRINSICS).means, plain.means)
-    torch.testing.assert_close(before.means[:, texels:], plain.means)
-
-
-def test_corrections_have_gradients():
-    torch.manual_seed(0)
-    disparity = 1 / slanted()[None, None, :4, :4]
-    raw = torch.randn(1, 2, 4, 4, dtype=torch.float64, requires_grad=True)
-    footprint = torch.full((1, 1, 1, 1), 1 / 45, dtype=torch.float64)
-    assert torch.autograd.gradcheck(lambda raw: corrected(disparity, raw, footprint), raw)
 
 
 def test_outlines_are_where_the_photo_has_them():

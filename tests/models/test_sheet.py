@@ -34,7 +34,7 @@ def test_bits_do_not_depend_on_threads():
 
 @pytest.mark.parametrize("factor", [1, 4])
 def test_the_network_lays_it_natively_as_it_does_with_gradients(factor, monkeypatch):
-    net, level = tiny_net().with_sheet(), DetailLevel(factor, 2.0)
+    net, level = tiny_net(), DetailLevel(factor, 2.0)
     crops = net.crops(torch.from_numpy(photo(60, 50)), level)
     found = net.all_gaussians(crops[0], net.photo_intrinsics(), crops[1], level)
     monkeypatch.setattr("lightfield_gs.models.splatter_net.is_native", lambda photo: False)

@@ -14,7 +14,7 @@ from training_runs import losses, run_config
 
 from lightfield_gs import InputError
 from lightfield_gs.base.paths import config_path
-from training import compare, compare_report, loop
+from training import compare, compare_report, compare_trend, loop
 from training.compare import read_experiment
 from training.config import Stage, TrainingConfig
 from training.data.batches import make_batch
@@ -107,6 +107,23 @@ def test_neighbours_by_angle():
     assert has_neighbour(cameras, 10).all()
 
 
+def trend_of_one(folder, lead, capsys):
+    """The comparison as two points of two axes: the table has its lead; a plot; and what is refused."""
+    points = [f"steps:4={folder}/runs", f"objects:3={folder}/runs"]
+    assert compare_trend.main([*points, "-o", str(folder / "trend")]) == 2
+    assert "has the arms sphere, cone_10: expected --other" in capsys.readouterr().err
+    assert compare_trend.main([*points, "--other", "sphere", "-o", str(folder / "trend")]) == 0
+    table = (folder / "trend.md").read_text()
+    assert table == capsys.readouterr().out
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()]
+    assert [row[0] for row in rows] == ["varied", "---", "objects 3", "steps 4"]
+    assert rows[0][2] == "near, 10 deg" and rows[2][2] == rows[3][2] == compare_report.lead_cell(lead)
+    assert min(Image.open(folder / "trend.png").size) > 200
+    for wrong in (f"steps={folder}/runs", f"steps:0={folder}/runs", points[0], f"a:1={folder}"):
+        assert compare_trend.main([points[0], wrong, "--other", "sphere", "-o", str(folder / "no")]) == 2
+    assert not (folder / "no.md").exists()
+
+
 def test_the_whole_command(folder, capsys, monkeypatch):
     """One arm alone, the report on it, then all arms; what is finished is neither trained nor scored again."""
     command = arguments(folder)
@@ -129,6 +146,7 @@ def test_the_whole_command(folder, capsys, monkeypatch):
         assert [row["angle_deg"] for row in report["scores"][arm]["near"]["bins"]] == [5, 10]
     for name in ("angles.png", "curves.png"):
         assert min(Image.open(folder / "runs" / name).size) > 200
+    trend_of_one(folder, report["leads"]["sphere"]["near"]["10 deg"], capsys)
     monkeypatch.setattr(compare_report, "score_folder", None)
     assert compare.main([*command, "--report-only"]) == 0
     assert json.loads((folder / "runs/report.json").read_text()) == report

@@ -28,7 +28,7 @@ from training.data.batches import make_batch
 from training.data.plan import Augmentation
 from training.distributed import Team, join_team
 from training.loop import make_planner, plans
-from training.losses import LossWeights, composite, depth_error, gradient_error, roughness, total_loss, translucency
+from training.losses import LossWeights, composite, gradient_error, roughness, total_loss, translucency
 from training.schedule import WeightAverage, learning_rate
 from training.trainer import Trainer
 
@@ -131,27 +131,18 @@ def test_roughness_counts_steps_of_disparity_on_the_object():
     assert float(roughness(means, grey)) == pytest.approx(6 * 0.1 * math.exp(-3) / (2 * 6 * 7), rel=1e-3)
 
 
-def test_the_depth_term_is_of_the_sheet_where_depths_are_known():
-    means, depths = torch.ones(3, 8, 3), torch.zeros(2, 2, 2)
-    means[1, 1, 2], depths[0] = (
-        2,
-        torch.tensor([[1.0, 1.25], [0, 0]]),
-    )  # the second example of three is the first of two
-    means[0] = means[:, 4:] = 5  # without a true depth, and behind the sheet
-    assert depth_error(means, depths).item() == pytest.approx((0 + (1 / 1.25 - 1 / 2)) / 2)
-
-
-def test_a_step_under_the_sheet_of_detail_teaches_where_it_lies(small_set):
-    """And steps without it teach that nothing, which is what the share of steps says."""
-    changes = {"sheet": True, "procedural": 0.5, "loss": {"depth": 1.0}, "detail": 0.5}
-    config = train.read_config(["--config", str(run_config(small_set, "sheet", **changes))])
-    trainer, planner = Trainer(config, Team(torch.device("cpu"))), make_planner(config, Team(torch.device("cpu")))
-    told = []
-    for plan in islice(plans(planner, config, 0, trainer.team), 2):
-        values = trainer.advance(make_batch(plan, planner.views)).read()
-        head = trainer.net.head.weight.grad[-2:].flatten(1).abs().sum(1)
-        told.append((values.get("depth", 0) > 0, (head > 0).tolist()))
-    assert told == [(False, [False, False]), (True, [True, True])]
+def test_a_share_of_the_steps_is_under_the_sheet_of_detail(small_set):
+    """With half of them the first is as without, and the second has another loss, which teaches the network."""
+    alone = Team(torch.device("cpu"))
+    steps = []
+    for detail in (0.0, 0.5):
+        config = train.read_config(["--config", str(run_config(small_set, f"detail-{detail}", detail=detail))])
+        trainer, planner = Trainer(config, alone), make_planner(config, alone)
+        batches = (make_batch(plan, planner.views) for plan in islice(plans(planner, config, 0, alone), 2))
+        steps.append([trainer.advance(batch).read() for batch in batches])
+    plain, under = steps
+    assert under[0] == plain[0] and under[1]["loss"] != plain[1]["loss"]
+    assert under[1]["gradient_norm"] > 0
 
 
 def test_learning_rate_warms_up_and_falls_by_a_cosine():

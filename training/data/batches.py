@@ -21,8 +21,7 @@ class Batch:
 
     source: [B,4,S,S] premultiplied RGBA, 0..1. source_intrinsics: [B,4] (fx, fy, cx, cy) in pixels.
     targets: [B,V,4,T,T]. intrinsics: [B,V,4]. world_to_camera: [B,V,4,4], the world being the source camera's axes.
-    backgrounds: [B,V,3], plain colours 0..1. depths: [P,S,S], scene units, what the source camera sees of the last P
-    examples, 0 where it sees nothing or an edge; P = 0 where they are not wanted.
+    backgrounds: [B,V,3], plain colours 0..1.
     """
 
     source: Tensor
@@ -31,7 +30,6 @@ class Batch:
     intrinsics: Tensor
     world_to_camera: Tensor
     backgrounds: Tensor
-    depths: Tensor
 
 
 def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) -> Batch:
@@ -42,8 +40,7 @@ def make_batch(plan: BatchPlan, views: ResidentViews, compiled: bool = False) ->
     """
     plan = on_device(plan, views.device)
     stored = dataclasses.replace(plan, procedural=None, photo=None)  # what else it has must not be compiled for
-    unknown = plan.backgrounds.new_zeros(0, plan.source_px, plan.source_px)
-    batch = Batch(*fused(_stored_pictures, compiled)(stored, views), plan.world_to_camera, plan.backgrounds, unknown)
+    batch = Batch(*fused(_stored_pictures, compiled)(stored, views), plan.world_to_camera, plan.backgrounds)
     if plan.procedural is not None:
         made = plan.procedural.drawn(views.device, compiled)
         batch = Batch(*(torch.cat(pair) for pair in zip(vars(batch).values(), made)))

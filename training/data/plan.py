@@ -5,7 +5,6 @@ A plan is made on the host and takes kilobytes; the images follow from it on the
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -131,7 +130,7 @@ class BatchPlanner:
 
     views: whose first objects are the sampler's. partners: for each of those the number of the object whose views its
     targets are; None: its own. procedural: share of the examples, 0..1, that show procedural objects in place of what
-    the sampler drew. photographs: their skins. depths: whether their depths are wanted.
+    the sampler drew. photographs: their skins.
     """
 
     def __init__(
@@ -142,10 +141,9 @@ class BatchPlanner:
         partners: np.ndarray | None = None,
         procedural: float = 0.0,
         photographs: Photographs | None = None,
-        depths: bool = False,
     ) -> None:
         self.views, self.sampler, self.augmentation, self.procedural = views, sampler, augmentation, procedural
-        self._photographs, self._depths = photographs, depths
+        self._photographs = photographs
         self._first_target = views.first_view if partners is None else views.first_view[partners]
         self._window_px = tuple(int(views.rectangles[:, side].max(initial=1)) for side in (4, 3))
         self._block = lru_cache(maxsize=1)(self._new_block)
@@ -190,8 +188,9 @@ class BatchPlanner:
         steps_drawn = [self._draw(step, count, wanted) for step in numbers]
         drawn = {name: np.concatenate([one[name] for one in steps_drawn]) for name in steps_drawn[0]}
         framing, backgrounds = self._framing(drawn), self._backgrounds(drawn)
-        plan = draw_objects(seeds, self.sampler.cone_deg, sizes, framing, backgrounds, self._photographs)
-        return ProceduralBlock(dataclasses.replace(plan, depths=self._depths))
+        return ProceduralBlock(
+            draw_objects(seeds, self.sampler.cone_deg, sizes, framing, backgrounds, self._photographs)
+        )
 
     def _plan_views(
         self, choices: list[Choice], drawn: dict[str, np.ndarray], sizes: tuple[int, int], **others: Any

@@ -6,7 +6,6 @@ leave out what no camera sees, and in the rasterizer: so the objects of several 
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -28,9 +27,6 @@ from training.rendering import render_views
 # Standard deviation of a surfel in cells: with its neighbours it leaves less than 2 % of what is behind.
 _SPREAD, _OPACITY = 0.7, 0.98
 _SUPERSAMPLING = 2
-# Depth beyond which nothing lies; opacity from which on a pixel shows the object alone; deviation of the depths within
-# a pixel from which on it shows an edge: some four footprints. Scene units.
-_DEEPEST, _WHOLE, _EDGE = 2.5, 0.95, 0.015
 _OBJECTS_AT_ONCE = 32  # enough work for a GPU to keep up with the host; some 150 MB each for a moment, at 256 px
 
 
@@ -50,8 +46,7 @@ class ProceduralBlock:
         """The fields of a Batch of all objects, drawn as the first call says."""
         if not self._drawn:
             plan = on_device(self._plan, device)
-            *pictures, depths = draw_pictures(plan, compiled)
-            self._drawn = *pictures, plan.world_to_camera, plan.backgrounds, depths
+            self._drawn = *draw_pictures(plan, compiled), plan.world_to_camera, plan.backgrounds
         return self._drawn
 
 
@@ -68,9 +63,8 @@ class ProceduralExamples:
 
 
 @torch.no_grad()
-def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Input pictures [B,4,S,S] and their intrinsics [B,4], targets [B,V,4,T,T] and theirs [B,V,4], and depths [B,S,S]
-    where they are wanted, else [0,S,S], as in Batch.
+def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Input pictures [B,4,S,S] and their intrinsics [B,4], targets [B,V,4,T,T] and theirs [B,V,4], as in Batch.
 
     compiled: see make_batch; of what has the same shapes in all blocks.
     """
@@ -85,11 +79,7 @@ def draw_pictures(plan: ProceduralPlan, compiled: bool = False) -> tuple[Tensor,
     ):
         intrinsics = size * torch.cat([focal[:, chosen].expand(-1, -1, 2), centre[:, chosen]], -1)
         pictures += [_pictures(gaussians, cameras, intrinsics, size), intrinsics]
-    size = plan.source_px
-    depths = gaussians.means.new_zeros(0, size, size)
-    if plan.depths:
-        depths = _depths(gaussians, plan.world_to_camera[:, :1], pictures[1], size)
-    return pictures[0][:, 0], pictures[1][:, 0], pictures[2], pictures[3], depths
+    return pictures[0][:, 0], pictures[1][:, 0], pictures[2], pictures[3]
 
 
 @torch.no_grad()
@@ -116,19 +106,6 @@ def _pictures(gaussians: Gaussians, cameras: Tensor, intrinsics: Tensor, size: i
     )
     images = torch.cat([images, alpha[:, :, None]], 2).flatten(0, 1)
     return F.avg_pool2d(images, _SUPERSAMPLING).clamp(0, 1).unflatten(0, cameras.shape[:2])
-
-
-def _depths(gaussians: Gaussians, cameras: Tensor, intrinsics: Tensor, size: int) -> Tensor:
-    """What one camera each, in whose axes the Gaussians are, sees of their depths: [B,size,size], 0 at edges and
-    beside the object. Arguments: of _pictures."""
-    shades = gaussians.means[..., 2] / _DEEPEST
-    # The mean of squares tells edges, where a pixel sees two depths, from slopes
-    colours = torch.stack([shades, shades.square(), torch.zeros_like(shades)], -1)
-    shaded = dataclasses.replace(gaussians, sh=((colours - 0.5) / SH_CONSTANT)[:, :, None])
-    shade, square, _, alpha = _pictures(shaded, cameras, intrinsics, size)[:, 0].unbind(1)
-    shade, square = shade / alpha.clamp_min(1e-3), square / alpha.clamp_min(1e-3)
-    plain = (alpha > _WHOLE) & (square - shade.square() < (_EDGE / _DEEPEST) ** 2)
-    return torch.where(plain, _DEEPEST * shade, 0)
 
 
 def _surfels(plan: ProceduralPlan) -> dict[str, Tensor]:

@@ -44,8 +44,7 @@ class ProceduralPlan:
     light: [B,5], the direction that light comes from (unit), share of light that comes from all round, exponent of
     highlights. world_to_camera: [B,V,4,4], the world being the source camera's axes. sides: [B,I] and shifts: [B,I,2],
     of the crops, in units of the squares round the object. backgrounds: [B,V,3]. surfels: of an object, at most.
-    source_px, target_px: side of the input pictures and of the targets. depths: whether those that the source camera
-    sees are wanted. Floats are float32.
+    source_px, target_px: side of the input pictures and of the targets. Floats are float32.
     """
 
     ends: Tensor
@@ -65,7 +64,6 @@ class ProceduralPlan:
     source_px: int
     target_px: int
     photographs: Photographs | None = None
-    depths: bool = False
 
 
 def rotation(axis: int, radians: np.ndarray) -> np.ndarray:

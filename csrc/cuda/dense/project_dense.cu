@@ -3,7 +3,7 @@
 // compensated splats.
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
-#include "cuda/dense/projected.cuh"
+#include "cuda/stages/projected.cuh"
 #include "cuda/stages/stages.h"
 #include "math/footprint.h"
 #include "math/harmonics.h"

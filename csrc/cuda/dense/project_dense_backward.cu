@@ -9,7 +9,7 @@
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
 #include "cuda/common/widened.cuh"
-#include "cuda/dense/projected.cuh"
+#include "cuda/stages/projected.cuh"
 #include "cuda/stages/stages.h"
 #include "math/gradient_sums.h"
 #include "math/harmonics.h"

@@ -7,6 +7,7 @@
 #include "cuda/common/blend.cuh"
 #include "cuda/common/check.h"
 #include "cuda/common/gaussian_io.cuh"
+#include "cuda/common/place_lists.cuh"
 #include "cuda/frame/lens_frame.h"
 #include "cuda/frame/lens_optics.cuh"
 #include "cuda/frame/strip.cuh"
@@ -61,6 +62,30 @@ __device__ void for_each_run(const Splat<float>& s, const LensFrame& frame, int 
 // the lists; if the frame has more pairs than places it fills one list of all splats drawn instead.
 enum class Pass { kCount, kFill };
 
+// The lanes that are here together for a pair of the same list. Splats that follow each other often lie side by side,
+// as in the sheet of a photo, and additions to the ends of lists are what bin waits for: so these lanes make one of
+// theirs.
+struct Together {
+  unsigned lanes, before;  // a bit each; before: those of smaller number than this one
+  int first;
+
+  __device__ explicit Together(int list)
+      : lanes(__match_any_sync(__activemask(), list)),
+        before(lanes & ((1u << threadIdx.x % 32) - 1)),
+        first(__ffs(int(lanes)) - 1) {}
+  __device__ unsigned count() const { return unsigned(__popc(lanes)); }
+  // Makes a list longer by a pair of each lane.
+  __device__ void lengthen(unsigned& end) const {
+    if (!before) atomicAdd(&end, count());
+  }
+  // The same; returns this lane's place.
+  __device__ unsigned place(unsigned& end) const {
+    unsigned begin = 0;
+    if (!before) begin = atomicAdd(&end, count());
+    return __shfl_sync(lanes, begin, first) + unsigned(__popc(before));
+  }
+};
+
 // Goes through the pairs. Some lanes of a warp share a splat, see lanes_of(); a block takes as many splats at a time as
 // it has threads for, until there are no more. One kernel does both passes, so that they find the same tiles to the
 // last bit.
@@ -80,10 +105,11 @@ __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__
     }
     for_each_run(splat, frame, lane, lanes, [&](int first, int last) {
       for (int tile = first; tile <= last; tile += groups) {
+        const Together together(tile);
         if (fill)
-          frame.ids[atomicAdd(&ranges[tile].y, 1u)] = uint32_t(id);
+          frame.ids[together.place(ranges[tile].y)] = uint32_t(id);
         else
-          atomicAdd(&ranges[tile].y, 1u);
+          together.lengthen(ranges[tile].y);
       }
     });
   }
@@ -91,29 +117,11 @@ __global__ void __launch_bounds__(kThreads) pairs_kernel(const __grid_constant__
   if (threadIdx.x % 32 == 31 && of_warp) atomicAdd(&frame.state->drawn, of_warp);
 }
 
-// Gives every list a place, as long as its count says but empty at first, and collects the numbers of the long lists. A
-// thread has a list. The lists of a warp lie side by side in memory, the warps in no particular order.
+// A thread has a list.
 __global__ void __launch_bounds__(kThreads) place_lists_kernel(const __grid_constant__ LensFrame frame) {
-  const int64_t list = int64_t(blockIdx.x) * kThreads + threadIdx.x;
-  const int lane = threadIdx.x % 32;
-  const bool inside = list < frame.tiling().tiles();
-  uint2* ranges = reinterpret_cast<uint2*>(frame.ranges);
-  const unsigned pairs = inside ? ranges[list].y : 0;
-
-  // Where this list begins among those of the warp, and which lists are long
-  const unsigned long long to_here = sum_to_lane<unsigned long long>(pairs);
-  const bool is_long = pairs > kShortList;
-  const unsigned longs = __ballot_sync(~0u, is_long);
-
-  // The last lane asks for memory for all lists of the warp
-  unsigned long long first = 0;
-  unsigned first_long = 0;
-  if (lane == 31 && to_here) first = atomicAdd(&frame.state->pairs, to_here);
-  if (lane == 31 && longs) first_long = atomicAdd(&frame.state->long_lists, unsigned(__popc(longs)));
-  first = __shfl_sync(~0u, first, 31), first_long = __shfl_sync(~0u, first_long, 31);
-  if (is_long) frame.long_lists[first_long + __popc(longs & ((1u << lane) - 1))] = uint32_t(list);
-  const uint32_t begin = uint32_t(first + to_here - pairs);  // wraps beyond 2^32, when the frame is overfull anyway
-  if (inside) ranges[list] = make_uint2(begin, begin);
+  FrameState& state = *frame.state;
+  place_lists(frame.tiling().tiles(), reinterpret_cast<uint2*>(frame.ranges), state.pairs, state.long_lists,
+              frame.long_lists);
 }
 
 }  // namespace

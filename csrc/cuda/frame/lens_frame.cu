@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "base/error.h"
+#include "cuda/common/parts.h"
 #include "cuda/frame/lattice.cuh"
 #include "cuda/lens/lens_rig.cuh"
 #include "cuda/frame/root_series.cuh"
@@ -114,19 +115,6 @@ Tiling ordinal_tiling(const Lens& lens, const LensOptics& optics) {
           float(zero + 0.5 + optics.beyond),
           float(lens.slant_tan)};
 }
-
-// Hands out aligned parts of one buffer. When the buffer is null it only counts how long it must be.
-struct Parts {
-  char* base;
-  size_t used = 0;
-
-  template <class T>
-  void take(T*& part, int64_t count) {
-    used = (used + 255) / 256 * 256;
-    part = reinterpret_cast<T*>(base ? base + used : nullptr);
-    used += size_t(count) * sizeof(T);
-  }
-};
 
 }  // namespace
 

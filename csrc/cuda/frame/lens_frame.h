@@ -9,6 +9,7 @@
 #include <cstdint>
 
 #include "base/config.h"
+#include "cuda/common/short_list.h"
 #include "cuda/stages/stages.h"
 
 namespace lfgs::cuda {
@@ -21,7 +22,6 @@ enum class LensKernel : int { kPixel, kPixelQuadratic, kPixelSmall, kPixelQuadra
 // Whether kOrdinal can draw a lens on a device, and how its blocks use shared memory; see ordinal_operands.cuh.
 enum class OrdinalLayout : int { kNone, kCompact, kFull };
 
-constexpr unsigned kShortList = 256;  // the most splats of a list that a warp sorts
 constexpr int kMostProbeRows = 256;   // enough for 65,536 rows of pixels, see kProbeRows
 
 // What one frame found out: written on the device, read by the host when it likes. The first four numbers come from

@@ -80,11 +80,6 @@ void composite_dense(const Splats<float>& splats, const Image& image, const int6
                      const float* background, DenseImages<float> out, Stream stream);
 void composite_lens(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
                     const Lens& lens, const float* background, float* out, Stream stream);
-// order [image.count * tiles] has the numbers of the (view, tile) lists, those with the most work first. Writes to
-// out8, or where that is null to out.
-void composite_sorted(const Splats<float>& splats, const Image& image, const int64_t* ranges, const Pairs& pairs,
-                      const SubpixelLists& lists, const int64_t* order, const float* background, float* out,
-                      uint8_t* out8, Stream stream);
 
 // --- the reverses. Every slot is written by one block in a fixed order, and sums run in the order of slots, so that
 // every run gives the same bits. slot_gradients is [pairs, numbers of a slot]; tile_background is [I * tiles, 3].

@@ -29,13 +29,12 @@ struct Sheet {
   int64_t height = 0, width = 0;      // pixels of the network's grid
   int factor = 1;                     // texels to a side of each
   const float* disparity = nullptr;   // [height, width] 1 / z of the surface
-  const float* trust = nullptr;       // [height, width] share of the opacity, 0..1
   const float* harmonics = nullptr;   // [3 (K - 1), height, width] those beyond the first
   const float* photo = nullptr;       // [4, rows, columns] premultiplied RGB and alpha, 0..1
   const float* intrinsics = nullptr;  // [4] fx, fy, cx, cy in pixels of the grid
   SheetLook look;
   float* soft = nullptr;     // [rows, columns, 5] colours, alpha and optical depth, blurred along rows
-  float* surface = nullptr;  // [rows, columns, 2] disparity and trust of the texels
+  float* surface = nullptr;  // [rows, columns] disparity of the texels
   Gaussians<float> out;      // [rows * columns]
 
   LFGS_HD int64_t rows() const { return factor * height; }
@@ -132,9 +131,7 @@ LFGS_HD void prepare_texel(const Sheet& sheet, int reach, const Weight& weight, 
   }
   for (int c = 0; c < 4; ++c) sheet.soft[5 * texel + c] = soft.covering[c];
   sheet.soft[5 * texel + 4] = soft.thickness;
-  const Mix mix = mix_of(sheet, row, column);
-  sheet.surface[2 * texel] = mix(sheet.disparity);
-  sheet.surface[2 * texel + 1] = mix(sheet.trust);
+  sheet.surface[texel] = mix_of(sheet, row, column)(sheet.disparity);
 }
 
 template <class Weight>
@@ -192,7 +189,7 @@ template <class Weight>
 LFGS_HD TexelGaussian finish_texel(const Sheet& sheet, int reach, const Weight& weight, int64_t row, int64_t column) {
   const int64_t columns = sheet.columns(), texel = row * columns + column;
   const SheetLook& look = sheet.look;
-  const float* disparity = sheet.surface + 2 * texel;
+  const float* disparity = sheet.surface + texel;
   const float factor = float(sheet.factor), *camera = sheet.intrinsics, depth = 1 / disparity[0];
   const float footprint = 1 / (factor * camera[0]), size = footprint * depth;
   const glm::vec3 ray((float(column) + 0.5f - factor * camera[2]) * footprint,
@@ -209,11 +206,11 @@ LFGS_HD TexelGaussian finish_texel(const Sheet& sheet, int reach, const Weight& 
     const float thickness = thickness_of(look, alpha);
     colour = glm::clamp(colour + look.sharper_colour * (colour - near), 0.f, 1.f);
     const float outline = glm::max(thickness + look.sharper_outline * (thickness - soft.thickness), 0.f);
-    found.opacity = disparity[1] * glm::clamp(look.opacity * outline * there, 0.f, look.most_opaque);
+    found.opacity = glm::clamp(look.opacity * outline * there, 0.f, look.most_opaque);
 
     const float slope = -1 / (disparity[0] * footprint);
-    const float across = step_of(disparity, 2, column, columns) * slope;
-    const float down = step_of(disparity, 2 * columns, row, sheet.rows()) * slope;
+    const float across = step_of(disparity, 1, column, columns) * slope;
+    const float down = step_of(disparity, columns, row, sheet.rows()) * slope;
     lay_along(glm::clamp(across, -look.steepest, look.steepest), glm::clamp(down, -look.steepest, look.steepest), ray,
               found);
   }

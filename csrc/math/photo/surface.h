@@ -17,9 +17,8 @@ namespace lfgs {
 
 // What lightfield_gs/models/detail.py decides; lengths in pixels or footprints.
 struct SurfaceLook {
-  float averaged;         // the deviation of the blur
-  float softness;         // depth over which the cloud before the sheet fades
-  float trust, farthest;  // the logit of a sheet of which a network says nothing; how far it may be moved
+  float averaged;  // the deviation of the blur
+  float softness;  // depth over which the cloud before the sheet fades
 };
 
 struct Surface {
@@ -28,11 +27,9 @@ struct Surface {
   Gaussians<float> cloud;             // [layers * height * width]; its opacities fade
   const float* mask = nullptr;        // [height, width]
   const float* intrinsics = nullptr;  // [4] fx, fy, cx, cy in pixels
-  const float* correction = nullptr;  // [2, height, width] footprints and logit, or none
   SurfaceLook look;
   float* planes = nullptr;     // [3, most_planes(), height, width]: three sets, see plane()
   float* disparity = nullptr;  // [height, width] 1 / z
-  float* trust = nullptr;      // [height, width] 0..1
   float* harmonics = nullptr;  // [rest(), height, width] beyond the first
 
   LFGS_HD int64_t pixels() const { return height * width; }
@@ -112,18 +109,13 @@ LFGS_HD float logistic(float x) { return 1 / (1 + std::exp(-x)); }
 // From what is seen on average, in set 0: the surface of a pixel, and the opacities of its Gaussians.
 LFGS_HD void finish_surface(const Surface& job, int64_t pixel) {
   const float seen = job.plane(0, job.seen_planes() - 1)[pixel], footprint = 1 / job.intrinsics[0];
-  float disparity = job.plane(0, 0)[pixel] / seen, trust = 1;
-  if (job.correction) {
-    const float behind = job.correction[pixel], logit = job.correction[job.pixels() + pixel];
-    disparity /= 1 + footprint * glm::clamp(behind, -job.look.farthest, job.look.farthest);
-    trust = logistic(logit + job.look.trust);
-  }
-  job.disparity[pixel] = disparity, job.trust[pixel] = trust;
+  const float disparity = job.plane(0, 0)[pixel] / seen;
+  job.disparity[pixel] = disparity;
   for (int c = 0; c < job.rest(); ++c) job.harmonics[c * job.pixels() + pixel] = job.plane(0, 1 + c)[pixel] / seen;
   for (int layer = 0; layer < job.layers; ++layer) {
     const int64_t i = layer * job.pixels() + pixel;
     const float behind = (job.cloud.means[3 * i + 2] * disparity - 1) / footprint;
-    const float hidden = trust * job.mask[pixel] * logistic(-behind / job.look.softness);
+    const float hidden = job.mask[pixel] * logistic(-behind / job.look.softness);
     job.cloud.opacities[i] = glm::clamp(job.cloud.opacities[i] * (1 - hidden), 0.f, 1.f);
   }
 }

@@ -32,6 +32,9 @@ struct float3 {
 struct alignas(16) float4 {
   float x, y, z, w;
 };
+struct alignas(8) ushort4 {
+  unsigned short x, y, z, w;
+};
 struct alignas(8) int2 {
   int x, y;
 };
@@ -253,11 +256,23 @@ inline unsigned __ballot_sync(unsigned, int v) {
   for (int i = 0; i < emulation::block->warps[emulation::block->current / 32].size; ++i) bits |= unsigned(all[i]) << i;
   return bits;
 }
+// The lanes that gave the same value.
+template <class T>
+unsigned __match_any_sync(unsigned, T v) {
+  const uint64_t* all = emulation::exchange(v);
+  unsigned same = 0;
+  for (int i = 0; i < emulation::block->warps[emulation::block->current / 32].size; ++i)
+    same |= unsigned(all[i] == v) << i;
+  return same;
+}
 inline int __any_sync(unsigned mask, int v) { return __ballot_sync(mask, v) != 0; }
 inline int __all_sync(unsigned mask, int v) { return __ballot_sync(mask, !v) == 0; }
+// Of lanes that have gone different ways, each goes on by itself.
+inline unsigned __activemask() { return 1u << emulation::lane(); }
+inline unsigned __match_any_sync(unsigned mask, int) { return mask; }
 template <class T>
-T __shfl_sync(unsigned, T v, int source) {
-  return emulation::of_lane(v, source & 31);
+T __shfl_sync(unsigned mask, T v, int source) {
+  return mask == 1u << emulation::lane() ? v : emulation::of_lane(v, source & 31);
 }
 template <class T>
 T __shfl_xor_sync(unsigned, T v, int mask) {

@@ -25,23 +25,35 @@ namespace lfgs::cuda {
 namespace {
 
 #if __CUDA_ARCH__ >= 800
-// Copies splats of a list, and without harmonics their colours, into the block's shared memory. With harmonics or
-// shares of opacity, the place of a splat's depth receives the index, in the arrays by ordinal, of its entry at ordinal
-// `first`. There are no branches, so that several reads are under way at a time.
+// Copies splats of a list, and without harmonics their colours, into the block's shared memory, and says which patches
+// of the tile they may touch at the ordinals first .. last. Two threads have a splat, one for each row of patches. With
+// harmonics or shares of opacity, the place of a splat's depth receives the index, in the arrays by ordinal, of its
+// entry at ordinal `first`.
 template <bool Compensated, class Layout>
-__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first, Memory<Layout>& memory) {
+__device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first_lens, int row0, int first,
+                      int last, Memory<Layout>& memory) {
   constexpr bool Harmonics = Layout::kHarmonics;
-  constexpr int kParts = Harmonics ? 3 : 4;
+  static_assert(kWarpsDown == 2);
   const unsigned columns = frame.optics.ordinals.columns();
   const float4* splats = reinterpret_cast<const float4*>(frame.splats.splats);
   const float4* colours = reinterpret_cast<const float4*>(frame.splats.colours);
-  for (int j = threadIdx.x; j < count * kParts; j += kThreads) {
-    const int i = j / kParts, k = j % kParts;
+  for (int j = threadIdx.x; j < 2 * count; j += kThreads) {
+    const int i = j / 2, down = j % 2;
     const uint32_t id = ids[i];
-    float4 part = k < 3 ? splats[3 * int64_t(id) + k] : colours[id];
-    if ((Harmonics || Compensated) && k == 2) part.w = __uint_as_float(id * columns + first);
-    if (!Harmonics && k == 3) part = by_place(frame.optics, part);
-    *(k < 3 ? &memory.splat[k][i] : &memory.colour[Harmonics ? 0 : i]) = part;
+    const float4 a = splats[3 * int64_t(id)], b = splats[3 * int64_t(id) + 1];
+    float4 c = splats[3 * int64_t(id) + 2];
+    if (Harmonics || Compensated) c.w = __uint_as_float(id * columns + first);
+    const Splat<float> splat = assembled(a, b, c);
+    if (down == 0) {
+      memory.splat[0][i] = a, memory.splat[1][i] = b;
+    } else {
+      memory.splat[2][i] = c;
+      if (!Harmonics) memory.colour[Harmonics ? 0 : i] = by_place(frame.optics, colours[id]);
+    }
+    const int first_row = row0 + down * kWarpRows;
+    const unsigned touched =
+        patches_touched<Layout::kOrdinals>(frame.optics, splat, first_lens, first_row, first, last);
+    memory.touched[down][i] = typename Memory<Layout>::Patches(touched);
   }
 }
 
@@ -90,10 +102,10 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
       const int count = min(unsigned(Layout::kBatch), range.y - begin);
       const bool opaque = task.all_opaque(last - first + 1);
       if (__syncthreads_and(opaque)) break;
-      stage<Compensated>(frame, lists.ids + begin, count, first, memory);
+      stage<Compensated>(frame, lists.ids + begin, count, first_lens, tile_y * kTileRows, first, last, memory);
       __syncthreads();
       if (opaque) continue;
-      const int hits = task.cull(count, first, last);
+      const int hits = task.cull(count);
 #pragma unroll 1
       for (int ordinal = first; ordinal <= last; ++ordinal) {
         const int n = __shfl_sync(~0u, hits, ordinal - first);

@@ -2,6 +2,8 @@
 // and the instructions of the tensor cores.
 #pragma once
 
+#include <type_traits>
+
 #include "cuda/common/blend.cuh"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/common/halves.cuh"
@@ -25,17 +27,18 @@ constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 // each other's waits. The full layout does so where it has 228 KB (sm_90), the compact one where it has 100 KB (sm_86,
 // sm_89, sm_120). KB of a block with harmonics, full and compact:
 //   samples 24, 12    queues 19, 4    operands 12.5    colours 9.5    lenses 3
-//   staged splats 19, 7.5    bytes of the tile 2 to 16, 0    all 89 to 103, 49
+//   staged splats and their patches 22, 8    bytes of the tile 2 to 16, 0    all 92 to 107, 49
 // The compact layout stages fewer splats at a time, and draws half a group of ordinals at a time, a *pass*: so samples
 // and queues take less. What that costs was counted, in warp instructions: a task takes some 3000. Each further batch
-// that its list is cut into takes 200 to set up again. To walk a list twice takes 60, since what survives the first
-// step of cull() meets half of the ordinals. To store three bytes of a lens at a time takes 50. Rounds of 16 hits would
-// halve the operands instead, but leave half of the lanes without work.
+// that its list is cut into takes 200 to set up again. To walk a list twice takes 60, since each time it meets half of
+// the ordinals. To store three bytes of a lens at a time takes 50. Rounds of 16 hits would halve the operands instead,
+// but leave half of the lanes without work.
 template <bool Harmonics_, bool Compact_>
 struct BlockLayout {
   static constexpr bool kHarmonics = Harmonics_, kCompact = Compact_;
   static constexpr int kOrdinals = kCompact ? kGroupOrdinals / 2 : kGroupOrdinals;  // drawn at a time
-  static constexpr int kBatch = kCompact ? 160 : kHarmonics ? 400 : 416;            // splats staged at a time
+  // Splats staged at a time
+  static constexpr int kBatch = kHarmonics ? (kCompact ? 152 : 400) : (kCompact ? 176 : 416);
   static_assert(kGroupOrdinals % kOrdinals == 0);  // those drawn at a time have one list
 };
 // A queue names a staged splat by one byte, its place in a *page* of 256 of them.
@@ -47,9 +50,8 @@ constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedB
 template <class Layout>
 struct WarpMemory {
   static constexpr bool kHarmonics = Layout::kHarmonics;
-  // Used in turn for the splats that survive the first step of cull(); for features, 32 samples x 48 bytes; for the
-  // coefficients of 32 hits: those of d in two parts, then those of A, 16 bytes each; and for finished bytes, see
-  // Patch::store_bytes().
+  // Used in turn for features, 32 samples x 48 bytes; for the coefficients of 32 hits: those of d in two parts, then
+  // those of A, 16 bytes each; and for finished bytes, see Patch::store_bytes().
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[kHarmonics ? 32 : 1];
   // The colours of the last hit of every quarter in this round and in the one before, which change places
@@ -73,11 +75,13 @@ struct Memory {
   static constexpr int kBatch = Layout::kBatch;
   float4 splat[3][kBatch];                             // the depth is replaced by a number, see stage()
   float4 colour[Layout::kHarmonics ? 1 : kBatch + 1];  // with harmonics colours are read when a hit is drawn
+  using Patches = std::conditional_t<Layout::kCompact, uint16_t, uint32_t>;
+  Patches touched[kWarpsDown][kBatch];  // by those splats: see patches_touched()
   WarpMemory<Layout> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
   unsigned next_tile;
 
-  static_assert(kBatch * sizeof(uint16_t) <= sizeof(warps[0].operands) && kBatch <= 2 * kPage);
+  static_assert(kBatch <= 2 * kPage);
 };
 template <bool Harmonics>
 using CompactMemory = Memory<BlockLayout<Harmonics, true>>;

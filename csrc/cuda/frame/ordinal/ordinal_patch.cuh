@@ -5,8 +5,7 @@
 // All 32 lanes of a warp call these functions together.
 #pragma once
 
-#include "cuda/frame/ordinal/ordinal_operands.cuh"
-#include "cuda/frame/strip.cuh"
+#include "cuda/frame/ordinal/ordinal_reach.cuh"
 
 namespace lfgs::cuda {
 
@@ -19,22 +18,17 @@ struct Patch {
   WarpMemory<Layout>& own;
   int lane, row0, lens0;  // of the patch
   float middle_y;
-  float x_sheared, half_x;  // x + tan(slant) y of ordinal -1/2; half the width between the outermost pixel centres
-  unsigned places;          // bit 8 p + s: this lane's sample s is of a lens that starts at place p
+  unsigned places;  // bit 8 p + s: this lane's sample s is of a lens that starts at place p
 
   __device__ Patch(const LensFrame& frame_, Memory<Layout>& memory_, int tile_x, int tile_y)
       : frame(frame_), memory(memory_), own(memory_.warps[threadIdx.x / 32]), lane(threadIdx.x % 32) {
     const int warp = threadIdx.x / 32, across = warp % kWarpsAcross, down = warp / kWarpsAcross;
     const LensOptics& lens = frame.optics;
 
-    // The patch, and how far its samples reach along x at an ordinal
     row0 = tile_y * kTileRows + down * kWarpRows;
     lens0 = lens.ordinals.first_lens + (tile_x * kWarpsAcross + across) * kWarpLenses;
     middle_y = row0 + 0.5f * kWarpRows;
-    const float phase0 = fmaf(lens0 + 0.5f * (kWarpLenses - 1), lens.line_number, -lens.origin);
-    x_sheared = (phase0 - float(lens.lead)) / 3 + 0.5f * lens.slant_tan + 1.f / 6;
-    if (lane == 0) own.x_first = x_sheared - lens.slant_tan * middle_y;
-    half_x = (0.5f * (kWarpLenses - 1) * lens.line_number + 0.5f) / 3 + 1.f / 3 + 0.01f;
+    if (lane == 0) own.x_first = sheared_x(lens, lens0) - lens.slant_tan * middle_y;
 
     // Where the lens of each sample begins, a sample of each half of the patch to a lane
     for (int h = 0; h < kHalves; ++h) {
@@ -52,64 +46,34 @@ struct Patch {
       places |= 1u << 8 * place_of(own.start[s / 4][s / 2 % 2 * 16 + s % 2 * 8 + lane / 4]) + s;
   }
 
-  // x + tan(slant) y in the middle of an ordinal's samples; halves count, for the middle of several ordinals.
-  __device__ float sheared(float ordinal) const { return x_sheared + (ordinal + 0.5f) / 3; }
-
   __device__ Splat<float> staged(int i) const {
     return assembled(memory.splat[0][i], memory.splat[1][i], memory.splat[2][i]);
   }
-  __device__ Strip strip(const Splat<float>& s) const {
-    return Strip(s, row0 + 0.5f, row0 + kWarpRows - 0.5f, frame.optics.slant_tan);
-  }
 
-  // Which staged splats may touch the patch at which ordinal of the pass: fills the queues, which keep the splats in
-  // their order, and returns in lane t how many there are at ordinal t.
-  __device__ int cull(int count, int first, int last) {
+  // Which of the `count` staged splats may touch the patch at which ordinal of the pass: fills the queues, which keep
+  // the splats in their order, and returns in lane t how many there are at ordinal t.
+  __device__ int cull(int count) {
     lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows from it here
-    const Ordinals& ordinals = frame.optics.ordinals;
-    const float a = ordinals.centre[first], b = ordinals.centre[last];
-    const float reach = fmaxf(fabsf(b - a) * 0.5f + ordinals.half[first], fabsf(b - a) * 0.5f + ordinals.half[last]);
+    const int warp = threadIdx.x / 32;
+    const auto* touched = memory.touched[warp / kWarpsAcross];
     const unsigned before = (1u << lane) - 1;  // the lanes before this one
-    const float x = sheared(0.5f * (first + last)), half = half_x + (last - first) * (1.f / 6);
-
-    // First all ordinals of the pass as one, a splat a lane: a splat that touches none of them is out
-    uint16_t* queue = reinterpret_cast<uint16_t*>(own.operands);
-    int survivors = 0, first_page = 0;
-    for (int begin = 0; begin < count; begin += 32) {
-      const int i = min(begin + lane, count - 1);
-      const Splat<float> splat = staged(i);
-      const Strip rows = strip(splat);
-      const bool hit = (begin + lane < count) & rows.at(splat, 0.5f * (a + b), reach).touches(x, half);
-      const unsigned hits = __ballot_sync(~0u, hit);
-      if (hit) queue[survivors + __popc(hits & before)] = uint16_t(i);
-      survivors += __popc(hits);
-      if (begin < kPage) first_page = survivors;
-    }
-    __syncwarp();
-
-    // Then the survivors at every ordinal, a page of staged splats after the other
-    const float x_first_ordinal = sheared(first);
     int counts[kOrdinals] = {}, mine = 0;
+    // A page of staged splats after the other
 #pragma unroll 1
     for (int page = 0, begin = 0; page * kPage < count; ++page) {
-      const int end = page ? survivors : first_page;
+      const int end = min(count, (page + 1) * kPage);
 #pragma unroll 1
       for (; begin < end; begin += 32) {
-        const bool inside = begin + lane < end;
-        const int i = queue[inside ? begin + lane : 0];
-        const Splat<float> splat = staged(i);
-        const Strip rows = strip(splat);
+        const int i = begin + lane;
+        const unsigned at = i < end ? unsigned(touched[i]) >> warp % kWarpsAcross : 0;
 #pragma unroll
         for (int t = 0; t < kOrdinals; ++t) {
-          const int ordinal = min(first + t, last);
-          const Span span = rows.at(splat, ordinals.centre[ordinal], ordinals.half[ordinal]);
-          const bool hit = inside & (first + t <= last) & span.touches(x_first_ordinal + t * (1.f / 3), half_x);
+          const bool hit = at >> kWarpsAcross * t & 1;
           const unsigned hits = __ballot_sync(~0u, hit);
           if (hit) own.queue[t][counts[t] + __popc(hits & before)] = uint8_t(i);
           counts[t] += __popc(hits);
         }
       }
-      begin = end;
 #pragma unroll
       for (int t = 0; t < kOrdinals; ++t) mine = lane == t ? counts[t] : mine;
       if (page == 0 && lane < kOrdinals) own.first_page[lane] = mine;

@@ -1,0 +1,243 @@
+// Sorts lists of splats on the device: every list by depth, nearest first, ties by number.
+//
+// A list is spread over buckets of depth, mostly of a splat or two each; within a bucket every splat counts those
+// before it, which gives its place. Where depths crowd, or the list does not fit shared memory, it is sorted by bitonic
+// merging (Batcher 1968, "Sorting networks and their applications"), in the form in which every comparison sorts
+// upwards: items beyond the end then count as the largest, and need no memory. A team sorts a list: a warp for a short
+// one, a block for a long one.
+#pragma once
+
+#include <cstdint>
+
+#include "cuda/common/blend.cuh"
+#include "cuda/common/short_list.h"
+
+namespace lfgs::cuda::sorting {
+
+constexpr int kThreads = 256, kWarps = kThreads / 32;
+constexpr unsigned kEach = kShortList / 32;   // how many keys, and how many buckets, a thread has
+constexpr unsigned kKept = kThreads * kEach;  // keys that shared memory holds: those of a block, or of all its warps
+constexpr unsigned kCrowd = 16;               // the most keys of a bucket: each of them looks at all of them
+
+// The teams. rank() is a thread's number in its team.
+struct Warp {
+  static constexpr unsigned kSize = 32;
+  __device__ static unsigned rank() { return threadIdx.x % 32; }
+  __device__ static void wait() { __syncwarp(); }
+  __device__ static bool any(bool value) {
+    wait();  // a vote does not order accesses to memory
+    return __any_sync(~0u, value);
+  }
+};
+struct Block {
+  static constexpr unsigned kSize = kThreads;
+  __device__ static unsigned rank() { return threadIdx.x; }
+  __device__ static void wait() { __syncthreads(); }
+  __device__ static bool any(bool value) { return __syncthreads_or(value); }
+};
+
+// What a team has in shared memory.
+struct Memory {
+  uint64_t* keys;     // [kEach * kSize]
+  unsigned* buckets;  // [kEach * kSize]
+  unsigned* warps;    // [2 * kWarps], for a block only
+};
+
+// What lists are sorted by: depth, which is positive, then number.
+struct Keys {
+  const uint32_t* depths;
+  __device__ uint64_t operator()(uint32_t id) const { return uint64_t(depths[id]) << 32 | id; }
+};
+// For items that are keys themselves.
+struct Same {
+  __device__ uint64_t operator()(uint64_t key) const { return key; }
+};
+
+// One step of bitonic merging: in every 2 * half items, compares each of the first half with one of the second and puts
+// the smaller first. Its partner is `half` items on, or when mirrored, the one that is as far from the end as it is
+// from the beginning. A thread of the team has every kSize-th comparison.
+template <class Team, class Item, class KeyOf = Same>
+__device__ void compare_halves(Item* items, unsigned count, unsigned half, bool mirrored, const KeyOf& key_of = {}) {
+  const unsigned pairs = (count + 2 * half - 1) / (2 * half) * half, partner = mirrored ? 2 * half - 1 : half;
+  for (unsigned pair = Team::rank(); pair < pairs; pair += Team::kSize) {
+    const unsigned low = pair + (pair & ~(half - 1)), high = low ^ partner;
+    if (high >= count) continue;
+    const Item a = items[low], b = items[high];
+    if (key_of(b) < key_of(a)) items[low] = b, items[high] = a;
+  }
+  Team::wait();
+}
+
+// Ends the merging of runs: does the steps of this and all smaller halves.
+template <class Team>
+__device__ void finish_runs(uint64_t* keys, unsigned count, unsigned half) {
+  for (; half > 0; half /= 2) compare_halves<Team>(keys, count, half, false);
+}
+
+// Sorts keys by merging, from runs of one key up.
+template <class Team>
+__device__ void merge_all(uint64_t* keys, unsigned count) {
+  for (unsigned run = 1; run < count; run *= 2) {
+    compare_halves<Team>(keys, count, run, true);
+    finish_runs<Team>(keys, count, run / 2);
+  }
+}
+
+// Calls sort(kept, count) with the keys of a list in shared memory, and writes their order back.
+template <class Team, class Sort>
+__device__ void in_shared_memory(uint32_t* ids, unsigned count, const Keys& key_of, uint64_t* kept, const Sort& sort) {
+  for (unsigned i = Team::rank(); i < count; i += Team::kSize) kept[i] = key_of(ids[i]);
+  Team::wait();
+  sort(kept, count);
+  for (unsigned i = Team::rank(); i < count; i += Team::kSize) ids[i] = uint32_t(kept[i]);
+  Team::wait();
+}
+
+// Sorts a list that is too long for shared memory, by all threads of a block: pieces that fit are sorted there, and
+// steps that reach further are done in the list itself. A list of n keys takes log2(n / kKept)^2 / 2 rounds through
+// memory.
+__device__ inline void sort_in_pieces(uint32_t* ids, unsigned count, const Keys& key_of, uint64_t* kept) {
+  auto in_pieces = [&](auto sort) {
+    for (unsigned first = 0; first < count; first += kKept)
+      in_shared_memory<Block>(ids + first, min(kKept, count - first), key_of, kept, sort);
+  };
+  in_pieces(merge_all<Block>);
+  for (unsigned run = kKept; run < count; run *= 2) {
+    compare_halves<Block>(ids, count, run, true, key_of);
+    for (unsigned half = run / 2; half >= kKept; half /= 2) compare_halves<Block>(ids, count, half, false, key_of);
+    in_pieces([](uint64_t* piece, unsigned n) { finish_runs<Block>(piece, n, kKept / 2); });
+  }
+}
+
+__device__ inline float depth_of(uint64_t key) { return __uint_as_float(unsigned(key >> 32)); }
+
+// Given the least and the largest depth of each thread, finds those of the team.
+template <class Team>
+__device__ void find_extent(float& nearest, float& farthest, const Memory& memory) {
+  for (int step = 16; step > 0; step /= 2) {
+    nearest = fminf(nearest, __shfl_xor_sync(~0u, nearest, step));
+    farthest = fmaxf(farthest, __shfl_xor_sync(~0u, farthest, step));
+  }
+  if constexpr (Team::kSize > 32) {
+    float* of_warps = reinterpret_cast<float*>(memory.warps);
+    if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = nearest, of_warps[kWarps + threadIdx.x / 32] = farthest;
+    Team::wait();
+    for (int warp = 0; warp < kWarps; ++warp)
+      nearest = fminf(nearest, of_warps[warp]), farthest = fmaxf(farthest, of_warps[kWarps + warp]);
+  }
+  Team::wait();
+}
+
+// Turns the number of keys in every bucket into the place where each bucket begins. A thread has kEach buckets in a
+// row.
+template <class Team>
+__device__ void sum_buckets(const Memory& memory) {
+  unsigned* mine = memory.buckets + kEach * Team::rank();
+  unsigned counts[kEach], sum = 0;
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) counts[k] = mine[k], sum += counts[k];
+  const unsigned to_here = sum_to_lane(sum);
+  unsigned first = to_here - sum;
+  if constexpr (Team::kSize > 32) {
+    if (threadIdx.x % 32 == 31) memory.warps[threadIdx.x / 32] = to_here;
+    Team::wait();
+    for (unsigned warp = 0; warp < threadIdx.x / 32; ++warp) first += memory.warps[warp];
+  }
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) mine[k] = first, first += counts[k];
+  Team::wait();
+}
+
+// Sorts a list of at most kEach * kSize splats. Returns false, and leaves the list as it is, where depths crowd.
+template <class Team>
+__device__ bool sort_by_buckets(uint32_t* ids, unsigned count, const Keys& key_of, const Memory& memory) {
+  constexpr unsigned kBuckets = kEach * Team::kSize, kBucketBits = 16, kBucket = (1u << kBucketBits) - 1;
+  uint64_t mine[kEach];
+  unsigned bucket[kEach];  // of each key; in the upper bits, its place there
+
+  // Read the keys
+  float nearest = INFINITY, farthest = 0;
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) {
+    const unsigned i = k * Team::kSize + Team::rank();
+    memory.buckets[i] = 0;
+    mine[k] = i < count ? key_of(ids[i]) : 0;
+    if (i < count) nearest = fminf(nearest, depth_of(mine[k])), farthest = fmaxf(farthest, depth_of(mine[k]));
+  }
+
+  // Choose their buckets, by equal parts of the depth from the nearest to the farthest
+  find_extent<Team>(nearest, farthest, memory);
+  const float per_depth = fminf(float(kBuckets) / (farthest - nearest), 3e38f);  // not infinite, if all are alike
+  bool crowd = false;
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) {
+    if (k * Team::kSize + Team::rank() >= count) break;
+    bucket[k] = min(unsigned((depth_of(mine[k]) - nearest) * per_depth), kBuckets - 1);
+    const unsigned place = atomicAdd(&memory.buckets[bucket[k]], 1u);
+    crowd |= place >= kCrowd, bucket[k] |= place << kBucketBits;
+  }
+  if (Team::any(crowd)) return false;
+
+  // Put them into their buckets
+  sum_buckets<Team>(memory);
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) {
+    if (k * Team::kSize + Team::rank() >= count) break;
+    memory.keys[memory.buckets[bucket[k] & kBucket] + (bucket[k] >> kBucketBits)] = mine[k];
+  }
+  Team::wait();
+
+  // In each bucket, count the keys before this one
+#pragma unroll
+  for (unsigned k = 0; k < kEach; ++k) {
+    if (k * Team::kSize + Team::rank() >= count) break;
+    const unsigned of = bucket[k] & kBucket, first = memory.buckets[of];
+    const unsigned end = of + 1 < kBuckets ? memory.buckets[of + 1] : count;
+    unsigned before = 0;
+    for (unsigned i = first; i < end; ++i) before += memory.keys[i] < mine[k];
+    ids[first + before] = uint32_t(mine[k]);
+  }
+  Team::wait();
+  return true;
+}
+
+// Sorts a list that fits the team's shared memory.
+template <class Team>
+__device__ void sort_kept(uint32_t* ids, unsigned count, const Keys& key_of, const Memory& memory) {
+  if (!sort_by_buckets<Team>(ids, count, key_of, memory))
+    in_shared_memory<Team>(ids, count, key_of, memory.keys, merge_all<Team>);
+}
+
+// Lists of splats, and where their depths are.
+struct SplatLists {
+  int64_t count;
+  const uint2* ranges;         // [count]: first and end of every list among the ids
+  uint32_t* ids;               // the splats of all lists
+  const uint32_t* depths;      // of every splat, the bits of its depth
+  const uint32_t* long_lists;  // the numbers of the lists with more than kShortList splats
+  unsigned long_count;
+};
+
+// Sorts all lists, by all blocks of a launch: first every block takes long ones, then every warp short ones.
+__device__ inline void sort_lists(const SplatLists& lists, const Memory& memory) {
+  const Keys key_of{lists.depths};
+  for (unsigned i = blockIdx.x; i < lists.long_count; i += gridDim.x) {
+    const uint2 range = lists.ranges[lists.long_lists[i]];
+    const unsigned count = range.y - range.x;
+    if (count <= kKept)
+      sort_kept<Block>(lists.ids + range.x, count, key_of, memory);
+    else
+      sort_in_pieces(lists.ids + range.x, count, key_of, memory.keys);
+  }
+
+  const unsigned warp = threadIdx.x / 32, mine = warp * kShortList;
+  const int64_t step = int64_t(gridDim.x) * kWarps;
+  for (int64_t list = int64_t(blockIdx.x) * kWarps + warp; list < lists.count; list += step) {
+    const uint2 range = lists.ranges[list];
+    const unsigned count = range.y - range.x;
+    if (count > 0 && count <= kShortList)
+      sort_kept<Warp>(lists.ids + range.x, count, key_of, {memory.keys + mine, memory.buckets + mine, nullptr});
+  }
+}
+
+}  // namespace lfgs::cuda::sorting
