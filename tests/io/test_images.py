@@ -145,7 +145,7 @@ def test_writing_is_refused_and_leaves_nothing(tmp_path, path, array, words):
 
 def test_failure_keeps_the_old_file(tmp_path, monkeypatch):
     (tmp_path / "a.png").write_bytes(b"old")
-    monkeypatch.setattr(images.np, "ascontiguousarray", lambda array: 1 / 0)
+    monkeypatch.setattr(images.np, "ascontiguousarray", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_image(tmp_path / "a.png", pattern("uint8"))
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.png", b"old")]
