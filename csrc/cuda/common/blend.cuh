@@ -77,11 +77,12 @@ __device__ inline float ended(float colour, float transmittance, float backgroun
 }
 
 // A colour as it stands in an image of floats or of bytes; ties go to even. Conversions are slow, so instead a number
-// is added that leaves the byte in the last bits of the sum.
+// is added that leaves the byte in the last bits of the sum. Both operations round, as on the CPU: one that rounds once
+// makes other bytes of ties.
 __device__ inline float stored(float c, float*) { return c; }
 __device__ inline uint8_t stored(float c, uint8_t*) {
   constexpr float kWholes = 1 << 23;  // from here on floats are whole numbers
-  return uint8_t(__float_as_uint(__saturatef(c) * 255.f + kWholes));
+  return uint8_t(__float_as_uint(__fadd_rn(__fmul_rn(__saturatef(c), 255.f), kWholes)));
 }
 
 // The sum over the lanes of a warp, in a fixed order; every lane receives it.

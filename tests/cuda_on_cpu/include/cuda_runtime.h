@@ -304,6 +304,8 @@ inline unsigned __byte_perm(unsigned a, unsigned b, unsigned selector) {
 }
 inline size_t __cvta_generic_to_shared(const void* p) { return size_t((const char*)p - emulation::dynamic_shared); }
 inline float __fdividef(float a, float b) { return a / b; }
+inline float __fmul_rn(float a, float b) { return a * b; }
+inline float __fadd_rn(float a, float b) { return a + b; }
 inline float __saturatef(float x) { return fminf(fmaxf(x, 0.f), 1.f); }
 inline float rsqrtf(float x) { return 1 / sqrtf(x); }
 inline unsigned __float2uint_rn(float f) { return unsigned(nearbyintf(f)); }

@@ -38,14 +38,14 @@ template <class C>
 __device__ void add_run(const StagedOf<C>& staged, int h, int end, unsigned special, float cut, Samples<C>& samples) {
   constexpr bool kSpecial = C::Quadratic || C::Half;
   while (h < end) {
-    const bool is_special = kSpecial && special >> h & 1;
-    const unsigned others = kSpecial ? (is_special ? ~special : special) >> h : 0;
-    const int next = others ? min(h + __ffs(others) - 1, end) : end;
-    if (is_special)
-      samples.template add_all<true>(staged, h, next, cut);
-    else
-      samples.template add_all<false>(staged, h, next, cut);
-    h = next;
+#pragma unroll 1
+    for (; h < end && !(kSpecial && special >> h & 1); ++h) samples.template add<false>(staged, h, cut);
+    if (h >= end) break;
+    if constexpr (kSpecial) {
+#pragma unroll 1
+      do samples.template add<true>(staged, h, cut);
+      while (special >> h++ & 2);  // looks at bit h + 1, then moves on to it
+    }
   }
 }
 

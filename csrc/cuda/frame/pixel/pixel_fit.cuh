@@ -35,9 +35,6 @@ struct Config {
   // Whether slopes of colours are kept with the rest of a hit's fit and read together with it: that is quicker in small
   // patches and slower in large ones.
   static constexpr bool SlopesInFit = Harmonics && !Quadratic && lane_rows == 1;
-  // Whether exponents of a row are made while the one before is blended, see FloatSamples: not where that takes more
-  // registers than there are.
-  static constexpr bool MadeAhead = !(Harmonics && lane_rows == 1);
   static constexpr LensKernel kernel = lane_rows == 1
                                            ? (Quadratic ? LensKernel::kPixelQuadraticSmall : LensKernel::kPixelSmall)
                                            : (Quadratic ? LensKernel::kPixelQuadratic : LensKernel::kPixel);

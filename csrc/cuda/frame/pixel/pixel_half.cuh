@@ -121,13 +121,6 @@ struct HalfSamples {
     });
   }
 
-  // Adds the hits [h, end). Cut: see add().
-  template <bool Cut>
-  __device__ void add_all(const Staged<C::Harmonics>& staged, int h, int end, float cut) {
-#pragma unroll 1
-    for (; h < end; ++h) add<Cut>(staged, h, cut);
-  }
-
   // Adds only the step of careful hit i, which takes the colour of the hit before off again.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
     const Steps steps(staged.fit[2][i]);

@@ -3,11 +3,15 @@
 // is a row of the lane, p one of its two pixels there, and k a place in the pixel.
 #pragma once
 
+#include "cuda/common/compensated.cuh"
 #include "cuda/frame/composite_frame.cuh"
 #include "cuda/frame/lens_optics.cuh"
-#include "cuda/frame/pixel/pixel_hit.cuh"
+#include "cuda/frame/pixel/pixel_fit.cuh"
 
 namespace lfgs::cuda {
+
+// The part of a colour at place k.
+__device__ inline float part(float4 c, int k) { return k == 0 ? c.x : k == 1 ? c.y : c.z; }
 
 // A lane's pixels: two neighbours in every fourth row of the patch, from row lane / 8 on.
 template <int lane_rows>
@@ -74,6 +78,42 @@ __device__ float last_step(const Staged<C::Harmonics>& staged, float4 background
   return C::Harmonics ? fmaf(-s, slope, step) : step;
 }
 
+// Adds a careful hit to one sample, by the formulas as they are written: with a division, the limit of alpha, the whole
+// colour polynomial and the end of samples that become opaque; with compensation with the share of opacity.
+template <class C>
+struct CarefulHit {
+  const LensFrame& frame;
+  Splat<float> splat;
+  Compensation<float> compensation;
+  int order;
+  const float4* powers;
+  float4 highest, background;
+
+  __device__ CarefulHit(const LensFrame& frame, uint32_t id, float2 centre, float4 background)
+      : frame(frame),
+        splat(whole_splat_about(frame.splats, id, centre)),
+        compensation(C::Compensated ? frame.splats.compensations[id] : Compensation<float>{}),
+        order(C::Harmonics ? frame.splats.orders[id] : 0),
+        powers(reinterpret_cast<const float4*>(frame.splats.colours) + int64_t(id) * (frame.splats.colour_order + 1)),
+        highest(by_place<C::Cells>(frame.optics, powers[order])),
+        background(background) {}
+
+  __device__ void add(float x, float y, float s, int k, float& T, float& colour) const {
+    const float dy = y - splat.v0, dx = x - splat.u0 - splat.c0 * dy - s * fmaf(splat.c1, dy, splat.du);
+    const float S = fmaf(s, fmaf(s, splat.S2, splat.S1), splat.S0);
+    float power = splat.log2_opacity - splat.tau * dy * dy - __fdividef(dx * dx, S);
+    if constexpr (C::Compensated) power += log2_share(compensation, s, S);
+    const float alpha = fminf(fast_exp2(power), float(kMaxAlpha)), after = fmaf(-alpha, T, T);
+    float c = part(highest, k);
+    for (int q = order - 1; q >= 0; --q) c = fmaf(c, s, part(by_place<C::Cells>(frame.optics, powers[q]), k));
+    // A sample that should have ended before takes no more, see ended()
+    const bool hit = power >= frame.hit_cut && T >= float(kMinTransmittance), stop = after < float(kMinTransmittance);
+    // A sample that ends here keeps its light for the background. Where this splat draws nothing, nothing changes
+    const float light = stop ? part(background, k) * T : fmaxf(c, 0.f) * (alpha * T);
+    if (hit) colour += light, T = stop ? 0 : after;
+  }
+};
+
 // A lane's samples in float.
 template <class C>
 struct FloatSamples {
@@ -93,70 +133,61 @@ struct FloatSamples {
     return all;
   }
 
-  // The exponents of a hit in row r of the lane, by pixel and place.
-  struct Exponents {
-    float of[2][3];
+  // The step of the colour of hit i at place k, seen from s.
+  struct Step {
+    float4 value, slope, bend;
+
+    __device__ Step(const Staged<C::Harmonics>& staged, int i)
+        : value(make_float4(staged.fit[2][i].z, staged.fit[2][i].w, staged.fit[3][i].x, 0)),
+          slope(C::SlopesInFit ? shifted(staged.fit[3][i])
+                : C::Harmonics ? staged.slope[i]
+                               : value),
+          bend(C::Harmonics ? staged.bend[i] : value) {}
+    __device__ static float4 shifted(float4 f) { return make_float4(f.y, f.z, f.w, 0); }
+    template <bool Bent>
+    __device__ float at(int k, float s) const {
+      const float line = C::Bends && Bent ? fmaf(s, part(bend, k), part(slope, k)) : part(slope, k);
+      return C::Harmonics ? fmaf(s, line, part(value, k)) : part(value, k);
+    }
   };
-  template <bool Parabola>
-  __device__ Exponents exponents(const HitFit<C, Parabola>& hit, int r) const {
-    Exponents out;
-    const auto row = hit.row(r);
-#pragma unroll
-    for (int p = 0; p < 2; ++p)
-#pragma unroll
-      for (int k = 0; k < 3; ++k) out.of[p][k] = row.exponent(hit, p, s[r][p][k]);
-    return out;
-  }
 
-  // Adds a hit to the samples of row r.
+  // Adds hit i, see shape_polynomial() for the polynomial. Parabola: whether it is special, that is, has a parabola for
+  // r or for the step of its colour.
   template <bool Parabola>
-  __device__ void blend(const ColourStep<C>& step, const Exponents& exponents, int r, float cut) {
-#pragma unroll
-    for (int p = 0; p < 2; ++p)
-#pragma unroll
-      for (int k = 0; k < 3; ++k) {
-        float& T = transmittance[r][p][k];
-        const float power = exponents.of[p][k], alpha = fast_exp2(power);
-        colour[r][p][k] = fmaf(T, step.template at<Parabola>(k, s[r][p][k]), colour[r][p][k]);
-        if (power >= cut) T = fmaf(-alpha, T, T);
-      }
-  }
+  __device__ void add(const StagedOf<C>& staged, int i, float cut) {
+    constexpr bool Curved = C::Quadratic && Parabola;
+    const float4 f0 = staged.fit[0][i], f1 = staged.fit[1][i], f2 = staged.fit[2][i], f3 = staged.fit[3][i];
+    const Step step(staged, i);
+    float2 share;
+    if constexpr (C::Compensated) share = staged.share[i];
 
-  // Adds the hits [h, end), at least one. Parabola: whether they are special, that is, have parabolas for r or for the
-  // steps of their colours. An exp2 keeps its pipe busy for 8 cycles, so that what a hit has of them takes nearly as
-  // long as all its other instructions. They must be spread evenly among those: therefore the exponents of the row that
-  // comes next, which may be one of the next hit, are made while a row is blended. See Config::MadeAhead.
-  template <bool Parabola>
-  __device__ void add_all(const StagedOf<C>& staged, int h, int end, float cut) {
-    if constexpr (!C::MadeAhead) {
-#pragma unroll 1
-      for (; h < end; ++h) {
-        const HitFit<C, Parabola> hit(staged, h, pixels.x, pixels.y);
+    // The polynomials in s at the lane's first pixel; the other pixels are a step away in x, and four steps in y
+    float t = fmaf(f2.y, pixels.y, f2.x);
+    float c0 = fmaf(f1.y, pixels.x, fmaf(f0.y, pixels.y, f0.x));
+    float c1 = fmaf(f1.z, pixels.x, fmaf(f0.w, pixels.y, f0.z));
+    float c2 = Curved ? fmaf(f3.y, pixels.x, fmaf(f3.z, pixels.y, f1.x)) : f1.x;
+
+    // Row by row: exponent, alpha, and the step of the colour in every sub-pixel
 #pragma unroll
-        for (int r = 0; r < C::lane_rows; ++r) blend<Parabola>(hit.step, exponents(hit, r), r, cut);
-      }
-      return;
-    }
-    HitFit<C, Parabola> hit(staged, h, pixels.x, pixels.y);
-    Exponents ready = exponents(hit, 0);
-    auto finish_rows = [&] {  // all of this hit but its last row, whose exponents are then ready
+    for (int r = 0; r < C::lane_rows; ++r) {
+      const float A = fmaf(-t, t, f1.w);
 #pragma unroll
-      for (int r = 1; r < C::lane_rows; ++r) {
-        const Exponents next = exponents(hit, r);
-        blend<Parabola>(hit.step, ready, r - 1, cut);
-        ready = next;
+      for (int p = 0; p < 2; ++p) {
+        const float p0 = p ? c0 + f1.y : c0, p1 = p ? c1 + f1.z : c1, p2 = Curved && p ? c2 + f3.y : c2;
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+          const float v = s[r][p][k];
+          float& T = transmittance[r][p][k];
+          const float d = fmaf(v, fmaf(v, Curved ? fmaf(v, f3.w, p2) : p2, p1), p0);
+          const float power = fmaf(-d, d, C::Compensated ? fmaf(v, fmaf(v, share.y, share.x), A) : A);
+          const float alpha = fast_exp2(power);
+          colour[r][p][k] = fmaf(T, step.template at<Parabola>(k, v), colour[r][p][k]);
+          if (power >= cut) T = fmaf(-alpha, T, T);
+        }
       }
-    };
-#pragma unroll 2
-    for (++h; h < end; ++h) {
-      finish_rows();
-      const HitFit<C, Parabola> next_hit(staged, h, pixels.x, pixels.y);
-      const Exponents next = exponents(next_hit, 0);
-      blend<Parabola>(hit.step, ready, C::lane_rows - 1, cut);
-      hit = next_hit, ready = next;
+      t = fmaf(4, f2.y, t), c0 = fmaf(4, f0.y, c0), c1 = fmaf(4, f0.w, c1);
+      if (Curved) c2 = fmaf(4, f3.z, c2);
     }
-    finish_rows();
-    blend<Parabola>(hit.step, ready, C::lane_rows - 1, cut);
   }
 
   // Colours are summed in float all the way, see HalfSamples.
@@ -164,7 +195,7 @@ struct FloatSamples {
 
   // Adds only the step of careful hit i, which takes the colour of the hit before off again.
   __device__ void close(const Staged<C::Harmonics>& staged, int i) {
-    const ColourStep<C> step(staged, i);
+    const Step step(staged, i);
     pixels.for_each([&](int r, int p, int k) {
       colour[r][p][k] = fmaf(transmittance[r][p][k], step.template at<true>(k, s[r][p][k]), colour[r][p][k]);
     });
@@ -179,18 +210,11 @@ struct FloatSamples {
   // Puts the samples over the background and into the image.
   template <class Out>
   __device__ void store(const LensOptics& lens, const Staged<C::Harmonics>& staged, float4 background, Out* out) const {
-    float shown[C::lane_rows][2][3], least = 1;
-    pixels.for_each([&](int r, int p, int k) {
+    pixels.template store<C::Cells>(lens, out, [&](int r, int p, int k) {
       const float T = transmittance[r][p][k];
-      shown[r][p][k] = fmaf(T, last_step<C>(staged, background, s[r][p][k], k), colour[r][p][k]);
-      least = fminf(least, T);
+      const float shown = fmaf(T, last_step<C>(staged, background, s[r][p][k], k), colour[r][p][k]);
+      return ended(shown, T, part(background, k));
     });
-    // Few lanes have samples that have ended: the others are not asked one by one
-    if (least < float(kMinTransmittance))
-      pixels.for_each([&](int r, int p, int k) {
-        shown[r][p][k] = ended(shown[r][p][k], transmittance[r][p][k], part(background, k));
-      });
-    pixels.template store<C::Cells>(lens, out, [&](int r, int p, int k) { return shown[r][p][k]; });
   }
 };
 
