@@ -16,7 +16,7 @@ from lightfield_gs.models.splatter_net import PRETRAINED, SplatterNet
 
 if not (torch.cuda.is_available() and hasattr(_core, "cuda")):
     pytest.skip("needs a CUDA device and a build with LFGS_CUDA", allow_module_level=True)
-PHOTO = Path(__file__).resolve().parents[2] / "lightfield_gs/data/cat.png"
+PHOTO = Path(_core.__file__).parent / "data/cat.png"
 
 
 @pytest.mark.skipif(not PRETRAINED.exists(), reason="this checkout has no trained checkpoint")
