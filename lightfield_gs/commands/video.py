@@ -13,7 +13,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, QUALITY_NAMES, VIEWS
 from lightfield_gs.base.stopwatch import Stopwatch
 from lightfield_gs.commands.options.camera import add_camera
-from lightfield_gs.commands.options.drawn import add_antialiased, add_background
+from lightfield_gs.commands.options.drawn import add_antialiased, add_background, add_view_filter
 from lightfield_gs.commands.options.framed import files_read
 from lightfield_gs.commands.options.look import add_depth_report, add_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
@@ -60,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--views", choices=VIEWS, default="integer", help="of native pictures, as `encode` has it (default integer)")
     add("--quality", choices=QUALITY_NAMES, default="exact", help="less time for more error, of native pictures")
     add_antialiased(add)
+    add_view_filter(add)
     add_background(add)
     add("--threads", type=threads, metavar="N", help="number of threads that draw (default: all cores)")
 
@@ -116,7 +117,7 @@ def _draw(args: argparse.Namespace, panel: Panel, result: Result, fps: Fraction,
     """What draws a frame; args: with background and anti-aliasing settled."""
     from lightfield_gs.video.pictures import Drawing, EyeFrames, NativeFrames, QuiltFrames
 
-    drawing = Drawing(args.views, args.background, args.quality, args.antialiased)
+    drawing = Drawing(args.views, args.background, args.quality, args.antialiased, args.view_filter)
     if result.kind != "native" and (args.views, args.quality) != ("integer", "exact"):
         raise InputError(f"--views and --quality are of native pictures, not of --kind {result.kind}; leave them out")
     if result.layout is not None:
@@ -154,6 +155,7 @@ def _sink(args: argparse.Namespace, panel: Panel, result: Result, shots, size_px
         "quality": args.quality,
         "background": list(args.background),
         "antialiased": args.antialiased,
+        "view_filter": args.view_filter,
         "compression": args.compression,
         "sway": args.sway,
         "frames": shots.count,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 from torch import Tensor
 
@@ -12,10 +13,10 @@ from lightfield_gs.base.options import QualityName, Views
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.encoding.quilt import quilt
+from lightfield_gs.encoding.views import render_views
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.quilt import QuiltLayout
 from lightfield_gs.panels.rig import Rig, reduced
-from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.gaussians import Gaussians
 
 _EYE_WIDTH_PX = 1920
@@ -29,6 +30,11 @@ class Drawing:
     background: Colour = (1.0, 1.0, 1.0)
     quality: QualityName = "exact"
     antialiased: bool = False
+    view_filter: float = 0.0
+
+    def of_views(self) -> dict[str, Any]:
+        """What of it concerns views that are pictures by themselves."""
+        return {name: getattr(self, name) for name in ("background", "antialiased", "view_filter")}
 
 
 class NativeFrames:
@@ -68,8 +74,7 @@ class QuiltFrames:
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
         """The quilt, on the device of the Gaussians."""
         tile, fan = self._layout.fitted(self._panel, rig)
-        how = self._drawing
-        return quilt(gaussians, self._layout, fan, tile, background=how.background, antialiased=how.antialiased)
+        return quilt(gaussians, self._layout, fan, tile, **self._drawing.of_views())
 
 
 class EyeFrames:
@@ -91,5 +96,4 @@ class EyeFrames:
         share = 0.0 if self._sway is None else math.sin(2 * math.pi * number / self._sway)
         side = -1 if self._panel.invert_views else 1
         place = small.views / 2 - side * share * (small.views - 1) / 2
-        cameras, how = rig.cameras_at(small, [place]), self._drawing
-        return bytes_of(render(gaussians, cameras, background=how.background, antialiased=how.antialiased)[0])
+        return bytes_of(render_views(gaussians, small, rig, [place], **self._drawing.of_views())[0])

@@ -83,6 +83,18 @@ def test_frames_have_the_look_that_is_asked_for(folder, capsys):
     assert (frame("frames", 0) == read_image("o.png", as_stored=True)).all()
 
 
+def test_frames_of_every_kind_are_averaged_over_the_views_that_are_asked_for(folder, capsys):
+    rest = "--panel p.yaml --frames 1 --view-filter 3"
+    for kind in ("native", "quilt --quilt 4x3 --quilt-size 400x186", "2d"):
+        run(capsys, f"video s.ply -o {kind[:2]} --kind {kind} {rest}")
+    run(capsys, "encode s.ply -o o.png --panel p.yaml --view-filter 3")
+    run(capsys, "quilt s.ply -o q_qs4x3a1.6.png --tiles 4x3 --size 400x186 --panel p.yaml --view-filter 3")
+    assert (frame("na", 0) == read_image("o.png", as_stored=True)).all()
+    assert (frame("qu", 0) == read_image("q_qs4x3a1.6.png", as_stored=True)).all()
+    run(capsys, "video s.ply -o without --kind 2d --panel p.yaml --frames 1")
+    assert np.abs(frame("2d", 0).astype(int) - frame("without", 0)).max() > 5
+
+
 def test_a_lossless_video_has_the_same_frames(folder, capsys):
     pytest.importorskip("av", reason="videos need the extra `video`")
     line = "video s.ply --panel p.yaml --turntable 1 --fps 5 --degrees 40 -o"
