@@ -1,7 +1,6 @@
 // The sheet over a photo: a work item has a row of texels.
-#include <vector>
-
 #include "base/parallel.h"
+#include "cpu/photo/blur_weights.h"
 #include "stages/photo.h"
 
 namespace lfgs {
@@ -23,16 +22,13 @@ void store(const Sheet& job, int64_t row, int64_t column, const TexelGaussian& f
 }  // namespace
 
 void sheet(const Sheet& job, int threads) {
-  const Blur blur = Blur::of(job.look.blur);
-  std::vector<float> weights;
-  for (int k = -blur.reach; k <= blur.reach; ++k) weights.push_back(blur.weight(k));
-  auto weight = [middle = weights.data() + blur.reach](int k) { return middle[k]; };
+  const BlurWeights weight(job.look.blur);
   parallel_for(job.rows(), threads, [&](int64_t row, int) {
-    for (int64_t column = 0; column < job.columns(); ++column) prepare_texel(job, blur.reach, weight, row, column);
+    for (int64_t column = 0; column < job.columns(); ++column) prepare_texel(job, weight.reach(), weight, row, column);
   });
   parallel_for(job.rows(), threads, [&](int64_t row, int) {
     for (int64_t column = 0; column < job.columns(); ++column)
-      store(job, row, column, finish_texel(job, blur.reach, weight, row, column));
+      store(job, row, column, finish_texel(job, weight.reach(), weight, row, column));
   });
 }
 

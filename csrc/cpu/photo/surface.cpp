@@ -1,7 +1,6 @@
 // Where the sheet over a photo lies: a work item has a row of pixels, of a layer or of a plane.
-#include <vector>
-
 #include "base/parallel.h"
+#include "cpu/photo/blur_weights.h"
 #include "stages/photo.h"
 
 namespace lfgs {
@@ -16,19 +15,17 @@ void for_each_row(const Surface& job, int planes, int threads, const Visit& visi
 
 // Blurs planes of a set, by way of `between`, into a third set.
 void blur_planes(const Surface& job, int planes, int from, int between, int to, int threads) {
-  const Blur blur = Blur::of(job.look.averaged);
-  std::vector<float> weights;
-  for (int k = -blur.reach; k <= blur.reach; ++k) weights.push_back(blur.weight(k));
-  auto weight = [middle = weights.data() + blur.reach](int k) { return middle[k]; };
+  const BlurWeights weight(job.look.averaged);
   for_each_row(job, planes, threads, [&](int plane, int64_t row) {
     const float* in = job.plane(from, plane) + row * job.width;
     float* out = job.plane(between, plane) + row * job.width;
-    for (int64_t x = 0; x < job.width; ++x) out[x] = blurred_at(in + x, 1, x, job.width, blur.reach, weight);
+    for (int64_t x = 0; x < job.width; ++x) out[x] = blurred_at(in + x, 1, x, job.width, weight.reach(), weight);
   });
   for_each_row(job, planes, threads, [&](int plane, int64_t row) {
     const float* in = job.plane(between, plane) + row * job.width;
     float* out = job.plane(to, plane) + row * job.width;
-    for (int64_t x = 0; x < job.width; ++x) out[x] = blurred_at(in + x, job.width, row, job.height, blur.reach, weight);
+    for (int64_t x = 0; x < job.width; ++x)
+      out[x] = blurred_at(in + x, job.width, row, job.height, weight.reach(), weight);
   });
 }
 

@@ -105,6 +105,7 @@ LFGS_HD glm::vec4 covering_texel(const Sheet& sheet, int64_t texel) {
 // The optical depth of the sheet over that of a whole object: what overlaps adds up as such. Where the photo shows the
 // object in part it is less yet, for what spreads beyond the outline cannot be taken back there.
 LFGS_HD float thickness_of(const SheetLook& look, float alpha) {
+  if (alpha == 0 || alpha == 1) return alpha;  // most of a photo, and logarithms are slow
   return alpha * std::log1p(-look.most_of_sheet * alpha) / std::log1p(-look.most_of_sheet);
 }
 

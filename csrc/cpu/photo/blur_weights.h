@@ -1,0 +1,27 @@
+// The weights of a blur, which each pixel needs again.
+#pragma once
+
+#include <vector>
+
+#include "math/photo/blur.h"
+
+namespace lfgs {
+
+class BlurWeights {
+ public:
+  // deviation: of the blur.
+  explicit BlurWeights(float deviation) : reach_(Blur::of(deviation).reach) {
+    const Blur blur = Blur::of(deviation);
+    for (int k = -reach_; k <= reach_; ++k) weights_.push_back(blur.weight(k));
+  }
+
+  int reach() const { return reach_; }
+  // The weight of the k-th neighbour, -reach() to reach().
+  float operator()(int k) const { return weights_[size_t(k + reach_)]; }
+
+ private:
+  int reach_;
+  std::vector<float> weights_;
+};
+
+}  // namespace lfgs
