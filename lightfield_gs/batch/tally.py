@@ -82,7 +82,7 @@ class Tally:
         ended, wall = self.done + self.failed, time.perf_counter() - self._began
         start = 0.0 if self._ready is None else self._ready - self._began
         rate = ended / self._drawn_s()
-        lines = [f"{ended} items in {wall:.1f} s: {start:.1f} s to begin, then {rate:.3g} a second"]
+        lines = [f"{counted(ended)} in {wall:.1f} s: {start:.1f} s to begin, then {rate:.3g} a second"]
         return lines + [self._words(*pair) for pair in zip(self._places, self._workers) if pair[1].items]
 
     def _drawn_s(self) -> float:
@@ -95,15 +95,19 @@ class Tally:
         threads = {"read": place.readers, "draw": 1, "write": place.writers}
         shares = {part: worker.seconds[part] / (wall * threads[part]) for part in PARTS}
         parts = [
-            f"{_VERBS[part]} {worker.seconds[part]:.1f} s, {shares[part]:.0%} of {threads[part]} "
-            f"thread{'s' * (threads[part] > 1)}"
+            f"{_VERBS[part]} {worker.seconds[part]:.1f} s, {shares[part]:.0%} of {counted(threads[part], 'thread')}"
             for part in PARTS
         ]
         most = max(PARTS, key=lambda part: shares[part])
         return (
-            f"{place.name}: {worker.items} items in {wall:.1f} s after {worker.start_s:.1f} s of start: "
+            f"{place.name}: {counted(worker.items)} in {wall:.1f} s after {worker.start_s:.1f} s of start: "
             f"{'; '.join(parts)}; bound by {_VERBS[most]}"
         )
+
+
+def counted(count: int, what: str = "item") -> str:
+    """For example "1 item", "2 items"."""
+    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def _time(seconds: float) -> str:

@@ -185,6 +185,8 @@ class Batch:
 
     def _say(self) -> None:
         """What was done, what held it up, and what failed and why."""
+        from lightfield_gs.batch.tally import counted
+
         tally, plan = self._tally, self._plan
         total = len(plan.todo) + plan.kept
         print(f"{self._args.output}: {plan.kept + tally.done} of {total} items are done, {plan.kept} of them before")
@@ -196,7 +198,7 @@ class Batch:
             print(f"failed: and {more} more", file=sys.stderr)
         if self._failures:
             print(
-                f"{len(self._failures)} items failed; {self._manifest.path} has the reasons, and the same command "
+                f"{counted(len(self._failures))} failed; {self._manifest.path} has the reasons, and the same command "
                 "tries them again",
                 file=sys.stderr,
             )

@@ -63,7 +63,7 @@ def inputs(folder: Path) -> Path:
 def test_a_batch_is_what_encode_is_and_does_only_what_is_to_be_done(inputs, capsys):
     told = batch(capsys, "list -o out", code=1)
     assert "out: 3 of 4 items are done, 0 of them before" in told and "cpu:0: 4 items in" in told
-    assert "failed: bad.png: bad.png is not an image that can be read" in told and "1 items failed" in told
+    assert "failed: bad.png: bad.png is not an image that can be read" in told and "1 item failed" in told
     same_as(capsys, "encode cat.png -o 1.png", "out/cat.png", "1.png")
     same_as(capsys, "encode s0.ply -o 2.png", "out/s0.png", "2.png")
     same_as(capsys, "encode s1.ply -o 3.png --depth-amount 0.5", "out/deep/one.png", "3.png")
