@@ -111,7 +111,7 @@ def left(tests: list[str], folder: Path) -> dict[str, str]:
 
 def collected(expression: str) -> list[str]:
     """The tests that -k EXPRESSION chooses; exits where there are none."""
-    files = [path for path in sorted(TESTS.rglob("test_cuda*.py")) if path.name != "test_cuda_on_cpu.py"]
+    files = [path for path in sorted(TESTS.rglob("test_cuda*.py")) if not path.name.startswith("test_cuda_on_cpu")]
     listed = subprocess.run(
         [sys.executable, "-m", "pytest", "--collect-only", "-q", "-k", expression, *files],
         cwd=TESTS.parent,

@@ -70,6 +70,12 @@ def start(config: Path, processes: int = 1, program: Sequence[str] = ("-m", "tra
     )
 
 
+def finish(config: Path) -> None:
+    """Run the training command to its end."""
+    process = start(config)
+    assert process.wait(timeout=120) == 0, process.communicate()[0]
+
+
 def losses(folder: Path) -> list[str]:
     """Lines of the log in a run's output folder."""
     path = folder / "losses.jsonl"

@@ -7,8 +7,8 @@ import types
 import numpy as np
 import pytest
 import torch
+from bench_cases import arguments
 from fit_capture import write_capture
-from test_bench import arguments
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import dense, fit, fit_report, peers, timing

@@ -78,7 +78,7 @@ def build(csrc: Path, out: Path, includes: list[str]) -> Path:
         subprocess.run(["g++", *FLAGS, *include, "-x", "c++", "-c", source, "-o", target], check=True)
         return str(target)
 
-    with ThreadPoolExecutor(2) as pool:
+    with ThreadPoolExecutor(4) as pool:  # as many as the files of tests whose processes wait for it
         objects = list(pool.map(compile_, sources))
     module = out / f"_core{sysconfig.get_config_var('EXT_SUFFIX')}"
     subprocess.run(["g++", "-shared", "-Wl,-z,lazy", *objects, "-o", module, "-lhwy"], check=True)

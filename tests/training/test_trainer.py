@@ -1,0 +1,114 @@
+"""What a step does to which weights: the schedule, the average, and where a network starts from."""
+
+from itertools import islice
+
+import pytest
+import torch
+from photo_cases import TINY, tiny_net
+from safetensors.torch import load_file
+from training_runs import finish, run_config
+
+from lightfield_gs.models import ModelConfig, SplatterNet
+from training import average, train
+from training.config import OptimizerConfig
+from training.data.batches import make_batch
+from training.distributed import Team, join_team
+from training.loop import make_planner, plans
+from training.schedule import WeightAverage, learning_rate
+from training.trainer import Trainer
+
+
+def test_a_share_of_the_steps_is_under_the_sheet_of_detail(small_set):
+    """With half of them the first is as without, and the second has another loss, which teaches the network."""
+    alone = Team(torch.device("cpu"))
+    steps = []
+    for detail in (0.0, 0.5):
+        config = train.read_config(["--config", str(run_config(small_set, f"detail-{detail}", detail=detail))])
+        trainer, planner = Trainer(config, alone), make_planner(config, alone)
+        batches = (make_batch(plan, planner.views) for plan in islice(plans(planner, config, 0, alone), 2))
+        steps.append([trainer.advance(batch).read() for batch in batches])
+    plain, under = steps
+    assert under[0] == plain[0] and under[1]["loss"] != plain[1]["loss"]
+    assert under[1]["gradient_norm"] > 0
+
+
+def test_learning_rate_warms_up_and_falls_by_a_cosine():
+    config = OptimizerConfig(learning_rate=1e-3, warmup_steps=10, final_share=0.1)
+    assert learning_rate(0, 110, config) == pytest.approx(1e-4)
+    assert learning_rate(10, 110, config) == pytest.approx(1e-3)
+    assert learning_rate(60, 110, config) == pytest.approx(1e-3 * 0.55)
+    assert learning_rate(110, 110, config) == pytest.approx(1e-4)
+
+
+def test_weight_average_follows_its_recurrence():
+    net, average = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
+    average.load_state_dict(net.state_dict())
+    expected, mean = net.weight.detach().clone(), WeightAverage(average, net, decay=0.5)
+    for step in range(20):
+        with torch.no_grad():
+            net.weight += 1
+        decay = min(0.5, (1 + step) / (10 + step))
+        expected = decay * expected + (1 - decay) * net.weight.detach()
+        mean.update(step)
+    torch.testing.assert_close(mean.average.weight, expected)
+
+
+def test_a_run_can_start_from_a_checkpoint(small_set, tmp_path):
+    """Weights and configuration are the checkpoint's, whatever model says; averages begin there too."""
+    config = train.read_config(["--config", str(run_config(small_set, "unused"))])
+    net = SplatterNet(ModelConfig.from_yaml(config.model))
+    net.save(tmp_path / "weights.safetensors")
+    changes = ["--initial_weights", str(tmp_path / "weights.safetensors"), "--model", "original"]
+    config = train.read_config(["--config", str(run_config(small_set, "unused")), *changes])
+    with join_team("cpu") as team:
+        trainer = Trainer(config, team)
+    for found in (trainer.net, trainer.average.average):
+        assert found.config == net.config and found.training == (found is trainer.net)
+        for name, weights in net.state_dict().items():
+            torch.testing.assert_close(found.state_dict()[name], weights.half().float(), atol=0, rtol=0)
+            assert found is not trainer.net or dict(trainer.net.named_parameters())[name].requires_grad
+
+
+def test_a_trained_network_can_be_made_symmetric_and_its_head_trained_alone(small_set, tmp_path):
+    config = train.read_config(["--config", str(run_config(small_set, "unused"))])
+    SplatterNet(ModelConfig.from_yaml(config.model)).save(tmp_path / "weights.safetensors")
+    former = load_file(tmp_path / "weights.safetensors")
+    config = run_config(
+        small_set,
+        "head",
+        initial_weights=str(tmp_path / "weights.safetensors"),
+        symmetric=True,
+        trained="head",
+        threads=1,
+    )
+    finish(config)
+    found = SplatterNet.from_pretrained(small_set / "head/model.safetensors")
+    assert found.config.symmetric
+    changed = {name for name, weights in found.half().state_dict().items() if not torch.equal(weights, former[name])}
+    assert changed == {"head.weight", "head.bias"}
+
+
+def test_a_head_is_trained_on_features_without_dropout(small_set):
+    config = train.read_config(["--config", str(run_config(small_set, "unused", dropout=0.5)), "--trained", "head"])
+    with join_team("cpu") as team:
+        net = Trainer(config, team).net
+    torch.nn.init.normal_(net.head.weight)
+    for weights in net.unet.parameters():
+        torch.nn.init.normal_(weights, std=0.1)
+    images, intrinsics = torch.rand(1, 4, 16, 16), torch.tensor([[16.0, 16, 8, 8]])
+    assert torch.equal(net(images, intrinsics).means, net(images, intrinsics).means) and net.head.training
+
+
+def test_two_checkpoints_have_a_mean(tmp_path, capsys):
+    nets, paths = [tiny_net() for _ in range(2)], [tmp_path / f"{name}.safetensors" for name in "abc"]
+    for net, value, path in zip(nets, (1.0, 3.0), paths):
+        torch.nn.init.constant_(net.head.weight, value)
+        net.save(path)
+    assert average.main([str(path) for path in paths[:2]] + ["--share", "0.25", "-o", str(paths[2])]) == 0
+    mean = SplatterNet.from_pretrained(paths[2])
+    assert mean.config == nets[0].config and set(mean.head.weight.flatten().tolist()) == {1.5}
+    torch.testing.assert_close(mean.unet.stem.weight, nets[0].unet.stem.weight.half().float(), atol=0, rtol=0)
+    SplatterNet(ModelConfig.from_dict(TINY | {"layers": 1})).save(paths[1])
+    for words in ([], ["--share", "2"]):
+        assert average.main([str(path) for path in paths[:2]] + [*words, "-o", str(tmp_path / "d.safetensors")]) == 2
+        assert "expected" in capsys.readouterr().err and not (tmp_path / "d.safetensors").exists()
