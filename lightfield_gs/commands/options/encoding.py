@@ -22,7 +22,8 @@ from lightfield_gs.commands.options.panel import load_panel
 from lightfield_gs.commands.options.provenance import file_facts, package_versions, scene_facts, software
 from lightfield_gs.commands.options.scene import check_scene_path, read_source
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
-from lightfield_gs.io.images import check_image_path, write_image
+from lightfield_gs.io.images import check_image_path, takes_filtered, write_image
+from lightfield_gs.io.png_file import FilteredImage, filtered_rows
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ class Encoding:
         self.given, self.views = read_given(args, self.panel), views_given(args, self.panel)
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
+        self.image: np.ndarray | FilteredImage
         self._counts = copies is None or self.device == "cpu"
         self._copies = copies
         self._copy: HostCopy | None = None
@@ -81,10 +83,17 @@ class Encoding:
             self.gaussians = gaussians
             image = self._drawn(self.stats if self._counts else None)
             if self._copies is not None and image.is_cuda:
+                image = filtered_rows(image) if self._is_filtered else image
                 self._copy = self._copies.begin([image, *gaussians.fields().values()])
             else:
                 self.image = on_host(image)
         self.watch.lap("image", self.stats.get("stages_ms"))
+
+    @property
+    def _is_filtered(self) -> bool:
+        """Whether copies are of the rows of the PNG file, where nothing else needs the pixels."""
+        args = self.args
+        return self.bits == 8 and args.preview is None and takes_filtered(args.output, args.compression)
 
     def _drawn(self, stats: dict[str, Any] | None) -> Tensor:
         """The image, and what `encode` tells of it in stats."""
@@ -116,7 +125,7 @@ class Encoding:
             return
         image, *fields = self._copy.wait()
         try:
-            self.image = image.numpy()
+            self.image = FilteredImage(image.numpy(), 3) if self._is_filtered else image.numpy()
             if self.args.preview is None:  # which is drawn where they were
                 self.gaussians = replace(of_tensors(fields), origin=self.gaussians.origin)
             self._write()
@@ -143,7 +152,9 @@ class Encoding:
                 from lightfield_gs.show.preview import write_preview
 
                 drawn_as = args.background, args.antialiased, args.view_filter
-                write_preview(args.preview, self.image, gaussians, panel, cast("Rig", self.rig), *drawn_as)
+                write_preview(
+                    args.preview, cast(np.ndarray, self.image), gaussians, panel, cast("Rig", self.rig), *drawn_as
+                )
                 self.watch.lap("preview")
         self._note_if_empty()
 
@@ -189,8 +200,10 @@ def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None
         )
 
 
-def _is_plain(image: np.ndarray) -> bool:
+def _is_plain(image: np.ndarray | FilteredImage) -> bool:
     """Whether an image has one colour."""
+    if isinstance(image, FilteredImage):
+        return image.is_plain
     return all(bool((part == image[0, 0]).all()) for part in (image[::64, ::16], image))
 
 
@@ -204,8 +217,8 @@ def outputs_of(args: argparse.Namespace) -> list[Path | None]:
     return [*outputs, *(args.preview / name for name in FILES)]
 
 
-def _stored(image: np.ndarray, bits: int) -> np.ndarray:
-    if bits != 16:
+def _stored(image: np.ndarray | FilteredImage, bits: int) -> np.ndarray | FilteredImage:
+    if bits != 16 or isinstance(image, FilteredImage):
         return image
     from lightfield_gs.show.preview import to_integers
 
