@@ -44,6 +44,7 @@ target_sources(_core PRIVATE
   csrc/bind/fit_cuda.cpp
   csrc/bind/frame.cpp
   csrc/bind/photo_cuda.cpp
+  csrc/bind/png_cuda.cpp
   csrc/cuda/common/architectures.cu
   csrc/cuda/stages/bin.cu
   csrc/cuda/stages/order.cu
@@ -60,6 +61,7 @@ target_sources(_core PRIVATE
   csrc/cuda/photo/crop.cu
   csrc/cuda/photo/sheet.cu
   csrc/cuda/photo/surface.cu
+  csrc/cuda/png/deflate.cu
   csrc/cuda/sorted/bin_sorted.cu
   csrc/cuda/sorted/composite_sorted.cu
   csrc/cuda/sorted/project_sorted.cu

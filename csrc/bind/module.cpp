@@ -35,5 +35,6 @@ PYBIND11_MODULE(_core, m) {
   bind_sorted_cuda(cuda);
   bind_fit_cuda(cuda);
   bind_photo_cuda(cuda);
+  bind_png_cuda(cuda);
 #endif
 }

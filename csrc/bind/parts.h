@@ -18,6 +18,7 @@ void bind_frame(pybind11::module_ cuda);
 void bind_sorted_cuda(pybind11::module_ cuda);
 void bind_fit_cuda(pybind11::module_ cuda);
 void bind_photo_cuda(pybind11::module_ cuda);
+void bind_png_cuda(pybind11::module_ cuda);
 #endif
 
 }  // namespace lfgs

@@ -21,7 +21,7 @@ from lightfield_gs.io.json_file import parse_json
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.png_chunks import png_damage
 from lightfield_gs.io.png_colour import png_colour
-from lightfield_gs.io.png_file import FilteredImage, write_png
+from lightfield_gs.io.png_file import CompressedImage, write_png
 
 MAX_SIDE_PX = 65536
 MAX_PIXELS = 1 << 28  # nine 8K frames: more is a mistake or an attack
@@ -110,14 +110,14 @@ def check_image_path(path: str | Path) -> Path:
 
 def write_image(
     path: str | Path,
-    array: np.ndarray | FilteredImage,
+    array: np.ndarray | CompressedImage,
     metadata: dict[str, str] | None = None,
     compression: Compression = "fast",
 ) -> None:
     """Writes [H, W, C], C = 1, 3 or 4, complete or not at all.
 
-    uint8 or uint16 as PNG or TIFF, float32 as EXR or TIFF; the extension decides; a filtered image as PNG, where
-    `takes_filtered` says so. `metadata` is kept as one JSON object in the image's description. compression: "fast" or
+    uint8 or uint16 as PNG or TIFF, float32 as EXR or TIFF; the extension decides; what is compressed already where
+    `takes_compressed` says so. `metadata` is kept as one JSON object in the image's description. compression: "fast" or
     "small". Alpha is straight, not premultiplied.
     Raises InputError.
     """
@@ -133,15 +133,15 @@ def write_image(
     if metadata:
         texts = {_METADATA_KEY: json.dumps(metadata), "Software": metadata.get("software", "lightfield-gs")}
     with atomic_path(path) as temporary:
-        if takes_filtered(path, compression):
+        if takes_compressed(path, compression):
             write_png(temporary, array, {_PNG_KEYWORDS.get(key, key): text for key, text in texts.items()})
         else:
             assert isinstance(array, np.ndarray)
             _write_by_oiio(path, temporary, array, {**_SETTINGS[compression][suffix], **texts})
 
 
-def takes_filtered(path: Path, compression: Compression) -> bool:
-    """Whether write_image writes a FilteredImage there, the same file as of its pixels."""
+def takes_compressed(path: Path, compression: Compression) -> bool:
+    """Whether write_image writes a CompressedImage there."""
     return path.suffix.lower() == ".png" and compression == "fast"
 
 

@@ -1,14 +1,16 @@
-"""What a photo needs, of the CUDA sources compiled for the CPU: the network's norms, the sheet, crops."""
+"""What a photo needs, of the CUDA sources compiled for the CPU: the network's norms, the sheet, crops, and the
+compression of its image."""
 
 from __future__ import annotations
 
+import pytest
 import torch
-from cuda_on_cpu import cases, crop_cases, sheet_cases, surface_cases
+from cuda_on_cpu import cases, crop_cases, png_cases, sheet_cases, surface_cases
 from cuda_on_cpu.drawings import EMULATED
 
 pytestmark = EMULATED
 
-DRAWN = ("norms", "surface", "sheet", "crops")
+DRAWN = ("norms", "surface", "sheet", "crops", "png")
 
 
 def test_group_norm_and_silu(drawn):
@@ -30,3 +32,8 @@ def test_the_sheet_over_a_photo_is_that_of_pytorch(drawn):
 
 def test_photos_are_cropped_as_on_the_host(drawn):
     crop_cases.compare(*drawn("crops"))
+
+
+@pytest.mark.parametrize("name", png_cases.IMAGES)
+def test_images_are_compressed_for_png(drawn, name, tmp_path):
+    png_cases.compare(name, drawn("png")[name], tmp_path)

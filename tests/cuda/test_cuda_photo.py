@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from cuda_on_cpu import crop_cases, sheet_cases, surface_cases
+from cuda_on_cpu import crop_cases, png_cases, sheet_cases, surface_cases
 from cuda_on_cpu.cases import NORMS, norm_case, norm_expected
 from photo_cases import PANEL, photo, psnr_db, tiny_net
 
@@ -120,6 +120,11 @@ def test_texels_are_those_of_pytorch(case):
 
 def test_photos_are_cropped_as_on_the_host():
     crop_cases.compare([crop_cases.cropped(case, "cuda") for case in crop_cases.CASES], crop_cases.refused("cuda"))
+
+
+@pytest.mark.parametrize("name", png_cases.IMAGES)
+def test_images_are_compressed_for_png(name, tmp_path):
+    png_cases.compare(name, png_cases.compressed(name, "cuda"), tmp_path)
 
 
 @pytest.mark.parametrize("case", NORMS)

@@ -21,6 +21,7 @@ sys.path.append(str(Path(__file__).parents[1]))  # rasterizer_cases
 import cases
 import crop_cases
 import fit_cases
+import png_cases
 import sheet_cases
 import slot_cases
 import surface_cases
@@ -258,6 +259,8 @@ def main(what: str) -> object:
         return [surface_cases.found(case) for case in surface_cases.CASES]
     if what == "crops":
         return [[crop_cases.cropped(case) for case in crop_cases.CASES], crop_cases.refused()]
+    if what == "png":
+        return {name: png_cases.compressed(name) for name in png_cases.IMAGES}
     if what == "settings":
         return [settings(kernel) for kernel in ("pixel-quadratic", "ordinal")]
     if what == "parabolas":

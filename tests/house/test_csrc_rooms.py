@@ -26,6 +26,7 @@ ROOMS = {  # and what each may include beside itself
     "cuda/fit": "base math/fit cuda/common cuda/stages",
     "cuda/lens": "base scene math stages cuda/common cuda/stages",
     "cuda/photo": "base math/photo cuda/common cuda/stages",
+    "cuda/png": "base cuda/common cuda/stages",
     "cuda/sorted": "base scene math stages cuda/common cuda/stages",
     "cuda/frame": "base scene math stages cuda/common cuda/stages cuda/lens",
     "cuda/frame/pixel": "base scene math stages cuda/common cuda/stages cuda/frame",

@@ -4,11 +4,9 @@ import warnings
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from lightfield_gs.io.images import read_image, read_info, write_image
-from lightfield_gs.io.png_file import FilteredImage, filtered_rows
 
 RNG = np.random.default_rng(4)
 ORDER = np.arange(256, dtype=np.uint8)
@@ -40,22 +38,3 @@ def test_what_is_written_is_read(pixels, tmp_path):
             image.load()
         assert np.array_equal(np.asarray(image).reshape(pixels.shape), pixels[:, ::-1])
         assert set(image.text) == {"Description", "Software"}
-
-
-@pytest.mark.parametrize("channels", [1, 3, 4])
-def test_rows_filtered_elsewhere_become_the_same_file(channels, tmp_path):
-    pixels = RNG.integers(0, 256, (2300, 1009 * 9 // channels, channels), dtype=np.uint8)  # more than one block
-    pixels[:, 100:] = 3
-    filtered = FilteredImage(filtered_rows(torch.from_numpy(pixels)).numpy(), channels)
-    assert filtered.shape == pixels.shape
-    write_image(tmp_path / "a.png", pixels, {"said": "so"})
-    write_image(tmp_path / "b.png", filtered, {"said": "so"})
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-
-
-@pytest.mark.parametrize("place", [None, (0, 0), (0, 69), (1, 3), (64, 16), (99, 69)])
-def test_one_colour_is_seen_in_filtered_rows(place):
-    pixels = np.full((100, 70, 3), (7, 0, 200), np.uint8)
-    if place:
-        pixels[place][1] = 1
-    assert FilteredImage(filtered_rows(torch.from_numpy(pixels)).numpy(), 3).is_plain == (place is None)

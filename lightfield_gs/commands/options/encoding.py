@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -22,8 +23,8 @@ from lightfield_gs.commands.options.panel import load_panel
 from lightfield_gs.commands.options.provenance import file_facts, package_versions, scene_facts, software
 from lightfield_gs.commands.options.scene import check_scene_path, read_source
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
-from lightfield_gs.io.images import check_image_path, takes_filtered, write_image
-from lightfield_gs.io.png_file import FilteredImage, filtered_rows
+from lightfield_gs.io.images import check_image_path, takes_compressed, write_image
+from lightfield_gs.io.png_file import CompressedImage
 from lightfield_gs.panels.panel import Panel
 
 if TYPE_CHECKING:
@@ -54,10 +55,11 @@ class Encoding:
         self.given, self.views = read_given(args, self.panel), views_given(args, self.panel)
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
-        self.image: np.ndarray | FilteredImage
+        self.stored: np.ndarray | CompressedImage  # the image as it is written
         self._counts = copies is None or self.device == "cpu"
         self._copies = copies
         self._copy: HostCopy | None = None
+        self._deflated: Tensor | None = None  # the image as the device has compressed it
         self._source: SceneFile | ReadPhoto | None = None
         watch.lap("start")
 
@@ -81,19 +83,34 @@ class Encoding:
                 self.rig, how = frame_scene(args, panel, self.given, gaussians, self.file)
                 self.said += how
             self.gaussians = gaussians
-            image = self._drawn(self.stats if self._counts else None)
-            if self._copies is not None and image.is_cuda:
-                image = filtered_rows(image) if self._is_filtered else image
-                self._copy = self._copies.begin([image, *gaussians.fields().values()])
+            parts = self._parts(self._drawn(self.stats if self._counts else None))
+            if self._copies is not None and parts[0].is_cuda:
+                self._copy = self._copies.begin([*parts, *gaussians.fields().values()])
             else:
-                self.image = on_host(image)
+                self._take([on_host(part) for part in parts])
         self.watch.lap("image", self.stats.get("stages_ms"))
 
-    @property
-    def _is_filtered(self) -> bool:
-        """Whether copies are of the rows of the PNG file, where nothing else needs the pixels."""
+    def _parts(self, image: Tensor) -> list[Tensor]:
+        """What the host needs of the image: the facts of what the device has compressed, or the pixels, or both."""
         args = self.args
-        return self.bits == 8 and args.preview is None and takes_filtered(args.output, args.compression)
+        if not (image.is_cuda and self.bits == 8 and takes_compressed(args.output, args.compression)):
+            return [image]
+        from lightfield_gs.io.png_cuda import deflated
+
+        self._deflated, facts = deflated(image)
+        return [facts] if args.preview is None else [facts, image]
+
+    def _take(self, parts: Sequence[np.ndarray]) -> None:
+        """Takes these parts on the host."""
+        self.image = parts[-1]
+        if self._deflated is None:
+            self.stored = _stored(self.image, self.bits)
+            return
+        from lightfield_gs.io.png_cuda import compressed_image
+
+        shape = (self.panel.height_px, self.panel.width_px, 3)
+        out, self._deflated = self._deflated, None
+        self.stored = compressed_image(shape, out, parts[0])
 
     def _drawn(self, stats: dict[str, Any] | None) -> Tensor:
         """The image, and what `encode` tells of it in stats."""
@@ -123,14 +140,18 @@ class Encoding:
         if self._copy is None:
             self._write()
             return
-        image, *fields = self._copy.wait()
+        import torch
+
+        copies = self._copy.wait()
         try:
-            self.image = FilteredImage(image.numpy(), 3) if self._is_filtered else image.numpy()
+            count = len(copies) - len(self.gaussians.fields())
+            with torch.cuda.stream(torch.cuda.Stream(self.device)):  # on which nothing is queued that is drawn since
+                self._take([copy.numpy() for copy in copies[:count]])
             if self.args.preview is None:  # which is drawn where they were
-                self.gaussians = replace(of_tensors(fields), origin=self.gaussians.origin)
+                self.gaussians = replace(of_tensors(copies[count:]), origin=self.gaussians.origin)
             self._write()
         finally:
-            del self.image, self.gaussians  # which are in memory that others write over
+            del self.gaussians, self.image, self.stored  # which are in memory that others write over
             self._copy.release()
 
     def _write(self) -> None:
@@ -140,7 +161,7 @@ class Encoding:
         rig_of_file = self.rig and self.rig.relative_to([-part for part in gaussians.origin])
         with torch.inference_mode():
             facts = _metadata(args, gaussians, panel, rig_of_file)
-            write_image(args.output, _stored(self.image, self.bits), facts, args.compression)
+            write_image(args.output, self.stored, facts, args.compression)
             if args.save_rig is not None:
                 cast("Rig", rig_of_file).to_yaml(args.save_rig)
             if args.save_gaussians is not None:
@@ -152,16 +173,14 @@ class Encoding:
                 from lightfield_gs.show.preview import write_preview
 
                 drawn_as = args.background, args.antialiased, args.view_filter
-                write_preview(
-                    args.preview, cast(np.ndarray, self.image), gaussians, panel, cast("Rig", self.rig), *drawn_as
-                )
+                write_preview(args.preview, self.image, gaussians, panel, cast("Rig", self.rig), *drawn_as)
                 self.watch.lap("preview")
         self._note_if_empty()
 
     def _note_if_empty(self) -> None:
         count = self.gaussians.count
         if not self._counts:
-            if not _is_plain(self.image):
+            if not _is_plain(self.stored):
                 return
             self.gaussians = self.gaussians.to(self.device)
             self._drawn(self.stats)
@@ -200,9 +219,9 @@ def _note_slow_ways(args: argparse.Namespace, panel: Panel, device: str) -> None
         )
 
 
-def _is_plain(image: np.ndarray | FilteredImage) -> bool:
+def _is_plain(image: np.ndarray | CompressedImage) -> bool:
     """Whether an image has one colour."""
-    if isinstance(image, FilteredImage):
+    if isinstance(image, CompressedImage):
         return image.is_plain
     return all(bool((part == image[0, 0]).all()) for part in (image[::64, ::16], image))
 
@@ -217,8 +236,8 @@ def outputs_of(args: argparse.Namespace) -> list[Path | None]:
     return [*outputs, *(args.preview / name for name in FILES)]
 
 
-def _stored(image: np.ndarray | FilteredImage, bits: int) -> np.ndarray | FilteredImage:
-    if bits != 16 or isinstance(image, FilteredImage):
+def _stored(image: np.ndarray, bits: int) -> np.ndarray:
+    if bits != 16:
         return image
     from lightfield_gs.show.preview import to_integers
 
