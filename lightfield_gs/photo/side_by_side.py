@@ -50,9 +50,8 @@ def depth_side(pixels: np.ndarray) -> str | None:
         if pixels.shape[axis] % 2:
             continue
         colour, grey = (_sampled(half) for half in halves("", pixels, side))
-        spread = max(channels_apart(grey, *pair) for pair in ((0, 1), (0, 2), (1, 2)))
-        colourful = float(np.ptp(colour, axis=2).mean())
-        if spread <= _GREY and grey.std() >= _RELIEF and colourful >= _COLOURFUL:
+        is_grey = all(channels_apart(grey, *pair) <= _GREY for pair in ((0, 1), (0, 2), (1, 2)))  # mostly not the first
+        if is_grey and grey.std() >= _RELIEF and float(np.ptp(colour, axis=2).mean()) >= _COLOURFUL:
             return side
     return None
 
