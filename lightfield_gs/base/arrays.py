@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import torch
@@ -32,6 +33,11 @@ def dense_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:
 def bytes_of(colours: Tensor) -> Tensor:
     """round(255 clamp(c, 0, 1)), ties to even, as uint8: byte_of of math/image_byte.h. Writes over `colours`."""
     return colours.clamp_(0, 1).mul_(255).round_().to(torch.uint8)
+
+
+def guard(device: torch.device) -> AbstractContextManager:
+    """Selects the device, so that work goes to its stream."""
+    return torch.cuda.device(device) if device.type == "cuda" else nullcontext()
 
 
 def on_host(image: Tensor) -> np.ndarray:

@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import guard
 from lightfield_gs.base.checks import expect, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.native import check_tensor, core_of, guard, stream_of
+from lightfield_gs.fitting.native import check_tensor, core_of, stream_of
 from lightfield_gs.fitting.settings import FitSettings
 
 # The share at the end of a fit to few photographs, how many these are, and from how many on there is none: with 12 of

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
-
 import torch
 from torch import Tensor
 
@@ -41,11 +39,6 @@ def core_of(what: str, tensor: Tensor) -> type[_core._Stages]:
         return _core.float64
     wanted = "float32" if tensor.is_cuda else "float32 or float64"
     raise InputError(f"{what} must be {wanted} on {device}, got {dtype}")
-
-
-def guard(device: torch.device) -> AbstractContextManager:
-    """Selects the device, so that work goes to its stream."""
-    return torch.cuda.device(device) if device.type == "cuda" else nullcontext()
 
 
 def stream_of(device: torch.device) -> int:

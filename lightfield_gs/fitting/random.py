@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import guard
 from lightfield_gs.base.checks import whole_number
-from lightfield_gs.fitting.native import core_of, guard, stream_of
+from lightfield_gs.fitting.native import core_of, stream_of
 
 
 class Purpose(IntEnum):

@@ -116,8 +116,8 @@ def write_image(
 ) -> None:
     """Writes [H, W, C], C = 1, 3 or 4, complete or not at all.
 
-    uint8 or uint16 as PNG or TIFF, float32 as EXR or TIFF; the extension decides; what is compressed already where
-    `takes_compressed` says so. `metadata` is kept as one JSON object in the image's description. compression: "fast" or
+    uint8 or uint16 as PNG or TIFF, float32 as EXR or TIFF; the extension decides; what is compressed already as
+    PNG. `metadata` is kept as one JSON object in the image's description. compression: "fast" or
     "small". Alpha is straight, not premultiplied.
     Raises InputError.
     """
@@ -127,22 +127,18 @@ def write_image(
         raise InputError(f"cannot write {path}: expected [H, W, 1, 3 or 4], got {list(array.shape)}")
     if array.dtype.name not in _DTYPES[suffix]:
         raise InputError(f"cannot write {path}: {suffix} takes {' or '.join(_DTYPES[suffix])}, got {array.dtype.name}")
+    if isinstance(array, CompressedImage) and suffix != ".png":
+        raise InputError(f"cannot write {path}: the image is compressed for PNG")
     if compression not in _SETTINGS:
         raise InputError(f"compression must be fast or small, got {compression!r}")
     texts = {}
     if metadata:
         texts = {_METADATA_KEY: json.dumps(metadata), "Software": metadata.get("software", "lightfield-gs")}
     with atomic_path(path) as temporary:
-        if takes_compressed(path, compression):
+        if isinstance(array, CompressedImage) or suffix == ".png" and compression == "fast":
             write_png(temporary, array, {_PNG_KEYWORDS.get(key, key): text for key, text in texts.items()})
         else:
-            assert isinstance(array, np.ndarray)
             _write_by_oiio(path, temporary, array, {**_SETTINGS[compression][suffix], **texts})
-
-
-def takes_compressed(path: Path, compression: Compression) -> bool:
-    """Whether write_image writes a CompressedImage there."""
-    return path.suffix.lower() == ".png" and compression == "fast"
 
 
 def _write_by_oiio(path: Path, temporary: Path, array: np.ndarray, attributes: dict[str, int | str]) -> None:

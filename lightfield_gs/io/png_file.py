@@ -36,7 +36,7 @@ class CompressedImage:
     image has one colour.
     """
 
-    shape: tuple[int, int, int]
+    shape: tuple[int, ...]
     stream: Sequence[bytes | memoryview]
     is_plain: bool
     dtype = np.dtype(np.uint8)

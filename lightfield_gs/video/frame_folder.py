@@ -12,12 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Compression
 from lightfield_gs.io.atomic import check_folder, make_folder, remove_file
 from lightfield_gs.io.images import write_image
 from lightfield_gs.io.json_file import read_object, write_json
+from lightfield_gs.io.png_cuda import fetched
+from lightfield_gs.io.png_file import CompressedImage
 
 MANIFEST = "frames.json"
 _LIMIT_BYTES = 16 << 20
@@ -75,7 +78,11 @@ class FrameFolder:
         self._failed: BaseException | None = None
         return self
 
-    def put(self, number: int, image: np.ndarray) -> None:
+    def fetch(self, image: Tensor) -> np.ndarray | CompressedImage:
+        """A frame, uint8 [H, W, 3], as `put` takes it: from a GPU, compressed there."""
+        return fetched(image, self.path / frame_name(0), self._compression)
+
+    def put(self, number: int, image: np.ndarray | CompressedImage) -> None:
         """Hands over a frame, uint8 [H, W, 3], which must not change any more; waits while too many are on the way."""
         self._room.acquire()
         if self._failed is not None:
@@ -88,7 +95,7 @@ class FrameFolder:
         if kind is None and self._failed is not None:
             raise self._failed
 
-    def _write(self, number: int, image: np.ndarray) -> None:
+    def _write(self, number: int, image: np.ndarray | CompressedImage) -> None:
         metadata = None if self._metadata is None else self._metadata(number)
         write_image(self.path / frame_name(number), image, metadata, self._compression)
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from torch import Tensor
@@ -29,11 +29,12 @@ class Draw(Protocol):
 
 
 class Sink(AbstractContextManager, Protocol):
-    """A FrameFolder or a VideoFile."""
+    """A FrameFolder or a VideoFile. fetch: a frame on the host as `put` takes it."""
 
     missing: list[int]
 
-    def put(self, number: int, image: np.ndarray) -> None: ...
+    def fetch(self, image: Tensor) -> Any: ...
+    def put(self, number: int, image: Any) -> None: ...
 
 
 class NoFiles:
@@ -44,6 +45,10 @@ class NoFiles:
 
     def __enter__(self) -> NoFiles:
         return self
+
+    def fetch(self, image: Tensor) -> np.ndarray:
+        """The frame on the host."""
+        return on_host(image)
 
     def put(self, number: int, image: np.ndarray) -> None:
         """Nothing is done with it."""
@@ -85,7 +90,7 @@ def make_video(shots: Shots, draw: Draw, sink: Sink, count: int, *, shown: bool 
         last = began
         for number, gaussians, rig in shots(sink.missing):
             at_scene = time.perf_counter()
-            image = on_host(draw(gaussians, rig, number))
+            image = sink.fetch(draw(gaussians, rig, number))
             at_image = time.perf_counter()
             sink.put(number, image)
             made.frames += 1

@@ -33,8 +33,8 @@ ROOMS = {  # and what each may include beside itself
     "cuda/frame/ordinal": "base scene math stages cuda/common cuda/stages cuda/frame",
     "cuda/frame/lattice": "base scene math stages cuda/common cuda/stages cuda/frame",
     "network": "base cuda/common cuda/stages",
-    "bind": "base scene math math/fit math/photo stages cuda/common cuda/fit cuda/photo cuda/stages cuda/sorted "
-    "cuda/frame network",
+    "bind": "base scene math math/fit math/photo stages cuda/common cuda/fit cuda/photo cuda/png cuda/stages "
+    "cuda/sorted cuda/frame network",
 }
 SUFFIXES = {".h", ".cuh", ".cpp", ".cu"}
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)

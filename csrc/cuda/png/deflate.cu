@@ -38,17 +38,22 @@ struct Length {
 // The block's piece of a row, filtered, in shared memory, and the thread's segment of it.
 class Segment {
  public:
-  __device__ Segment(const PngImage& image, unsigned pieces, uint8_t (&shared)[kThreads * kStride])
+  // Calls see(byte, column, n) for the n-th byte that this thread brings, kThreads apart from the one before.
+  template <class See>
+  __device__ Segment(const PngImage& image, unsigned pieces, uint8_t (&shared)[kThreads * kStride], See&& see)
       : row(blockIdx.x / pieces), first(int64_t(blockIdx.x % pieces) * kPiece) {
     const uint8_t* pixels = image.pixels + row * image.row_bytes;
     auto filtered = [&](int64_t at) { return uint8_t(pixels[at] - (row > 0 ? pixels[at - image.row_bytes] : 0)); };
     const int size = int(min(int64_t(kPiece), image.row_bytes - first)), begin = int(threadIdx.x) * kSegment;
-    for (int k = threadIdx.x; k < size; k += kThreads)
-      shared[k / kSegment * kStride + k % kSegment] = filtered(first + k);
+    for (int k = threadIdx.x, n = 0; k < size; k += kThreads, ++n) {
+      const uint8_t byte = filtered(first + k);
+      see(byte, first + k, n);
+      shared[k / kSegment * kStride + k % kSegment] = byte;
+    }
     __syncthreads();
     count = max(0, min(kSegment, size - begin));
     bytes = shared + threadIdx.x * kStride;
-    starts_row = first + begin == 0, first += begin;
+    starts_row = first + begin == 0;
     if (threadIdx.x > 0)
       before = bytes[kSegment - 1 - kStride];
     else
@@ -73,7 +78,7 @@ class Segment {
     }
   }
 
-  int64_t row, first;  // the first byte of the segment in its row
+  int64_t row, first;  // the first byte of the piece in its row
   const uint8_t* bytes;
   int count;
   bool starts_row;
@@ -85,11 +90,18 @@ __device__ unsigned long long sum_of_warp(unsigned long long value) {
   return value;
 }
 
-// The sums of Adler-32 over a segment: of its bytes, and of each times how many there are from it to the end.
-__device__ void add_to_sums(const PngImage& image, const Segment& segment) {
+// What the count sees of the bytes that a thread brings: their sum, the sum of each times its number, and whether one
+// tells that the image has more than one colour.
+struct Seen {
+  unsigned sum = 0, numbered = 0;
+  bool varied = false;
+};
+
+// Adds to the sums of Adler-32: of all bytes, and of each times how many there are from it to the end.
+__device__ void add_to_sums(const PngImage& image, const Segment& segment, const Seen& seen) {
   const unsigned long long size = (unsigned long long)(image.height) * (image.row_bytes + 1);
-  unsigned long long sums[2] = {0, 0}, to_end = size - segment.row * (image.row_bytes + 1) - 1 - segment.first;
-  for (int k = 0; k < segment.count; ++k) sums[0] += segment.bytes[k], sums[1] += segment.bytes[k] * (to_end - k);
+  const unsigned long long to_end = size - segment.row * (image.row_bytes + 1) - 1 - (segment.first + threadIdx.x);
+  unsigned long long sums[2] = {seen.sum, seen.sum * to_end - seen.numbered * (unsigned long long)(kThreads)};
   if (segment.starts_row) sums[0] += kUp, sums[1] += kUp * (to_end + 1);
   for (int k = 0; k < 2; ++k) {
     const unsigned long long sum = sum_of_warp(sums[k] % kAdlerModulus);
@@ -101,16 +113,17 @@ __global__ void __launch_bounds__(kThreads) count_kernel(const __grid_constant__
   __shared__ uint8_t shared[kThreads * kStride];
   __shared__ uint32_t counts[kDeflateSymbols];
   for (int k = threadIdx.x; k < kDeflateSymbols; k += kThreads) counts[k] = 0;
-  const Segment segment(image, pieces, shared);
+  Seen seen;
+  const bool is_first_row = blockIdx.x < pieces;
+  const Segment segment(image, pieces, shared, [&](uint8_t byte, int64_t column, int number) {
+    seen.sum += byte, seen.numbered += byte * number;
+    seen.varied |=
+        byte != (is_first_row ? image.pixels[column % image.channels] : 0);  // below it, one colour has zeros
+  });
   segment.symbols([&](uint8_t byte) { atomicAdd(&counts[byte], 1u); },
                   [&](int bytes) { atomicAdd(&counts[Length(bytes).symbol], 1u); });
-  add_to_sums(image, segment);
-
-  // Below the first row, an image of one colour has zeros
-  bool varied = false;
-  for (int k = 0; k < segment.count; ++k)
-    varied |= segment.bytes[k] != (segment.row > 0 ? 0 : image.pixels[(segment.first + k) % image.channels]);
-  if (__syncthreads_or(varied) && threadIdx.x == 0) image.state->facts.varied = 1;
+  add_to_sums(image, segment, seen);
+  if (__syncthreads_or(seen.varied) && threadIdx.x == 0) image.state->facts.varied = 1;
   for (int k = threadIdx.x; k < kDeflateSymbols; k += kThreads)
     if (counts[k] > 0) atomicAdd(&image.state->counts[k], counts[k]);
 }
@@ -181,8 +194,9 @@ __global__ void __launch_bounds__(kThreads) measure_kernel(const __grid_constant
   __shared__ uint32_t codes[kDeflateSymbols];
   __shared__ unsigned sums[kWarps];
   load_codes(image, codes);
-  const Segment segment(image, pieces, shared);
+  const Segment segment(image, pieces, shared, [](uint8_t, int64_t, int) {});
   const unsigned bits = bits_of(segment, codes), before = sum_before(bits, sums);
+  image.starts[int64_t(blockIdx.x) * kThreads + threadIdx.x] = before;
   if (threadIdx.x == kThreads - 1) image.offsets[blockIdx.x] = before + bits;
 }
 
@@ -211,11 +225,10 @@ __global__ void __launch_bounds__(kScanThreads) place_kernel(const __grid_consta
 __global__ void __launch_bounds__(kThreads) write_kernel(const __grid_constant__ PngImage image, unsigned pieces) {
   __shared__ uint8_t shared[kThreads * kStride];
   __shared__ uint32_t codes[kDeflateSymbols];
-  __shared__ unsigned sums[kWarps];
   load_codes(image, codes);
-  const Segment segment(image, pieces, shared);
-  const unsigned before = sum_before(bits_of(segment, codes), sums);
-  BitWriter writer(image.stream, image.offsets[blockIdx.x] + before);
+  const Segment segment(image, pieces, shared, [](uint8_t, int64_t, int) {});
+  BitWriter writer(image.stream,
+                   image.offsets[blockIdx.x] + image.starts[int64_t(blockIdx.x) * kThreads + threadIdx.x]);
   segment.symbols([&](uint8_t byte) { writer.put(codes[byte] & 0xffff, int(codes[byte] >> 16)); },
                   [&](int bytes) {
                     const Length length(bytes);
@@ -231,10 +244,13 @@ constexpr int64_t kStateBytes = (sizeof(DeflateState) + 15) / 16 * 16;
 }  // namespace
 
 int64_t PngImage::pieces() const { return height * pieces_of_row(row_bytes); }
-int64_t PngImage::work_bytes() const { return kStateBytes + int64_t(sizeof(*offsets)) * pieces(); }
+int64_t PngImage::work_bytes() const {
+  return kStateBytes + pieces() * int64_t(sizeof(*offsets) + kThreads * sizeof(*starts));
+}
 void PngImage::place(void* work, void* out) {
   state = static_cast<DeflateState*>(work);
   offsets = reinterpret_cast<unsigned long long*>(static_cast<uint8_t*>(work) + kStateBytes);
+  starts = reinterpret_cast<uint32_t*>(offsets + pieces());
   stream = static_cast<uint32_t*>(out);
 }
 

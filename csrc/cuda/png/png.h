@@ -34,6 +34,7 @@ struct PngImage {
   const uint8_t* pixels = nullptr;        // [height, row_bytes]
   DeflateState* state = nullptr;          // first in the work memory
   unsigned long long* offsets = nullptr;  // [pieces]: where in the stream each piece of a row begins, in bits
+  uint32_t* starts = nullptr;             // [pieces, threads]: where each segment begins in its piece, in bits
   uint32_t* stream = nullptr;             // raw deflate, [stream_bytes / 4]
 
   int64_t pieces() const;

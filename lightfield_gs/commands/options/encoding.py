@@ -23,7 +23,8 @@ from lightfield_gs.commands.options.panel import load_panel
 from lightfield_gs.commands.options.provenance import file_facts, package_versions, scene_facts, software
 from lightfield_gs.commands.options.scene import check_scene_path, read_source
 from lightfield_gs.io.atomic import check_folder, check_output_path, check_outputs
-from lightfield_gs.io.images import check_image_path, takes_compressed, write_image
+from lightfield_gs.io.images import check_image_path, write_image
+from lightfield_gs.io.png_cuda import compressed_image, deflated, deflates
 from lightfield_gs.io.png_file import CompressedImage
 from lightfield_gs.panels.panel import Panel
 
@@ -93,10 +94,8 @@ class Encoding:
     def _parts(self, image: Tensor) -> list[Tensor]:
         """What the host needs of the image: the facts of what the device has compressed, or the pixels, or both."""
         args = self.args
-        if not (image.is_cuda and self.bits == 8 and takes_compressed(args.output, args.compression)):
+        if not deflates(image, args.output, args.compression):
             return [image]
-        from lightfield_gs.io.png_cuda import deflated
-
         self._deflated, facts = deflated(image)
         return [facts] if args.preview is None else [facts, image]
 
@@ -106,8 +105,6 @@ class Encoding:
         if self._deflated is None:
             self.stored = _stored(self.image, self.bits)
             return
-        from lightfield_gs.io.png_cuda import compressed_image
-
         shape = (self.panel.height_px, self.panel.width_px, 3)
         out, self._deflated = self._deflated, None
         self.stored = compressed_image(shape, out, parts[0])
@@ -175,7 +172,7 @@ class Encoding:
                 drawn_as = args.background, args.antialiased, args.view_filter
                 write_preview(args.preview, self.image, gaussians, panel, cast("Rig", self.rig), *drawn_as)
                 self.watch.lap("preview")
-        self._note_if_empty()
+            self._note_if_empty()
 
     def _note_if_empty(self) -> None:
         count = self.gaussians.count
