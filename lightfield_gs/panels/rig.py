@@ -148,7 +148,7 @@ class Rig:
         """
         expect("panel", panel, Panel)
         if views is None:
-            views = range(panel.views)
+            return self.cameras_at(panel, np.arange(panel.views) + 0.5)
         if not is_row(views):
             raise InputError(f"views must be whole numbers in a row, got {shown(views)}")
         numbers = np.array([whole_number("views", view, -1 << 31, 1 << 31) for view in views], np.int64)
@@ -171,24 +171,15 @@ class Rig:
         if positions is None or positions.ndim != 1 or not ((positions >= 0) & (positions <= panel.views)).all():
             raise InputError(f"x must be a row of numbers in 0..{panel.views}, got {shown(x)}")
         offsets = cast(np.ndarray, self.offset(positions, panel))
-        matrices = np.repeat(self.world_to_camera[None], len(offsets), 0)
-        matrices[:, 0, 3] -= offsets
-        centres = np.stack(
-            [
-                self.principal_point_px[0] + self.focal_px[0] / self.zero_depth * offsets,
-                np.full(len(offsets), self.principal_point_px[1]),
-            ],
-            1,
+        pose, focal, centre, limits = (
+            np.repeat(np.asarray(row, np.float64)[None], len(offsets), 0)
+            for row in (self.world_to_camera, self.focal_px, self.principal_point_px, (*self.jacobian_limits(panel), 0))
         )
-        limits = np.concatenate([np.tile(self.jacobian_limits(panel), (len(offsets), 1)), offsets[:, None]], 1)
-        return Cameras(
-            torch.from_numpy(matrices),
-            torch.tensor([self.focal_px] * len(offsets), dtype=torch.float64),
-            torch.from_numpy(centres),
-            panel.width_px,
-            panel.height_px,
-            jacobian_limits=torch.from_numpy(limits),
-        )
+        pose[:, 0, 3] -= offsets
+        centre[:, 0] += self.focal_px[0] / self.zero_depth * offsets
+        limits[:, 4] = offsets
+        tensors = (torch.from_numpy(array) for array in (pose, focal, centre))
+        return Cameras(*tensors, panel.width_px, panel.height_px, jacobian_limits=torch.from_numpy(limits))
 
 
 def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
