@@ -12,13 +12,13 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kSubpixels = 256, kEach = 2;  // drawn at a time by a block, and by a lane
+constexpr int kSubpixels = 256, kEach = 4;  // drawn at a time by a block, and by a lane
 constexpr int kThreads = kSubpixels / kEach, kGroups = kSubpixels / kSubpixelBlock;
 constexpr int kLanes = kSubpixelBlock / kEach;  // of a group
 constexpr int kStaged = 256;                    // splats that a block keeps at a time
-constexpr int kAtATime = 4;  // splats that are blended between two looks at whether the warp's sub-pixels still open
-constexpr unsigned kLaneBits = ~0u >> (32 - kLanes);
-static_assert(32 % kLanes == 0);
+constexpr int kAtATime = 4;                     // splats that are blended between two looks at the limit
+constexpr float kNone = -1e9f;                  // log2 opacity of a splat that touches nothing
+static_assert(32 % kLanes == 0 && kThreads % kLanes == 0);
 
 // A splat as the sub-pixels of a tile read it.
 struct Staged {
@@ -37,8 +37,8 @@ struct Staged {
   }
 };
 
-// What a block keeps of a batch of splats: the splats, with one that touches nothing behind them, and for each group
-// the numbers of those that it blends.
+// What a block keeps of a batch of splats: the splats, with one that touches nothing behind them, in the colours of the
+// background; and for each group the numbers of those that it blends.
 struct alignas(16) Batch {
   Staged splats[kStaged + 1];
   ushort4 hits[kGroups][kStaged / kAtATime];
@@ -54,7 +54,7 @@ struct Box {
     const float exponent = s.log2_opacity - down * down + float(1e-3 - kLog2MinAlpha);
     const float reach = s.across_x * (half_x + 0.01f) + fabsf(s.across_y) * half_y;
     const float across = fmaxf(fabsf(s.across(x, y)) - reach, 0.f);
-    return exponent >= 0 && across * across <= exponent;
+    return across * across <= exponent;
   }
 };
 
@@ -85,26 +85,42 @@ __device__ Box box_of(const Sample (&samples)[kEach]) {
 }
 
 // Reads a splat for the tile whose corner is at (x0, y0).
-__device__ void stage(const SortedChunk& chunk, uint32_t id, float x0, float y0, Staged& out) {
+__device__ Staged staged(const SortedChunk& chunk, uint32_t id, float x0, float y0) {
   const float4* footprint = reinterpret_cast<const float4*>(chunk.footprints) + 2 * int64_t(id);
   const float4 place = __ldg(footprint), size = __ldg(footprint + 1);
   const float4 colour = __ldg(reinterpret_cast<const float4*>(chunk.colours) + id);
-  const float u0 = place.x - x0, v0 = place.y - y0, c0 = place.z, down_y = sqrtf(place.w), across_x = size.y;
-  out.across_x = across_x, out.across_y = -across_x * c0, out.across_0 = across_x * (c0 * v0 - u0);
-  out.down_y = down_y, out.down_0 = -down_y * v0, out.log2_opacity = size.x;
-  out.colours[0] = colour.x, out.colours[1] = colour.y, out.colours[2] = colour.z;
+  const float u0 = place.x - x0, v0 = place.y - y0, c0 = place.z, down_y = fast_sqrt(place.w), across_x = size.y;
+  return {across_x,     -across_x * c0, across_x * (c0 * v0 - u0),     down_y,
+          -down_y * v0, size.x,         {colour.x, colour.y, colour.z}};
+}
+
+// Reads `count` splats of a list, up to kStaged, and fills the last group of kLanes up with some that touch nothing. A
+// thread reads several before it waits for them.
+__device__ void stage(const SortedChunk& chunk, const uint32_t* ids, int count, float x0, float y0, Batch& batch) {
+  constexpr int kTogether = 2;
+  static_assert(kStaged % (kTogether * kThreads) == 0);
+  for (int first = threadIdx.x; first - int(threadIdx.x) < count; first += kTogether * kThreads) {
+    Staged mine[kTogether];
+    LFGS_UNROLL for (int k = 0; k < kTogether; ++k) {
+      const int at = first + k * kThreads;
+      mine[k] = staged(chunk, __ldg(ids + min(at, count - 1)), x0, y0);
+      if (at >= count) mine[k].log2_opacity = kNone;
+    }
+    LFGS_UNROLL for (int k = 0; k < kTogether; ++k) batch.splats[first + k * kThreads] = mine[k];
+  }
 }
 
 // Writes the numbers of the batch's splats that may touch the group's box, in order, and then that of the splat that
 // touches nothing, until all groups of the warp have as many. Returns how many, a multiple of kAtATime.
 __device__ int note_hits(const Batch& batch, int count, const Box& box, uint16_t* hits) {
   const int lane = threadIdx.x % kLanes, first_lane = threadIdx.x % 32 - lane;
+  const unsigned group = (~0u >> (32 - kLanes)) << first_lane, before = ((1u << lane) - 1) << first_lane;
   int noted = 0;
   for (int first = 0; first < count; first += kLanes) {
-    const bool hit = first + lane < count && box.meets(batch.splats[first + lane]);
-    const unsigned all = __ballot_sync(~0u, hit) >> first_lane & kLaneBits;
-    if (hit) hits[noted + __popc(all & ((1u << lane) - 1))] = uint16_t(first + lane);
-    noted += __popc(all);
+    const bool hit = box.meets(batch.splats[first + lane]);
+    const unsigned all = __ballot_sync(~0u, hit);
+    if (hit) hits[noted + __popc(all & before)] = uint16_t(first + lane);
+    noted += __popc(all & group);
   }
   int most = noted;
   for (int step = kLanes; step < 32; step *= 2) most = max(most, __shfl_xor_sync(~0u, most, step));
@@ -148,40 +164,44 @@ struct Drawing {
     for (const Light& light : lights) found |= (light.*is)();
     return found;
   }
-  __device__ void blend(const Batch& batch, const ushort4& four, void (Light::*take)(float, float)) {
-    for (const unsigned hit : {four.x, four.y, four.z, four.w}) {
+  __device__ void blend(const Batch& batch, const ushort4& hits, void (Light::*take)(float, float)) {
+    const unsigned numbers[kAtATime] = {hits.x, hits.y, hits.z, hits.w};
+    LFGS_UNROLL for (const unsigned hit : numbers) {
       const Staged& splat = batch.splats[hit];
-      for (int k = 0; k < kEach; ++k)
-        (lights[k].*take)(splat.power(samples[k].x, samples[k].y), splat.colours[samples[k].channel]);
+      LFGS_UNROLL for (int k = 0; k < kEach; ++k) {
+        const Sample& at = samples[k];
+        (lights[k].*take)(splat.power(at.x, at.y), splat.colours[at.channel]);
+      }
     }
   }
-  // Blends splats as if no sample met the limit of transmittance, which falls only; where one did after all, again.
-  // Returns false when no sample of the warp is open any more.
-  __device__ bool blend(const Batch& batch, const ushort4& four) {
+  // Blends splats as if no sample came to the limit, which saves a third of the steps: transmittances only fall, so
+  // one look behind the last tells whether it was so, and if not, all is done again with care. Returns false when no
+  // sample of the warp is open any more.
+  __device__ bool blend(const Batch& batch, const ushort4& hits) {
     Drawing before = *this;
-    blend(batch, four, &Light::take_freely);
+    blend(batch, hits, &Light::take_freely);
     if (!__any_sync(~0u, any(&Light::over_limit))) return true;
     *this = before;
-    blend(batch, four, &Light::take);
+    __syncwarp();  // so that splats are read again: kept, they would take registers all the time
+    blend(batch, hits, &Light::take);
     return __any_sync(~0u, any(&Light::open));
   }
 };
 
 // Draws the sub-pixels of one (view, tile), a block each. Blocks that start together have the views of one tile, so
 // that what they write, a byte here and there, meets in the cache. For every kSubpixels of them the block stages the
-// tile's splats in batches, and each thread blends them into its own.
-__global__ void __launch_bounds__(kThreads, 8)
-    composite_sorted_kernel(const __grid_constant__ SortedChunk chunk, SubpixelLists lists, const float* background,
-                            float* out, uint8_t* out8) {
+// tile's splats in batches, and each thread blends them into its own. tiles: of a view, `across` of them in a row.
+__global__ void __launch_bounds__(kThreads, 13)
+    composite_sorted_kernel(const __grid_constant__ SortedChunk chunk, SubpixelLists lists, unsigned tiles,
+                            unsigned across, const float* background, float* out, uint8_t* out8) {
   __shared__ Batch batch;
-  const unsigned views = unsigned(chunk.image.count), tile = blockIdx.x / views;
-  const int64_t list = int64_t(blockIdx.x % views) * chunk.tiles() + tile;
-  const unsigned across = unsigned(lists.tile.across(chunk.image.width_px));
-  const int64_t x0 = tile % across * lists.tile.width_px, y0 = tile / across * lists.tile.height_px();
+  const unsigned views = unsigned(chunk.image.count), tile = blockIdx.x / views, row = tile / across;
+  const int64_t list = int64_t(blockIdx.x - tile * views) * tiles + tile;
+  const int64_t x0 = int64_t(tile - row * across) * lists.tile.width_px, y0 = int64_t(row) * lists.tile.height_px();
   const uint2 range = reinterpret_cast<const uint2*>(chunk.ranges)[list];
   const int64_t last = lists.starts[list + 1];
   const int group = threadIdx.x / kLanes;
-  if (threadIdx.x == 0) batch.splats[kStaged] = {0, 0, 0, 0, 0, -1e9f, {}};
+  if (threadIdx.x == 0) batch.splats[kStaged] = {0, 0, 0, 0, 0, kNone, {background[0], background[1], background[2]}};
 
   // A tile has about as many sub-pixels of a view as the block draws at a time, so it takes one round on average
   for (int64_t first = lists.starts[list]; first < last; first += kSubpixels) {
@@ -197,8 +217,7 @@ __global__ void __launch_bounds__(kThreads, 8)
     for (unsigned begin = range.x; begin < range.y; begin += kStaged) {
       if (__syncthreads_and(!mine.any(&Light::open))) break;
       const int count = int(min(unsigned(kStaged), range.y - begin));
-      for (int k = threadIdx.x; k < count; k += kThreads)
-        stage(chunk, chunk.ids[begin + k], float(x0), float(y0), batch.splats[k]);
+      stage(chunk, chunk.ids + begin, count, float(x0), float(y0), batch);
       __syncthreads();
 
       const int noted = note_hits(batch, count, box, reinterpret_cast<uint16_t*>(batch.hits[group]));
@@ -211,7 +230,8 @@ __global__ void __launch_bounds__(kThreads, 8)
     for (int k = 0; k < kEach; ++k) {
       const Sample& s = mine.samples[k];
       if (!s.some) continue;
-      const float colour = mine.lights[k].value + mine.lights[k].transmittance * background[s.channel];
+      const float colour =
+          mine.lights[k].value + mine.lights[k].transmittance * batch.splats[kStaged].colours[s.channel];
       const int64_t place = ((y0 + int(s.y)) * chunk.image.width_px + x0 + int(s.x)) * 3 + s.channel;
       if (out8)
         out8[place] = stored(colour, out8);
@@ -226,8 +246,8 @@ __global__ void __launch_bounds__(kThreads, 8)
 void composite_sorted(const SortedChunk& chunk, const SubpixelLists& lists, const float* background, float* out,
                       uint8_t* out8, Stream stream) {
   if (chunk.lists() == 0) return;
-  composite_sorted_kernel<<<unsigned(chunk.lists()), kThreads, 0, cudaStream_t(stream)>>>(chunk, lists, background, out,
-                                                                                          out8);
+  composite_sorted_kernel<<<unsigned(chunk.lists()), kThreads, 0, cudaStream_t(stream)>>>(
+      chunk, lists, unsigned(chunk.tiles()), unsigned(lists.tile.across(chunk.image.width_px)), background, out, out8);
   check_launch("composite_sorted");
 }
 
