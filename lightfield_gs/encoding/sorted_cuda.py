@@ -76,7 +76,7 @@ class SortedWorkspace:
             counted = torch.cuda.Event()
             counted.record()
             counted.synchronize()
-            self.pair_count, drawn = _STATE.unpack(state.numpy())
+            self.pair_count, drawn = _STATE.unpack(bytes(state.numpy()))
             if not admit():
                 return False
             self.ids = self.scene.new(self.pair_count, dtype=torch.int32)

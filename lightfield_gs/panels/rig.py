@@ -171,15 +171,21 @@ class Rig:
         if positions is None or positions.ndim != 1 or not ((positions >= 0) & (positions <= panel.views)).all():
             raise InputError(f"x must be a row of numbers in 0..{panel.views}, got {shown(x)}")
         offsets = cast(np.ndarray, self.offset(positions, panel))
-        pose, focal, centre, limits = (
-            np.repeat(np.asarray(row, np.float64)[None], len(offsets), 0)
-            for row in (self.world_to_camera, self.focal_px, self.principal_point_px, (*self.jacobian_limits(panel), 0))
+        poses, focals, centres, limits = (
+            np.repeat(np.asarray(one, np.float64)[None], len(offsets), 0)
+            for one in (self.world_to_camera, self.focal_px, self.principal_point_px, (*self.jacobian_limits(panel), 0))
         )
-        pose[:, 0, 3] -= offsets
-        centre[:, 0] += self.focal_px[0] / self.zero_depth * offsets
+        poses[:, 0, 3] -= offsets
+        centres[:, 0] += self.focal_px[0] / self.zero_depth * offsets
         limits[:, 4] = offsets
-        tensors = (torch.from_numpy(array) for array in (pose, focal, centre))
-        return Cameras(*tensors, panel.width_px, panel.height_px, jacobian_limits=torch.from_numpy(limits))
+        return Cameras(
+            torch.from_numpy(poses),
+            torch.from_numpy(focals),
+            torch.from_numpy(centres),
+            panel.width_px,
+            panel.height_px,
+            jacobian_limits=torch.from_numpy(limits),
+        )
 
 
 def reduced(panel: Panel, rig: Rig, width_px: int) -> tuple[Panel, Rig]:
