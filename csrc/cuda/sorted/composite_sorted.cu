@@ -17,6 +17,7 @@ constexpr int kThreads = kSubpixels / kEach, kGroups = kSubpixels / kSubpixelBlo
 constexpr int kLanes = kSubpixelBlock / kEach;  // of a group
 constexpr int kStaged = 256;                    // splats that a block keeps at a time
 constexpr int kAtATime = 4;                     // splats that are blended between two looks at the limit
+constexpr int kResident = 13;                   // blocks for which a Hopper multiprocessor has shared memory
 constexpr float kNone = -1e9f;                  // log2 opacity of a splat that touches nothing
 static_assert(32 % kLanes == 0 && kThreads % kLanes == 0);
 
@@ -191,7 +192,7 @@ struct Drawing {
 // Draws the sub-pixels of one (view, tile), a block each. Blocks that start together have the views of one tile, so
 // that what they write, a byte here and there, meets in the cache. For every kSubpixels of them the block stages the
 // tile's splats in batches, and each thread blends them into its own. tiles: of a view, `across` of them in a row.
-__global__ void __launch_bounds__(kThreads, 13)
+__global__ void __launch_bounds__(kThreads, kResident)
     composite_sorted_kernel(const __grid_constant__ SortedChunk chunk, SubpixelLists lists, unsigned tiles,
                             unsigned across, const float* background, float* out, uint8_t* out8) {
   __shared__ Batch batch;
