@@ -179,9 +179,14 @@ def encode_sorted(
 
 def _camera_tensors(cameras: Cameras, plan: SortedPlan, scene: Scene) -> list[Tensor]:
     """Poses, intrinsics and limits of the cameras of all views shown, as the core takes them. They go to the device at
-    once, for a copy from the host waits until the device has nothing else to do."""
-    seen = cameras.select(torch.from_numpy(plan.shown)).to(scene.dtype)
-    return [t.to(scene.device).contiguous() for t in (seen.world_to_camera, seen.intrinsics(), seen.limits())]
+    once, for a copy from the host waits until the device has nothing else to do; and in one copy."""
+    if scene.dtype == torch.float64:
+        cameras = cameras.to(scene.dtype)  # before the default limits are computed
+    tensors = [cameras.world_to_camera, cameras.intrinsics(), cameras.limits()]
+    if plan.count < cameras.count:
+        tensors = [t[torch.from_numpy(plan.shown)] for t in tensors]
+    together = torch.cat([t.flatten() for t in tensors]).to(scene.device, scene.dtype)
+    return [part.view_as(t) for part, t in zip(together.split([t.numel() for t in tensors]), tensors)]
 
 
 class _Encoding:
@@ -243,14 +248,11 @@ class _Encoding:
         """How many views from `first` are expected to fit; at least one."""
         pairs, most = self.expected
         left = min(self.plan.count - first, self.stages.most_views)
-        return max(
-            1,
-            bisect_right(
-                range(1, left + 1),
-                self.usable,
-                key=lambda views: sum(self._memory(first, views, (views * pairs, most)).values()),
-            ),
-        )
+
+        def memory(views: int) -> int:
+            return sum(self._memory(first, views, (views * pairs, most)).values())
+
+        return left if memory(left) <= self.usable else max(1, bisect_right(range(1, left), self.usable, key=memory))
 
     def _draw(self, first: int, views: int, out: Tensor) -> bool:
         """Draws shown views first .. first + views - 1 if they fit, and notes what they took."""

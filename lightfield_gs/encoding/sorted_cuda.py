@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,7 @@ _MOST_VIEWS, _MOST_NUMBERED = 4096, (1 << 31) - 1  # of a chunk: views; splats, 
 # Bytes of a chunk: for a splat (a footprint of 32, a colour of 16, a depth), for a pair, and for a list of pairs; and
 # what the parts may begin later than the one before ends, with the state
 _SPLAT_BYTES, _PAIR_BYTES, _LIST_BYTES, _GAPS = 52, 4, 12, 2048
+_STATE = struct.Struct("<Q4xI")  # SortedState: pairs, the long lists, and splats drawn
 
 
 class CudaStages:
@@ -74,7 +76,7 @@ class SortedWorkspace:
             counted = torch.cuda.Event()
             counted.record()
             counted.synchronize()
-            self.pair_count, drawn = int(state[:8].view(torch.int64)), int(state[12:].view(torch.int32))
+            self.pair_count, drawn = _STATE.unpack(bytes(state.numpy()))
             if not admit():
                 return False
             self.ids = self.scene.new(self.pair_count, dtype=torch.int32)

@@ -84,7 +84,8 @@ class SortedPlan:
     def bytes(self, first: int = 0, last: int | None = None) -> int:
         """Size of the starts and codes of the lists of shown views first .. last - 1."""
         last = self.count if last is None else last
-        codes = int(self.starts[last * self.tiles] - self.starts[first * self.tiles])
+        starts = self.starts.numpy()  # of which single numbers are read faster than of a tensor
+        codes = int(starts[last * self.tiles] - starts[first * self.tiles])
         return 8 * ((last - first) * self.tiles + 1) + 2 * codes
 
     def table_bytes(self) -> int:

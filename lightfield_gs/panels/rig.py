@@ -148,7 +148,7 @@ class Rig:
         """
         expect("panel", panel, Panel)
         if views is None:
-            views = range(panel.views)
+            return self.cameras_at(panel, np.arange(panel.views) + 0.5)
         if not is_row(views):
             raise InputError(f"views must be whole numbers in a row, got {shown(views)}")
         numbers = np.array([whole_number("views", view, -1 << 31, 1 << 31) for view in views], np.int64)
@@ -171,19 +171,16 @@ class Rig:
         if positions is None or positions.ndim != 1 or not ((positions >= 0) & (positions <= panel.views)).all():
             raise InputError(f"x must be a row of numbers in 0..{panel.views}, got {shown(x)}")
         offsets = cast(np.ndarray, self.offset(positions, panel))
-        matrices = np.repeat(self.world_to_camera[None], len(offsets), 0)
-        matrices[:, 0, 3] -= offsets
-        centres = np.stack(
-            [
-                self.principal_point_px[0] + self.focal_px[0] / self.zero_depth * offsets,
-                np.full(len(offsets), self.principal_point_px[1]),
-            ],
-            1,
+        poses, focals, centres, limits = (
+            np.repeat(np.asarray(one, np.float64)[None], len(offsets), 0)
+            for one in (self.world_to_camera, self.focal_px, self.principal_point_px, (*self.jacobian_limits(panel), 0))
         )
-        limits = np.concatenate([np.tile(self.jacobian_limits(panel), (len(offsets), 1)), offsets[:, None]], 1)
+        poses[:, 0, 3] -= offsets
+        centres[:, 0] += self.focal_px[0] / self.zero_depth * offsets
+        limits[:, 4] = offsets
         return Cameras(
-            torch.from_numpy(matrices),
-            torch.tensor([self.focal_px] * len(offsets), dtype=torch.float64),
+            torch.from_numpy(poses),
+            torch.from_numpy(focals),
             torch.from_numpy(centres),
             panel.width_px,
             panel.height_px,

@@ -27,7 +27,7 @@ FLAGS = [
     "-D__CUDA_ARCH__=900",
     "-D__CUDA_ARCH_LIST__=900",
 ]
-APPROXIMATE = {"ex2": "exp2f({})", "rcp": "1 / ({})", "rsqrt": "1 / sqrtf({})"}
+APPROXIMATE = {"ex2": "exp2f({})", "rcp": "1 / ({})", "rsqrt": "1 / sqrtf({})", "sqrt": "sqrtf({})"}
 
 
 def host_code(path: Path) -> str:

@@ -8,7 +8,7 @@
 
 namespace lfgs::cuda {
 
-// 2^x, 1 / x and x^(-1/2) to two units in the last place. Numbers too small to be normal count as zero.
+// 2^x, 1 / x, x^(-1/2) and x^(1/2) to two units in the last place. Numbers too small to be normal count as zero.
 __device__ inline float fast_exp2(float x) {
   float y;
   asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
@@ -23,6 +23,12 @@ __device__ inline float fast_reciprocal(float x) {
 __device__ inline float fast_rsqrt(float x) {
   float y;
   asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+
+__device__ inline float fast_sqrt(float x) {
+  float y;
+  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
   return y;
 }
 

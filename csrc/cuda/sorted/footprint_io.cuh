@@ -10,7 +10,7 @@ static_assert(kFootprintNumbers * sizeof(float) == 2 * sizeof(float4));
 __device__ inline void write_footprint(const Splat<float>& s, float* footprints, int64_t index) {
   float4* to = reinterpret_cast<float4*>(footprints) + 2 * index;
   to[0] = make_float4(s.u0, s.v0, s.c0, s.tau);
-  to[1] = make_float4(s.log2_opacity, 1 / s.S0, s.S0, s.reach_y);
+  to[1] = make_float4(s.log2_opacity, 1 / sqrtf(s.S0), s.S0, s.reach_y);
 }
 
 // The splat, without its depth.

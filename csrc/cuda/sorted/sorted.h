@@ -46,8 +46,8 @@ struct SortedChunk {
   size_t place(void* work);
 };
 
-// A splat as these stages keep it: u0, v0, c0, tau, log2 opacity, 1 / S, S and reach_y of Splat. The rest of Splat is
-// zero for ordinary cameras.
+// A splat as these stages keep it: u0, v0, c0, tau, log2 opacity, S^(-1/2), S and reach_y of Splat. The rest of Splat
+// is zero for ordinary cameras.
 constexpr int kFootprintNumbers = 8;
 
 void project_sorted(const SortedChunk& chunk, const Gaussians<const float>& gaussians, const Cameras<float>& cameras,
