@@ -11,8 +11,10 @@ from lightfield_gs.batch.worker import Place
 
 CORES_A_PROCESS = 4  # of a CPU: more draw one image faster, and fewer images in all
 _MOST_WRITERS, _MOST_READERS = 32, 8
-# For one process of Python, whose threads take turns, feeds a GPU no faster than so many cores write
-_CORES_BESIDE_A_GPU, _MOST_ON_A_GPU = 8, 4
+# More than one, for the threads of one process of Python take turns; with more than four, or fewer cores for each, an
+# H100 makes no more images. For a photo at 7680 x 3840 each takes 1.5 GB of the GPU.
+_CORES_BESIDE_A_GPU, _MOST_ON_A_GPU = 4, 4
+_GPU_BYTES_A_PROCESS = 2 << 30
 
 
 def places_here(
@@ -21,8 +23,8 @@ def places_here(
     """The places on this machine.
 
     devices: "cpu", or "cuda:0,cuda:1"; None: all GPUs that are seen, or the CPU where there is none that can be used.
-    processes: how many, which take turns on the devices; None: one to four a GPU, one for every eight of its share of
-    the cores, or without a GPU one for every CORES_A_PROCESS.
+    processes: how many, which take turns on the devices; None: one to four a GPU, one for every four of its share of
+    the cores and every 2 GiB of its memory, or without a GPU one for every CORES_A_PROCESS.
     have_gpus: whether each process is to have a GPU for itself, as for fits, where nothing else is said.
     threads: that draw in each on the CPU (None: one a core of its own). Raises InputError.
     """
@@ -31,7 +33,7 @@ def places_here(
     if not gpus:
         count = processes or max(1, len(own) // CORES_A_PROCESS)
         return [_on_cpu(number, own[number::count] or own, threads) for number in range(count)]
-    count = processes or len(gpus) * on_a_gpu(len(own) // len(gpus), have_gpus)
+    count = processes or len(gpus) * on_a_gpu(len(own) // len(gpus), have_gpus, _least_memory(gpus))
     names = [gpus[number % len(gpus)] for number in range(count)]
     share = max(1, len(own) // count)
     return [
@@ -47,9 +49,10 @@ def places_here(
     ]
 
 
-def on_a_gpu(cores: int, have_gpus: bool) -> int:
-    """Processes on a GPU that has so many cores; have_gpus: see places_here."""
-    return 1 if have_gpus else min(_MOST_ON_A_GPU, max(1, cores // _CORES_BESIDE_A_GPU))
+def on_a_gpu(cores: int, have_gpus: bool, memory_bytes: int | None = None) -> int:
+    """Processes on a GPU that has so many cores, and so much memory where that is known; have_gpus: see places_here."""
+    room = _MOST_ON_A_GPU if memory_bytes is None else memory_bytes // _GPU_BYTES_A_PROCESS
+    return 1 if have_gpus else max(1, min(_MOST_ON_A_GPU, cores // _CORES_BESIDE_A_GPU, room))
 
 
 def threads_beside(share: int) -> tuple[int, int]:
@@ -87,6 +90,13 @@ def _gpus(devices: str | None) -> list[int]:
     if max(found) >= count or len(set(found)) < len(found):
         raise InputError(f"--devices: expected different ones of cuda:0 to cuda:{count - 1}, got {devices}")
     return found
+
+
+def _least_memory(gpus: list[int]) -> int:
+    """Bytes of the GPU that has the least."""
+    import torch
+
+    return min(torch.cuda.get_device_properties(gpu).total_memory for gpu in gpus)
 
 
 def _visible(gpu: int) -> str:

@@ -83,6 +83,7 @@ def test_cores_are_shared_out():
     assert len(set(own)) == len(own) or len(own) == 2 and len(set(own)) == 1
     assert all(place.threads == len(place.cores) for place in places)
     assert places_here("cpu", 1, 3)[0].threads == 3
-    assert [on_a_gpu(cores, False) for cores in (1, 8, 16, 64)] == [1, 1, 2, 4] and on_a_gpu(64, True) == 1
+    assert [on_a_gpu(cores, False) for cores in (1, 4, 8, 64)] == [1, 1, 2, 4] and on_a_gpu(64, True) == 1
+    assert [on_a_gpu(64, False, gib << 30) for gib in (1, 5, 80)] == [1, 2, 4]
     with pytest.raises(InputError, match="--devices: expected cpu, or GPUs such as cuda:0,cuda:1, got 'gpu'"):
         places_here("gpu", None, None)
