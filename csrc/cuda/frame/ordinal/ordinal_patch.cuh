@@ -46,12 +46,37 @@ struct Patch {
       places |= 1u << 8 * place_of(own.start[s / 4][s / 2 % 2 * 16 + s % 2 * 8 + lane / 4]) + s;
   }
 
+  // Staged splat i; in the place of its depth is a number, see with_entry().
   __device__ Splat<float> staged(int i) const {
+    if constexpr (Layout::kCompact) return splat_with_entry(frame, memory.id[i]);
     return assembled(memory.splat[0][i], memory.splat[1][i], memory.splat[2][i]);
   }
 
-  // Which of the `count` staged splats may touch the patch at which ordinal of the pass: fills the queues, which keep
-  // the splats in their order, and returns in lane t how many there are at ordinal t.
+  // Compact layout: which of the `count` staged splats may touch the patch at the t-th ordinal of the group. Fills the
+  // queue, which keeps the splats in their order, and returns how many there are.
+  __device__ int cull_at(int t, int count) {
+    const int warp = threadIdx.x / 32;
+    const unsigned mine = 1u << (kWarpsAcross * t + warp % kWarpsAcross), before = (1u << lane) - 1;
+    const uint32_t* touched = memory.touched[warp / kWarpsAcross];
+    int n = 0;
+#pragma unroll 1
+    for (int i = lane; i - lane < count; i += 32 * kAhead) {
+      unsigned at[kAhead];  // all are read before the first is queued, so that the reads overlap
+#pragma unroll
+      for (int k = 0; k < kAhead; ++k) at[k] = touched[i + 32 * k];
+#pragma unroll
+      for (int k = 0; k < kAhead; ++k) {
+        const unsigned hits = __ballot_sync(~0u, at[k] & mine);
+        if (at[k] & mine) own.queue[0][n + __popc(hits & before)] = uint16_t(i + 32 * k);
+        n += __popc(hits);
+      }
+    }
+    __syncwarp();
+    return n;
+  }
+
+  // Full layout: which of the `count` staged splats may touch the patch at which ordinal of the pass. Fills the queues,
+  // which keep the splats in their order, and returns in lane t how many there are at ordinal t.
   __device__ int cull(int count) {
     lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows from it here
     const int warp = threadIdx.x / 32;
@@ -84,6 +109,7 @@ struct Patch {
 
   // The staged splat at place k of the queue of ordinal t.
   __device__ int queued(int t, int k) const {
+    if constexpr (Layout::kCompact) return own.queue[0][k];
     const int i = own.queue[t][k];
     if (Layout::kBatch <= kPage) return i;
     return k >= own.first_page[t] ? i + kPage : i;
