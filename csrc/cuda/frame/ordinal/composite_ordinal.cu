@@ -56,8 +56,8 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, in
   }
 }
 
-// Draws one tile, by all threads of the block. Bytes are collected in shared memory and then stored row by row, in the
-// compact layout by every warp after each pass; floats go straight to the image.
+// Draws one tile, by all threads of the block. In the full layout bytes are collected in shared memory and then stored
+// row by row; otherwise what is finished goes straight to the image.
 template <bool Compensated, class Layout, class Out>
 __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned tile, int row_bytes,
                           const float4& background, Out* out, Memory<Layout>& memory) {
@@ -81,14 +81,11 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
   // `put` takes the colour of a finished sample
   uint8_t* bytes = reinterpret_cast<uint8_t*>(&memory + 1);
   auto put = [&](const auto& sample, float value) {
-    if constexpr (kBytes && Layout::kCompact) {
-      task.byte(sample.number, sample.t) = stored(value, out);
-    } else if constexpr (kBytes) {
-      bytes[sample.row * row_bytes + sample.at] = stored(value, out);
+    if constexpr (kBytes && !Layout::kCompact) {
+      bytes[sample.row * row_bytes + sample.m - memory.rows[sample.row].x] = stored(value, out);
     } else {
-      const int row = tile_y * kTileRows + sample.row, m = memory.rows[sample.row].x + sample.at;
-      if (row >= lens.height_px || m < 0 || m >= width) return;
-      out[int64_t(row) * width + in_image(lens, m)] = stored(value, out);
+      const int m = lens.permuted ? sample.m - sample.place + lens.channels[sample.place] : sample.m;
+      out[int64_t(tile_y * kTileRows + sample.row) * width + m] = stored(value, out);
     }
   };
 
@@ -129,10 +126,6 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
     }
     __syncwarp();
     task.finish(first, last, background, put);
-    if constexpr (kBytes && Layout::kCompact) {
-      __syncwarp();
-      task.store_bytes(first, last, out);
-    }
   }
 
   // Full layout: store the bytes, a row a warp

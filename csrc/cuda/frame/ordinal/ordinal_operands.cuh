@@ -54,8 +54,8 @@ constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedB
 template <class Layout>
 struct WarpMemory {
   static constexpr bool kHarmonics = Layout::kHarmonics;
-  // Used in turn for features, 32 samples x 48 bytes; for the coefficients of 32 hits: those of d in two parts, then
-  // those of A, 16 bytes each; and for finished bytes, see Patch::store_bytes().
+  // Used in turn for features, 32 samples x 48 bytes; and for the coefficients of 32 hits: those of d in two parts,
+  // then those of A, 16 bytes each.
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[kHarmonics ? 32 : 1];
   // The colours of the last hit of every quarter in this round and in the one before, which change places

@@ -154,50 +154,33 @@ struct Patch {
     return all;
   }
 
-  // A finished sample: its number in the patch, its row in the tile, its sub-pixel from the tile's first in that row,
-  // its ordinal in the pass.
+  // A finished sample: its row in the tile, its sub-pixel in that row of the panel and the place of that in its pixel.
   struct Finished {
-    int number, row, at, t;
+    int row, m, place;
   };
 
-  // Hands every finished sample of ordinals first .. last to put(Finished, value).
+  // Hands every finished sample of ordinals first .. last that is on the panel to put(Finished, value).
   template <class Put>
   __device__ void finish(int first, int last, const float4& background, const Put& put) {
+    const LensOptics& lens = frame.optics;
     const int down = threadIdx.x / 32 / kWarpsAcross;
 #pragma unroll
     for (int i = 0; i < kHalves; ++i) {
       const int2 kept = place_of_kept(i);
-      const int row = down * kWarpRows + kept.y / kWarpLenses + 8 * kept.x;
+      const int row = kept.y / kWarpLenses + 8 * kept.x, start = own.start[kept.x][kept.y];
+      if (row0 + row >= lens.height_px) continue;
       const uchar2 ordinals = own.ordinals[kept.x][kept.y];
-      const int start = own.start[kept.x][kept.y], begin = max(int(ordinals.x), first),
-                end = min(int(ordinals.y) - 1, last);
-      int place = place_of(start + begin), at = start - memory.rows[row].x + begin;
-      for (int ordinal = begin; ordinal <= end; ++ordinal, ++at) {
-        const float2 state = own.state[(ordinal - first) * kHalves + i][lane];
+      const int begin = max(start + max(int(ordinals.x), first), 0);
+      const int end = min(start + min(int(ordinals.y), last + 1), 3 * lens.width_px);
+      int place = place_of(start + first);
+#pragma unroll
+      for (int t = 0; t < kOrdinals; ++t, place = place == 2 ? 0 : place + 1) {
+        const int m = start + first + t;
+        if (m < begin || m >= end) continue;
+        const float2 state = own.state[t * kHalves + i][lane];
         const float behind = place == 0 ? background.x : place == 1 ? background.y : background.z;
-        put(Finished{kept.x * 32 + kept.y, row, at, ordinal - first},
-            ended(fmaf(state.y, behind, state.x), state.y, behind));
-        place = place == 2 ? 0 : place + 1;
+        put(Finished{down * kWarpRows + row, m, place}, ended(fmaf(state.y, behind, state.x), state.y, behind));
       }
-    }
-  }
-
-  // Compact layout: where finish() collects the bytes of a pass, a row of lenses after the other.
-  __device__ uint8_t& byte(int number, int t) const {
-    return reinterpret_cast<uint8_t*>(own.operands)[number * kOrdinals + t];
-  }
-  // Stores them in the image. Neighbouring lanes store what is next to each other there, as far as a pass has it.
-  __device__ void store_bytes(int first, int last, uint8_t* out) const {
-    const LensOptics& lens = frame.optics;
-    const int width = 3 * lens.width_px;
-#pragma unroll 1
-    for (int k = lane; k < kHalves * 32 * kOrdinals; k += 32) {
-      const int number = k / kOrdinals, ordinal = first + k % kOrdinals, row = row0 + number / kWarpLenses;
-      const uchar2 ordinals = own.ordinals[number / 32][number % 32];
-      const int m = own.start[number / 32][number % 32] + ordinal;
-      const bool inside = (ordinal >= ordinals.x) & (ordinal < ordinals.y) & (ordinal <= last);
-      if (inside & (row < lens.height_px) & (m >= 0) & (m < width))
-        out[int64_t(row) * width + in_image(lens, m)] = byte(number, k % kOrdinals);
     }
   }
 };
