@@ -27,7 +27,7 @@ constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 // each other's waits. The full layout does so where it has 228 KB (sm_90), the compact one where it has 100 KB (sm_86,
 // sm_89, sm_120). KB of a block with harmonics, full and compact:
 //   samples 24, 12    queues 19, 6    operands 12.5    colours 9.5    lenses 3
-//   staged splats and their patches 22, 4.5    bytes of the tile 2 to 16, 0    all 92 to 107, 49
+//   staged splats and their patches 22, 5    bytes of the tile 2 to 16, 0    all 92 to 107, 49
 // What a task takes was counted, in warp instructions, where its list is a batch (sheet:512 at 40 degrees): 1460 for 52
 // hits, of them 380 to set it up and to join what it has drawn, 170 for each 32 operands, 104 for each batch of
 // products. So a list that is cut in two costs a third more, and the batch is what must not be small. The compact
@@ -80,12 +80,12 @@ struct WarpMemory {
 template <class Layout>
 struct Memory {
   static constexpr int kBatch = Layout::kBatch;
-  // The staged splats. Full layout: what they are, but for the depth, see with_entry(), and their colours. Compact
-  // layout: their numbers
+  // The staged splats. Full layout: what they are, but for the depth, see splat_with_entry(), and their colours.
+  // Compact layout: their numbers
   float4 splat[3][Layout::kCompact ? 1 : kBatch];
   float4 colour[Layout::kHoldsColours ? kBatch + 1 : 1];
   uint32_t id[Layout::kCompact ? kBatch : 1];
-  // What they touch, see patches_touched(). Compact layout: nothing, from the last to the next multiple of kLooked
+  // What they touch, see patches_touched(). Compact layout: nothing, from behind the last to a multiple of kLooked
   static constexpr int kLooked = 32 * kAhead;
   uint32_t touched[kWarpsDown][(kBatch + kLooked - 1) / kLooked * kLooked];
   WarpMemory<Layout> warps[kWarps];

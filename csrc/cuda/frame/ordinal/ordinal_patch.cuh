@@ -46,7 +46,7 @@ struct Patch {
       places |= 1u << 8 * place_of(own.start[s / 4][s / 2 % 2 * 16 + s % 2 * 8 + lane / 4]) + s;
   }
 
-  // Staged splat i; in the place of its depth is a number, see with_entry().
+  // Staged splat i; in the place of its depth is a number, see splat_with_entry().
   __device__ Splat<float> staged(int i) const {
     if constexpr (Layout::kCompact) return splat_with_entry(frame, memory.id[i]);
     return assembled(memory.splat[0][i], memory.splat[1][i], memory.splat[2][i]);
