@@ -228,11 +228,12 @@ struct Task : Patch<Layout> {
       const Splat<float> splat = staged(i);
       float4 c = make_float4(0, 0, 0, 0);
       uint2 slopes = make_uint2(0, 0);
-      if (Harmonics && valid) {  // asked for first, since they take a while; __syncwarp keeps them before the rest
+      // Colours are asked for first, since they take a while; __syncwarp keeps them before the rest
+      if constexpr (Harmonics) {
         const unsigned at = __float_as_uint(splat.depth) + ordinal;
-        c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
-        slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
-      } else if (!Layout::kHoldsColours) {
+        if (valid) c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
+        if (valid) slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
+      } else if constexpr (!Layout::kHoldsColours) {
         c = reinterpret_cast<const float4*>(frame.splats.colours)[memory.id[i]];
       }
       [[maybe_unused]] float2 share;
