@@ -56,11 +56,12 @@ struct Patch {
   // queue, which keeps the splats in their order, and returns how many there are.
   __device__ int cull_at(int t, int count) {
     const int warp = threadIdx.x / 32;
-    const unsigned mine = 1u << (kWarpsAcross * t + warp % kWarpsAcross), before = (1u << lane) - 1;
+    const int own_lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows
+    const unsigned mine = 1u << (kWarpsAcross * t + warp % kWarpsAcross), before = (1u << own_lane) - 1;
     const uint32_t* touched = memory.touched[warp / kWarpsAcross];
     int n = 0;
 #pragma unroll 1
-    for (int i = lane; i - lane < count; i += 32 * kAhead) {
+    for (int i = own_lane; i - own_lane < count; i += 32 * kAhead) {
       unsigned at[kAhead];  // all are read before the first is queued, so that the reads overlap
 #pragma unroll
       for (int k = 0; k < kAhead; ++k) at[k] = touched[i + 32 * k];
