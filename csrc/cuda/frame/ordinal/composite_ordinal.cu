@@ -25,40 +25,39 @@ namespace lfgs::cuda {
 namespace {
 
 #if __CUDA_ARCH__ >= 800
-// Copies splats of a list, and without harmonics their colours, into the block's shared memory, and says which patches
-// of the tile they may touch at the ordinals first .. last. Two threads have a splat, one for each row of patches. With
-// harmonics or shares of opacity, the place of a splat's depth receives the index, in the arrays by ordinal, of its
-// entry at ordinal `first`.
-template <bool Compensated, class Layout>
+// Brings `count` splats of a list into the block's shared memory, as Memory says, and finds which patches of the tile
+// they may touch at the ordinals first .. last of a group. Two threads have a splat, one for each row of patches.
+template <class Layout>
 __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, int first_lens, int row0, int first,
                       int last, Memory<Layout>& memory) {
-  constexpr bool Harmonics = Layout::kHarmonics;
   static_assert(kWarpsDown == 2);
-  const unsigned columns = frame.optics.ordinals.columns();
-  const float4* splats = reinterpret_cast<const float4*>(frame.splats.splats);
   const float4* colours = reinterpret_cast<const float4*>(frame.splats.colours);
-  for (int j = threadIdx.x; j < 2 * count; j += kThreads) {
+  constexpr int kLooked = Memory<Layout>::kLooked;
+  const int places = Layout::kCompact ? (count + kLooked - 1) / kLooked * kLooked : count;
+  for (int j = threadIdx.x; j < 2 * places; j += kThreads) {
     const int i = j / 2, down = j % 2;
+    if (Layout::kCompact && i >= count) {
+      memory.touched[down][i] = 0;
+      continue;
+    }
     const uint32_t id = ids[i];
-    const float4 a = splats[3 * int64_t(id)], b = splats[3 * int64_t(id) + 1];
-    float4 c = splats[3 * int64_t(id) + 2];
-    if (Harmonics || Compensated) c.w = __uint_as_float(id * columns + first);
-    const Splat<float> splat = assembled(a, b, c);
-    if (down == 0) {
-      memory.splat[0][i] = a, memory.splat[1][i] = b;
+    const Splat<float> splat = splat_with_entry(frame, id);
+    if constexpr (Layout::kCompact) {
+      if (down == 0) memory.id[i] = id;
+    } else if (down == 0) {
+      memory.splat[0][i] = make_float4(splat.u0, splat.du, splat.v0, splat.log2_opacity);
+      memory.splat[1][i] = make_float4(splat.S0, splat.S1, splat.S2, splat.tau);
     } else {
-      memory.splat[2][i] = c;
-      if (!Harmonics) memory.colour[Harmonics ? 0 : i] = by_place(frame.optics, colours[id]);
+      memory.splat[2][i] = make_float4(splat.c0, splat.c1, splat.reach_y, splat.depth);
+      if (Layout::kHoldsColours) memory.colour[Layout::kHoldsColours ? i : 0] = by_place(frame.optics, colours[id]);
     }
     const int first_row = row0 + down * kWarpRows;
-    const unsigned touched =
-        patches_touched<Layout::kOrdinals>(frame.optics, splat, first_lens, first_row, first, last);
-    memory.touched[down][i] = typename Memory<Layout>::Patches(touched);
+    memory.touched[down][i] = patches_touched(frame.optics, splat, first_lens, first_row, first, last);
   }
 }
 
-// Draws one tile, by all threads of the block. Bytes are collected in shared memory and then stored row by row, in the
-// compact layout by every warp after each pass; floats go straight to the image.
+// Draws one tile, by all threads of the block. In the full layout bytes are collected in shared memory and then stored
+// row by row; otherwise what is finished goes straight to the image.
 template <bool Compensated, class Layout, class Out>
 __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned tile, int row_bytes,
                           const float4& background, Out* out, Memory<Layout>& memory) {
@@ -82,43 +81,51 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
   // `put` takes the colour of a finished sample
   uint8_t* bytes = reinterpret_cast<uint8_t*>(&memory + 1);
   auto put = [&](const auto& sample, float value) {
-    if constexpr (kBytes && Layout::kCompact) {
-      task.byte(sample.number, sample.t) = stored(value, out);
-    } else if constexpr (kBytes) {
-      bytes[sample.row * row_bytes + sample.at] = stored(value, out);
+    if constexpr (kBytes && !Layout::kCompact) {
+      bytes[sample.row * row_bytes + sample.m - memory.rows[sample.row].x] = stored(value, out);
     } else {
-      const int row = tile_y * kTileRows + sample.row, m = memory.rows[sample.row].x + sample.at;
-      if (row >= lens.height_px || m < 0 || m >= width) return;
-      out[int64_t(row) * width + in_image(lens, m)] = stored(value, out);
+      const int m = lens.permuted ? sample.m - sample.place + lens.channels[sample.place] : sample.m;
+      out[int64_t(tile_y * kTileRows + sample.row) * width + m] = stored(value, out);
     }
   };
 
-  // Pass by pass: walk the list in batches that fit shared memory, until all samples are opaque
+  // Pass by pass: walk the list in batches that fit shared memory, until all samples are opaque. A batch is staged for
+  // all passes of its group, and once only where it is the whole list
+  constexpr unsigned kNone = ~0u;
+  unsigned staged = kNone;  // where the batch begins that is in shared memory
   for (int first = 0; first < ordinals.count; first += Layout::kOrdinals) {
-    const int group = first / kGroupOrdinals, last = min(first + Layout::kOrdinals, ordinals.count) - 1;
+    const int group = first / kGroupOrdinals, of_group = group * kGroupOrdinals;
+    const int last = min(first + Layout::kOrdinals, ordinals.count) - 1;
+    const int last_of_group = min(of_group + kGroupOrdinals, ordinals.count) - 1;
+    if (first == of_group) staged = kNone;
     task.clear(first);
     const uint2 range = lists.range(int64_t(tile) * ordinals.groups + group);
     for (unsigned begin = range.x; begin < range.y; begin += Layout::kBatch) {
       const int count = min(unsigned(Layout::kBatch), range.y - begin);
       const bool opaque = task.all_opaque(last - first + 1);
-      if (__syncthreads_and(opaque)) break;
-      stage<Compensated>(frame, lists.ids + begin, count, first_lens, tile_y * kTileRows, first, last, memory);
-      __syncthreads();
+      if (!Layout::kCompact || staged != begin) {
+        if (__syncthreads_and(opaque)) break;
+        stage(frame, lists.ids + begin, count, first_lens, tile_y * kTileRows, of_group, last_of_group, memory);
+        __syncthreads();
+        staged = begin;
+      }
       if (opaque) continue;
-      const int hits = task.cull(count);
+      const int hits = Layout::kCompact ? 0 : task.cull(count);
 #pragma unroll 1
       for (int ordinal = first; ordinal <= last; ++ordinal) {
-        const int n = __shfl_sync(~0u, hits, ordinal - first);
-        if (n == 0 || task.opaque(ordinal - first)) continue;
-        task.draw(ordinal - first, n, ordinal);
+        const int t = ordinal - first;
+        int n = 0;
+        if constexpr (Layout::kCompact) {
+          if (!task.opaque(t)) n = task.cull_at(ordinal - of_group, count);
+        } else {
+          n = __shfl_sync(~0u, hits, t);
+        }
+        if (n == 0 || (!Layout::kCompact && task.opaque(t))) continue;
+        task.draw(t, n, ordinal);
       }
     }
     __syncwarp();
     task.finish(first, last, background, put);
-    if constexpr (kBytes && Layout::kCompact) {
-      __syncwarp();
-      task.store_bytes(first, last, out);
-    }
   }
 
   // Full layout: store the bytes, a row a warp
@@ -146,8 +153,8 @@ __global__ void __launch_bounds__(kThreads, 2)
   const Lists lists(frame);
   const unsigned tiles = tiles_to_draw(frame, frame.ordinal);
   WorkQueue work(frame, LensKernel::kOrdinal);
-  constexpr int kBlack = Layout::kHarmonics ? 0 : Layout::kBatch;  // see Task::colour()
-  if (!Layout::kHarmonics && threadIdx.x == 0) memory.colour[kBlack] = make_float4(0, 0, 0, 0);
+  constexpr int kBlack = Layout::kHoldsColours ? Layout::kBatch : 0;  // see Task::colour()
+  if (Layout::kHoldsColours && threadIdx.x == 0) memory.colour[kBlack] = make_float4(0, 0, 0, 0);
   for (unsigned tile = blockIdx.x; tile < tiles; tile = memory.next_tile) {
     if (threadIdx.x == 0) work.claim(gridDim.x);
     draw_tile<Compensated>(frame, lists, tile_to_draw(frame, tile), row_bytes, behind, out, memory);

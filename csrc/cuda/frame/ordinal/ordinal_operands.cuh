@@ -26,23 +26,27 @@ constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 // How a block uses shared memory. Two blocks should stand on a multiprocessor: with one, 8 warps are too few to cover
 // each other's waits. The full layout does so where it has 228 KB (sm_90), the compact one where it has 100 KB (sm_86,
 // sm_89, sm_120). KB of a block with harmonics, full and compact:
-//   samples 24, 12    queues 19, 4    operands 12.5    colours 9.5    lenses 3
-//   staged splats and their patches 22, 8    bytes of the tile 2 to 16, 0    all 92 to 107, 49
-// The compact layout stages fewer splats at a time, and draws half a group of ordinals at a time, a *pass*: so samples
-// and queues take less. What that costs was counted, in warp instructions: a task takes some 3000. Each further batch
-// that its list is cut into takes 200 to set up again. To walk a list twice takes 60, since each time it meets half of
-// the ordinals. To store three bytes of a lens at a time takes 50. Rounds of 16 hits would halve the operands instead,
-// but leave half of the lanes without work.
+//   samples 24, 12    queues 19, 6    operands 12.5    colours 9.5    lenses 3
+//   staged splats and their patches 22, 5    bytes of the tile 2 to 16, 0    all 92 to 107, 49
+// What a task takes was counted, in warp instructions, where its list is a batch (sheet:512 at 40 degrees): 1460 for 52
+// hits, of them 380 to set it up and to join what it has drawn, 170 for each 32 operands, 104 for each batch of
+// products. So a list that is cut in two costs a third more, and the batch is what must not be small. The compact
+// layout holds no splats, only their numbers, and every task reads its hits from the cache. It draws half a group of
+// ordinals at a time, a *pass*, and queues the hits of one ordinal at a time. Where a list is one batch, it is staged
+// once for both passes.
 template <bool Harmonics_, bool Compact_>
 struct BlockLayout {
   static constexpr bool kHarmonics = Harmonics_, kCompact = Compact_;
+  static constexpr bool kHoldsColours = !kHarmonics && !kCompact;  // otherwise they are read when a hit is drawn
   static constexpr int kOrdinals = kCompact ? kGroupOrdinals / 2 : kGroupOrdinals;  // drawn at a time
   // Splats staged at a time
-  static constexpr int kBatch = kHarmonics ? (kCompact ? 152 : 400) : (kCompact ? 176 : 416);
+  static constexpr int kBatch = kHarmonics ? 400 : kCompact ? 576 : 416;
   static_assert(kGroupOrdinals % kOrdinals == 0);  // those drawn at a time have one list
 };
-// A queue names a staged splat by one byte, its place in a *page* of 256 of them.
+// In the full layout a queue names a staged splat by one byte, its place in a *page* of 256 of them.
 constexpr int kPage = 256;
+// In the compact layout a lane looks at so many splats of a batch at once when it looks for hits.
+constexpr int kAhead = 2;
 // What the system takes for each block, and what a block may take where two stand on 100 KB.
 constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedBytes;
 
@@ -50,15 +54,18 @@ constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedB
 template <class Layout>
 struct WarpMemory {
   static constexpr bool kHarmonics = Layout::kHarmonics;
-  // Used in turn for features, 32 samples x 48 bytes; for the coefficients of 32 hits: those of d in two parts, then
-  // those of A, 16 bytes each; and for finished bytes, see Patch::store_bytes().
+  // Used in turn for features, 32 samples x 48 bytes; and for the coefficients of 32 hits: those of d in two parts,
+  // then those of A, 16 bytes each.
   alignas(16) char operands[kExponentOffset + 512];
   uint4 colour[32], slope[kHarmonics ? 32 : 1];
   // The colours of the last hit of every quarter in this round and in the one before, which change places
-  float4 last_colour[2][kHarmonics ? 4 : 1];
+  float4 last_colour[2][Layout::kHoldsColours ? 1 : 4];
   uint2 last_slope[2][kHarmonics ? 4 : 1];
-  uint8_t queue[Layout::kOrdinals][Layout::kBatch];
-  int first_page[Layout::kOrdinals];              // how many in a queue are of the first page; the others of the second
+  // The hits of every ordinal; in the compact layout, of the one that is drawn
+  using Place = std::conditional_t<Layout::kCompact, uint16_t, uint8_t>;
+  Place queue[Layout::kCompact ? 1 : Layout::kOrdinals][Layout::kBatch];
+  // How many in a queue are of the first page; the others of the second
+  int first_page[Layout::kCompact ? 1 : Layout::kOrdinals];
   float2 state[Layout::kOrdinals * kHalves][32];  // colour and transmittance of each sample
   // For the lens of each sample, in the sample's row: the sub-pixel at ordinal 0; the first ordinal that is the lens's
   // own, and the first that is no more. They are in memory since the compiler would rather compute them again for every
@@ -73,15 +80,19 @@ struct WarpMemory {
 template <class Layout>
 struct Memory {
   static constexpr int kBatch = Layout::kBatch;
-  float4 splat[3][kBatch];                             // the depth is replaced by a number, see stage()
-  float4 colour[Layout::kHarmonics ? 1 : kBatch + 1];  // with harmonics colours are read when a hit is drawn
-  using Patches = std::conditional_t<Layout::kCompact, uint16_t, uint32_t>;
-  Patches touched[kWarpsDown][kBatch];  // by those splats: see patches_touched()
+  // The staged splats. Full layout: what they are, but for the depth, see splat_with_entry(), and their colours.
+  // Compact layout: their numbers
+  float4 splat[3][Layout::kCompact ? 1 : kBatch];
+  float4 colour[Layout::kHoldsColours ? kBatch + 1 : 1];
+  uint32_t id[Layout::kCompact ? kBatch : 1];
+  // What they touch, see patches_touched(). Compact layout: nothing, from behind the last to a multiple of kLooked
+  static constexpr int kLooked = 32 * kAhead;
+  uint32_t touched[kWarpsDown][(kBatch + kLooked - 1) / kLooked * kLooked];
   WarpMemory<Layout> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
   unsigned next_tile;
 
-  static_assert(kBatch <= 2 * kPage);
+  static_assert(Layout::kCompact || kBatch <= 2 * kPage);
 };
 template <bool Harmonics>
 using CompactMemory = Memory<BlockLayout<Harmonics, true>>;

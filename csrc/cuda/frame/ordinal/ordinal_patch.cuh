@@ -46,12 +46,38 @@ struct Patch {
       places |= 1u << 8 * place_of(own.start[s / 4][s / 2 % 2 * 16 + s % 2 * 8 + lane / 4]) + s;
   }
 
+  // Staged splat i; in the place of its depth is a number, see splat_with_entry().
   __device__ Splat<float> staged(int i) const {
+    if constexpr (Layout::kCompact) return splat_with_entry(frame, memory.id[i]);
     return assembled(memory.splat[0][i], memory.splat[1][i], memory.splat[2][i]);
   }
 
-  // Which of the `count` staged splats may touch the patch at which ordinal of the pass: fills the queues, which keep
-  // the splats in their order, and returns in lane t how many there are at ordinal t.
+  // Compact layout: which of the `count` staged splats may touch the patch at the t-th ordinal of the group. Fills the
+  // queue, which keeps the splats in their order, and returns how many there are.
+  __device__ int cull_at(int t, int count) {
+    const int warp = threadIdx.x / 32;
+    const int own_lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows
+    const unsigned mine = 1u << (kWarpsAcross * t + warp % kWarpsAcross), before = (1u << own_lane) - 1;
+    const uint32_t* touched = memory.touched[warp / kWarpsAcross];
+    int n = 0;
+#pragma unroll 1
+    for (int i = own_lane; i - own_lane < count; i += 32 * kAhead) {
+      unsigned at[kAhead];  // all are read before the first is queued, so that the reads overlap
+#pragma unroll
+      for (int k = 0; k < kAhead; ++k) at[k] = touched[i + 32 * k];
+#pragma unroll
+      for (int k = 0; k < kAhead; ++k) {
+        const unsigned hits = __ballot_sync(~0u, at[k] & mine);
+        if (at[k] & mine) own.queue[0][n + __popc(hits & before)] = uint16_t(i + 32 * k);
+        n += __popc(hits);
+      }
+    }
+    __syncwarp();
+    return n;
+  }
+
+  // Full layout: which of the `count` staged splats may touch the patch at which ordinal of the pass. Fills the queues,
+  // which keep the splats in their order, and returns in lane t how many there are at ordinal t.
   __device__ int cull(int count) {
     lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows from it here
     const int warp = threadIdx.x / 32;
@@ -84,6 +110,7 @@ struct Patch {
 
   // The staged splat at place k of the queue of ordinal t.
   __device__ int queued(int t, int k) const {
+    if constexpr (Layout::kCompact) return own.queue[0][k];
     const int i = own.queue[t][k];
     if (Layout::kBatch <= kPage) return i;
     return k >= own.first_page[t] ? i + kPage : i;
@@ -128,50 +155,33 @@ struct Patch {
     return all;
   }
 
-  // A finished sample: its number in the patch, its row in the tile, its sub-pixel from the tile's first in that row,
-  // its ordinal in the pass.
+  // A finished sample: its row in the tile, its sub-pixel in that row of the panel and the place of that in its pixel.
   struct Finished {
-    int number, row, at, t;
+    int row, m, place;
   };
 
-  // Hands every finished sample of ordinals first .. last to put(Finished, value).
+  // Hands every finished sample of ordinals first .. last that is on the panel to put(Finished, value).
   template <class Put>
   __device__ void finish(int first, int last, const float4& background, const Put& put) {
+    const LensOptics& lens = frame.optics;
     const int down = threadIdx.x / 32 / kWarpsAcross;
 #pragma unroll
     for (int i = 0; i < kHalves; ++i) {
       const int2 kept = place_of_kept(i);
-      const int row = down * kWarpRows + kept.y / kWarpLenses + 8 * kept.x;
+      const int row = kept.y / kWarpLenses + 8 * kept.x, start = own.start[kept.x][kept.y];
+      if (row0 + row >= lens.height_px) continue;
       const uchar2 ordinals = own.ordinals[kept.x][kept.y];
-      const int start = own.start[kept.x][kept.y], begin = max(int(ordinals.x), first),
-                end = min(int(ordinals.y) - 1, last);
-      int place = place_of(start + begin), at = start - memory.rows[row].x + begin;
-      for (int ordinal = begin; ordinal <= end; ++ordinal, ++at) {
-        const float2 state = own.state[(ordinal - first) * kHalves + i][lane];
+      const int begin = max(start + max(int(ordinals.x), first), 0);
+      const int end = min(start + min(int(ordinals.y), last + 1), 3 * lens.width_px);
+      int place = place_of(start + first);
+#pragma unroll
+      for (int t = 0; t < kOrdinals; ++t, place = place == 2 ? 0 : place + 1) {
+        const int m = start + first + t;
+        if (m < begin || m >= end) continue;
+        const float2 state = own.state[t * kHalves + i][lane];
         const float behind = place == 0 ? background.x : place == 1 ? background.y : background.z;
-        put(Finished{kept.x * 32 + kept.y, row, at, ordinal - first},
-            ended(fmaf(state.y, behind, state.x), state.y, behind));
-        place = place == 2 ? 0 : place + 1;
+        put(Finished{down * kWarpRows + row, m, place}, ended(fmaf(state.y, behind, state.x), state.y, behind));
       }
-    }
-  }
-
-  // Compact layout: where finish() collects the bytes of a pass, a row of lenses after the other.
-  __device__ uint8_t& byte(int number, int t) const {
-    return reinterpret_cast<uint8_t*>(own.operands)[number * kOrdinals + t];
-  }
-  // Stores them in the image. Neighbouring lanes store what is next to each other there, as far as a pass has it.
-  __device__ void store_bytes(int first, int last, uint8_t* out) const {
-    const LensOptics& lens = frame.optics;
-    const int width = 3 * lens.width_px;
-#pragma unroll 1
-    for (int k = lane; k < kHalves * 32 * kOrdinals; k += 32) {
-      const int number = k / kOrdinals, ordinal = first + k % kOrdinals, row = row0 + number / kWarpLenses;
-      const uchar2 ordinals = own.ordinals[number / 32][number % 32];
-      const int m = own.start[number / 32][number % 32] + ordinal;
-      const bool inside = (ordinal >= ordinals.x) & (ordinal < ordinals.y) & (ordinal <= last);
-      if (inside & (row < lens.height_px) & (m >= 0) & (m < width))
-        out[int64_t(row) * width + in_image(lens, m)] = byte(number, k % kOrdinals);
     }
   }
 };

@@ -9,6 +9,15 @@
 namespace lfgs::cuda {
 
 #if __CUDA_ARCH__ >= 800
+// The splat of number `id`, its depth replaced by where the arrays by ordinal have its entry at ordinal 0.
+__device__ inline Splat<float> splat_with_entry(const LensFrame& frame, uint32_t id) {
+  const float4* parts = reinterpret_cast<const float4*>(frame.splats.splats) + 3 * int64_t(id);
+  const float4 a = parts[0], b = parts[1];
+  float4 c = parts[2];
+  c.w = __uint_as_float(id * frame.optics.ordinals.columns());
+  return assembled(a, b, c);
+}
+
 // x + tan(slant) y of ordinal -1/2, in the middle of a patch whose first lens is this one.
 __device__ inline float sheared_x(const LensOptics& lens, int first_lens) {
   const float phase = fmaf(first_lens + 0.5f * (kWarpLenses - 1), lens.line_number, -lens.origin);
@@ -16,10 +25,9 @@ __device__ inline float sheared_x(const LensOptics& lens, int first_lens) {
 }
 
 // The patches that a splat may touch, as bits: bit kWarpsAcross t + a stands for patch a of a tile from the left, in
-// the upper or lower row of patches that begins in row `row0`, at ordinal t of the pass first .. last.
-template <int kOrdinals>
-__device__ unsigned patches_touched(const LensOptics& lens, const Splat<float>& s, int first_lens, int row0, int first,
-                                    int last) {
+// the upper or lower row of patches that begins in row `row0`, at ordinal t of those from first to last.
+__device__ inline unsigned patches_touched(const LensOptics& lens, const Splat<float>& s, int first_lens, int row0,
+                                           int first, int last) {
   const Ordinals& ordinals = lens.ordinals;
   const Strip rows(s, row0 + 0.5f, row0 + kWarpRows - 0.5f, lens.slant_tan);
   const float width = kWarpLenses * lens.line_number / 3;
@@ -28,7 +36,7 @@ __device__ unsigned patches_touched(const LensOptics& lens, const Splat<float>& 
   float x = sheared_x(lens, first_lens) + (first + 0.5f) / 3;  // of the first patch, at each ordinal
   unsigned touched = 0;
 #pragma unroll
-  for (int t = 0; t < kOrdinals; ++t, x += 1.f / 3) {
+  for (int t = 0; t < kGroupOrdinals; ++t, x += 1.f / 3) {
     const int ordinal = min(first + t, last);  // what follows behind the last is cleared below
     const Span span = rows.at(s, ordinals.centre[ordinal], ordinals.half[ordinal]);
     // A square below zero makes the reach negative, and very large

@@ -98,34 +98,38 @@ struct Task : Patch<Layout> {
     operands.exponent.w = __float_as_uint(share.y);
   }
 
-  // Without harmonics: the colour of staged splat i, the same for all cameras. Number kBatch is black.
+  // Where the block holds colours: that of staged splat i, the same for all cameras. Number kBatch is black.
   __device__ Colour colour(int i) const {
     Colour out;
-    const float4 c = memory.colour[Harmonics ? 0 : i];
+    const float4 c = memory.colour[Layout::kHoldsColours ? i : 0];
     out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
     return out;
   }
-  // With harmonics: a colour out of the two pieces in which LensFrame stores it.
+  // Elsewhere: a colour out of the two pieces in which LensFrame stores it; without harmonics the second is nothing.
   static __device__ Colour whole(const float4& c, const uint2& slopes) {
     Colour out;
     out.value[0] = c.x, out.value[1] = c.y, out.value[2] = c.z;
     out.slope[0] = __float_as_uint(c.w), out.slope[1] = slopes.x, out.slope[2] = slopes.y;
     return out;
   }
-  // With harmonics: keeps such a colour in the warp's memory, as the last of a quarter in a round, and reads it again,
-  // for the hit that follows takes the difference to it. Odd rounds have places of their own (turn 1).
+  // Keeps such a colour in the warp's memory, as the last of a quarter in a round, and reads it again, for the hit that
+  // follows takes the difference to it. Odd rounds have places of their own (turn 1).
   __device__ void keep(int turn, int quarter, const float4& c, const uint2& slopes) {
-    own.last_colour[turn][Harmonics ? quarter : 0] = c, own.last_slope[turn][Harmonics ? quarter : 0] = slopes;
+    own.last_colour[turn][Layout::kHoldsColours ? 0 : quarter] = c;
+    if (Harmonics) own.last_slope[turn][Harmonics ? quarter : 0] = slopes;
   }
   __device__ Colour kept_colour(int turn, int quarter) const {
-    return whole(own.last_colour[turn][Harmonics ? quarter : 0], own.last_slope[turn][Harmonics ? quarter : 0]);
+    return whole(own.last_colour[turn][Layout::kHoldsColours ? 0 : quarter],
+                 Harmonics ? own.last_slope[turn][Harmonics ? quarter : 0] : make_uint2(0, 0));
   }
   // The colour that another lane of the warp has.
   static __device__ Colour of_lane(const Colour& own, int lane) {
     Colour out;
 #pragma unroll
-    for (int c = 0; c < 3; ++c)
-      out.value[c] = __shfl_sync(~0u, own.value[c], lane), out.slope[c] = __shfl_sync(~0u, own.slope[c], lane);
+    for (int c = 0; c < 3; ++c) {
+      out.value[c] = __shfl_sync(~0u, own.value[c], lane);
+      if (Harmonics) out.slope[c] = __shfl_sync(~0u, own.slope[c], lane);
+    }
     return out;
   }
 
@@ -215,7 +219,7 @@ struct Task : Patch<Layout> {
     for (int s = 0; s < 2 * kFragments; ++s) transmittances[s] = 1;
     const int quarter = (n + 3) / 4;
     int begin = 0, hit = kBatch, kept = hit;  // this lane's hit of this round, of the last; kBatch: none
-    if (Harmonics && lane < 4) keep(1, lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
+    if (!Layout::kHoldsColours && lane < 4) keep(1, lane, make_float4(0, 0, 0, 0), make_uint2(0, 0));
     for (; begin < quarter; begin += 8) {
       // Read this lane's hit: those of quarter q are in the columns 2 q and 2 q + 1 of the four batches
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
@@ -224,14 +228,17 @@ struct Task : Patch<Layout> {
       const Splat<float> splat = staged(i);
       float4 c = make_float4(0, 0, 0, 0);
       uint2 slopes = make_uint2(0, 0);
-      if (Harmonics && valid) {  // asked for first, since they take a while; __syncwarp keeps them before the rest
-        const unsigned at = __float_as_uint(splat.depth) + t;
-        c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
-        slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
+      // Colours are asked for first, since they take a while; __syncwarp keeps them before the rest
+      if constexpr (Harmonics) {
+        const unsigned at = __float_as_uint(splat.depth) + ordinal;
+        if (valid) c = reinterpret_cast<const float4*>(frame.ordinal_colours)[at];
+        if (valid) slopes = reinterpret_cast<const uint2*>(frame.ordinal_slopes)[at];
+      } else if constexpr (!Layout::kHoldsColours) {
+        c = reinterpret_cast<const float4*>(frame.splats.colours)[memory.id[i]];
       }
       [[maybe_unused]] float2 share;
       if constexpr (Compensated)
-        share = reinterpret_cast<const float2*>(frame.ordinal_shares)[__float_as_uint(splat.depth) + t];
+        share = reinterpret_cast<const float2*>(frame.ordinal_shares)[__float_as_uint(splat.depth) + ordinal];
       __syncwarp();
 
       // Make its operands, and see whether any of the 32 is opaque or may be careful
@@ -244,7 +251,11 @@ struct Task : Patch<Layout> {
       if (!valid) operands.exponent = make_uint4(kNothing, 0, 0, 0);
 
       // Store them, the colour as the difference to that of the hit before
-      if constexpr (Harmonics) {
+      if constexpr (!Layout::kHoldsColours) {
+        if (!Harmonics) {
+          c = by_place(frame.optics, c);
+          c = make_float4(valid ? c.x : 0, valid ? c.y : 0, valid ? c.z : 0, 0);
+        }
         const int turn = begin / 8 % 2;
         const Colour now = whole(c, slopes);
         Colour last = of_lane(now, lane_before());
@@ -336,7 +347,8 @@ struct Task : Patch<Layout> {
     // columns is odd the spare one, which is black, has done so
     if (quarter % 2 == 0) {
       const int j = quarter - 1 - (begin - 8), last = j / 2 * 8 + quad * 2 + j % 2;
-      const Colour end = Harmonics ? kept_colour((begin / 8 - 1) % 2, quad) : colour(__shfl_sync(~0u, hit, last));
+      const Colour end =
+          Layout::kHoldsColours ? colour(__shfl_sync(~0u, hit, last)) : kept_colour((begin / 8 - 1) % 2, quad);
       close(end, ordinal % 3, A_features, colours, transmittances);
     }
     join(t, colours, transmittances);
