@@ -55,8 +55,8 @@ struct Patch {
   // Which of the `count` staged splats may touch the patch at the t-th ordinal of the group. Fills the queue, which
   // keeps the splats in their order, and returns how many there are.
   __device__ int cull(int t, int count) {
-    const int warp = threadIdx.x / 32,
-              own_lane = forgotten(lane);  // draw() keeps no registers for what follows from it
+    const int warp = threadIdx.x / 32;
+    const int own_lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows
     const unsigned mine = 1u << (kWarpsAcross * t + warp % kWarpsAcross), before = (1u << own_lane) - 1;
     const uint32_t* touched = memory.touched[warp / kWarpsAcross];
     int n = 0;
