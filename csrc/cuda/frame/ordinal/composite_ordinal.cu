@@ -33,10 +33,9 @@ __device__ void stage(const LensFrame& frame, const uint32_t* ids, int count, in
   static_assert(kWarpsDown == 2);
   const float4* colours = reinterpret_cast<const float4*>(frame.splats.colours);
   constexpr int kLooked = Memory<Layout>::kLooked;
-  const int places = Layout::kCompact ? (count + kLooked - 1) / kLooked * kLooked : count;
-  for (int j = threadIdx.x; j < 2 * places; j += kThreads) {
+  for (int j = threadIdx.x; j < 2 * ((count + kLooked - 1) / kLooked * kLooked); j += kThreads) {
     const int i = j / 2, down = j % 2;
-    if (Layout::kCompact && i >= count) {
+    if (i >= count) {
       memory.touched[down][i] = 0;
       continue;
     }
@@ -110,18 +109,12 @@ __device__ void draw_tile(const LensFrame& frame, const Lists& lists, unsigned t
         staged = begin;
       }
       if (opaque) continue;
-      const int hits = Layout::kCompact ? 0 : task.cull(count);
 #pragma unroll 1
       for (int ordinal = first; ordinal <= last; ++ordinal) {
         const int t = ordinal - first;
-        int n = 0;
-        if constexpr (Layout::kCompact) {
-          if (!task.opaque(t)) n = task.cull_at(ordinal - of_group, count);
-        } else {
-          n = __shfl_sync(~0u, hits, t);
-        }
-        if (n == 0 || (!Layout::kCompact && task.opaque(t))) continue;
-        task.draw(t, n, ordinal);
+        if (task.opaque(t)) continue;
+        const int n = task.cull(ordinal - of_group, count);
+        if (n > 0) task.draw(t, n, ordinal);
       }
     }
     __syncwarp();

@@ -26,26 +26,23 @@ constexpr int kFeatureBytes = 48, kHighOffset = 576, kExponentOffset = 1088;
 // How a block uses shared memory. Two blocks should stand on a multiprocessor: with one, 8 warps are too few to cover
 // each other's waits. The full layout does so where it has 228 KB (sm_90), the compact one where it has 100 KB (sm_86,
 // sm_89, sm_120). KB of a block with harmonics, full and compact:
-//   samples 24, 12    queues 19, 6    operands 12.5    colours 9.5    lenses 3
-//   staged splats and their patches 22, 5    bytes of the tile 2 to 16, 0    all 92 to 107, 49
+//   samples 24, 12    queues 9, 6    operands 12.5    colours 9.5    lenses 3
+//   staged splats and their patches 31.5, 5    bytes of the tile 2 to 16, 0    all 92 to 107, 49
 // What a task takes was counted, in warp instructions, where its list is a batch (sheet:512 at 40 degrees): 1460 for 52
 // hits, of them 380 to set it up and to join what it has drawn, 170 for each 32 operands, 104 for each batch of
 // products. So a list that is cut in two costs a third more, and the batch is what must not be small. The compact
 // layout holds no splats, only their numbers, and every task reads its hits from the cache. It draws half a group of
-// ordinals at a time, a *pass*, and queues the hits of one ordinal at a time. Where a list is one batch, it is staged
-// once for both passes.
+// ordinals at a time, a *pass*. Where a list is one batch, it is staged once for both passes.
 template <bool Harmonics_, bool Compact_>
 struct BlockLayout {
   static constexpr bool kHarmonics = Harmonics_, kCompact = Compact_;
   static constexpr bool kHoldsColours = !kHarmonics && !kCompact;  // otherwise they are read when a hit is drawn
   static constexpr int kOrdinals = kCompact ? kGroupOrdinals / 2 : kGroupOrdinals;  // drawn at a time
   // Splats staged at a time
-  static constexpr int kBatch = kHarmonics ? 400 : kCompact ? 576 : 416;
+  static constexpr int kBatch = kHarmonics && kCompact ? 400 : 576;
   static_assert(kGroupOrdinals % kOrdinals == 0);  // those drawn at a time have one list
 };
-// In the full layout a queue names a staged splat by one byte, its place in a *page* of 256 of them.
-constexpr int kPage = 256;
-// In the compact layout a lane looks at so many splats of a batch at once when it looks for hits.
+// When a lane looks for hits it looks at so many splats of a batch at once.
 constexpr int kAhead = 2;
 // What the system takes for each block, and what a block may take where two stand on 100 KB.
 constexpr int kReservedBytes = 1024, kCompactBytes = 100 * 1024 / 2 - kReservedBytes;
@@ -61,11 +58,7 @@ struct WarpMemory {
   // The colours of the last hit of every quarter in this round and in the one before, which change places
   float4 last_colour[2][Layout::kHoldsColours ? 1 : 4];
   uint2 last_slope[2][kHarmonics ? 4 : 1];
-  // The hits of every ordinal; in the compact layout, of the one that is drawn
-  using Place = std::conditional_t<Layout::kCompact, uint16_t, uint8_t>;
-  Place queue[Layout::kCompact ? 1 : Layout::kOrdinals][Layout::kBatch];
-  // How many in a queue are of the first page; the others of the second
-  int first_page[Layout::kCompact ? 1 : Layout::kOrdinals];
+  uint16_t queue[Layout::kBatch];  // the hits of the ordinal that is drawn: which of the staged splats they are
   float2 state[Layout::kOrdinals * kHalves][32];  // colour and transmittance of each sample
   // For the lens of each sample, in the sample's row: the sub-pixel at ordinal 0; the first ordinal that is the lens's
   // own, and the first that is no more. They are in memory since the compiler would rather compute them again for every
@@ -85,14 +78,12 @@ struct Memory {
   float4 splat[3][Layout::kCompact ? 1 : kBatch];
   float4 colour[Layout::kHoldsColours ? kBatch + 1 : 1];
   uint32_t id[Layout::kCompact ? kBatch : 1];
-  // What they touch, see patches_touched(). Compact layout: nothing, from behind the last to a multiple of kLooked
+  // What they touch, see patches_touched(); nothing, from behind the last to a multiple of kLooked
   static constexpr int kLooked = 32 * kAhead;
   uint32_t touched[kWarpsDown][(kBatch + kLooked - 1) / kLooked * kLooked];
   WarpMemory<Layout> warps[kWarps];
   int2 rows[kTileRows];  // first sub-pixel of the tile in each row, and of the next tile
   unsigned next_tile;
-
-  static_assert(Layout::kCompact || kBatch <= 2 * kPage);
 };
 template <bool Harmonics>
 using CompactMemory = Memory<BlockLayout<Harmonics, true>>;

@@ -52,9 +52,9 @@ struct Patch {
     return assembled(memory.splat[0][i], memory.splat[1][i], memory.splat[2][i]);
   }
 
-  // Compact layout: which of the `count` staged splats may touch the patch at the t-th ordinal of the group. Fills the
-  // queue, which keeps the splats in their order, and returns how many there are.
-  __device__ int cull_at(int t, int count) {
+  // Which of the `count` staged splats may touch the patch at the t-th ordinal of the group. Fills the queue, which
+  // keeps the splats in their order, and returns how many there are.
+  __device__ int cull(int t, int count) {
     const int warp = threadIdx.x / 32;
     const int own_lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows
     const unsigned mine = 1u << (kWarpsAcross * t + warp % kWarpsAcross), before = (1u << own_lane) - 1;
@@ -68,7 +68,7 @@ struct Patch {
 #pragma unroll
       for (int k = 0; k < kAhead; ++k) {
         const unsigned hits = __ballot_sync(~0u, at[k] & mine);
-        if (at[k] & mine) own.queue[0][n + __popc(hits & before)] = uint16_t(i + 32 * k);
+        if (at[k] & mine) own.queue[n + __popc(hits & before)] = uint16_t(i + 32 * k);
         n += __popc(hits);
       }
     }
@@ -76,45 +76,8 @@ struct Patch {
     return n;
   }
 
-  // Full layout: which of the `count` staged splats may touch the patch at which ordinal of the pass. Fills the queues,
-  // which keep the splats in their order, and returns in lane t how many there are at ordinal t.
-  __device__ int cull(int count) {
-    lane = forgotten(lane);  // so that draw(), between two culls, keeps no registers for what follows from it here
-    const int warp = threadIdx.x / 32;
-    const auto* touched = memory.touched[warp / kWarpsAcross];
-    const unsigned before = (1u << lane) - 1;  // the lanes before this one
-    int counts[kOrdinals] = {}, mine = 0;
-    // A page of staged splats after the other
-#pragma unroll 1
-    for (int page = 0, begin = 0; page * kPage < count; ++page) {
-      const int end = min(count, (page + 1) * kPage);
-#pragma unroll 1
-      for (; begin < end; begin += 32) {
-        const int i = begin + lane;
-        const unsigned at = i < end ? unsigned(touched[i]) >> warp % kWarpsAcross : 0;
-#pragma unroll
-        for (int t = 0; t < kOrdinals; ++t) {
-          const bool hit = at >> kWarpsAcross * t & 1;
-          const unsigned hits = __ballot_sync(~0u, hit);
-          if (hit) own.queue[t][counts[t] + __popc(hits & before)] = uint8_t(i);
-          counts[t] += __popc(hits);
-        }
-      }
-#pragma unroll
-      for (int t = 0; t < kOrdinals; ++t) mine = lane == t ? counts[t] : mine;
-      if (page == 0 && lane < kOrdinals) own.first_page[lane] = mine;
-    }
-    __syncwarp();
-    return mine;
-  }
-
-  // The staged splat at place k of the queue of ordinal t.
-  __device__ int queued(int t, int k) const {
-    if constexpr (Layout::kCompact) return own.queue[0][k];
-    const int i = own.queue[t][k];
-    if (Layout::kBatch <= kPage) return i;
-    return k >= own.first_page[t] ? i + kPage : i;
-  }
+  // The staged splat at place k of the queue.
+  __device__ int queued(int k) const { return own.queue[k]; }
 
   // Where sample i of the two that this lane keeps (see Task::join) stands: its half of the patch, its number there.
   __device__ int2 place_of_kept(int i) const {

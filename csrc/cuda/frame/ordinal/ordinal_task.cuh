@@ -198,10 +198,10 @@ struct Task : Patch<Layout> {
     }
   }
 
-  // Adds the n hits of the queue of ordinal t of the pass to the state of the samples. The hits are taken in four
-  // quarters at once, and of each quad a lane blends one quarter: over is associative, and join() puts the quarters
-  // together. In each round 8 hits of every quarter become operands, one a lane; then come up to four batches of
-  // products, each of 8 hits (two of every quarter) and all 64 samples.
+  // Adds the n hits of the queue, those of ordinal t of the pass, to the state of the samples. The hits are taken in
+  // four quarters at once, and of each quad a lane blends one quarter: over is associative, and join() puts the
+  // quarters together. In each round 8 hits of every quarter become operands, one a lane; then come up to four batches
+  // of products, each of 8 hits (two of every quarter) and all 64 samples.
   __device__ void draw(int t, int n, int ordinal) {
     const int quad = lane % 4, row = lane / 4;
 
@@ -224,7 +224,7 @@ struct Task : Patch<Layout> {
       // Read this lane's hit: those of quarter q are in the columns 2 q and 2 q + 1 of the four batches
       const int q = lane % 8 / 2, j = begin + lane / 8 * 2 + lane % 2;
       const bool valid = j < min(quarter, n - q * quarter);
-      const int i = queued(t, valid ? q * quarter + j : 0);
+      const int i = queued(valid ? q * quarter + j : 0);
       const Splat<float> splat = staged(i);
       float4 c = make_float4(0, 0, 0, 0);
       uint2 slopes = make_uint2(0, 0);
