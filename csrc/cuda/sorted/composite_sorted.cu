@@ -12,12 +12,12 @@
 namespace lfgs::cuda {
 namespace {
 
-constexpr int kSubpixels = 256, kEach = 4;  // drawn at a time by a block, and by a lane
+constexpr int kSubpixels = 256, kEach = 2;  // drawn at a time by a block, and by a lane
 constexpr int kThreads = kSubpixels / kEach, kGroups = kSubpixels / kSubpixelBlock;
 constexpr int kLanes = kSubpixelBlock / kEach;  // of a group
 constexpr int kStaged = 256;                    // splats that a block keeps at a time
 constexpr int kAtATime = 4;                     // splats that are blended between two looks at the limit
-constexpr int kResident = 13;                   // blocks for which a Hopper multiprocessor has shared memory
+constexpr int kResident = 9;                    // blocks for which a Hopper multiprocessor has shared memory
 constexpr float kNone = -1e9f;                  // log2 opacity of a splat that touches nothing
 static_assert(32 % kLanes == 0 && kThreads % kLanes == 0);
 
