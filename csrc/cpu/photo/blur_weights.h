@@ -10,8 +10,8 @@ namespace lfgs {
 class BlurWeights {
  public:
   // deviation: of the blur.
-  explicit BlurWeights(float deviation) : reach_(Blur::of(deviation).reach) {
-    const Blur blur = Blur::of(deviation);
+  explicit BlurWeights(float deviation) : BlurWeights(Blur::of(deviation)) {}
+  explicit BlurWeights(const Blur& blur) : reach_(blur.reach) {
     for (int k = -reach_; k <= reach_; ++k) weights_.push_back(blur.weight(k));
   }
 

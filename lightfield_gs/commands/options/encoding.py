@@ -57,6 +57,7 @@ class Encoding:
         self.rig: Rig | None = None
         self.stats: dict[str, Any] = {}
         self.stored: np.ndarray | CompressedImage  # the image as it is written
+        self.image: np.ndarray  # its pixels, where the host has them
         self._counts = copies is None or self.device == "cpu"
         self._copies = copies
         self._copy: HostCopy | None = None
@@ -101,13 +102,15 @@ class Encoding:
 
     def _take(self, parts: Sequence[np.ndarray]) -> None:
         """Takes these parts on the host."""
-        self.image = parts[-1]
-        if self._deflated is None:
-            self.stored = _stored(self.image, self.bits)
-            return
-        shape = (self.panel.height_px, self.panel.width_px, 3)
         out, self._deflated = self._deflated, None
-        self.stored = compressed_image(shape, out, parts[0])
+        if out is None:
+            self.image = parts[0]
+            self.stored = _stored(self.image, self.bits)
+        else:
+            facts = parts[0]
+            if len(parts) > 1:
+                self.image = parts[1]
+            self.stored = compressed_image((self.panel.height_px, self.panel.width_px, 3), out, facts)
 
     def _drawn(self, stats: dict[str, Any] | None) -> Tensor:
         """The image, and what `encode` tells of it in stats."""
@@ -148,7 +151,8 @@ class Encoding:
                 self.gaussians = replace(of_tensors(copies[count:]), origin=self.gaussians.origin)
             self._write()
         finally:
-            del self.gaussians, self.image, self.stored  # which are in memory that others write over
+            for name in ("gaussians", "image", "stored"):  # which are in memory that others write over
+                vars(self).pop(name, None)
             self._copy.release()
 
     def _write(self) -> None:
