@@ -82,6 +82,7 @@ class LensTile {
       : lens_(lens),
         layout_(layout),
         across_(layout.cells_per_tile / kCellsPerPatch),
+        stride_(int64_t(row_stride(layout))),
         patches_(kDown * across_),
         samples_(layout.samples()) {
     // Memory
@@ -103,10 +104,10 @@ class LensTile {
     for (size_t v = 0; v < vectors; ++v) row_of_vector_[v] = uint8_t(v / size_t(layout.ordinals * across_));
     for (int64_t p = 0; p < padded_; ++p) {
       const bool real = p < patches_;
-      patch_row_[p] = real ? T(p / across_ * kRows) + T(0.5) * T(kRows) : T(1e9);
+      patch_row_[p] = real ? T(first_row(p / across_)) + middle_row() + T(0.5) : T(1e9);
       patch_x_[p] = patch_s_[p] = patch_half_s_[p] = T(0);
     }
-    for (int lane = 0; lane < kLanes; ++lane) row_of_lane_[lane] = T(lane / kCellsPerPatch) + T(0.5);
+    for (int lane = 0; lane < kLanes; ++lane) row_of_lane_[lane] = T(lane / kCellsPerPatch * stride_) + T(0.5);
   }
 
   int64_t bytes() const {
@@ -145,7 +146,7 @@ class LensTile {
 
     // A patch at a time, which ordinals t may be touched. At ordinal t the samples lie X + t slope right of the splat,
     // measured in the middle row of the patch; the splat may touch them where |X + t slope| <= reach
-    const T half = T(0.5) * T(kRows - 1);
+    const T half = middle_row();
     const T spread = layout_.half_patch_px + half * (std::abs(splat.c0 + T(layout_.shear / 3)) + std::abs(splat.c1));
     const T left = splat.S0 - splat.S1 + splat.S2, right = splat.S0 + splat.S1 + splat.S2;
     const V widest = hn::Set(d, std::max(left, right)), zero = hn::Zero(d);
@@ -221,7 +222,8 @@ class LensTile {
     const int64_t* starts = starts_.data();
     for (int64_t r = 0; r < rows; ++r, starts += cells + 1) {
       const int64_t tile_end = std::min(starts[cells], width);
-      const int64_t patch = r / kRows * across, lane = r % kRows * kCellsPerPatch;
+      const int64_t block = kRows * stride_, within = r % block, down = r / block * stride_ + within % stride_;
+      const int64_t patch = down * across, lane = within / stride_ * kCellsPerPatch;
       for (int64_t c = 0; c < cells; ++c) {
         const int64_t begin = std::max<int64_t>(starts[c], 0), end = std::min(starts[c + 1], width);
         if (begin < end)
@@ -236,6 +238,28 @@ class LensTile {
   int ordinals() const { return layout_.ordinals; }
 
  private:
+  // How many rows lie from one row of a group to the next. Lenses lean, so that what a lens shows at an ordinal moves
+  // from row to row by a part of an ordinal. A group of rows that show nearly the same is met by a splat at fewer
+  // ordinals: this is the stride for which the parts differ least. A longer one makes groups taller, which costs about
+  // as much as a twentieth of an ordinal a row.
+  static int row_stride(const LensLayout& layout) {
+    int best = 1;
+    double least = 2;
+    for (int stride = 1; layout.by_lens && stride * kRows <= kBandRows; stride *= 2) {
+      double low = 0, high = 0;
+      for (int row = 1; row < kRows; ++row) {
+        const double edge = layout.shear * stride * row, part = edge - std::round(edge);
+        low = std::min(low, part), high = std::max(high, part);
+      }
+      const double cost = high - low + 0.05 * stride * (kRows - 1);
+      if (cost < least) least = cost, best = stride;
+    }
+    return best;
+  }
+  // The first row of a group, and how far below it the middle of its rows lies.
+  int64_t first_row(int64_t down) const { return down / stride_ * stride_ * kRows + down % stride_; }
+  T middle_row() const { return T(0.5) * T((kRows - 1) * stride_); }
+
   // The first sub-pixel of cell c of the tile in row r of the band.
   int64_t& start(int64_t r, int64_t c) { return starts_[size_t(place(r, c))]; }
   int64_t start(int64_t r, int64_t c) const { return starts_[size_t(place(r, c))]; }
@@ -252,7 +276,7 @@ class LensTile {
     const V u0 = hn::Set(d, u * units.place), du = hn::Set(d, splat.du * units.place);
     for (int down = 0; down < kDown; ++down) {
       Rows& rows = rows_[down];
-      const V dy = hn::Add(lane_rows, hn::Set(d, T(down * kRows) - v));
+      const V dy = hn::Add(lane_rows, hn::Set(d, T(first_row(down)) - v));
       hn::Store(dy, d, rows.dy);
       hn::Store(hn::NegMulAdd(hn::Mul(tau, dy), dy, A), d, rows.A);
       hn::Store(hn::MulAdd(c0, dy, u0), d, rows.M0);
@@ -304,17 +328,20 @@ class LensTile {
     alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
     alignas(64) T columns[kLanes];
     alignas(64) uint64_t phases[kLanes];
+    [[maybe_unused]] double first_phase = 1e30, last_phase = 0;
     [[maybe_unused]] const CellRow* cells[kLanes] = {};
     constexpr uint64_t kAbove = uint64_t(3) << 32;  // keeps numbers positive for cells that begin left of the panel
     const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
     for (int lane = 0; lane < kLanes; ++lane) {
-      const int64_t r = down * kRows + lane / kCellsPerPatch, c = across * kCellsPerPatch + lane % kCellsPerPatch;
+      const int64_t r = first_row(down) + lane / kCellsPerPatch * stride_, c = across * kCellsPerPatch + lane % kCellsPerPatch;
       const int64_t row = row0_ + r, first = anchor(r, c), all = row < lens_.height_px ? width : 0;
       const uint64_t above = uint64_t(first) + kAbove, pixel = above / 3;
       outside[lane] = TI(std::max<int64_t>(start(r, c), 0) - first - 1);
       ends[lane] = TI(std::min(start(r, c + 1), all) - first);
       places[lane] = TI(above - 3 * pixel), columns[lane] = T(int32_t(int64_t(pixel) - left)) + T(0.5);
       phases[lane] = lens_.phase_at(row, first);
+      const double phase = double(phases[lane]);
+      first_phase = std::min(first_phase, phase), last_phase = std::max(last_phase, phase);
       if constexpr (kCells) {
         const int64_t within = int64_t(above % kRowPeriod);
         cells[lane] = &cells_[size_t(row % kCellPeriod * (kRowPeriod + layout_.ordinals) + within)];
@@ -351,10 +378,14 @@ class LensTile {
 
     // The patch as a whole, for find()
     const double cell = double(cell0_ + across * kCellsPerPatch) + 0.5 * (kCellsPerPatch - 1);
-    patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + down * kRows) + 0.5 * (kRows - 1)) - x0_);
+    patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + first_row(down)) + double(middle_row())) - x0_);
     const T low = hn::GetLane(hn::MinOfLanes(d, s_low)), high = hn::GetLane(hn::MaxOfLanes(d, s_high));
     patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (low + high);
     patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
+    if (layout_.by_lens && !kCells) {
+      patch_s_[patch] = T(layout_.s_of_phase(lens_, 0.5 * (first_phase + last_phase)));
+      patch_half_s_[patch] = T(layout_.half_s_of_phases(lens_, last_phase - first_phase));
+    }
   }
 
   // A sub-pixel of a row of a panel with cells, by its number from the start of a period: its phase less that of the
@@ -401,7 +432,7 @@ class LensTile {
 
   const Lens& lens_;
   const LensLayout& layout_;
-  int64_t across_, patches_, samples_, padded_;
+  int64_t across_, stride_, patches_, samples_, padded_;
   int64_t row0_ = 0, cell0_ = 0;
   double x0_ = 0;  // tile origin, pixels
   alignas(64) T row_of_lane_[kLanes];
