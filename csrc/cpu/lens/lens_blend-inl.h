@@ -29,14 +29,15 @@ template <class Footprint, int kOrder, class T>
 HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
                                const Footprint& shape, int64_t count) {
   constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share one test for samples that stop
-  constexpr int kChunk = 16;                              // vectors whose powers, alphas and colours follow each other
+  constexpr int kChunk = 16;                              // vectors whose powers come before their alphas
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
   const Footprint footprint = shape;
-  const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
+  const SplatColour<kOrder, T> colour(colour_of(job.splats, id), job.splats.orders[id]);
+  const T *xs = tile.x.get(), *ss = tile.s.get();
+  const auto* channels = tile.channel.get();
   T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
-  const int order = job.splats.orders[id];
   const V least_after = hn::Set(d, T(job.quality.stop));
   // Positive floats compare like their bits. With one subtracted, the zero of a sample that has stopped already becomes
   // the largest number of all, so that the smallest is below the limit only where a sample stops now.
@@ -44,55 +45,60 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
   const auto one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
   const bool ends_early = job.quality.ends_early();
 
-  auto blend = [&](auto vectors, const uint16_t* list, const T* alphas) {
+  auto blend = [&](auto vectors, const uint16_t* list, const T* powers) {
     // Weights, and the light that is left
     V weights[vectors], afters[vectors];
+    int64_t at[vectors];
     auto least = limit;
     for (int n = 0; n < vectors; ++n) {
-      const int64_t i = int64_t(list[n]) * kLanes;
+      const int64_t i = at[n] = list[n];
       const V before = hn::Load(d, transmittances + i);
-      weights[n] = hn::Mul(hn::Load(d, alphas + n * kLanes), before);
+      weights[n] = hn::Mul(footprint.alpha(hn::Load(d, powers + n * kLanes), hn::Load(d, ss + i)), before);
       afters[n] = hn::Sub(before, weights[n]);
       least = hn::Min(least, hn::Sub(hn::BitCast(du, afters[n]), one));
     }
-    const bool stops = !hn::AllTrue(du, hn::Eq(least, limit));
 
-    // Colours
-    for (int n = 0; n < vectors; ++n) {
-      const int64_t i = int64_t(list[n]) * kLanes;
-      const auto channel = hn::Load(di, &tile.channel[i]);
-      V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
-
-      // A sample whose transmittance would fall too low ends here: all light that is left goes to the background, or to
-      // this splat where samples end early
-      if (HWY_UNLIKELY(stops)) {
-        const auto stop = hn::Lt(after, least_after);
-        weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
+    // A sample whose transmittance would fall too low ends here: all light that is left goes to the background, or to
+    // this splat where samples end early
+    if (HWY_UNLIKELY(!hn::AllTrue(du, hn::Eq(least, limit)))) {
+      for (int n = 0; n < vectors; ++n) {
+        const int64_t i = at[n];
+        const auto channel = hn::Load(di, channels + i);
+        const auto stop = hn::Lt(afters[n], least_after);
+        const V weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weights[n]);
+        V c = colour.at(channel, hn::Load(d, ss + i));
         if (!ends_early) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
-        after = hn::IfThenZeroElse(stop, after);
-        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
+        const V after = hn::IfThenZeroElse(stop, afters[n]);
+        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(uint16_t(i));
+        hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+        hn::Store(after, d, transmittances + i);
       }
-      hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
-      hn::Store(after, d, transmittances + i);
+      return;
+    }
+    for (int n = 0; n < vectors; ++n) {
+      const int64_t i = at[n];
+      const V c = colour.at(hn::Load(di, channels + i), hn::Load(d, ss + i));
+      hn::Store(hn::MulAdd(weights[n], c, hn::Load(d, colours + i)), d, colours + i);
+      hn::Store(afters[n], d, transmittances + i);
     }
   };
 
-  // First the powers of a few vectors, then their alphas, then their colours. Each is a chain of operations that wait
-  // for one another, and the shorter a chain the more of them does a processor work on at a time.
-  alignas(64) T values[kChunk * kLanes];
+  // First the powers of a few vectors, then their alphas and colours. Each is a chain of operations that wait for one
+  // another, and the shorter a chain the more of them does a processor work on at a time.
+  alignas(64) T powers[kChunk * kLanes];
   for (const uint16_t *list = tile.list(), *all = list + count; list < all;) {
     const int some = int(std::min<int64_t>(all - list, kChunk));
-    for (int n = 0; n < some; ++n) {
-      const int64_t i = int64_t(list[n]) * kLanes;
-      hn::Store(footprint.power(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n])), d, values + n * kLanes);
-    }
-    for (int n = 0; n < some; ++n) {
-      T* value = values + n * kLanes;
-      hn::Store(footprint.alpha(hn::Load(d, value), hn::Load(d, ss + int64_t(list[n]) * kLanes)), d, value);
-    }
+    auto power = [&](int n) {
+      const int64_t i = list[n];
+      const V x = hn::Load(d, xs + i), s = hn::Load(d, ss + i);
+      hn::Store(footprint.power(x, s, tile.rows(uint16_t(i))), d, powers + n * kLanes);
+    };
     int n = 0;
-    for (; n + kStep <= some; n += kStep) blend(std::integral_constant<int, kStep>(), list + n, values + n * kLanes);
-    for (; n < some; ++n) blend(std::integral_constant<int, 1>(), list + n, values + n * kLanes);
+    for (; n + kStep <= some; n += kStep) power(n), power(n + 1), power(n + 2), power(n + 3);
+    for (; n < some; ++n) power(n);
+    for (n = 0; n + kStep <= some; n += kStep)
+      blend(std::integral_constant<int, kStep>(), list + n, powers + n * kLanes);
+    for (; n < some; ++n) blend(std::integral_constant<int, 1>(), list + n, powers + n * kLanes);
     list += some;
   }
 }
@@ -138,7 +144,7 @@ HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, i
   tile.for_each_group([&](const auto& of_group, const uint16_t* list, const uint16_t* end) {
     const RowVectors<Tag<float>> rows(of_group);
     for (; list < end; ++list) {
-      const int64_t i = int64_t(*list) * LensTile<float>::kLanes;
+      const int64_t i = *list;
       const auto s = hn::Load(d, ss + i), before = hn::Load(d, transmittances + i);
       const auto weight = footprint.weight(hn::Load(d, xs + i), s, rows, before);
       const auto c = ColourAt<kOrder>(d, colour, order, hn::Load(di, channels + i), s);
@@ -232,9 +238,9 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
   V g_colour[3 * (kMaxColourOrder + 1)];
   for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
-  auto reverse = [&](uint16_t vector, const RowVectors<Tag<T>>& rows, V dy) {
+  auto reverse = [&](uint16_t sample, const RowVectors<Tag<T>>& rows, V dy) {
     // Alpha again, and the transmittance before the splat
-    const int64_t i = int64_t(vector) * LensTile<T>::kLanes;
+    const int64_t i = sample;
     const V s = hn::Load(d, &tile.s[i]);
     V dx, inverse_S;
     const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
@@ -250,7 +256,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
       // In the reverse `colour` keeps what each sample that stopped lets through to the background
       hn::Store(hn::Add(hn::Load(d, &tile.colour[i]), hn::IfThenElseZero(stop, before)), d, &tile.colour[i]);
-      if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(vector);
+      if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(sample);
     }
     const auto lit = hn::Gt(alpha, hn::Zero(d));
     if (hn::AllFalse(d, lit)) return;

@@ -92,8 +92,8 @@ class LensTile {
       for (auto* a : {&gradient, &total, &prefix}) *a = hwy::AllocateAligned<T>(n);
     channel = hwy::AllocateAligned<TI>(n);
     padded_ = (patches_ + kLanes - 1) / kLanes * kLanes;
-    for (auto* a : {&patch_row_, &patch_x_, &patch_s_, &patch_half_s_}) *a = hwy::AllocateAligned<T>(size_t(padded_));
-    for (auto* a : {&low_, &count_}) *a = hwy::AllocateAligned<TI>(size_t(padded_));
+    for (auto* a : {&patch_row_, &patch_sample_, &patch_x_, &patch_s_, &patch_half_s_}) *a = hwy::AllocateAligned<T>(size_t(padded_));
+    for (auto* a : {&first_sample_, &count_}) *a = hwy::AllocateAligned<TI>(size_t(padded_));
     list_ = hwy::AllocateAligned<uint16_t>(vectors + 64);
     alive_.resize(vectors), row_of_vector_.resize(vectors);
     starts_.resize(size_t(place(kBandRows, 0)));
@@ -105,6 +105,7 @@ class LensTile {
     for (int64_t p = 0; p < padded_; ++p) {
       const bool real = p < patches_;
       patch_row_[p] = real ? T(first_row(p / across_)) + middle_row() + T(0.5) : T(1e9);
+      patch_sample_[p] = T(p * layout.ordinals * kLanes);
       patch_x_[p] = patch_s_[p] = patch_half_s_[p] = T(0);
     }
     for (int lane = 0; lane < kLanes; ++lane) row_of_lane_[lane] = T(lane / kCellsPerPatch * stride_) + T(0.5);
@@ -138,10 +139,18 @@ class LensTile {
       lens_.has_cells ? place_patch<true>(patch) : place_patch<false>(patch);
   }
 
-  // Finds the vectors that the splat may touch: list()[0 .. result), with rows(v) filled for each.
+  // Finds the vectors that the splat may touch: the first sample of each is list()[0 .. result), and the
+  // rows of each are filled.
   HWY_INLINE int64_t find(const Splat<T>& splat, const RowUnits<T>& units = {}) {
     const D d;
     const T u = T(double(splat.u0) - x0_), v = splat.v0 - T(row0_);
+
+    // The groups of rows that it reaches, and their patches
+    const T block = T(kRows * stride_), margin = T(0.01);
+    const T top = (v - splat.reach_y - T(0.5) - margin) / block, bottom = (v + splat.reach_y - T(0.5) + margin) / block;
+    const int64_t first_down = stride_ * int64_t(std::min(std::max(top, T(0)), T(kDown)));
+    const int64_t end_down = stride_ * int64_t(std::min(std::max(bottom + T(1), T(0)), T(kDown)));
+    first_ = std::min<int64_t>(first_down, kDown), end_ = std::min<int64_t>(end_down, kDown);
     fill_rows(splat, u, v, units);
 
     // A patch at a time, which ordinals t may be touched. At ordinal t the samples lie X + t slope right of the splat,
@@ -151,7 +160,7 @@ class LensTile {
     const T left = splat.S0 - splat.S1 + splat.S2, right = splat.S0 + splat.S1 + splat.S2;
     const V widest = hn::Set(d, std::max(left, right)), zero = hn::Zero(d);
     const hn::RebindToSigned<D> di;
-    for (int64_t p = 0; p < padded_; p += kLanes) {
+    for (int64_t p = first_ * across_ / kLanes * kLanes; p < end_ * across_; p += kLanes) {
       // Half width w of the splat in the nearest row, and what the samples spread
       const V middle = hn::Sub(hn::Load(d, &patch_row_[p]), hn::Set(d, v));
       const V nearest = hn::Max(hn::Sub(hn::Abs(middle), hn::Set(d, half)), zero);
@@ -175,14 +184,16 @@ class LensTile {
       const V high = hn::Floor(hn::Min(hn::Max(t1, t2), hn::Set(d, T(layout_.ordinals - 1))));
       V count = hn::Max(hn::Sub(hn::Add(high, hn::Set(d, T(1))), low), zero);
       count = hn::IfThenElseZero(hn::Ge(exponent, zero), count);
-      hn::Store(hn::ConvertTo(di, hn::Min(low, hn::Set(d, T(64)))), di, &low_[p]);
+      const V first = hn::MulAdd(hn::Min(low, hn::Set(d, T(64))), hn::Set(d, T(kLanes)), hn::Load(d, &patch_sample_[p]));
+      hn::Store(hn::ConvertTo(di, first), di, &first_sample_[p]);
       hn::Store(hn::ConvertTo(di, count), di, &count_[p]);
     }
     return fill_list();
   }
 
   const uint16_t* list() const { return list_.get(); }
-  const Rows& rows(uint16_t vector) const { return rows_[row_of_vector_[vector]]; }
+  // The rows of a vector, by its first sample.
+  const Rows& rows(uint16_t sample) const { return rows_[row_of_vector_[sample / kLanes]]; }
   // Calls visit(rows, begin, end) for every group of rows in which find() has listed vectors.
   template <class Visit>
   HWY_INLINE void for_each_group(const Visit& visit) const {
@@ -194,10 +205,10 @@ class LensTile {
     }
   }
 
-  // Leaves a vector out of later lists, for none of its samples takes light any more.
-  void retire(uint16_t vector) {
-    open -= alive_[vector];
-    alive_[vector] = 0;
+  // Leaves the vector that begins with this sample out of later lists, for none of its samples takes light any more.
+  void retire(uint16_t sample) {
+    open -= alive_[sample / kLanes];
+    alive_[sample / kLanes] = 0;
   }
 
   // Retires the vectors in which every sample lets less than `least` through.
@@ -205,7 +216,7 @@ class LensTile {
     const D d;
     const V limit = hn::Set(d, least);
     for (size_t v = 0; v < alive_.size(); ++v)
-      if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit))) retire(uint16_t(v));
+      if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit))) retire(uint16_t(v * kLanes));
   }
 
   // The sub-pixels of one cell in one row, the first of them at `ordinal`. Those that follow belong to the same tile up
@@ -274,7 +285,7 @@ class LensTile {
     const V tau = hn::Set(d, splat.tau * units.power), A = hn::Set(d, (splat.log2_opacity + units.level) * units.power);
     const V c0 = hn::Set(d, splat.c0 * units.place), c1 = hn::Set(d, splat.c1 * units.place);
     const V u0 = hn::Set(d, u * units.place), du = hn::Set(d, splat.du * units.place);
-    for (int down = 0; down < kDown; ++down) {
+    for (int64_t down = first_; down < end_; ++down) {
       Rows& rows = rows_[down];
       const V dy = hn::Add(lane_rows, hn::Set(d, T(first_row(down)) - v));
       hn::Store(dy, d, rows.dy);
@@ -284,23 +295,32 @@ class LensTile {
     }
   }
 
-  // Makes one flat list of vectors from the ranges of ordinals. Every patch writes as many entries as a cell has
-  // ordinals, and the next patch overwrites what was too much: so no branch depends on a range, which no processor
-  // could predict.
+  // Makes one flat list of vectors from the ranges of ordinals. Every patch writes eight entries at least, and the next
+  // patch overwrites what was too much: so only a patch with more takes a branch, which is rare where splats are small
+  // and the rule where they are large, and processors predict both.
   HWY_INLINE int64_t fill_list() {
     const hn::FixedTag<uint16_t, 8> d16;
-    const auto eight = hn::Set(d16, uint16_t(8));
+    const auto steps = hn::Mul(hn::Iota(d16, uint16_t(0)), hn::Set(d16, uint16_t(kLanes)));
+    const auto eight = hn::Set(d16, uint16_t(8 * kLanes));
     uint16_t* list = list_.get();
+    const TI *first_samples = first_sample_.get(), *counts = count_.get();
+    const int64_t across = across_, first = first_, last = end_;
     int64_t size = 0;
-    for (int64_t p = 0, down = 0; down < kDown; ++down) {
-      for (const int64_t end = p + across_; p < end; ++p) {
-        auto entries = hn::Iota(d16, uint16_t(p * layout_.ordinals + low_[p]));
-        for (int k = 0; k < layout_.ordinals; k += 8, entries = hn::Add(entries, eight))
+    std::fill_n(ends_, first, 0);
+    for (int64_t down = first; down < last; ++down) {
+      for (int64_t p = down * across, end = p + across; p < end; ++p) {
+        auto entries = hn::Add(steps, hn::Set(d16, uint16_t(first_samples[p])));
+        hn::StoreU(entries, d16, list + size);
+        const int64_t count = counts[p];
+        for (int64_t k = 8; HWY_UNLIKELY(k < count); k += 8) {
+          entries = hn::Add(entries, eight);
           hn::StoreU(entries, d16, list + size + k);
-        size += count_[p];
+        }
+        size += count;
       }
       ends_[down] = size;
     }
+    std::fill_n(ends_ + last, kDown - last, size);
     // Retired vectors do no harm in the list: a few are quicker blended than dropped
     if (HWY_LIKELY(8 * open > 7 * int(alive_.size()))) return size;
 
@@ -308,9 +328,9 @@ class LensTile {
     int64_t kept = 0;
     for (int64_t k = 0, down = 0; down < kDown; ++down) {
       for (const int64_t end = ends_[down]; k < end; ++k) {
-        const uint16_t vector = list[k];
-        list[kept] = vector;
-        kept += alive_[vector];
+        const uint16_t sample = list[k];
+        list[kept] = sample;
+        kept += alive_[sample / kLanes];
       }
       ends_[down] = kept;
     }
@@ -437,10 +457,11 @@ class LensTile {
   double x0_ = 0;  // tile origin, pixels
   alignas(64) T row_of_lane_[kLanes];
   Rows rows_[kDown];
-  // Of each patch: its middle row; the mean x of its samples at ordinal 0; the centre and half spread of their offsets
-  hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_x_, patch_s_, patch_half_s_;
-  hwy::AlignedFreeUniquePtr<TI[]> low_, count_;  // range of ordinals of each patch
-  hwy::AlignedFreeUniquePtr<uint16_t[]> list_;   // of vectors
+  // Of each patch: its middle row; its first sample; the mean x of its samples at ordinal 0; the centre and half spread of their offsets
+  hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_sample_, patch_x_, patch_s_, patch_half_s_;
+  hwy::AlignedFreeUniquePtr<TI[]> first_sample_, count_;  // of each patch, the range of vectors that a splat may touch
+  hwy::AlignedFreeUniquePtr<uint16_t[]> list_;            // of vectors, by their first samples
+  int64_t first_ = 0, end_ = 0;                           // the groups of rows that the splat reaches
   int64_t ends_[kDown] = {};                     // where each group of rows ends in the list
   std::vector<uint8_t> alive_, row_of_vector_;
   std::vector<int64_t> starts_, anchors_;
