@@ -23,6 +23,33 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
+// Blends a splat into a few vectors in which samples stop: those whose transmittance would fall too low end here, and
+// all light that is left goes to the background, or to this splat where samples end early. It is never inlined, and
+// works alphas out again, so that ForwardSplat keeps its registers for what is frequent.
+template <int kOrder, class Footprint, class T>
+HWY_NOINLINE void StoppingVectors(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
+                                  const Footprint& footprint, const uint16_t* list, const T* powers, int vectors) {
+  using V = typename LensTile<T>::V;
+  const Tag<T> d;
+  const hn::RebindToSigned<Tag<T>> di;
+  const SplatColour<kOrder, T> colour(colour_of(job.splats, id), job.splats.orders[id]);
+  const V least_after = hn::Set(d, T(job.quality.stop));
+  for (int n = 0; n < vectors; ++n, powers += LensTile<T>::kLanes) {
+    const int64_t i = list[n];
+    const auto channel = hn::Load(di, &tile.channel[i]);
+    const V s = hn::Load(d, &tile.s[i]), before = hn::Load(d, &tile.transmittance[i]);
+    V weight = hn::Mul(footprint.alpha(hn::Load(d, powers), s), before), c = colour.at(channel, s);
+    V after = hn::Sub(before, weight);
+    const auto stop = hn::Lt(after, least_after);
+    weight = hn::IfThenElse(stop, before, weight);
+    if (!job.quality.ends_early()) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
+    after = hn::IfThenZeroElse(stop, after);
+    if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
+    hn::Store(hn::MulAdd(weight, c, hn::Load(d, &tile.colour[i])), d, &tile.colour[i]);
+    hn::Store(after, d, &tile.transmittance[i]);
+  }
+}
+
 // Blends a splat into the `count` vectors that tile.find() has listed. It is never inlined, so that the splat's
 // constants stay in registers.
 template <class Footprint, int kOrder, class T>
@@ -43,7 +70,6 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
   // the largest number of all, so that the smallest is below the limit only where a sample stops now.
   const hn::RebindToUnsigned<Tag<T>> du;
   const auto one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
-  const bool ends_early = job.quality.ends_early();
 
   auto blend = [&](auto vectors, const uint16_t* list, const T* powers) {
     // Weights, and the light that is left
@@ -58,23 +84,8 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
       least = hn::Min(least, hn::Sub(hn::BitCast(du, afters[n]), one));
     }
 
-    // A sample whose transmittance would fall too low ends here: all light that is left goes to the background, or to
-    // this splat where samples end early
-    if (HWY_UNLIKELY(!hn::AllTrue(du, hn::Eq(least, limit)))) {
-      for (int n = 0; n < vectors; ++n) {
-        const int64_t i = at[n];
-        const auto channel = hn::Load(di, channels + i);
-        const auto stop = hn::Lt(afters[n], least_after);
-        const V weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weights[n]);
-        V c = colour.at(channel, hn::Load(d, ss + i));
-        if (!ends_early) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
-        const V after = hn::IfThenZeroElse(stop, afters[n]);
-        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(uint16_t(i));
-        hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
-        hn::Store(after, d, transmittances + i);
-      }
-      return;
-    }
+    if (HWY_UNLIKELY(!hn::AllTrue(du, hn::Eq(least, limit))))
+      return StoppingVectors<kOrder>(job, tile, background, id, footprint, list, powers, vectors);
     for (int n = 0; n < vectors; ++n) {
       const int64_t i = at[n];
       const V c = colour.at(hn::Load(di, channels + i), hn::Load(d, ss + i));
