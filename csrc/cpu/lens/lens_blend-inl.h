@@ -23,93 +23,76 @@ HWY_BEFORE_NAMESPACE();
 namespace lfgs {
 namespace HWY_NAMESPACE {
 
-// Blends a splat into a few vectors in which samples stop: those whose transmittance would fall too low end here, and
-// all light that is left goes to the background, or to this splat where samples end early. It is never inlined, and
-// works alphas out again, so that ForwardSplat keeps its registers for what is frequent.
-template <int kOrder, class Footprint, class T>
-HWY_NOINLINE void StoppingVectors(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
-                                  const Footprint& footprint, const uint16_t* list, const T* powers, int vectors) {
-  using V = typename LensTile<T>::V;
-  const Tag<T> d;
-  const hn::RebindToSigned<Tag<T>> di;
-  const SplatColour<kOrder, T> colour(colour_of(job.splats, id), job.splats.orders[id]);
-  const V least_after = hn::Set(d, T(job.quality.stop));
-  for (int n = 0; n < vectors; ++n, powers += LensTile<T>::kLanes) {
-    const int64_t i = list[n];
-    const auto channel = hn::Load(di, &tile.channel[i]);
-    const V s = hn::Load(d, &tile.s[i]), before = hn::Load(d, &tile.transmittance[i]);
-    V weight = hn::Mul(footprint.alpha(hn::Load(d, powers), s), before), c = colour.at(channel, s);
-    V after = hn::Sub(before, weight);
-    const auto stop = hn::Lt(after, least_after);
-    weight = hn::IfThenElse(stop, before, weight);
-    if (!job.quality.ends_early()) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
-    after = hn::IfThenZeroElse(stop, after);
-    if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
-    hn::Store(hn::MulAdd(weight, c, hn::Load(d, &tile.colour[i])), d, &tile.colour[i]);
-    hn::Store(after, d, &tile.transmittance[i]);
-  }
-}
-
 // Blends a splat into the `count` vectors that tile.find() has listed. It is never inlined, so that the splat's
 // constants stay in registers.
 template <class Footprint, int kOrder, class T>
 HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T* background, int32_t id,
                                const Footprint& shape, int64_t count) {
   constexpr int kLanes = LensTile<T>::kLanes, kStep = 4;  // vectors at once: they share one test for samples that stop
-  constexpr int kChunk = 16;                              // vectors whose powers come before their alphas
+  constexpr int kChunk = 16;                              // vectors whose powers, alphas and colours follow each other
   using V = typename LensTile<T>::V;
   const Tag<T> d;
   const hn::RebindToSigned<Tag<T>> di;
   const Footprint footprint = shape;
-  const SplatColour<kOrder, T> colour(colour_of(job.splats, id), job.splats.orders[id]);
-  const T *xs = tile.x.get(), *ss = tile.s.get();
-  const auto* channels = tile.channel.get();
+  const T *xs = tile.x.get(), *ss = tile.s.get(), *colour = colour_of(job.splats, id);
   T *colours = tile.colour.get(), *transmittances = tile.transmittance.get();
+  const int order = job.splats.orders[id];
   const V least_after = hn::Set(d, T(job.quality.stop));
   // Positive floats compare like their bits. With one subtracted, the zero of a sample that has stopped already becomes
   // the largest number of all, so that the smallest is below the limit only where a sample stops now.
   const hn::RebindToUnsigned<Tag<T>> du;
   const auto one = hn::Set(du, 1), limit = hn::Sub(hn::BitCast(du, least_after), one);
+  const bool ends_early = job.quality.ends_early();
 
-  auto blend = [&](auto vectors, const uint16_t* list, const T* powers) {
+  auto blend = [&](auto vectors, const uint16_t* list, const T* alphas) {
     // Weights, and the light that is left
     V weights[vectors], afters[vectors];
-    int64_t at[vectors];
     auto least = limit;
     for (int n = 0; n < vectors; ++n) {
-      const int64_t i = at[n] = list[n];
+      const int64_t i = list[n];
       const V before = hn::Load(d, transmittances + i);
-      weights[n] = hn::Mul(footprint.alpha(hn::Load(d, powers + n * kLanes), hn::Load(d, ss + i)), before);
+      weights[n] = hn::Mul(hn::Load(d, alphas + n * kLanes), before);
       afters[n] = hn::Sub(before, weights[n]);
       least = hn::Min(least, hn::Sub(hn::BitCast(du, afters[n]), one));
     }
+    const bool stops = !hn::AllTrue(du, hn::Eq(least, limit));
 
-    if (HWY_UNLIKELY(!hn::AllTrue(du, hn::Eq(least, limit))))
-      return StoppingVectors<kOrder>(job, tile, background, id, footprint, list, powers, vectors);
+    // Colours
     for (int n = 0; n < vectors; ++n) {
-      const int64_t i = at[n];
-      const V c = colour.at(hn::Load(di, channels + i), hn::Load(d, ss + i));
-      hn::Store(hn::MulAdd(weights[n], c, hn::Load(d, colours + i)), d, colours + i);
-      hn::Store(afters[n], d, transmittances + i);
+      const int64_t i = list[n];
+      const auto channel = hn::Load(di, &tile.channel[i]);
+      V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
+
+      // A sample whose transmittance would fall too low ends here: all light that is left goes to the background, or to
+      // this splat where samples end early
+      if (HWY_UNLIKELY(stops)) {
+        const auto stop = hn::Lt(after, least_after);
+        weight = hn::IfThenElse(stop, hn::Load(d, transmittances + i), weight);
+        if (!ends_early) c = hn::IfThenElse(stop, Lookup(d, background, channel), c);
+        after = hn::IfThenZeroElse(stop, after);
+        if (hn::AllTrue(d, hn::Eq(after, hn::Zero(d)))) tile.retire(list[n]);
+      }
+      hn::Store(hn::MulAdd(weight, c, hn::Load(d, colours + i)), d, colours + i);
+      hn::Store(after, d, transmittances + i);
     }
   };
 
-  // First the powers of a few vectors, then their alphas and colours. Each is a chain of operations that wait for one
-  // another, and the shorter a chain the more of them does a processor work on at a time.
-  alignas(64) T powers[kChunk * kLanes];
+  // First the powers of a few vectors, then their alphas, then their colours. Each is a chain of operations that wait
+  // for one another, and the shorter a chain the more of them does a processor work on at a time.
+  alignas(64) T values[kChunk * kLanes];
   for (const uint16_t *list = tile.list(), *all = list + count; list < all;) {
     const int some = int(std::min<int64_t>(all - list, kChunk));
-    auto power = [&](int n) {
+    for (int n = 0; n < some; ++n) {
       const int64_t i = list[n];
-      const V x = hn::Load(d, xs + i), s = hn::Load(d, ss + i);
-      hn::Store(footprint.power(x, s, tile.rows(uint16_t(i))), d, powers + n * kLanes);
-    };
+      hn::Store(footprint.power(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n])), d, values + n * kLanes);
+    }
+    for (int n = 0; n < some; ++n) {
+      T* value = values + n * kLanes;
+      hn::Store(footprint.alpha(hn::Load(d, value), hn::Load(d, ss + list[n])), d, value);
+    }
     int n = 0;
-    for (; n + kStep <= some; n += kStep) power(n), power(n + 1), power(n + 2), power(n + 3);
-    for (; n < some; ++n) power(n);
-    for (n = 0; n + kStep <= some; n += kStep)
-      blend(std::integral_constant<int, kStep>(), list + n, powers + n * kLanes);
-    for (; n < some; ++n) blend(std::integral_constant<int, 1>(), list + n, powers + n * kLanes);
+    for (; n + kStep <= some; n += kStep) blend(std::integral_constant<int, kStep>(), list + n, values + n * kLanes);
+    for (; n < some; ++n) blend(std::integral_constant<int, 1>(), list + n, values + n * kLanes);
     list += some;
   }
 }

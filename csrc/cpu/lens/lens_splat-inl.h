@@ -41,35 +41,6 @@ HWY_INLINE hn::Vec<D> ColourAt(D d, const hn::TFromD<D>* colour, int order, hn::
   return hn::Max(c, hn::Zero(d));
 }
 
-// The same with the coefficients in registers, for loops that write to memory: after every write a compiler would load
-// them again.
-template <int kOrder, class T>
-struct SplatColour {
-  using D = Tag<T>;
-  using V = hn::Vec<D>;
-  static constexpr bool kHeld = kOrder >= 0 && sizeof(T) == 4;
-  V held[kHeld ? kOrder + 1 : 1];
-  const T* colour;
-  int order;
-
-  HWY_INLINE SplatColour(const T* colour_, int order_) : colour(colour_), order(order_) {
-    if constexpr (kHeld)
-      for (int p = 0; p <= kOrder; ++p) held[p] = hn::LoadDup128(D(), colour + p * kColourStride);
-  }
-  HWY_INLINE V at(hn::Vec<hn::RebindToSigned<D>> channel, V s) const {
-    const D d;
-    if constexpr (kHeld) {
-      const auto indices = hn::IndicesFromVec(d, channel);
-      V c = hn::TableLookupLanes(held[kOrder], indices);
-      if constexpr (kOrder == 0) return c;
-      for (int p = kOrder - 1; p >= 0; --p) c = hn::MulAdd(c, s, hn::TableLookupLanes(held[p], indices));
-      return hn::Max(c, hn::Zero(d));
-    } else {
-      return ColourAt<kOrder>(d, colour, order, channel, s);
-    }
-  }
-};
-
 // The distance px - m(s) of samples from the middle of the splat in their row. Rows: RowTerms or RowVectors.
 template <class T, class Rows>
 HWY_INLINE hn::Vec<Tag<T>> DistanceX(hn::Vec<Tag<T>> x, hn::Vec<Tag<T>> s, const Rows& rows) {

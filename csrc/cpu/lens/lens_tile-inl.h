@@ -403,6 +403,7 @@ class LensTile {
     patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (low + high);
     patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
     if (layout_.by_lens && !kCells) {
+      // Where all sub-pixels stand in stripes, the phases of the lanes say it more narrowly than the layout does
       patch_s_[patch] = T(layout_.s_of_phase(lens_, 0.5 * (first_phase + last_phase)));
       patch_half_s_[patch] = T(layout_.half_s_of_phases(lens_, last_phase - first_phase));
     }
