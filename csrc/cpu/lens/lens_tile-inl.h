@@ -92,7 +92,8 @@ class LensTile {
       for (auto* a : {&gradient, &total, &prefix}) *a = hwy::AllocateAligned<T>(n);
     channel = hwy::AllocateAligned<TI>(n);
     padded_ = (patches_ + kLanes - 1) / kLanes * kLanes;
-    for (auto* a : {&patch_row_, &patch_sample_, &patch_x_, &patch_s_, &patch_half_s_}) *a = hwy::AllocateAligned<T>(size_t(padded_));
+    for (auto* a : {&patch_row_, &patch_sample_, &patch_x_, &patch_s_, &patch_half_s_})
+      *a = hwy::AllocateAligned<T>(size_t(padded_));
     for (auto* a : {&first_sample_, &count_}) *a = hwy::AllocateAligned<TI>(size_t(padded_));
     list_ = hwy::AllocateAligned<uint16_t>(vectors + 64);
     alive_.resize(vectors), row_of_vector_.resize(vectors);
@@ -184,7 +185,8 @@ class LensTile {
       const V high = hn::Floor(hn::Min(hn::Max(t1, t2), hn::Set(d, T(layout_.ordinals - 1))));
       V count = hn::Max(hn::Sub(hn::Add(high, hn::Set(d, T(1))), low), zero);
       count = hn::IfThenElseZero(hn::Ge(exponent, zero), count);
-      const V first = hn::MulAdd(hn::Min(low, hn::Set(d, T(64))), hn::Set(d, T(kLanes)), hn::Load(d, &patch_sample_[p]));
+      const V first =
+          hn::MulAdd(hn::Min(low, hn::Set(d, T(64))), hn::Set(d, T(kLanes)), hn::Load(d, &patch_sample_[p]));
       hn::Store(hn::ConvertTo(di, first), di, &first_sample_[p]);
       hn::Store(hn::ConvertTo(di, count), di, &count_[p]);
     }
@@ -216,7 +218,8 @@ class LensTile {
     const D d;
     const V limit = hn::Set(d, least);
     for (size_t v = 0; v < alive_.size(); ++v)
-      if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit))) retire(uint16_t(v * kLanes));
+      if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit)))
+        retire(uint16_t(v * kLanes));
   }
 
   // The sub-pixels of one cell in one row, the first of them at `ordinal`. Those that follow belong to the same tile up
@@ -353,7 +356,8 @@ class LensTile {
     constexpr uint64_t kAbove = uint64_t(3) << 32;  // keeps numbers positive for cells that begin left of the panel
     const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
     for (int lane = 0; lane < kLanes; ++lane) {
-      const int64_t r = first_row(down) + lane / kCellsPerPatch * stride_, c = across * kCellsPerPatch + lane % kCellsPerPatch;
+      const int64_t r = first_row(down) + lane / kCellsPerPatch * stride_,
+                    c = across * kCellsPerPatch + lane % kCellsPerPatch;
       const int64_t row = row0_ + r, first = anchor(r, c), all = row < lens_.height_px ? width : 0;
       const uint64_t above = uint64_t(first) + kAbove, pixel = above / 3;
       outside[lane] = TI(std::max<int64_t>(start(r, c), 0) - first - 1);
@@ -458,12 +462,13 @@ class LensTile {
   double x0_ = 0;  // tile origin, pixels
   alignas(64) T row_of_lane_[kLanes];
   Rows rows_[kDown];
-  // Of each patch: its middle row; its first sample; the mean x of its samples at ordinal 0; the centre and half spread of their offsets
+  // Of each patch: its middle row; its first sample; the mean x of its samples at ordinal 0; the centre and half spread
+  // of their offsets
   hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_sample_, patch_x_, patch_s_, patch_half_s_;
   hwy::AlignedFreeUniquePtr<TI[]> first_sample_, count_;  // of each patch, the range of vectors that a splat may touch
   hwy::AlignedFreeUniquePtr<uint16_t[]> list_;            // of vectors, by their first samples
   int64_t first_ = 0, end_ = 0;                           // the groups of rows that the splat reaches
-  int64_t ends_[kDown] = {};                     // where each group of rows ends in the list
+  int64_t ends_[kDown] = {};                              // where each group of rows ends in the list
   std::vector<uint8_t> alive_, row_of_vector_;
   std::vector<int64_t> starts_, anchors_;
   std::vector<CellRow> cells_;  // [kCellPeriod][kRowPeriod + ordinals]
