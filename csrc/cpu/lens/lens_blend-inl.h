@@ -49,7 +49,7 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
     V weights[vectors], afters[vectors];
     auto least = limit;
     for (int n = 0; n < vectors; ++n) {
-      const int64_t i = int64_t(list[n]) * kLanes;
+      const int64_t i = list[n];
       const V before = hn::Load(d, transmittances + i);
       weights[n] = hn::Mul(hn::Load(d, alphas + n * kLanes), before);
       afters[n] = hn::Sub(before, weights[n]);
@@ -59,7 +59,7 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
 
     // Colours
     for (int n = 0; n < vectors; ++n) {
-      const int64_t i = int64_t(list[n]) * kLanes;
+      const int64_t i = list[n];
       const auto channel = hn::Load(di, &tile.channel[i]);
       V weight = weights[n], after = afters[n], c = ColourAt<kOrder>(d, colour, order, channel, hn::Load(d, ss + i));
 
@@ -83,12 +83,12 @@ HWY_NOINLINE void ForwardSplat(const LensJob<T>& job, LensTile<T>& tile, const T
   for (const uint16_t *list = tile.list(), *all = list + count; list < all;) {
     const int some = int(std::min<int64_t>(all - list, kChunk));
     for (int n = 0; n < some; ++n) {
-      const int64_t i = int64_t(list[n]) * kLanes;
+      const int64_t i = list[n];
       hn::Store(footprint.power(hn::Load(d, xs + i), hn::Load(d, ss + i), tile.rows(list[n])), d, values + n * kLanes);
     }
     for (int n = 0; n < some; ++n) {
       T* value = values + n * kLanes;
-      hn::Store(footprint.alpha(hn::Load(d, value), hn::Load(d, ss + int64_t(list[n]) * kLanes)), d, value);
+      hn::Store(footprint.alpha(hn::Load(d, value), hn::Load(d, ss + list[n])), d, value);
     }
     int n = 0;
     for (; n + kStep <= some; n += kStep) blend(std::integral_constant<int, kStep>(), list + n, values + n * kLanes);
@@ -138,7 +138,7 @@ HWY_NOINLINE void RoughSplat(const LensJob<float>& job, LensTile<float>& tile, i
   tile.for_each_group([&](const auto& of_group, const uint16_t* list, const uint16_t* end) {
     const RowVectors<Tag<float>> rows(of_group);
     for (; list < end; ++list) {
-      const int64_t i = int64_t(*list) * LensTile<float>::kLanes;
+      const int64_t i = *list;
       const auto s = hn::Load(d, ss + i), before = hn::Load(d, transmittances + i);
       const auto weight = footprint.weight(hn::Load(d, xs + i), s, rows, before);
       const auto c = ColourAt<kOrder>(d, colour, order, hn::Load(di, channels + i), s);
@@ -232,9 +232,9 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
   V g_colour[3 * (kMaxColourOrder + 1)];
   for (int k = 0; k < 3 * (order + 1); ++k) g_colour[k] = hn::Zero(d);
   bool touched = false;
-  auto reverse = [&](uint16_t vector, const RowVectors<Tag<T>>& rows, V dy) {
+  auto reverse = [&](uint16_t sample, const RowVectors<Tag<T>>& rows, V dy) {
     // Alpha again, and the transmittance before the splat
-    const int64_t i = int64_t(vector) * LensTile<T>::kLanes;
+    const int64_t i = sample;
     const V s = hn::Load(d, &tile.s[i]);
     V dx, inverse_S;
     const V power = footprint.power(hn::Load(d, &tile.x[i]), s, rows, dx, inverse_S);
@@ -250,7 +250,7 @@ void BackwardSplat(const LensJob<T>& job, LensTile<T>& tile, int32_t id, const P
     if (HWY_UNLIKELY(!hn::AllFalse(d, stop))) {
       // In the reverse `colour` keeps what each sample that stopped lets through to the background
       hn::Store(hn::Add(hn::Load(d, &tile.colour[i]), hn::IfThenElseZero(stop, before)), d, &tile.colour[i]);
-      if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(vector);
+      if (hn::AllTrue(d, hn::Or(stop, hn::Eq(before, hn::Zero(d))))) tile.retire(sample);
     }
     const auto lit = hn::Gt(alpha, hn::Zero(d));
     if (hn::AllFalse(d, lit)) return;

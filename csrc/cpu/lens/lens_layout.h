@@ -53,6 +53,15 @@ struct LensLayout {
     half_patch_px = float((cells_per_patch - 1) * pitch / 6 + 0.5 + 0.02);
   }
 
+  // The offset that a phase shows, before views make steps of it; and how far the offsets of samples may lie from the
+  // middle one if their phases, of 2^64 a lens, are so far apart.
+  double s_of_phase(const Lens& lens, double phase) const {
+    return s_start + s_step * double(lens.views) * std::ldexp(phase, -64);
+  }
+  double half_s_of_phases(const Lens& lens, double apart) const {
+    return std::abs(s_step) * (0.5 * double(lens.views) * std::ldexp(apart, -64) + (lens.continuous ? 0 : 0.5)) + 1e-6;
+  }
+
   int64_t samples() const { return int64_t(kBandRows) * cells_per_tile * ordinals; }
 
   // Mean x, in pixels, of the samples at ordinal 0 of a cell.

@@ -82,6 +82,7 @@ class LensTile {
       : lens_(lens),
         layout_(layout),
         across_(layout.cells_per_tile / kCellsPerPatch),
+        stride_(int64_t(row_stride(layout))),
         patches_(kDown * across_),
         samples_(layout.samples()) {
     // Memory
@@ -91,8 +92,9 @@ class LensTile {
       for (auto* a : {&gradient, &total, &prefix}) *a = hwy::AllocateAligned<T>(n);
     channel = hwy::AllocateAligned<TI>(n);
     padded_ = (patches_ + kLanes - 1) / kLanes * kLanes;
-    for (auto* a : {&patch_row_, &patch_x_, &patch_s_, &patch_half_s_}) *a = hwy::AllocateAligned<T>(size_t(padded_));
-    for (auto* a : {&low_, &count_}) *a = hwy::AllocateAligned<TI>(size_t(padded_));
+    for (auto* a : {&patch_row_, &patch_sample_, &patch_x_, &patch_s_, &patch_half_s_})
+      *a = hwy::AllocateAligned<T>(size_t(padded_));
+    for (auto* a : {&first_sample_, &count_}) *a = hwy::AllocateAligned<TI>(size_t(padded_));
     list_ = hwy::AllocateAligned<uint16_t>(vectors + 64);
     alive_.resize(vectors), row_of_vector_.resize(vectors);
     starts_.resize(size_t(place(kBandRows, 0)));
@@ -103,10 +105,11 @@ class LensTile {
     for (size_t v = 0; v < vectors; ++v) row_of_vector_[v] = uint8_t(v / size_t(layout.ordinals * across_));
     for (int64_t p = 0; p < padded_; ++p) {
       const bool real = p < patches_;
-      patch_row_[p] = real ? T(p / across_ * kRows) + T(0.5) * T(kRows) : T(1e9);
+      patch_row_[p] = real ? T(first_row(p / across_)) + middle_row() + T(0.5) : T(1e9);
+      patch_sample_[p] = T(p * layout.ordinals * kLanes);
       patch_x_[p] = patch_s_[p] = patch_half_s_[p] = T(0);
     }
-    for (int lane = 0; lane < kLanes; ++lane) row_of_lane_[lane] = T(lane / kCellsPerPatch) + T(0.5);
+    for (int lane = 0; lane < kLanes; ++lane) row_of_lane_[lane] = T(lane / kCellsPerPatch * stride_) + T(0.5);
   }
 
   int64_t bytes() const {
@@ -137,20 +140,28 @@ class LensTile {
       lens_.has_cells ? place_patch<true>(patch) : place_patch<false>(patch);
   }
 
-  // Finds the vectors that the splat may touch: list()[0 .. result), with rows(v) filled for each.
+  // Finds the vectors that the splat may touch: the first sample of each is list()[0 .. result), and the
+  // rows of each are filled.
   HWY_INLINE int64_t find(const Splat<T>& splat, const RowUnits<T>& units = {}) {
     const D d;
     const T u = T(double(splat.u0) - x0_), v = splat.v0 - T(row0_);
+
+    // The groups of rows that it reaches, and their patches
+    const T block = T(kRows * stride_), margin = T(0.01);
+    const T top = (v - splat.reach_y - T(0.5) - margin) / block, bottom = (v + splat.reach_y - T(0.5) + margin) / block;
+    const int64_t first_down = stride_ * int64_t(std::min(std::max(top, T(0)), T(kDown)));
+    const int64_t end_down = stride_ * int64_t(std::min(std::max(bottom + T(1), T(0)), T(kDown)));
+    first_ = std::min<int64_t>(first_down, kDown), end_ = std::min<int64_t>(end_down, kDown);
     fill_rows(splat, u, v, units);
 
     // A patch at a time, which ordinals t may be touched. At ordinal t the samples lie X + t slope right of the splat,
     // measured in the middle row of the patch; the splat may touch them where |X + t slope| <= reach
-    const T half = T(0.5) * T(kRows - 1);
+    const T half = middle_row();
     const T spread = layout_.half_patch_px + half * (std::abs(splat.c0 + T(layout_.shear / 3)) + std::abs(splat.c1));
     const T left = splat.S0 - splat.S1 + splat.S2, right = splat.S0 + splat.S1 + splat.S2;
     const V widest = hn::Set(d, std::max(left, right)), zero = hn::Zero(d);
     const hn::RebindToSigned<D> di;
-    for (int64_t p = 0; p < padded_; p += kLanes) {
+    for (int64_t p = first_ * across_ / kLanes * kLanes; p < end_ * across_; p += kLanes) {
       // Half width w of the splat in the nearest row, and what the samples spread
       const V middle = hn::Sub(hn::Load(d, &patch_row_[p]), hn::Set(d, v));
       const V nearest = hn::Max(hn::Sub(hn::Abs(middle), hn::Set(d, half)), zero);
@@ -174,14 +185,17 @@ class LensTile {
       const V high = hn::Floor(hn::Min(hn::Max(t1, t2), hn::Set(d, T(layout_.ordinals - 1))));
       V count = hn::Max(hn::Sub(hn::Add(high, hn::Set(d, T(1))), low), zero);
       count = hn::IfThenElseZero(hn::Ge(exponent, zero), count);
-      hn::Store(hn::ConvertTo(di, hn::Min(low, hn::Set(d, T(64)))), di, &low_[p]);
+      const V first =
+          hn::MulAdd(hn::Min(low, hn::Set(d, T(64))), hn::Set(d, T(kLanes)), hn::Load(d, &patch_sample_[p]));
+      hn::Store(hn::ConvertTo(di, first), di, &first_sample_[p]);
       hn::Store(hn::ConvertTo(di, count), di, &count_[p]);
     }
     return fill_list();
   }
 
   const uint16_t* list() const { return list_.get(); }
-  const Rows& rows(uint16_t vector) const { return rows_[row_of_vector_[vector]]; }
+  // The rows of a vector, by its first sample.
+  const Rows& rows(uint16_t sample) const { return rows_[row_of_vector_[sample / kLanes]]; }
   // Calls visit(rows, begin, end) for every group of rows in which find() has listed vectors.
   template <class Visit>
   HWY_INLINE void for_each_group(const Visit& visit) const {
@@ -193,10 +207,10 @@ class LensTile {
     }
   }
 
-  // Leaves a vector out of later lists, for none of its samples takes light any more.
-  void retire(uint16_t vector) {
-    open -= alive_[vector];
-    alive_[vector] = 0;
+  // Leaves the vector that begins with this sample out of later lists, for none of its samples takes light any more.
+  void retire(uint16_t sample) {
+    open -= alive_[sample / kLanes];
+    alive_[sample / kLanes] = 0;
   }
 
   // Retires the vectors in which every sample lets less than `least` through.
@@ -204,7 +218,8 @@ class LensTile {
     const D d;
     const V limit = hn::Set(d, least);
     for (size_t v = 0; v < alive_.size(); ++v)
-      if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit))) retire(uint16_t(v));
+      if (alive_[v] && hn::AllTrue(d, hn::Lt(hn::Load(d, &transmittance[v * kLanes]), limit)))
+        retire(uint16_t(v * kLanes));
   }
 
   // The sub-pixels of one cell in one row, the first of them at `ordinal`. Those that follow belong to the same tile up
@@ -221,7 +236,8 @@ class LensTile {
     const int64_t* starts = starts_.data();
     for (int64_t r = 0; r < rows; ++r, starts += cells + 1) {
       const int64_t tile_end = std::min(starts[cells], width);
-      const int64_t patch = r / kRows * across, lane = r % kRows * kCellsPerPatch;
+      const int64_t block = kRows * stride_, within = r % block, down = r / block * stride_ + within % stride_;
+      const int64_t patch = down * across, lane = within / stride_ * kCellsPerPatch;
       for (int64_t c = 0; c < cells; ++c) {
         const int64_t begin = std::max<int64_t>(starts[c], 0), end = std::min(starts[c + 1], width);
         if (begin < end)
@@ -236,6 +252,28 @@ class LensTile {
   int ordinals() const { return layout_.ordinals; }
 
  private:
+  // How many rows lie from one row of a group to the next. Lenses lean, so that what a lens shows at an ordinal moves
+  // from row to row by a part of an ordinal. A group of rows that show nearly the same is met by a splat at fewer
+  // ordinals: this is the stride for which the parts differ least. A longer one makes groups taller, which costs about
+  // as much as a twentieth of an ordinal a row.
+  static int row_stride(const LensLayout& layout) {
+    int best = 1;
+    double least = 2;
+    for (int stride = 1; layout.by_lens && stride * kRows <= kBandRows; stride *= 2) {
+      double low = 0, high = 0;
+      for (int row = 1; row < kRows; ++row) {
+        const double edge = layout.shear * stride * row, part = edge - std::round(edge);
+        low = std::min(low, part), high = std::max(high, part);
+      }
+      const double cost = high - low + 0.05 * stride * (kRows - 1);
+      if (cost < least) least = cost, best = stride;
+    }
+    return best;
+  }
+  // The first row of a group, and how far below it the middle of its rows lies.
+  int64_t first_row(int64_t down) const { return down / stride_ * stride_ * kRows + down % stride_; }
+  T middle_row() const { return T(0.5) * T((kRows - 1) * stride_); }
+
   // The first sub-pixel of cell c of the tile in row r of the band.
   int64_t& start(int64_t r, int64_t c) { return starts_[size_t(place(r, c))]; }
   int64_t start(int64_t r, int64_t c) const { return starts_[size_t(place(r, c))]; }
@@ -250,9 +288,9 @@ class LensTile {
     const V tau = hn::Set(d, splat.tau * units.power), A = hn::Set(d, (splat.log2_opacity + units.level) * units.power);
     const V c0 = hn::Set(d, splat.c0 * units.place), c1 = hn::Set(d, splat.c1 * units.place);
     const V u0 = hn::Set(d, u * units.place), du = hn::Set(d, splat.du * units.place);
-    for (int down = 0; down < kDown; ++down) {
+    for (int64_t down = first_; down < end_; ++down) {
       Rows& rows = rows_[down];
-      const V dy = hn::Add(lane_rows, hn::Set(d, T(down * kRows) - v));
+      const V dy = hn::Add(lane_rows, hn::Set(d, T(first_row(down)) - v));
       hn::Store(dy, d, rows.dy);
       hn::Store(hn::NegMulAdd(hn::Mul(tau, dy), dy, A), d, rows.A);
       hn::Store(hn::MulAdd(c0, dy, u0), d, rows.M0);
@@ -260,23 +298,32 @@ class LensTile {
     }
   }
 
-  // Makes one flat list of vectors from the ranges of ordinals. Every patch writes as many entries as a cell has
-  // ordinals, and the next patch overwrites what was too much: so no branch depends on a range, which no processor
-  // could predict.
+  // Makes one flat list of vectors from the ranges of ordinals. Every patch writes eight entries at least, and the next
+  // patch overwrites what was too much: so only a patch with more takes a branch, which is rare where splats are small
+  // and the rule where they are large, and processors predict both.
   HWY_INLINE int64_t fill_list() {
     const hn::FixedTag<uint16_t, 8> d16;
-    const auto eight = hn::Set(d16, uint16_t(8));
+    const auto steps = hn::Mul(hn::Iota(d16, uint16_t(0)), hn::Set(d16, uint16_t(kLanes)));
+    const auto eight = hn::Set(d16, uint16_t(8 * kLanes));
     uint16_t* list = list_.get();
+    const TI *first_samples = first_sample_.get(), *counts = count_.get();
+    const int64_t across = across_, first = first_, last = end_;
     int64_t size = 0;
-    for (int64_t p = 0, down = 0; down < kDown; ++down) {
-      for (const int64_t end = p + across_; p < end; ++p) {
-        auto entries = hn::Iota(d16, uint16_t(p * layout_.ordinals + low_[p]));
-        for (int k = 0; k < layout_.ordinals; k += 8, entries = hn::Add(entries, eight))
+    std::fill_n(ends_, first, 0);
+    for (int64_t down = first; down < last; ++down) {
+      for (int64_t p = down * across, end = p + across; p < end; ++p) {
+        auto entries = hn::Add(steps, hn::Set(d16, uint16_t(first_samples[p])));
+        hn::StoreU(entries, d16, list + size);
+        const int64_t count = counts[p];
+        for (int64_t k = 8; HWY_UNLIKELY(k < count); k += 8) {
+          entries = hn::Add(entries, eight);
           hn::StoreU(entries, d16, list + size + k);
-        size += count_[p];
+        }
+        size += count;
       }
       ends_[down] = size;
     }
+    std::fill_n(ends_ + last, kDown - last, size);
     // Retired vectors do no harm in the list: a few are quicker blended than dropped
     if (HWY_LIKELY(8 * open > 7 * int(alive_.size()))) return size;
 
@@ -284,9 +331,9 @@ class LensTile {
     int64_t kept = 0;
     for (int64_t k = 0, down = 0; down < kDown; ++down) {
       for (const int64_t end = ends_[down]; k < end; ++k) {
-        const uint16_t vector = list[k];
-        list[kept] = vector;
-        kept += alive_[vector];
+        const uint16_t sample = list[k];
+        list[kept] = sample;
+        kept += alive_[sample / kLanes];
       }
       ends_[down] = kept;
     }
@@ -304,17 +351,21 @@ class LensTile {
     alignas(64) TI outside[kLanes], ends[kLanes], places[kLanes];
     alignas(64) T columns[kLanes];
     alignas(64) uint64_t phases[kLanes];
+    [[maybe_unused]] double first_phase = 1e30, last_phase = 0;
     [[maybe_unused]] const CellRow* cells[kLanes] = {};
     constexpr uint64_t kAbove = uint64_t(3) << 32;  // keeps numbers positive for cells that begin left of the panel
     const int64_t left = int64_t(kAbove / 3) + int64_t(x0_), width = 3 * lens_.width_px;
     for (int lane = 0; lane < kLanes; ++lane) {
-      const int64_t r = down * kRows + lane / kCellsPerPatch, c = across * kCellsPerPatch + lane % kCellsPerPatch;
+      const int64_t r = first_row(down) + lane / kCellsPerPatch * stride_,
+                    c = across * kCellsPerPatch + lane % kCellsPerPatch;
       const int64_t row = row0_ + r, first = anchor(r, c), all = row < lens_.height_px ? width : 0;
       const uint64_t above = uint64_t(first) + kAbove, pixel = above / 3;
       outside[lane] = TI(std::max<int64_t>(start(r, c), 0) - first - 1);
       ends[lane] = TI(std::min(start(r, c + 1), all) - first);
       places[lane] = TI(above - 3 * pixel), columns[lane] = T(int32_t(int64_t(pixel) - left)) + T(0.5);
       phases[lane] = lens_.phase_at(row, first);
+      const double phase = double(phases[lane]);
+      first_phase = std::min(first_phase, phase), last_phase = std::max(last_phase, phase);
       if constexpr (kCells) {
         const int64_t within = int64_t(above % kRowPeriod);
         cells[lane] = &cells_[size_t(row % kCellPeriod * (kRowPeriod + layout_.ordinals) + within)];
@@ -351,10 +402,15 @@ class LensTile {
 
     // The patch as a whole, for find()
     const double cell = double(cell0_ + across * kCellsPerPatch) + 0.5 * (kCellsPerPatch - 1);
-    patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + down * kRows) + 0.5 * (kRows - 1)) - x0_);
+    patch_x_[patch] = T(layout_.cell_x(cell, double(row0_ + first_row(down)) + double(middle_row())) - x0_);
     const T low = hn::GetLane(hn::MinOfLanes(d, s_low)), high = hn::GetLane(hn::MaxOfLanes(d, s_high));
     patch_s_[patch] = layout_.by_lens ? T(layout_.s_of_ordinal_0) : T(0.5) * (low + high);
     patch_half_s_[patch] = layout_.by_lens ? T(layout_.half_s) : std::max(T(0), T(0.5) * (high - low)) + T(1e-6);
+    if (layout_.by_lens && !kCells) {
+      // Where all sub-pixels stand in stripes, the phases of the lanes say it more narrowly than the layout does
+      patch_s_[patch] = T(layout_.s_of_phase(lens_, 0.5 * (first_phase + last_phase)));
+      patch_half_s_[patch] = T(layout_.half_s_of_phases(lens_, last_phase - first_phase));
+    }
   }
 
   // A sub-pixel of a row of a panel with cells, by its number from the start of a period: its phase less that of the
@@ -401,16 +457,18 @@ class LensTile {
 
   const Lens& lens_;
   const LensLayout& layout_;
-  int64_t across_, patches_, samples_, padded_;
+  int64_t across_, stride_, patches_, samples_, padded_;
   int64_t row0_ = 0, cell0_ = 0;
   double x0_ = 0;  // tile origin, pixels
   alignas(64) T row_of_lane_[kLanes];
   Rows rows_[kDown];
-  // Of each patch: its middle row; the mean x of its samples at ordinal 0; the centre and half spread of their offsets
-  hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_x_, patch_s_, patch_half_s_;
-  hwy::AlignedFreeUniquePtr<TI[]> low_, count_;  // range of ordinals of each patch
-  hwy::AlignedFreeUniquePtr<uint16_t[]> list_;   // of vectors
-  int64_t ends_[kDown] = {};                     // where each group of rows ends in the list
+  // Of each patch: its middle row; its first sample; the mean x of its samples at ordinal 0; the centre and half spread
+  // of their offsets
+  hwy::AlignedFreeUniquePtr<T[]> patch_row_, patch_sample_, patch_x_, patch_s_, patch_half_s_;
+  hwy::AlignedFreeUniquePtr<TI[]> first_sample_, count_;  // of each patch, the range of vectors that a splat may touch
+  hwy::AlignedFreeUniquePtr<uint16_t[]> list_;            // of vectors, by their first samples
+  int64_t first_ = 0, end_ = 0;                           // the groups of rows that the splat reaches
+  int64_t ends_[kDown] = {};                              // where each group of rows ends in the list
   std::vector<uint8_t> alive_, row_of_vector_;
   std::vector<int64_t> starts_, anchors_;
   std::vector<CellRow> cells_;  // [kCellPeriod][kRowPeriod + ordinals]
