@@ -36,8 +36,10 @@ def bytes_of(colours: Tensor) -> Tensor:
 
 
 def guard(device: torch.device) -> AbstractContextManager:
-    """Selects the device, so that work goes to its stream."""
-    return torch.cuda.device(device) if device.type == "cuda" else nullcontext()
+    """Selects the device, so that work goes to its stream; nothing is done where it is selected already."""
+    if device.type != "cuda" or device.index == torch.cuda.current_device():
+        return nullcontext()
+    return torch.cuda.device(device)
 
 
 def on_host(image: Tensor) -> np.ndarray:

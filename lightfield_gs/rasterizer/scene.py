@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
 from lightfield_gs import _core
+from lightfield_gs.base.arrays import guard
 from lightfield_gs.base.errors import InputError
 
 
@@ -87,9 +88,7 @@ class Scene:
     @property
     def guard(self) -> AbstractContextManager:
         """Selects the device of the Gaussians; another one each time, for torch's is not made to be entered twice."""
-        if self.device.type != "cuda" or self.device.index == torch.cuda.current_device():
-            return nullcontext()
-        return torch.cuda.device(self.device)
+        return guard(self.device)
 
     def native(self) -> _core._Stages.Gaussians:
         """Their addresses for the core, which hold as long as this scene does."""
