@@ -9,7 +9,8 @@ NATIVE_SOURCES := CMakeLists.txt $(shell find csrc cmake -type f)
 PHOTO := lightfield_gs/data/cat.png
 CAPTURE := lightfield_gs/data/banana
 
-.PHONY: setup demo demo-fit test sanitize sanitize-threads sanitized-module sanitize-suite sanitize-cuda cuda-module test-arm clang lint fuzz bench docs clean FORCE
+.PHONY: setup demo demo-fit test test-wheel test-cuda-emulated sanitize sanitize-all sanitize-threads sanitized-module \
+  sanitize-cuda cuda-module test-arm clang lint fuzz bench docs clean FORCE
 
 setup: $(VENV)/.installed
 
@@ -45,23 +46,41 @@ demo-fit: setup
 
 # The suite: tests side by side, one process a core and each on one thread, for a thread that waits for another would wait
 # for the other processes as well; then, one by one, those that compare times. A file is in one process, for its tests
-# share what takes long to make.
+# share what takes long to make. Last, how many tests were skipped, and why.
 PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
 BESIDE := --numprocesses auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
+SKIPPED := build/skipped
 
 test: setup
-	$(PYTEST) $(BESIDE) -m "not alone" tests
-	$(PYTEST) -m alone tests
+	@mkdir -p build && rm -f $(SKIPPED)
+	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) $(BESIDE) -m "not alone and not wheel and not cuda_emulated" tests
+	LFGS_SKIPPED=$(SKIPPED) $(PYTEST) -m alone tests
+	@touch $(SKIPPED); echo "skipped: $$(sort $(SKIPPED) | uniq -c | sort -rn | sed 's/^ *//' | paste -sd';' | sed 's/;/; /g')"
 
-# The suite with the native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code, but for
-# the tests that have nothing to do with it (the marker not_sanitized); and the stages on several threads under
-# ThreadSanitizer. --capture=sys, or pytest keeps to itself what a sanitizer says at the end.
+# What compiles a module of its own. The wheel takes the objects of `make setup`.
+test-wheel: setup
+	$(PYTEST) -m wheel tests/house/test_wheel.py
+
+test-cuda-emulated: setup
+	$(PYTEST) $(BESIDE) -m cuda_emulated tests/cuda
+
+# The native module under AddressSanitizer and UndefinedBehaviorSanitizer, vectors and scalar code; and the stages on
+# several threads under ThreadSanitizer. `sanitize` runs the files that call each native stage, with a quarter of the
+# stress cases, another one for each commit; `sanitize-all`, before a release, all tests that reach the module (those
+# without the marker not_sanitized). --capture=sys, or pytest keeps to itself what a sanitizer says at the end.
+SANITIZED := tests/rasterizer tests/encoding tests/io/test_stress_images.py tests/io/test_stress_invalid.py \
+  tests/models/test_detail.py tests/models/test_sheet.py \
+  $(foreach name,dropout morton photo_loss random update,tests/fitting/test_$(name).py)
 CONFIGURE = PATH=$(CURDIR)/$(BIN):$$PATH cmake -G Ninja -S . -DCMAKE_BUILD_TYPE=Release -DLFGS_CUDA=OFF \
   -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dpybind11_DIR=$$($(BIN)/python -m pybind11 --cmakedir) \
   -DSKBUILD_PROJECT_VERSION_FULL=$$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 PRELOAD = $(foreach library,libasan.so libubsan.so libstdc++.so,$(shell g++ -print-file-name=$(library)))
 
-sanitize: sanitize-threads sanitize-suite
+sanitize: sanitize-threads sanitized-module
+	LFGS_STRESS_SAMPLE=$$(git rev-parse HEAD) $(SANITIZED_PYTEST) $(SANITIZED)
+
+sanitize-all: sanitize-threads sanitized-module
+	$(SANITIZED_PYTEST) tests
 
 # MAKEFLAGS=, or ninja complains that it cannot share make's jobs.
 sanitize-threads: setup
@@ -73,10 +92,9 @@ sanitized-module: setup
 	$(CONFIGURE) -B build/sanitize -DLFGS_SANITIZE=address,undefined
 	MAKEFLAGS= PATH=$(CURDIR)/$(BIN):$$PATH cmake --build build/sanitize --target _core
 
-sanitize-suite: sanitized-module
-	LD_PRELOAD="$(PRELOAD)" ASAN_OPTIONS=detect_leaks=0:quarantine_size_mb=16 UBSAN_OPTIONS=print_stacktrace=1 \
-	  LFGS_CORE=$$(ls build/sanitize/_core*.so) \
-	  $(PYTEST) $(BESIDE) --capture=sys -m "not not_sanitized" tests
+SANITIZED_PYTEST = LD_PRELOAD="$(PRELOAD)" ASAN_OPTIONS=detect_leaks=0:quarantine_size_mb=16 \
+  UBSAN_OPTIONS=print_stacktrace=1 LFGS_CORE=$$(ls build/sanitize/_core*.so) \
+  $(PYTEST) $(BESIDE) --capture=sys -m "not not_sanitized"
 
 # The CUDA sources compiled for every kind of card that the kernels know, in a module that is not installed and needs no
 # GPU to load; and what it says of itself. Needs nvcc.

@@ -1,10 +1,22 @@
 # What compilers are told: GCC and Clang, and on Windows MSVC or clang-cl, which takes MSVC's options.
+set(LFGS_SANITIZE "" CACHE STRING "Sanitizers to compile in: address,undefined or thread (empty: none)")
 
-# Vector sets of Highway that are not compiled. Structures hold vectors, and those of SVE have no size to be held by:
-# ARM processors that have it use NEON.
-set(LFGS_DISABLED_TARGETS "HWY_SVE|HWY_SVE2|HWY_SVE_256|HWY_SVE2_128")
+# ccache keeps what was compiled before. Of a precompiled header it sees the file, not the time of it.
+find_program(LFGS_CCACHE ccache)
+if(LFGS_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
+  set(CMAKE_CXX_COMPILER_LAUNCHER ${CMAKE_COMMAND} -E env CCACHE_SLOPPINESS=pch_defines,time_macros ${LFGS_CCACHE})
+  set(CMAKE_CUDA_COMPILER_LAUNCHER ${LFGS_CCACHE})
+endif()
+
 function(lfgs_compile target)
-  target_compile_definitions(${target} PRIVATE "HWY_DISABLED_TARGETS=(${LFGS_DISABLED_TARGETS})")
+  # Vector sets of Highway that are not compiled. Structures hold vectors, and those of SVE have no size to be held by:
+  # ARM processors that have it use NEON. A build with sanitizers has vectors of one width, to build in a minute.
+  set(disabled "HWY_SVE|HWY_SVE2|HWY_SVE_256|HWY_SVE2_128")
+  if(LFGS_SANITIZE)
+    string(APPEND disabled "|HWY_SSSE3|HWY_SSE4|HWY_AVX3")
+  endif()
+  # Without AES, which no stage uses, SSE4 is the set that every processor has, and SSSE3 is not compiled beside it
+  target_compile_definitions(${target} PRIVATE "HWY_DISABLED_TARGETS=(${disabled})" HWY_DISABLE_PCLMUL_AES)
   if(MSVC)
     # /bigobj: Highway's variants of a file have more sections than an object file has by default
     target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:/W3 /utf-8 /bigobj /permissive-

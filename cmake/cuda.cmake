@@ -1,10 +1,15 @@
-# The CUDA stages: AUTO builds them when nvcc is found, ON insists, OFF leaves them out. The runtime is linked statically,
-# so that the module loads on machines without a driver.
+# The CUDA stages: AUTO builds them for a GPU that answers or for architectures that are given, ON insists, OFF leaves
+# them out. The runtime is linked statically, so that the module loads on machines without a driver.
 set(LFGS_CUDA AUTO CACHE STRING "CUDA backend: AUTO, ON or OFF")
 set(LFGS_CUDA_ARCHITECTURES "" CACHE STRING
   "CUDA architectures, 75..120, several as 75;86;89;90;120 (empty: the GPU of this machine, else 90)")
 
 if(LFGS_CUDA STREQUAL "OFF")
+  return()
+endif()
+execute_process(COMMAND nvidia-smi -L RESULT_VARIABLE no_gpu OUTPUT_QUIET ERROR_QUIET)
+if(LFGS_CUDA STREQUAL "AUTO" AND no_gpu AND NOT LFGS_CUDA_ARCHITECTURES)
+  message(STATUS "No GPU answers (nvidia-smi -L): building for the CPU only; LFGS_CUDA=ON builds for both")
   return()
 endif()
 include(CheckLanguage)
@@ -19,7 +24,6 @@ endif()
 
 set(architectures ${LFGS_CUDA_ARCHITECTURES})
 if(NOT architectures)
-  execute_process(COMMAND nvidia-smi -L RESULT_VARIABLE no_gpu OUTPUT_QUIET ERROR_QUIET)
   if(no_gpu)
     set(architectures 90)
   else()
@@ -39,12 +43,15 @@ enable_language(CUDA)
 set_target_properties(_core PROPERTIES
   CUDA_ARCHITECTURES "${architectures}" CUDA_STANDARD 20 CUDA_STANDARD_REQUIRED ON CUDA_RUNTIME_LIBRARY Static)
 
-target_sources(_core PRIVATE
+target_sources(bindings PRIVATE
   csrc/bind/cuda.cpp
   csrc/bind/fit_cuda.cpp
   csrc/bind/frame.cpp
   csrc/bind/photo_cuda.cpp
-  csrc/bind/png_cuda.cpp
+  csrc/bind/png_cuda.cpp)
+target_compile_definitions(bindings PRIVATE LFGS_WITH_CUDA)
+target_include_directories(bindings PRIVATE ${CMAKE_CUDA_TOOLKIT_INCLUDE_DIRECTORIES})
+target_sources(_core PRIVATE
   csrc/cuda/common/architectures.cu
   csrc/cuda/stages/bin.cu
   csrc/cuda/stages/order.cu
@@ -73,7 +80,6 @@ target_sources(_core PRIVATE
   csrc/cuda/frame/ordinal/composite_ordinal.cu
   csrc/cuda/frame/pixel/composite_pixel.cu
   csrc/network/group_norm.cu)
-target_compile_definitions(_core PRIVATE LFGS_WITH_CUDA)
 # GLM's calls can otherwise vanish from device code with only a warning (20011..20015); 20012 is noise of GLM itself
 target_compile_options(_core PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr
   --diag-error=20011,20013,20014,20015 --diag-suppress=20012>)

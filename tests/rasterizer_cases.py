@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -113,6 +114,21 @@ def rig(panel: Panel, yaw: float = 0.0, pitch: float = 0.0, principal: tuple[flo
 def all_subpixels(panel: Panel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """rows, columns and channels of every sub-pixel, in the order of image.ravel()."""
     return tuple(index.ravel() for index in np.indices((panel.height_px, panel.width_px, 3)))
+
+
+def projected(draw: Callable[..., Sequence[torch.Tensor]], count: int = 8) -> Callable[..., torch.Tensor]:
+    """`draw`, of whose outputs `count` random sums are left: gradcheck takes a backward step for each of them, not for
+    each sample."""
+
+    def sums(*inputs: torch.Tensor) -> torch.Tensor:
+        random = torch.Generator().manual_seed(3)
+        total = torch.zeros(count, dtype=torch.float64)
+        for out in draw(*inputs):
+            weights = torch.randn(count, out.numel(), dtype=torch.float64, generator=random)
+            total = total + weights @ out.flatten()
+        return total
+
+    return sums
 
 
 def hard_scene(kind: str, count: int, seed: int) -> Gaussians:

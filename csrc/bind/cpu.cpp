@@ -139,9 +139,9 @@ void bind_stages(py::module_ m) {
   bind_composite_lens<T>(m);
 }
 
-// The instruction sets that were compiled and that this processor has. Scalar code, if compiled (LFGS_SCALAR), always
-// runs.
-int64_t usable_targets() { return (hwy::SupportedTargets() | HWY_EMU128) & HWY_TARGETS; }
+// The instruction sets that were compiled and that this processor has. The static one and scalar code, if compiled
+// (LFGS_SANITIZE), always run.
+int64_t usable_targets() { return (hwy::SupportedTargets() | HWY_STATIC_TARGET | HWY_EMU128) & HWY_TARGETS; }
 
 std::vector<std::string> simd_targets() {
   std::vector<std::string> names;

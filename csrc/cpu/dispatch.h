@@ -1,16 +1,14 @@
 // How a composite is called for the vectors of this machine. Highway compiles it once for every vector instruction set
-// (HWY_NAMESPACE) and chooses among them at run time, but only among functions that are no templates: one is needed for
-// each precision.
+// (HWY_NAMESPACE) and chooses among them at run time, but only among functions that are no templates. Double precision,
+// which only checks others, is compiled once, for the set that every processor has.
 #pragma once
 
 // To be used in HWY_NAMESPACE, after the template Counters Name(const Job<T>&).
-#define LFGS_FOR_EVERY_TARGET(Name, Job)                          \
-  Counters Name##F32(const Job<float>& job) { return Name(job); } \
-  Counters Name##F64(const Job<double>& job) { return Name(job); }
+#define LFGS_FOR_EVERY_TARGET(Name, Job) \
+  Counters Name##F32(const Job<float>& job) { return Name(job); }
 
 // To be used once, in an unnamed namespace. Defines Counters dispatch(const Job<T>&), which calls the best target.
 #define LFGS_DISPATCH(Name, Job)                                                            \
   HWY_EXPORT(Name##F32);                                                                    \
-  HWY_EXPORT(Name##F64);                                                                    \
   Counters dispatch(const Job<float>& job) { return HWY_DYNAMIC_DISPATCH(Name##F32)(job); } \
-  Counters dispatch(const Job<double>& job) { return HWY_DYNAMIC_DISPATCH(Name##F64)(job); }
+  Counters dispatch(const Job<double>& job) { return HWY_STATIC_DISPATCH(Name)(job); }

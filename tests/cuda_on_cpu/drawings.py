@@ -26,7 +26,7 @@ LACKING = (
 # Of every file whose tests ask for what is drawn; its DRAWN names all of that, in their order
 EMULATED = [
     pytest.mark.skipif(LACKING, reason="needs g++ on x86-64, pybind11, and the packages of GLM and Highway"),
-    pytest.mark.slow,
+    pytest.mark.cuda_emulated,
     pytest.mark.long_file,
     pytest.mark.not_sanitized,
 ]

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("scikit_build_core")
 ROOT = Path(__file__).parents[2]
-pytestmark = [pytest.mark.slow, pytest.mark.not_sanitized]
+pytestmark = [pytest.mark.wheel, pytest.mark.not_sanitized]
 # The network that photos need comes along: its weights take 12.2 MB and hardly shrink. All else takes 1.6 MB, the
 # module of the CPU stages half of it. More would be what does not belong there: symbols for debuggers, photographs of
 # tests, a second network.

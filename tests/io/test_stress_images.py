@@ -43,11 +43,16 @@ def oracle(name):
 
 
 @pytest.mark.parametrize("name", OF_SCENES)
-def test_images_are_those_of_the_oracle(name, device):
+def test_float64_is_the_oracle(name):
     scene, cameras, want, margin = oracle(name)
     exact = render(scene, cameras, background=BACKGROUND).numpy()
     assert np.isfinite(exact).all() and (margin > 1e-7).mean() > 0.99
     assert np.abs(exact - want)[margin > 1e-7].max() < EXACT
+
+
+@pytest.mark.parametrize("name", OF_SCENES)
+def test_float32_is_near_the_oracle(name, device):
+    scene, cameras, want, margin = oracle(name)
     single = (
         render(scene.to(device, torch.float32), cameras.to(device=device, dtype=torch.float32), background=BACKGROUND)
         .cpu()
@@ -69,6 +74,20 @@ def weighted_depth(image, alpha, depth):
     return image, alpha, depth * alpha  # what the oracle has: depth is divided by the coverage
 
 
+def dense_gradients(scene, cameras):
+    like = cameras.to(device=scene.means.device, dtype=scene.means.dtype)
+    return gradients(
+        lambda g: weighted_depth(*render(g, like, background=BACKGROUND, alpha=True, depth=True)), scene
+    )
+
+
+@cache
+def double_gradients(name):
+    """Double precision is compiled for one vector set: its gradients are the same on every backend."""
+    case = CASES[name].smaller()
+    return dense_gradients(case.scene(), views(case))
+
+
 @cache
 def oracle_gradients(name):
     case = CASES[name].smaller()
@@ -88,11 +107,5 @@ def oracle_gradients(name):
 @pytest.mark.parametrize("name", [name for name in OF_SCENES if CASES[name].count])
 def test_gradients_are_finite_and_those_of_the_oracle(name, device):
     case, cameras, want = oracle_gradients(name)
-
-    def draw(g):
-        like = cameras.to(device=g.means.device, dtype=g.means.dtype)
-        return weighted_depth(*render(g, like, background=BACKGROUND, alpha=True, depth=True))
-
-    double = gradients(draw, case.scene())
-    single = gradients(draw, case.scene().to(device, torch.float32))
-    check_gradients(case, want, single, double, case.gradient_cuda if device.type == "cuda" else 0)
+    single = dense_gradients(case.scene().to(device, torch.float32), cameras)
+    check_gradients(case, want, single, double_gradients(name), case.gradient_cuda if device.type == "cuda" else 0)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from rasterizer_cases import all_subpixels, dense_views, panel, random_scene, rig, stacked
+from rasterizer_cases import all_subpixels, dense_views, panel, projected, random_scene, rig, stacked
 
 from lightfield_gs import Encoder, InputError, cli, encode, prune, reference, render
 from lightfield_gs.io.images import read_image, read_info
@@ -137,9 +137,11 @@ def test_gradcheck_of_both_sensors(shape):
     scene = fine_scene(shape, 4, degree=1)
     scene.scales *= 2
     moving, fixed = dense_inputs(scene, 21, 17)
-    assert torch.autograd.gradcheck(lambda *m: torch.ops.lightfield_gs.render_dense(*m, *fixed), moving, **GRADCHECK)
+    draw = projected(lambda *m: torch.ops.lightfield_gs.render_dense(*m, *fixed))
+    assert torch.autograd.gradcheck(draw, moving, **GRADCHECK)
     moving, fixed = lens_inputs(scene, width_px=21, height_px=17)
-    assert torch.autograd.gradcheck(lambda *m: torch.ops.lightfield_gs.render_lens(*m, *fixed), moving, **GRADCHECK)
+    draw = projected(lambda *m: [torch.ops.lightfield_gs.render_lens(*m, *fixed)])
+    assert torch.autograd.gradcheck(draw, moving, **GRADCHECK)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -99,6 +99,13 @@ def oracle_gradients(name):
         return case, gradients(lambda g: reference.lens_torch(*g.fields().values(), background, shown, fan), scene)
 
 
+@cache
+def double_gradients(name):
+    """Double precision is compiled for one vector set: its gradients are the same on every backend."""
+    case = CASES[name].smaller()
+    return gradients(lambda g: encode(g, *case.view(), background=BACKGROUND, output="float64"), case.scene())
+
+
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.count])
 def test_gradients_are_finite_and_those_of_the_oracle(name, device):
     case, want = oracle_gradients(name)
@@ -106,5 +113,4 @@ def test_gradients_are_finite_and_those_of_the_oracle(name, device):
     single = gradients(
         lambda g: encode(g, shown, fan, background=BACKGROUND, output="float32"), case.scene().to(device, torch.float32)
     )
-    double = gradients(lambda g: encode(g, shown, fan, background=BACKGROUND, output="float64"), case.scene())
-    check_gradients(case, want, single, double)
+    check_gradients(case, want, single, double_gradients(name))

@@ -202,11 +202,7 @@ HWY_ATTR void find_gradient(const PhotoLoss<T>& job, const LossBand& band, LossS
 
 // To be called through Highway's dispatch, which takes no templates.
 void derivatives_f32(const PhotoLoss<float>& j, const LossBand& b, LossScratch<float>& s) { find_derivatives(j, b, s); }
-void derivatives_f64(const PhotoLoss<double>& j, const LossBand& b, LossScratch<double>& s) {
-  find_derivatives(j, b, s);
-}
 void gradient_f32(const PhotoLoss<float>& j, const LossBand& b, LossScratch<float>& s) { find_gradient(j, b, s); }
-void gradient_f64(const PhotoLoss<double>& j, const LossBand& b, LossScratch<double>& s) { find_gradient(j, b, s); }
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs
@@ -217,20 +213,18 @@ namespace lfgs {
 namespace {
 
 HWY_EXPORT(derivatives_f32);
-HWY_EXPORT(derivatives_f64);
 HWY_EXPORT(gradient_f32);
-HWY_EXPORT(gradient_f64);
 void derivatives(const PhotoLoss<float>& job, const LossBand& band, LossScratch<float>& scratch) {
   HWY_DYNAMIC_DISPATCH(derivatives_f32)(job, band, scratch);
 }
 void derivatives(const PhotoLoss<double>& job, const LossBand& band, LossScratch<double>& scratch) {
-  HWY_DYNAMIC_DISPATCH(derivatives_f64)(job, band, scratch);
+  HWY_STATIC_DISPATCH(find_derivatives)(job, band, scratch);
 }
 void gradient(const PhotoLoss<float>& job, const LossBand& band, LossScratch<float>& scratch) {
   HWY_DYNAMIC_DISPATCH(gradient_f32)(job, band, scratch);
 }
 void gradient(const PhotoLoss<double>& job, const LossBand& band, LossScratch<double>& scratch) {
-  HWY_DYNAMIC_DISPATCH(gradient_f64)(job, band, scratch);
+  HWY_STATIC_DISPATCH(find_gradient)(job, band, scratch);
 }
 
 }  // namespace

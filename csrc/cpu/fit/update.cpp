@@ -1,5 +1,6 @@
 // The step of the optimiser. A work item is a chunk of Gaussians; nothing of one depends on another. The harmonics,
-// most of the numbers, are moved by loops that the compiler turns into vectors, once for every instruction set.
+// most of the numbers, are moved by loops that the compiler turns into vectors, in single precision once for every
+// instruction set.
 #include <algorithm>
 #include <vector>
 
@@ -53,7 +54,6 @@ HWY_ATTR int64_t move_chunk(const Update<T>& job, int64_t begin, int64_t end) {
 }
 
 int64_t move_chunk_f32(const Update<float>& job, int64_t begin, int64_t end) { return move_chunk(job, begin, end); }
-int64_t move_chunk_f64(const Update<double>& job, int64_t begin, int64_t end) { return move_chunk(job, begin, end); }
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lfgs
@@ -66,12 +66,11 @@ namespace {
 constexpr int64_t kChunk = 1024;  // Gaussians of a work item
 
 HWY_EXPORT(move_chunk_f32);
-HWY_EXPORT(move_chunk_f64);
 int64_t move(const Update<float>& job, int64_t begin, int64_t end) {
   return HWY_DYNAMIC_DISPATCH(move_chunk_f32)(job, begin, end);
 }
 int64_t move(const Update<double>& job, int64_t begin, int64_t end) {
-  return HWY_DYNAMIC_DISPATCH(move_chunk_f64)(job, begin, end);
+  return HWY_STATIC_DISPATCH(move_chunk)(job, begin, end);
 }
 
 }  // namespace
