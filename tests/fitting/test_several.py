@@ -29,11 +29,13 @@ import sys, torch
 sys.path[:0] = {[str(TESTS), str(TESTS / "fitting")]!r}
 from test_several import DENSITIES, fitted
 from lightfield_gs.fitting.several import joined
+from lightfield_gs import cli
 torch.set_num_threads(1)
 with joined(sys.argv[2]) as (group, device):
     results = [fitted(density, group, device) for density in DENSITIES]
     if group.is_first:
         torch.save(results, sys.argv[1])
+sys.exit(cli.main(sys.argv[3:]))
 """
 BREAKING_OFF = """
 import torch
@@ -87,12 +89,22 @@ def printed_by_two(program: Path, *arguments: str) -> list[tuple[int, str]]:
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=TWO_GPUS)])
-def test_two_processes_fit_as_one(tmp_path, device):
-    """The same sums in another order: rounding at first, and what comes of it at the end."""
+def test_two_processes_fit_as_one(tmp_path, device, capsys):
+    """The same sums in another order: rounding at first, and what comes of it at the end. Then, by the same processes,
+    the command: one scene, one voice, and a checkpoint from which one process alone goes on."""
     program, path = tmp_path / "fitting.py", tmp_path / "two.pt"
     program.write_text(FITTING)
-    codes, printed = zip(*printed_by_two(program, str(path), device))
+    capture, scene = write_capture(tmp_path / "capture"), tmp_path / "scene.ply"
+    options = ["fit", str(capture), "-o", str(scene), "--device", device, "--gaussians", "200", "--sh-degree", "0"]
+    options += ["--steps", "20", "--views-per-step", "2"]
+    codes, printed = zip(*printed_by_two(program, str(path), device, *options))
     assert codes == (0, 0), printed
+    words = "".join(printed)
+    assert words.count("200 Gaussians after 20 of 20 steps") == 1, printed
+    assert words.count("held-out PSNR") >= 1 and words.count("goes on from") == 0
+    made = scene.read_bytes()
+    assert cli.main(options) == 0
+    assert "20 of 20 steps done" in capsys.readouterr().out and scene.read_bytes() == made
     for density, two in zip(DENSITIES, torch.load(path, map_location=device), strict=True):
         one = fitted(density, ALONE, device)
         for alone, together in zip(one["first"], two["first"]):
@@ -105,29 +117,6 @@ def test_two_processes_fit_as_one(tmp_path, device):
         assert two["psnr_db"] == pytest.approx(one["psnr_db"], abs=0.05) and one["psnr_db"] > 14
         for name, alone in one["extra"].items():
             torch.testing.assert_close(two["extra"][name], alone, atol=0.02, rtol=0.1)
-
-
-def test_the_command_writes_once(tmp_path, capsys):
-    """Two processes of the command by torchrun: one scene, one voice, and a checkpoint from which one process alone
-    goes on."""
-    capture, scene = write_capture(tmp_path / "capture"), tmp_path / "scene.ply"
-    options = ["fit", str(capture), "-o", str(scene), "--device", "cpu", "--gaussians", "200", "--sh-degree", "0"]
-    options += ["--steps", "20", "--views-per-step", "2"]
-    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    process = subprocess.run(
-        [*torchrun, "-m", "lightfield_gs", *options],
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=120,
-    )
-    printed = process.stdout
-    assert process.returncode == 0 and printed.count("200 Gaussians after 20 of 20 steps") == 1, printed
-    assert printed.count("held-out PSNR") >= 1 and printed.count("goes on from") == 0
-    made = scene.read_bytes()
-    assert cli.main(options) == 0
-    assert "20 of 20 steps done" in capsys.readouterr().out and scene.read_bytes() == made
 
 
 def test_all_end_when_one_does(tmp_path):
