@@ -7,6 +7,7 @@ CPU stages are not in it, but for the plan that `sorted` makes on the host.
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -27,6 +28,7 @@ FLAGS = [
     "-D__CUDA_ARCH__=900",
     "-D__CUDA_ARCH_LIST__=900",
 ]
+COMPILER = ["ccache", "g++"] if shutil.which("ccache") else ["g++"]
 APPROXIMATE = {"ex2": "exp2f({})", "rcp": "1 / ({})", "rsqrt": "1 / sqrtf({})", "sqrt": "sqrtf({})"}
 
 
@@ -75,7 +77,7 @@ def build(csrc: Path, out: Path, includes: list[str]) -> Path:
 
     def compile_(source: Path) -> str:
         target = out / f"{source.parent.name}_{source.name}.o"
-        subprocess.run(["g++", *FLAGS, *include, "-x", "c++", "-c", source, "-o", target], check=True)
+        subprocess.run([*COMPILER, *FLAGS, *include, "-x", "c++", "-c", source, "-o", target], check=True)
         return str(target)
 
     with ThreadPoolExecutor(4) as pool:  # as many as the files of tests whose processes wait for it
