@@ -76,9 +76,7 @@ def weighted_depth(image, alpha, depth):
 
 def dense_gradients(scene, cameras):
     like = cameras.to(device=scene.means.device, dtype=scene.means.dtype)
-    return gradients(
-        lambda g: weighted_depth(*render(g, like, background=BACKGROUND, alpha=True, depth=True)), scene
-    )
+    return gradients(lambda g: weighted_depth(*render(g, like, background=BACKGROUND, alpha=True, depth=True)), scene)
 
 
 @cache
