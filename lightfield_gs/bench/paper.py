@@ -34,10 +34,10 @@ TABLE_1 = {
 TABLE_3_MB = {"geometry": 82, "image": 265, "binning": 1166}  # before buffers are used again, 128 x 128 Gaussians
 TABLE_3_ALL_MB = (1513, 944)  # before and after
 BESIDE = """\
-The lines "paper" are the figures of Shi et al. (2025): an RTX 3090, 7680 x 3840 pixels, 96 views, and ten images of the
-authors' own, so that card and scenes differ from ours. Their classic leaves out the interlacing. For 512 x 512 Gaussians
-they expect 24 GB. Their Table 2, a network trained in the original and in the constrained field of view, 800,000 steps
-of batch 4: 26.01 dB, SSIM .94 -> 29.77 dB, .97; ours: docs/benchmarks.md."""
+The lines "paper" are the figures of Shi et al. (2025): an RTX 3090, 7680 x 3840 pixels, 96 views, and ten images of
+the authors' own, so that card and scenes differ from ours. Their classic leaves out the interlacing. For 512 x 512
+Gaussians they expect 24 GB. Their Table 2, a network trained in the original and in the constrained field of view,
+800,000 steps of batch 4: 26.01 dB, SSIM .94 -> 29.77 dB, .97; ours: docs/benchmarks.md."""
 
 
 def tables(rows: list[dict[str, Any]]) -> str:
