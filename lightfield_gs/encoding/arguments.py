@@ -34,6 +34,29 @@ def check_options(method: str, views: str, output: str) -> None:
         )
 
 
+def wants_gradients(gaussians: Gaussians, background: Any, output: Output, cameras: Cameras | None = None) -> bool:
+    """Whether the image is to carry a graph: an argument asks for a gradient, and the output is no bytes."""
+    tensors = [*gaussians.fields().values(), background]
+    if cameras is not None:
+        tensors += [cameras.world_to_camera, cameras.focal_px, cameras.principal_point_px]
+    asked = any(isinstance(t, Tensor) and t.requires_grad for t in tensors)
+    return torch.is_grad_enabled() and output != "uint8" and asked
+
+
+def refuse_with_gradients(**given: bool) -> None:
+    """Raises InputError for the first of these arguments that was given although gradients are wanted."""
+    for name in (name for name, is_given in given.items() if is_given):
+        raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")
+
+
+def refuse_gradients(what: str) -> None:
+    """Raises InputError for `what`, whose images carry no graph, where gradients are wanted."""
+    raise InputError(
+        f"{what} has no gradients, and an argument requires one: use encode(method='direct') or 'classic', or "
+        "torch.no_grad()"
+    )
+
+
 def check_types(
     gaussians: Gaussians, panel: Panel, rig: Rig | None, cameras: Cameras | None, stats: Any, antialiased: bool
 ) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output
+from lightfield_gs.encoding.arguments import refuse_with_gradients, wants_gradients
 from lightfield_gs.rasterizer.lens import draw_lens
 from lightfield_gs.rasterizer.lens_job import LensJob
 from lightfield_gs.rasterizer.lens_view import LensView
@@ -31,18 +31,13 @@ def encode_direct(
     Raises InputError for arguments that this operator does not have.
     """
     fields = list(gaussians.fields().values())
-    follows = torch.is_grad_enabled() and any(t.requires_grad for t in (*fields, background))
-    if follows and output != "uint8":  # bytes have no gradients
-        _refuse(quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None)
+    if wants_gradients(gaussians, background, output):
+        refuse_with_gradients(
+            quality=not quality.is_exact, threads=threads is not None, stats=stats is not None, out=out is not None
+        )
         return torch.ops.lightfield_gs.render_lens(*fields, background, *view.lists(), antialiased)
     stats = stats or Stats()
     with torch.no_grad():
         with stats.stage("plan"):
             job = LensJob(fields, background, view, antialiased)
         return draw_lens(job, output == "uint8", quality, stats, threads, out)
-
-
-def _refuse(**given: bool) -> None:
-    """Raises InputError for the first of these arguments that was given although gradients are wanted."""
-    for name in (name for name, is_given in given.items() if is_given):
-        raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")

@@ -19,8 +19,11 @@ from lightfield_gs.encoding.arguments import (
     check_together,
     check_types,
     check_view_filter,
+    refuse_gradients,
+    refuse_with_gradients,
+    wants_gradients,
 )
-from lightfield_gs.encoding.classic import encode_classic
+from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
 from lightfield_gs.encoding.direct import encode_direct
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
@@ -67,7 +70,8 @@ def encode(
     memory may take on the device of the Gaussians, beside what is given and the image (None: the plan and 256 MiB, or
     1 GiB on CUDA); on CUDA those asked of torch's allocator, which may round each buffer up.
     output: "uint8" = round(255 clamp(c, 0, 1)), "float32" or "float64" (computed in that precision); float outputs of
-    "direct" are differentiable; where gradients are wanted, quality, threads, stats and out are refused.
+    "direct" and "classic" are differentiable once in the five fields of the Gaussians and in the background. Where
+    gradients are wanted, quality, threads, stats, out and, of "classic", view_filter are refused, and so is "sorted".
     quality: "exact", "high", "fast", "draft" or a Quality, of "direct": how much error is allowed for less time.
     threads: CPU threads, 1..1024 (default: torch's).
     stats: a dict to fill with stages_ms (on CUDA the stages then wait for each other), pairs, evaluations,
@@ -97,11 +101,17 @@ def encode(
         check_out(out, output, panel, gaussians.device)
     gaussians = gaussians.to(dtype=torch.float64 if output == "float64" else torch.float32)
     colour = background_tensor(background, gaussians.means).reshape(-1)
+    follows = wants_gradients(gaussians, colour, output, cameras)
+    if follows and method == "sorted":
+        refuse_gradients("method 'sorted'")
     counters = Stats(device=gaussians.device if stats is not None else None)
     if method == "direct":
         view = lens_view(panel, cast(Rig, rig), continuous, view_filter)
         counted = None if stats is None else counters
         image = encode_direct(gaussians, view, colour, output, quality, threads, counted, out, antialiased)
+    elif method == "classic" and follows:
+        refuse_with_gradients(threads=threads is not None, stats=stats is not None, view_filter=view_filter > 0)
+        return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
     elif method == "classic":
         image = encode_classic(
             gaussians,

@@ -11,7 +11,7 @@ from lightfield_gs.base.arrays import Colour
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Output, QualityName, Views
-from lightfield_gs.encoding.arguments import check_options, check_view_filter
+from lightfield_gs.encoding.arguments import check_options, check_view_filter, refuse_gradients, wants_gradients
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder_cpu import STAGES, CpuFrames
 from lightfield_gs.encoding.encoder_cuda import CudaFrames
@@ -115,10 +115,18 @@ class Encoder:
         """Has the next frame drawn in full, and gives back the memory that was kept for it."""
         self._frames: CpuFrames | CudaFrames | None = None
 
-    @torch.no_grad()
     def __call__(self, gaussians: Gaussians) -> Tensor:
-        """The image [H, W, 3]. On CUDA it is the same tensor every time: the next call draws over it."""
+        """The image [H, W, 3]. On CUDA it is the same tensor every time: the next call draws over it.
+
+        Raises InputError where gradients are wanted: a float output, and Gaussians or a background that require one.
+        """
         expect("gaussians", gaussians, Gaussians)
+        if wants_gradients(gaussians, self.background, self.output):
+            refuse_gradients("an Encoder")
+        return self._draw(gaussians)
+
+    @torch.no_grad()
+    def _draw(self, gaussians: Gaussians) -> Tensor:
         expect("rig", self.rig, Rig)
         gaussians.validate_layout()
         if gaussians.is_batched:

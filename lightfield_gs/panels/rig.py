@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _MARGIN = 0.15  # share of the image beyond each edge that the limits allow: the "frustum + 30 %" of Gaussian splatting
 
 
-@dataclass
+@dataclass(eq=False)
 class Rig:
     """The centre camera of the fan; the cameras of the views stand beside it on its x-axis, with its rotation.
 

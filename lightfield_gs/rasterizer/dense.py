@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 from torch.nn import Parameter
 
 from lightfield_gs.base.errors import InputError
@@ -251,6 +252,7 @@ def _dense_setup(ctx, inputs, output):
     ctx.set_materialize_grads(False)  # the state has no gradients, and neither have images that the loss does not read
 
 
+@once_differentiable
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
     g_image = torch.zeros_like(saved[9]) if grads[0] is None else grads[0]

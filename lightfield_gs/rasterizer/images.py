@@ -139,7 +139,8 @@ def render(
     screen: Tensor | None = None,
     radii: bool = False,
 ) -> Tensor | tuple[Tensor, ...]:
-    """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable.
+    """Ordinary images of Gaussians (Kerbl et al. 2023), differentiable once in the five fields of the Gaussians, the
+    background and cameras.world_to_camera.
 
     gaussians [N, ...] with cameras [C, ...]; or gaussians [B, N, ...] with cameras [B, C, ...], or with the same
     cameras [C, ...] for every set. float32 or float64.
@@ -162,6 +163,11 @@ def render(
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         gaussians.validate()  # on CUDA looking at values would wait for the device
+    if torch.is_grad_enabled() and cameras.intrinsics().requires_grad:
+        raise InputError(
+            "cameras: focal_px and principal_point_px (K) have no gradients, and one of them requires it: detach() it, "
+            "or use torch.no_grad()"
+        )
     like, batched = gaussians.means, gaussians.is_batched
     views = [t.to(like) for t in (cameras.world_to_camera, cameras.intrinsics(), cameras.limits())]
     if cameras.world_to_camera.dim() == 3:

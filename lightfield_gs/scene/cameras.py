@@ -12,15 +12,17 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from lightfield_gs.base.checks import expect, whole_number
+from lightfield_gs.base.checks import expect, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.scene.gaussians import check_finite
+
+_TOLERANCE = 1e-4  # of orthonormality
 
 if TYPE_CHECKING:
     from lightfield_gs.io.captures.camera_files import FileCamera
 
 
-@dataclass
+@dataclass(eq=False)
 class Cameras:
     """C cameras of one image size, or [B, C] of them: C for each of B sets of Gaussians.
 
@@ -66,6 +68,8 @@ class Cameras:
                 raise InputError(f"cameras: {name} must be {['...', 'C', *shape[len(lead) :]]}, got {list(found)}")
             if getattr(self, name).device.type == "cpu":
                 check_finite(f"cameras: {name}", getattr(self, name))
+        if self.world_to_camera.device.type == "cpu":
+            _check_poses(self.world_to_camera.detach())
         if self.focal_px.device.type == "cpu" and not bool((self.focal_px > 0).all()):
             raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
@@ -159,6 +163,29 @@ def _edges(width_px: int, height_px: int, dtype: torch.dtype, device: torch.devi
     with torch.inference_mode(False):  # they may be part of a graph of gradients later
         sides = [[-0.15 * size, 1.15 * size] for size in (width_px, height_px)]
         return torch.tensor(sides, dtype=dtype, device=device)
+
+
+def _check_poses(poses: torch.Tensor) -> None:
+    """Raises InputError for the first of poses [..., 4, 4] that is no rotation and translation over 0 0 0 1."""
+    poses = poses.reshape(-1, 4, 4).double()
+    rotations, unit = poses[:, :3, :3], torch.eye(4, dtype=torch.float64)
+    gram = rotations @ rotations.mT
+    ends_well = ((poses[:, 3] - unit[3]).abs() <= 1e-6).all(-1)
+    orthonormal = ((gram - unit[:3, :3]).abs() <= _TOLERANCE).all(-1).all(-1)
+    wrong = ~(ends_well & orthonormal & (torch.linalg.det(rotations) > 0))
+    if not bool(wrong.any()):
+        return
+    index = int(wrong.nonzero()[0])
+    square = gram[index].diagonal().mean()
+    if not ends_well[index]:
+        found = f"the bottom row {shown(poses[index, 3].tolist())}; [R|t] acts on column vectors: transpose the matrix"
+    elif orthonormal[index]:
+        found = "a mirrored one (determinant -1); turn the sign of one axis of the scene as well"
+    elif bool(((gram[index] / square - unit[:3, :3]).abs() <= _TOLERANCE).all()):
+        found = f"a rotation times {float(square.sqrt()):.6g}; divide the rotation, or the scene, by that"
+    else:
+        found = f"rows that are not orthonormal: {shown(rotations[index].tolist())}"
+    raise InputError(f"cameras: world_to_camera[{index}]: expected a rotation and 0 0 0 1 below, got {found}")
 
 
 def _of_matrices(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -20,7 +20,7 @@ from lightfield_gs.io.scenes.stored import read_stored, write_stored
 from lightfield_gs.scene.turning import rotated_fields
 
 
-@dataclass
+@dataclass(eq=False)
 class Gaussians:
     """N Gaussians, or B sets of N, in right-handed world axes (Kerbl et al., "3D Gaussian Splatting", 2023).
 
@@ -160,9 +160,13 @@ class Gaussians:
         }
         for name, tensor in self.fields().items():
             if tuple(tensor.shape) != tuple(shapes[name]):
+                expected = [*lead, "K", 3] if name == "sh" else list(shapes[name])
+                way_out = ""
+                if name == "sh" and tensor.shape == means.shape:
+                    way_out = "; colours [N, 3] in 0..1 are degree 0: sh = ((colours - 0.5) / 0.28209479)[..., None, :]"
                 raise InputError(
-                    f"{name}: expected shape {list(shapes[name])} beside means {list(means.shape)}, "
-                    f"got {list(tensor.shape)}"
+                    f"{name}: expected shape {str(expected).replace(chr(39), '')} beside means {list(means.shape)}, "
+                    f"got {list(tensor.shape)}{way_out}"
                 )
             if tensor.dtype != means.dtype or tensor.device != means.device:
                 raise InputError(
