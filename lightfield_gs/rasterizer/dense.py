@@ -252,7 +252,6 @@ def _dense_setup(ctx, inputs, output):
     ctx.set_materialize_grads(False)  # the state has no gradients, and neither have images that the loss does not read
 
 
-@once_differentiable
 def _dense_backward(ctx, *grads):
     saved = ctx.saved_tensors
     g_image = torch.zeros_like(saved[9]) if grads[0] is None else grads[0]
@@ -271,7 +270,7 @@ def _dense_backward(ctx, *grads):
     return (*out, None, None, None, None, None, g_screen if ctx.screen_numbers else None)
 
 
-render_dense_with_state.register_autograd(_dense_backward, setup_context=_dense_setup)
+render_dense_with_state.register_autograd(once_differentiable(_dense_backward), setup_context=_dense_setup)
 
 
 class _RenderDense(torch.autograd.Function):
@@ -288,7 +287,10 @@ class _RenderDense(torch.autograd.Function):
         _dense_setup(ctx, inputs, outputs)
         return outputs
 
-    backward = staticmethod(_dense_backward)
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, *grads):
+        return _dense_backward(ctx, *grads)
 
 
 def _is_for_cuda(means: Tensor) -> bool:
