@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import re
 import tempfile
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.hashes import sha256_of
-from lightfield_gs.io.images import MAX_PIXELS, write_image
-from lightfield_gs.video.av_library import av_library
+from lightfield_gs.io.images import write_image
+from lightfield_gs.video.frames import decoded, timeline
 
-VIDEO_INPUTS = (".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v")
+VIDEO_INPUTS = (
+    *(".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v"),
+    *(".mts", ".m2ts", ".ts", ".mpg", ".mpeg", ".wmv", ".3gp", ".ogv", ".flv"),  # of camcorders, older phones, the web
+)
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".heic", ".heif", ".avif", ".bmp")
 _MAPS = (*PICTURES, ".npy", ".npz")
 
@@ -27,12 +28,16 @@ _MAPS = (*PICTURES, ".npy", ".npz")
 @dataclass(frozen=True)
 class Sequence:
     """Pictures in a row. path: of the folder or the video; files: of a folder, in order; count: of pictures; fps: of a
-    video, None where it does not say."""
+    video, None where it does not say; order: of a video, see Timeline; maps: they are depths; notes: lines on what is
+    done to them."""
 
     path: Path
     count: int
     files: tuple[Path, ...] = ()
     fps: Fraction | None = None
+    order: tuple[int, ...] = ()
+    maps: bool = False
+    notes: tuple[str, ...] = ()
 
     def pictures(self, numbers: list[int], folder: Path) -> Iterator[tuple[int, Path]]:
         """The files of the pictures of these numbers, which increase; those of a video are written to `folder`, and
@@ -40,13 +45,14 @@ class Sequence:
         if self.files:
             yield from ((number, self.files[number]) for number in numbers)
             return
-        wanted, name = set(numbers), folder / f"{self.path.stem}.png"
-        for number, pixels in enumerate(_decoded(self.path)):
-            if number in wanted:
+        wanted, name = deque(numbers), folder / f"{self.path.stem}.png"
+        for index, pixels in enumerate(decoded(self.path, self.maps)):
+            if wanted and self.order[wanted[0]] == index:
                 write_image(name, pixels)
-                yield number, name
-                if number == numbers[-1]:
-                    return
+            while wanted and self.order[wanted[0]] == index:
+                yield wanted.popleft(), name
+            if not wanted:
+                return
         raise InputError(f"{self.path} ends before its frame {numbers[-1]}; it is cut, or its header counts wrongly")
 
     def digest(self) -> str:
@@ -69,7 +75,8 @@ def open_sequence(path: str | Path, maps: bool = False) -> Sequence:
     """
     path = checked_path(path)
     if not path.is_dir():
-        return _of_video(path)
+        seen = timeline(path)
+        return Sequence(path, len(seen.order), (), seen.fps, seen.order, maps, seen.notes)
     files = _files(path, _MAPS if maps else PICTURES)
     if not files:
         raise InputError(f"{path}: expected a folder of pictures ({', '.join(_MAPS if maps else PICTURES)}), got none")
@@ -93,40 +100,3 @@ def _natural(path: Path) -> list[tuple[int, int, str]]:
     """So that frame9 comes before frame10."""
     parts = re.split(r"(\d+)", path.name)
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """PyAV's container and the first stream of pictures. Raises InputError, of whatever FFmpeg finds wrong."""
-    with reading(path):
-        path.open("rb").close()
-    av = av_library(f"{path}: a video")
-    try:
-        with av.open(str(path)) as container:
-            if not container.streams.video:
-                raise InputError(f"{path}: expected a video, got a file without pictures")
-            stream = container.streams.video[0]
-            if stream.width * stream.height > MAX_PIXELS:
-                raise InputError(f"{path}: {stream.width} x {stream.height} pixels; expected at most {MAX_PIXELS}")
-            stream.thread_type = "AUTO"
-            yield container, stream
-    except av.FFmpegError as error:
-        raise InputError(f"{path} is not a video that can be read: {error.strerror or error}") from error
-
-
-def _of_video(path: Path) -> Sequence:
-    with _opened(path) as (container, stream):
-        # What the header says is often 0 or wrong, and packets are counted without being decoded
-        count = sum(packet.size > 0 for packet in container.demux(stream))
-        rate = stream.average_rate
-    if not count:
-        raise InputError(f"{path}: expected a video, got one without frames")
-    return Sequence(path, count, fps=None if not rate else Fraction(rate))
-
-
-def _decoded(path: Path) -> Iterator[np.ndarray]:
-    """The frames as they are seen, uint8 [H, W, 3]."""
-    with _opened(path) as (container, stream):
-        for frame in container.decode(stream):
-            pixels = frame.to_ndarray(format="rgb24")
-            yield np.ascontiguousarray(np.rot90(pixels, round(getattr(frame, "rotation", 0) / 90) % 4))

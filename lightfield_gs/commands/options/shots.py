@@ -149,6 +149,7 @@ def sequence_shots(args: argparse.Namespace, panel: Panel, device: str, watch: S
     if is_estimated(first):  # also where no object is cut out
         args.depth = first.depth
     said = settle_drawing(args, None)
+    said += [note for part in (pictures, *beside.values()) if part is not None for note in part.notes]
     rig, how = frame_scene(first, panel, given, gaussians, None)
 
     def take(numbers: list[int]) -> Iterator[tuple[int, Gaussians, Rig]]:
