@@ -21,7 +21,7 @@ from lightfield_gs.fitting import checkpoint, memory
 from lightfield_gs.fitting.angles import Angles
 from lightfield_gs.fitting.checkpoint import Identity
 from lightfield_gs.fitting.display import Display, placed, rig_path
-from lightfield_gs.fitting.dropout import share_at_end
+from lightfield_gs.fitting.dropout import words_on_dropout
 from lightfield_gs.fitting.evaluate import Scores
 from lightfield_gs.fitting.fields import Fields
 from lightfield_gs.fitting.initial import initial_gaussians
@@ -180,17 +180,11 @@ def _prepared(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(test)} held out, on {device}: "
         f"{settings.steps} steps, {trainer.fields.count} Gaussians to begin with, {settings.gaussians} at most"
     )
-    if (left_out := share_at_end(settings, len(train), shares)) > 0:
-        progress.say(
-            f"steps leave out a random part of the Gaussians, up to {left_out:.0%} at the end, {_why(settings)}"
-        )
+    if (words := words_on_dropout(settings, len(train))) is not None:
+        progress.say(words)
     for line in said:
         progress.say(line)
     return Run(trainer, held, identity, habits, progress, angles), world, display
-
-
-def _why(settings: FitSettings) -> str:
-    return "for there are few photographs (--dropout 0: none)" if settings.dropout is None else "as asked (--dropout)"
 
 
 def settings_of(**given: Any) -> FitSettings:

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from lightfield_gs.base.checks import real_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.fitting.dropout import share_at_end
 from lightfield_gs.fitting.random import Purpose, uniforms
 from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.update import update_table
@@ -57,7 +56,7 @@ class Schedule:
         else:
             backgrounds = torch.tensor([settings.background]).expand(steps, 3)
         order = _order(settings, photographs, shares)
-        most = share_at_end(settings, photographs, shares)
+        most = settings.dropout
         dropouts = (most / steps * torch.arange(steps)).to(device) if most > 0 else None
         return cls(order.to(device), numbers, backgrounds.contiguous().to(device), dropouts)
 

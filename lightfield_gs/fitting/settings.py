@@ -54,9 +54,8 @@ class FitSettings:
 
     # The loss: (1 - ssim_share) L1 + ssim_share (1 - SSIM)
     ssim_share: float = 0.2
-    # The share of the Gaussians that a step leaves out: grows from 0 to this at the end. None: by the number of
-    # photographs, see dropout.py
-    dropout: float | None = None
+    # The share of the Gaussians that a step leaves out: grows from 0 to this at the end, see dropout.py
+    dropout: float = 0.0
     # Rates of Adam. That of positions is in units of the scene's extent, and falls by means_decay over the fit
     rate_means: float = 1.6e-4
     means_decay: float = 0.01
