@@ -16,6 +16,7 @@ from lightfield_gs.base.assumptions import Loss, assume
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
+from lightfield_gs.io.scenes.render_mode import ANTIALIASED_WARNING, stated_antialiased
 from lightfield_gs.io.scenes.stored import read_stored, write_stored
 from lightfield_gs.scene.turning import rotated_fields
 
@@ -187,6 +188,8 @@ class Gaussians:
         gaussians = of_arrays(stored.fields, stored.origin)
         for words in stored.notes:
             warnings.warn(f"{path}: {words}", stacklevel=2)
+        if stated_antialiased(stored.comments):
+            warnings.warn(f"{path}: {ANTIALIASED_WARNING}", stacklevel=2)
         if any(gaussians.origin):
             warnings.warn(
                 f"{path}: the means are given from the origin {gaussians.origin}; cameras in the "

@@ -14,6 +14,7 @@ from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.scenes import ksplat, ply, ply_compressed, sog, splat, spz
 from lightfield_gs.io.scenes.ply_data import read_elements
 from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, read_header
+from lightfield_gs.io.scenes.render_mode import stated_antialiased
 from lightfield_gs.io.scenes.stored_scene import StoredScene
 
 Fields = dict[str, np.ndarray]
@@ -36,15 +37,15 @@ class Format:
     """A format of files of Gaussians.
 
     name: in words. suffixes: of its files. starts: what its content begins with, of formats that say so. read: the file
-    at a path, told whether to leave out Gaussians without a meaning. write: the float64 fields to a path; returns what
-    of them is lost, a line each; None where the format is only read.
+    at a path, told whether to leave out Gaussians without a meaning. write: the float64 fields to a path, told whether
+    they were trained with anti-aliasing; returns what of them is lost, a line each; None where the format is only read.
     """
 
     name: str
     suffixes: tuple[str, ...]
     starts: tuple[bytes, ...]
     read: Callable[[Path, bool], StoredScene]
-    write: Callable[[str | Path, Fields], list[str]] | None = None
+    write: Callable[[str | Path, Fields, bool], list[str]] | None = None
 
 
 _PLY = Format(".ply", (".ply",), (b"ply\n", b"ply\r"), _read_ply)
@@ -104,7 +105,7 @@ def write_stored(
     if format.write is None:
         ply.write(path, fields, origin, comments)
         return []
-    lost = format.write(path, fields)
+    lost = format.write(path, fields, stated_antialiased(comments) is True)
     if any(origin):
         lost.append(f"centres are given from the origin {origin}, which a {suffix} cannot hold")
     if comments:

@@ -12,7 +12,7 @@ from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.scenes.invalid import check_or_skip
 
 TINY = np.finfo(np.float32).tiny
-ANTIALIASED_NOTE = "the file says that it was trained with anti-aliasing: --antialiased (Python: antialiased=True)"
+HIGH_DEGREE_NOTE = "harmonics of degree 4 were left out; those of degree 0..3 are drawn"
 
 
 @dataclass
