@@ -177,14 +177,14 @@ class Gaussians:
             real_number("origin", value, -1e300, 1e300)
 
     @staticmethod
-    def load(path: str | Path, *, skip_invalid: bool = False) -> Gaussians:
+    def load(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> Gaussians:
         """Reads a file of Gaussians (.ply, compressed .ply, .spz, .sog, .splat, .ksplat): float32, CPU. What looks
         wrong is a warning, and so is an origin.
 
-        skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.scene.files.read_scene,
-        which tells more of the file.
+        skip_invalid: leave out Gaussians with values that have no meaning. time: at which those that move are read. See
+        lightfield_gs.scene.files.read_scene, which tells more of the file.
         """
-        stored = read_stored(path, skip_invalid=skip_invalid)
+        stored = read_stored(path, skip_invalid=skip_invalid, time=time)
         gaussians = of_arrays(stored.fields, stored.origin)
         for words in stored.notes:
             warnings.warn(f"{path}: {words}", stacklevel=2)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightfield_gs.base.checks import expect
+from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.scenes import ksplat, ply, ply_compressed, sog, splat, spz
@@ -20,15 +20,16 @@ from lightfield_gs.io.scenes.stored_scene import StoredScene
 Fields = dict[str, np.ndarray]
 
 
-def _read_ply(path: Path, skip_invalid: bool) -> StoredScene:
+def _read_ply(path: Path, skip_invalid: bool, time: float | None = None) -> StoredScene:
     with open(path, "rb") as file:
         header = read_header(path, file.read(HEADER_LIMIT_BYTES))
     if ply_compressed.is_compressed(header):
+        _refuse_time(path, time)
         ply_compressed.check_header(path, header)
         return ply_compressed.scene(path, header, read_elements(path, header), skip_invalid)
     ply.check_header(path, header)
     elements = read_elements(path, header)
-    fields, origin, notes = ply.fields_of(path, elements.pop("vertex"), skip_invalid)
+    fields, origin, notes = ply.fields_of(path, elements.pop("vertex"), skip_invalid, time)
     return StoredScene(fields, origin, header.comments, elements, notes, "3DGS .ply")
 
 
@@ -78,12 +79,23 @@ def _format_of(path: Path) -> Format:
     return next((format for format in FORMATS if path.suffix.lower() in format.suffixes), _PLY)
 
 
-def read_stored(path: str | Path, *, skip_invalid: bool = False) -> StoredScene:
+def read_stored(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> StoredScene:
     """Reads a file of Gaussians; see scene/files.py. Raises InputError."""
     expect("skip_invalid", skip_invalid, bool)
+    if time is not None:
+        time = real_number("time", time, -1e6, 1e6)
     path = checked_path(path)
     with reading(path):
-        return _format_of(path).read(path, skip_invalid)
+        format = _format_of(path)
+        if format is _PLY:
+            return _read_ply(path, skip_invalid, time)
+        _refuse_time(path, time)
+        return format.read(path, skip_invalid)
+
+
+def _refuse_time(path: Path, time: float | None) -> None:
+    if time is not None:
+        raise InputError(f"{path}: its format holds no Gaussians that move; leave out --time (Python: time)")
 
 
 def check_written_suffix(path: Path) -> str:
