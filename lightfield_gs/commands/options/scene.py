@@ -18,6 +18,7 @@ from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, read_ph
 from lightfield_gs.commands.options.values import within
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
+from lightfield_gs.io.scenes.unread import refuse_unread
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
@@ -75,6 +76,7 @@ def check_scene_options(args: argparse.Namespace) -> None:
     if _is_scene_file(args):
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
     else:
+        refuse_unread(args.input)
         _refuse(args, ("skip_invalid", "time", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
     if _is_scene_file(args) or not has_depth(args):
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")

@@ -19,6 +19,7 @@ from lightfield_gs.base.errors import InputError
 _CENTRE, _SCALE = "trbf_center", "trbf_scale"
 _NETWORK = re.compile(r"f_t_\d+")  # features that a network beside the file turns into colours
 _OTHER = re.compile(r"(t|t_scale|scale_t|scaling_t|trbf_\w+|motion_\w+|omega_\w+|rot_r_\d|rotation_r_\d|velocity_\w+)")
+_DEFORMED_BY = ("deformation.pth", "deformation_table.pth", "deform.pth")  # 4D Gaussians and what follows them
 _COLOURS = (-0.1, 1.1)  # colours are fitted without bounds, and few are beyond these
 _MOST_BEYOND = 0.2  # of colours; of coefficients a third and more are below 0
 
@@ -39,8 +40,10 @@ def is_moving(names: Sequence[str]) -> bool:
     return _CENTRE in names and _SCALE in names
 
 
-def still_notes(names: Sequence[str]) -> list[str]:
-    """A note where properties speak of a motion that is not known."""
+def still_notes(path: Path, names: Sequence[str]) -> list[str]:
+    """A note where properties, or a network beside the file, speak of a motion that is not known."""
+    if beside := [name for name in _DEFORMED_BY if (path.parent / name).is_file()]:
+        return [f"{beside[0]} beside it moves its Gaussians: they are drawn as they are stored, without that network"]
     found = [name for name in names if _OTHER.fullmatch(name)]
     if not found or is_moving(names):
         return []

@@ -57,7 +57,7 @@ def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
     names = tuple(column.name for column in vertex.properties)
     required = (*_CENTRE, *(_DC if _is_harmonic(names) else ()), *_SHAPE)
     missing = [name for name in required if name not in names]
-    if missing and all(any(name.startswith(start) for name in names) for start in _ANCHORS):
+    if missing and any(name.startswith(_ANCHORS) for name in names):
         raise InputError(
             f"{path}: these are anchors of Scaffold-GS, Octree-GS or the like, of which networks beside the file make "
             "Gaussians for each view; write those as a 3DGS .ply with its program, or fit the photographs: "
@@ -140,7 +140,7 @@ def fields_of(
     elif time is not None:
         raise InputError(f"{path}: its Gaussians do not move (trbf_center, motion_0 on); leave out --time")
     fields, skipped = check_or_skip(path, records, fields, skip_invalid)
-    notes = [*decided, *notes, *motion.still_notes(names), *([filter_3d.NOTE] if has_filter else [])]
+    notes = [*decided, *notes, *motion.still_notes(path, names), *([filter_3d.NOTE] if has_filter else [])]
     notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]
     for name in ("scales", "opacities"):
         np.maximum(fields[name], _TINY, out=fields[name])

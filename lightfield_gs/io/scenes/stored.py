@@ -11,11 +11,13 @@ import numpy as np
 from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError, reading
 from lightfield_gs.base.paths import checked_path
-from lightfield_gs.io.scenes import ksplat, ply, ply_compressed, sog, splat, spz
+from lightfield_gs.io.scenes import ksplat, ply, ply_compressed, sog, sog_streamed, splat, spz
+from lightfield_gs.io.scenes.packed import ZIP_MAGIC, is_packed_scene, unpacked
 from lightfield_gs.io.scenes.ply_data import read_elements
 from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, read_header
 from lightfield_gs.io.scenes.render_mode import stated_antialiased
 from lightfield_gs.io.scenes.stored_scene import StoredScene
+from lightfield_gs.io.scenes.unread import refuse_unread
 
 Fields = dict[str, np.ndarray]
 
@@ -55,22 +57,33 @@ FORMATS = (
     Format("SPZ", (".spz",), (b"NGSP", b"\x1f\x8b\x08\x00"), spz.read, spz.write),
     Format("splat", (".splat",), (), splat.read, splat.write),
     Format("ksplat", (".ksplat",), (), ksplat.read),
-    Format("SOG", (".sog", ".zip"), (b"PK\x03\x04",), sog.read),
+    Format("SOG", (".sog", ".zip"), (ZIP_MAGIC,), sog.read),
 )
+_STREAMED = Format("streamed SOG", (), (), sog_streamed.read)
 SUFFIXES = tuple(suffix for format in FORMATS for suffix in format.suffixes)
 WRITTEN_SUFFIXES = (".ply", *(suffix for format in FORMATS if format.write for suffix in format.suffixes))
 
 
 def is_scene_path(path: Path) -> bool:
-    """Whether a path is, by its name, one of Gaussians: a file, or the folder or meta.json of a SOG."""
-    return path.suffix.lower() in SUFFIXES or path.name.lower() == sog.META or (path / sog.META).is_file()
+    """Whether a path is, by its name, one of Gaussians: a file, the folder or meta.json of a SOG or the lod-meta.json
+    of a streamed one, a file in gzip, or the folder of a trainer."""
+    return (
+        path.suffix.lower() in SUFFIXES
+        or path.name.lower() == sog.META
+        or (path / sog.META).is_file()
+        or sog_streamed.is_streamed(path)
+        or is_packed_scene(path)
+    )
 
 
 def _format_of(path: Path) -> Format:
     """By content, which no name can belie, then by name; files of neither are taken for .ply, and say themselves that
-    they are none."""
+    they are none. Raises InputError that names the kind where it is known and not read."""
+    if sog_streamed.is_streamed(path):
+        return _STREAMED
     if path.name.lower() == sog.META or path.is_dir() and (path / sog.META).is_file():
         return FORMATS[-1]
+    refuse_unread(path)
     with open(path, "rb") as file:
         start = file.read(4)
     for format in FORMATS:
@@ -86,11 +99,20 @@ def read_stored(path: str | Path, *, skip_invalid: bool = False, time: float | N
         time = real_number("time", time, -1e6, 1e6)
     path = checked_path(path)
     with reading(path):
-        format = _format_of(path)
-        if format is _PLY:
-            return _read_ply(path, skip_invalid, time)
-        _refuse_time(path, time)
-        return format.read(path, skip_invalid)
+        if not is_scene_path(path):
+            refuse_unread(path)
+        with unpacked(path) as (inner, notes):
+            stored = _read(inner, skip_invalid, time)
+        stored.notes[:0] = notes
+        return stored
+
+
+def _read(path: Path, skip_invalid: bool, time: float | None) -> StoredScene:
+    format = _format_of(path)
+    if format is _PLY:
+        return _read_ply(path, skip_invalid, time)
+    _refuse_time(path, time)
+    return format.read(path, skip_invalid)
 
 
 def _refuse_time(path: Path, time: float | None) -> None:

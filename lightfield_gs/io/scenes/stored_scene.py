@@ -48,6 +48,14 @@ def settled(path: Path, fields: dict[str, np.ndarray], skip_invalid: bool) -> tu
     return fields, notes
 
 
+def same_degree(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The fields of several parts of a scene as those of one, of the highest degree of harmonics among them."""
+    most = max(part["sh"].shape[1] for part in parts)
+    for part in parts:
+        part["sh"] = np.pad(part["sh"], ((0, 0), (0, most - part["sh"].shape[1]), (0, 0)))
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
 def harmonics_of_colours(colours: np.ndarray) -> np.ndarray:
     """Coefficients of degree 0 of colours 0..1."""
     return (colours - 0.5) / SH_CONSTANT
