@@ -4,7 +4,6 @@ files; and files and folders that are no scene that is read, which are named wit
 import bz2
 import gzip
 import io
-import json
 import math
 import re
 import struct
@@ -225,21 +224,8 @@ def test_the_last_scene_of_a_trainer_is_read(folder, names, last, tmp_path):
 # Scenes in many files
 
 
-def streamed(folder, **changes):
-    for name in ("0_0", "0_1", "1_0", "env"):
-        made.written(folder / name, made.sog(2, 3 if name == "0_0" else 1))
-    leaves = [
-        {"lods": {"0": {"file": 0, "offset": 1, "count": 2}, "1": {"file": 2, "offset": 0, "count": 1}}},
-        {"children": [{"lods": {"0": {"file": 1, "offset": 0, "count": 4}}}]},
-    ]
-    meta = {"lodLevels": 2, "filenames": [f"{name}/meta.json" for name in ("0_0", "0_1", "1_0")]}
-    meta |= {"tree": {"children": leaves}, "environment": "env/meta.json", **changes}
-    (folder / "lod-meta.json").write_text(json.dumps(meta))
-    return folder
-
-
 def test_the_finest_level_of_a_streamed_sog_is_read_with_its_environment(tmp_path):
-    for path in (streamed(tmp_path), tmp_path / "lod-meta.json"):
+    for path in (made.streamed(tmp_path), tmp_path / "lod-meta.json"):
         scene = read_scene(path)
         one = read_scene(tmp_path / "0_0").gaussians.means
         assert torch.equal(scene.gaussians.means, torch.cat([one[1:3], one, one]))
@@ -259,42 +245,12 @@ def test_the_finest_level_of_a_streamed_sog_is_read_with_its_environment(tmp_pat
 )
 def test_lies_of_a_lod_meta_json_are_refused(changes, words, tmp_path):
     with pytest.raises(InputError, match=words):
-        read_scene(streamed(tmp_path, **changes))
-
-
-def gsplat_png(folder, degree=1):
-    """What gsplat's PngCompression writes of four Gaussians."""
-    folder.mkdir()
-    count = (degree + 1) ** 2 - 1
-    opacities = np.clip(np.array(made.OPACITIES), 0.01, 0.99)
-    means = np.array(made.MEANS)
-    stored = {
-        "means": np.sign(means) * np.log1p(np.abs(means)),
-        "scales": np.array(made.LOG_SCALES),
-        "quats": np.array(made.ROTATIONS),
-        "opacities": np.log(opacities / (1 - opacities)),
-        "sh0": np.array([made.dc(colour) for colour in made.COLOURS])[:, None],
-    }
-    meta = {}
-    for name, values in stored.items():
-        flat = values.reshape(4, -1)
-        low, high = flat.min(0), flat.max(0)
-        shares = ((flat - low) / (high - low)).reshape(2, 2, -1).squeeze()
-        meta[name] = {"shape": list(values.shape), "dtype": "float32", "mins": low.tolist(), "maxs": high.tolist()}
-        words = np.round(shares * 65535).astype(np.uint16)
-        parts = {"_l": words & 255, "_u": words >> 8} if name == "means" else {"": np.round(shares * 255)}
-        for end, pixels in parts.items():
-            Image.fromarray(pixels.astype(np.uint8)).save(folder / f"{name}{end}.png")
-    palette = np.round((made.REST[::-1, :count].reshape(4, -1) + 1) / 2 * 63).astype(np.uint8)
-    np.savez_compressed(folder / "shN.npz", centroids=palette, labels=np.array([3, 2, 1, 0], np.uint16))
-    meta["shN"] = {"shape": [4, count, 3], "dtype": "float32", "mins": -1.0, "maxs": 1.0, "quantization": 6}
-    (folder / "meta.json").write_text(json.dumps(meta))
-    return folder
+        read_scene(made.streamed(tmp_path, **changes))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 3])
 def test_png_compression_of_gsplat_is_read(degree, tmp_path):
-    scene = read_scene(gsplat_png(tmp_path / "s", degree))
+    scene = read_scene(made.gsplat_png(tmp_path / "s", degree))
     made_of = scene.gaussians
     assert scene.kind.startswith("gsplat") and made_of.sh_degree == degree
     assert torch.allclose(made_of.means, torch.tensor(made.MEANS), atol=1e-3)
@@ -306,7 +262,7 @@ def test_png_compression_of_gsplat_is_read(degree, tmp_path):
 
 
 def test_a_wrong_palette_of_gsplat_is_refused(tmp_path):
-    folder = gsplat_png(tmp_path / "s")
+    folder = made.gsplat_png(tmp_path / "s")
     np.savez_compressed(folder / "shN.npz", centroids=np.zeros((4, 9), np.uint8), labels=np.full(4, 4, np.uint16))
     with pytest.raises(InputError, match="4 labels of a palette of 9"):
         read_scene(folder)

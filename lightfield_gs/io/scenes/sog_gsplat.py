@@ -67,7 +67,7 @@ def _between(meta: _Meta, name: str, shares: np.ndarray) -> np.ndarray:
 
 
 def _numbers(meta: _Meta, name: str, end: str, channels: int) -> np.ndarray:
-    values = _part(meta, name).get(end)
+    values: Any = _part(meta, name).get(end)
     while is_row(values, 1) and isinstance(values[0], list):
         values = values[0]
     values = values if isinstance(values, list) else [values]

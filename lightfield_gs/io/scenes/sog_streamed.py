@@ -13,6 +13,7 @@ import numpy as np
 
 from lightfield_gs.base.checks import shown, whole_number
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.base.paths import checked_path
 from lightfield_gs.io.json_file import read_object
 from lightfield_gs.io.scenes import render_mode, sog
 from lightfield_gs.io.scenes.render_mode import stated_antialiased
@@ -81,9 +82,9 @@ def _collect(tree: Any, files: int, parts: dict[int, list[tuple[int, int]]]) -> 
 def _beside(file: Path, name: Any) -> Path:
     """A file of the scene, which is nowhere but in its folder. Raises InputError."""
     parts = PurePosixPath(name).parts if isinstance(name, str) else ()
-    if not parts or ".." in parts or "\\" in str(name) or "\0" in str(name) or PurePosixPath(name).is_absolute():
+    if not parts or ".." in parts or "\\" in name or PurePosixPath(name).is_absolute():
         raise InputError(f"expected the name of a file in its folder, got {shown(name)}")
-    return file.parent.joinpath(*parts)
+    return checked_path(file.parent.joinpath(*parts))
 
 
 def _rows(path: Path, scene: StoredScene, ranges: list[tuple[int, int]]) -> StoredScene:
