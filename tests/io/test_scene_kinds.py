@@ -71,6 +71,20 @@ def test_anchors_are_named(tmp_path, name):
         read_scene(write(tmp_path / "a.ply", names, [{**VALUES, name: 0.5}]))
 
 
+@pytest.mark.parametrize(
+    "names, words",
+    [
+        (["x", "y", "z", "red", "green", "blue"], "this is a point cloud.*3DGS trainer"),
+        (["x", "y", "z", "opacity"], "this is a point cloud"),
+        (["x", "y", "z", "scalar_f_dc_0", "scalar_opacity"], "CloudCompare.*SuperSplat"),
+        (["x", "y", "z", "scale_0"], "missing .*expected the properties of a 3DGS .ply"),
+    ],
+)
+def test_points_without_gaussians_are_named(tmp_path, names, words):
+    with pytest.raises(InputError, match=words):
+        read_scene(write(tmp_path / "a.ply", names, [dict.fromkeys(names, 0.5)]))
+
+
 # Gaussians that move
 
 
@@ -312,6 +326,7 @@ UNREAD = {  # file: what it holds, and the words on its kind
     "models.zip": (made.zipped({"a.glb": b"glTF"}), "ZIP.*glTF"),
     "empty.zip": (made.zipped({}), "ZIP|no .sog"),
     "notes.zip": (made.zipped({"a.txt": b""}), r"ZIP without a scene \('a.txt'\)"),
+    "film.MP4": (b"\0\0\0\x18ftypmp42", "a video.*lightfield-gs video"),
     "really.ply": (b"glTF\2\0\0\0", "glTF"),
 }
 

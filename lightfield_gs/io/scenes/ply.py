@@ -65,7 +65,12 @@ def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
         )
     if missing == [_FLAT]:
         missing = []
-    if missing and not set(_SHAPE) & set(names) and set(_CENTRE) <= set(names):
+    if missing and any(f"scalar_{name}" in names for name in missing):
+        raise InputError(
+            f"{path}: properties begin with scalar_, as CloudCompare renames those of Gaussians; give the .ply from "
+            "before, and edit it in SuperSplat, which keeps them"
+        )
+    if missing and not set(_SHAPE[1:]) & set(names) and set(_CENTRE) <= set(names):
         kind = "mesh" if has_faces else "point cloud, the start of a fit to photographs"
         raise InputError(
             f"{path}: missing {', '.join(missing)}; this is a {kind}, and no scene of Gaussians; give "

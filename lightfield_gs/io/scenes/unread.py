@@ -101,6 +101,11 @@ _KINDS = (
         "tiles for a map's viewer", _EXPORT, (".b3dm", ".i3dm", ".pnts", ".cmpt", ".3tz", ".slpk"), (b"b3dm", b"pnts")
     ),
     Kind(
+        "a video",
+        "lightfield-gs video takes one of photos or RGB-D pictures, weave one of quilts",
+        (".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v"),
+    ),
+    Kind(
         "a project of a photogrammetry program",
         "export its cameras for COLMAP beside the photographs, and fit them: lightfield-gs fit",
         (".psx", ".psz", ".rcproj", ".rsproj"),
