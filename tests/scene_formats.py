@@ -226,3 +226,47 @@ def written(folder, files):
     for name, data in files.items():
         (folder / name).write_bytes(data)
     return folder
+
+
+def streamed(folder, **changes):
+    """A streamed SOG of two levels with an environment; changes: of lod-meta.json."""
+    for name in ("0_0", "0_1", "1_0", "env"):
+        written(folder / name, sog(2, 3 if name == "0_0" else 1))
+    leaves = [
+        {"lods": {"0": {"file": 0, "offset": 1, "count": 2}, "1": {"file": 2, "offset": 0, "count": 1}}},
+        {"children": [{"lods": {"0": {"file": 1, "offset": 0, "count": 4}}}]},
+    ]
+    meta = {"lodLevels": 2, "filenames": [f"{name}/meta.json" for name in ("0_0", "0_1", "1_0")]}
+    meta |= {"tree": {"children": leaves}, "environment": "env/meta.json", **changes}
+    (folder / "lod-meta.json").write_text(json.dumps(meta))
+    return folder
+
+
+def gsplat_png(folder, degree=1):
+    """What gsplat's PngCompression writes of four Gaussians."""
+    folder.mkdir(exist_ok=True)
+    count = (degree + 1) ** 2 - 1
+    opacities = np.clip(np.array(OPACITIES), 0.01, 0.99)
+    means = np.array(MEANS)
+    stored = {
+        "means": np.sign(means) * np.log1p(np.abs(means)),
+        "scales": np.array(LOG_SCALES),
+        "quats": np.array(ROTATIONS),
+        "opacities": np.log(opacities / (1 - opacities)),
+        "sh0": np.array([dc(colour) for colour in COLOURS])[:, None],
+    }
+    meta = {}
+    for name, values in stored.items():
+        flat = values.reshape(4, -1)
+        low, high = flat.min(0), flat.max(0)
+        shares = ((flat - low) / (high - low)).reshape(2, 2, -1).squeeze()
+        meta[name] = {"shape": list(values.shape), "dtype": "float32", "mins": low.tolist(), "maxs": high.tolist()}
+        words = np.round(shares * 65535).astype(np.uint16)
+        parts = {"_l": words & 255, "_u": words >> 8} if name == "means" else {"": np.round(shares * 255)}
+        for end, pixels in parts.items():
+            Image.fromarray(pixels.astype(np.uint8)).save(folder / f"{name}{end}.png")
+    palette = np.round((REST[::-1, :count].reshape(4, -1) + 1) / 2 * 63).astype(np.uint8)
+    np.savez_compressed(folder / "shN.npz", centroids=palette, labels=np.array([3, 2, 1, 0], np.uint16))
+    meta["shN"] = {"shape": [4, count, 3], "dtype": "float32", "mins": -1.0, "maxs": 1.0, "quantization": 6}
+    (folder / "meta.json").write_text(json.dumps(meta))
+    return folder

@@ -80,10 +80,10 @@ def _command(path: Path, is_folder: bool) -> Command | None:
     if not is_folder:
         end = path.suffix.lower()
         return "encode" if end in _IMAGES_AND_SCENES else "video" if end in VIDEO_INPUTS else None
-    if is_scene_path(path):
-        return "encode"
     if model_folder(path) is not None or transforms_file(path) is not None:
         return "fit"
+    if is_scene_path(path):
+        return "encode"
     return "video" if is_sequence(path) else None
 
 

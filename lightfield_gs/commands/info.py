@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.options.camera import add_up
 from lightfield_gs.commands.options.panel import add_device_serial
-from lightfield_gs.commands.options.scene import add_skip_invalid
+from lightfield_gs.commands.options.scene import add_reading
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
 from lightfield_gs.io.scenes.stored import is_scene_path
+from lightfield_gs.io.scenes.unread import refuse_unread
 from lightfield_gs.io.text_file import read_text
 from lightfield_gs.io.yaml_file import MOST_BYTES
 from lightfield_gs.panels.panel import Panel
@@ -34,50 +35,52 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "rig (.yaml, visual.json, panel name) or a .safetensors file",
     )
     add_device_serial(parser.add_argument)
-    add_skip_invalid(parser.add_argument)
+    add_reading(parser.add_argument)
     add_up(parser.add_argument)
 
 
 def run(args: argparse.Namespace) -> None:
     """Prints what args.file holds, a line a fact. Raises InputError."""
-    for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up):
+    for key, value in describe(args.file, args.device_serial, args.skip_invalid, args.up, args.time):
         print(f"{key}: {value}")
 
 
 def describe(
-    path: Path, serial: str | None = None, skip_invalid: bool = False, up: str | None = None
+    path: Path, serial: str | None = None, skip_invalid: bool = False, up: str | None = None, time: float | None = None
 ) -> list[tuple[str, object]]:
     """Facts about a file of Gaussians, an image, a panel or rig (.yaml, .json, a panel's name) or a .safetensors file.
 
-    serial: of the display, where the file has several. skip_invalid: of a scene, see read_scene. up: which axis of it
-    points up, in place of what its file says.
+    serial: of the display, where the file has several. skip_invalid, time: of a scene, see read_scene. up: which axis
+    of it points up, in place of what its file says.
     """
     suffix = path.suffix.lower()
     if serial is not None and suffix != ".json":
         raise InputError(f"--device-serial is about Looking Glass calibrations in a .json file, and {path} is none")
     if is_scene_path(path):
-        return _scene(path, skip_invalid, up)
-    if up is not None:
-        raise InputError(f"--up is for files of Gaussians, and {path} is none; leave it out")
+        return _scene(path, skip_invalid, up, time)
+    for option, value in (("--up", up), ("--time", time)):
+        if value is not None:
+            raise InputError(f"{option} is for files of Gaussians, and {path} is none; leave it out")
     if suffix == ".safetensors":
         return _checkpoint(path)
     if suffix in (".yaml", ".yml") and _is_rig(path):
         return _rig(path)
     if suffix == ".json" and _is_camera_file(path):
         return _camera_file(path)
+    refuse_unread(path)
     if suffix in (".yaml", ".yml", ".json") or not suffix and not path.exists():
         return [("panel", path), *Panel.load(path, serial=serial).to_dict().items()]
     return _image(path)
 
 
-def _scene(path: Path, skip_invalid: bool, up: str | None) -> list[tuple[str, object]]:
+def _scene(path: Path, skip_invalid: bool, up: str | None, time: float | None) -> list[tuple[str, object]]:
     import torch
 
     from lightfield_gs.commands.options.camera import axes_of, brought_along
     from lightfield_gs.commands.options.provenance import scene_hash
     from lightfield_gs.commands.options.scene import read_noted
 
-    file = read_noted(path, skip_invalid)
+    file = read_noted(path, skip_invalid, time)
     scene = file.gaussians
     centres = (scene.means.double() + scene.means.new_tensor(scene.origin, dtype=torch.float64)).sort(0).values
     quantile = [centres[int(share * (scene.count - 1))].tolist() for share in (0.01, 0.5, 0.99)]

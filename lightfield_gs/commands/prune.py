@@ -14,7 +14,7 @@ from lightfield_gs.commands.options.drawn import add_antialiased, add_view_filte
 from lightfield_gs.commands.options.framed import files_read
 from lightfield_gs.commands.options.look import add_look, apply_look
 from lightfield_gs.commands.options.panel import add_panel, load_panel
-from lightfield_gs.commands.options.scene import add_skip_invalid, check_scene_path, read_noted, say_origin
+from lightfield_gs.commands.options.scene import add_reading, check_scene_path, read_noted, say_origin
 from lightfield_gs.commands.options.values import within
 from lightfield_gs.io.atomic import check_output_path, check_outputs
 
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "-o", "--output", type=Path, required=True, metavar="SCENE", help="the scene without them: .ply, .spz or .splat"
     )
-    add_skip_invalid(add)
+    add_reading(add)
     add(
         "--contribution-cut",
         type=within(0, 1),
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> None:
 
     given = read_given(args, panel)
     watch.lap("start")
-    file = read_noted(args.input, args.skip_invalid)
+    file = read_noted(args.input, args.skip_invalid, args.time)
     scene = file.gaussians
     say_origin(args.input, scene)
     drawn_so = settle_drawing(args, file)

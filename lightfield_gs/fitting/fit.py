@@ -36,6 +36,7 @@ from lightfield_gs.fitting.world import World
 from lightfield_gs.io.atomic import make_folder
 from lightfield_gs.io.captures.capture import Capture, read_capture
 from lightfield_gs.io.scenes.doubts import float_step, usual_size
+from lightfield_gs.io.scenes.render_mode import ANTIALIASED
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.scene.fitted import fit_comment
 from lightfield_gs.scene.gaussians import Gaussians
@@ -73,7 +74,8 @@ class FitResult:
             comments = [*comments, *self.display.comments()]
             self.display.rig.to_yaml(rig_path(Path(path)))
         said = {**asdict(self.settings), "steps_done": self.steps}
-        self.gaussians.save(path, [fit_comment(said), *comments])
+        trained = [ANTIALIASED] if self.settings.antialiased else []
+        self.gaussians.save(path, [fit_comment(said), *trained, *comments])
 
 
 def fit(

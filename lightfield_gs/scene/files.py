@@ -29,7 +29,7 @@ class SceneFile:
     kind: str = ""
 
 
-def read_scene(path: str | Path, *, skip_invalid: bool = False) -> SceneFile:
+def read_scene(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> SceneFile:
     """Reads a file of Gaussians: a 3DGS .ply, a compressed .ply (SuperSplat), .spz (versions 1 to 4), .sog (versions 1
     and 2; a ZIP, a folder or its meta.json), .splat or .ksplat, told by its content, then by its name.
 
@@ -39,9 +39,12 @@ def read_scene(path: str | Path, *, skip_invalid: bool = False) -> SceneFile:
     near them, which the Gaussians remember. skip_invalid: leave out Gaussians with values that have no meaning (a note
     counts them): not finite, a rotation of zeros, a scale that overflows. Infinite logits and a log scale of -inf have
     one.
+    Args:
+        time: at which Gaussians that move are read (those of Spacetime Gaussians), in the units of their file, mostly
+            0..1 of its film; None: at the median of the times at which they are most opaque, which a note says.
     Raises InputError when the file is of no such format, is cut, has wrong counts, lacks a property (it is named) or,
     without skip_invalid, holds a value that has no meaning (property, index and count are named).
     """
-    stored = read_stored(path, skip_invalid=skip_invalid)
+    stored = read_stored(path, skip_invalid=skip_invalid, time=time)
     gaussians = of_arrays(stored.fields, stored.origin)
     return SceneFile(gaussians, stored.comments, stored.elements, stored.notes, stored.kind)

@@ -13,6 +13,7 @@ from typing import Any
 from lightfield_gs.base.checks import is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.json_file import parse_json
+from lightfield_gs.io.scenes.render_mode import ANTIALIASED, PLAIN, said_antialiased
 
 _KEY = "lightfield-gs fit:"
 
@@ -45,6 +46,34 @@ def fit_comment(settings: Mapping[str, Any]) -> str:
 def fit_comments(comments: Iterable[str]) -> list[str]:
     """The lines of a header that keep the settings of a fit: a file made from that one has them too."""
     return [comment.strip() for comment in comments if comment.strip().startswith(_KEY)]
+
+
+def trained_antialiased(comments: Iterable[str]) -> str | None:
+    """Who says that the scene was trained for drawing with anti-aliasing, in a word: "fitted" by this package, or
+    "trained" by another. None where nobody does, or the last word on it is no.
+
+    Raises InputError where the line of a fit cannot be read.
+    """
+    found = None
+    for comment in comments:
+        fitted = stated_fit([comment])
+        if fitted is not None:
+            found = "fitted" if fitted.antialiased else None
+        elif (said := said_antialiased(comment)) is not None:
+            found = ("trained" if found is None else found) if said else None
+    return found
+
+
+def drawn_comments(comments: Iterable[str], antialiased: bool) -> list[str]:
+    """Of the lines of a header those on the fit, and a line on how the scene was drawn where they do not say it."""
+    known = fit_comments(comments)
+    if antialiased:
+        return [*known, ANTIALIASED]
+    try:
+        is_plain = trained_antialiased(known) is None
+    except InputError:
+        is_plain = False
+    return known if is_plain else [*known, PLAIN]
 
 
 def stated_fit(comments: Iterable[str]) -> Fitted | None:

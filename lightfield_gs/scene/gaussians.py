@@ -16,6 +16,7 @@ from lightfield_gs.base.assumptions import Loss, assume
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
+from lightfield_gs.io.scenes.render_mode import ANTIALIASED_WARNING, stated_antialiased
 from lightfield_gs.io.scenes.stored import read_stored, write_stored
 from lightfield_gs.scene.turning import rotated_fields
 
@@ -180,17 +181,19 @@ class Gaussians:
             real_number("origin", value, -1e300, 1e300)
 
     @staticmethod
-    def load(path: str | Path, *, skip_invalid: bool = False) -> Gaussians:
+    def load(path: str | Path, *, skip_invalid: bool = False, time: float | None = None) -> Gaussians:
         """Reads a file of Gaussians (.ply, compressed .ply, .spz, .sog, .splat, .ksplat): float32, CPU. What looks
         wrong is a warning, and so is an origin.
 
-        skip_invalid: leave out Gaussians with values that have no meaning. See lightfield_gs.scene.files.read_scene,
-        which tells more of the file.
+        skip_invalid: leave out Gaussians with values that have no meaning. time: at which those that move are read. See
+        lightfield_gs.scene.files.read_scene, which tells more of the file.
         """
-        stored = read_stored(path, skip_invalid=skip_invalid)
+        stored = read_stored(path, skip_invalid=skip_invalid, time=time)
         gaussians = of_arrays(stored.fields, stored.origin)
         for words in stored.notes:
             warnings.warn(f"{path}: {words}", stacklevel=2)
+        if stated_antialiased(stored.comments):
+            warnings.warn(f"{path}: {ANTIALIASED_WARNING}", stacklevel=2)
         if any(gaussians.origin):
             warnings.warn(
                 f"{path}: the means are given from the origin {gaussians.origin}; cameras in the "

@@ -1,4 +1,4 @@
-"""A scene that was fitted is drawn as it was fitted, unless an option says otherwise."""
+"""A scene is drawn as its file says that it was fitted or trained, unless an option says otherwise."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scene_formats as made
 from command_line import PANEL, complaint, run, scene
 
 from lightfield_gs import Gaussians, prune
@@ -80,7 +81,8 @@ def test_scenes_made_of_it_say_it_too(capsys, command):
     assert "fitted: by lightfield-gs, anti-aliased, background 0,0,1\n" in run(capsys, "info g.ply")
     if command.startswith("prune"):
         expected = prune(Gaussians.load("plain.ply"), PANEL, Rig.from_yaml("r.yaml"), 1e-3, antialiased=True)
-        assert np.array_equal(Gaussians.load("g.ply").means, expected.means)
+        with pytest.warns(UserWarning, match="antialiased=True"):
+            assert np.array_equal(Gaussians.load("g.ply").means, expected.means)
 
 
 @pytest.mark.parametrize("said", ["{", "[]", '{"background": [0, 0, 7]}', '{"antialiased": 1}'])
@@ -89,3 +91,63 @@ def test_a_line_that_is_none_is_refused_and_options_go_before_it(capsys, said):
     assert "f.ply: its line of how it was fitted is none" in complaint(capsys, f"encode f.ply -o o.png {COMMON}")
     picture(capsys, "f.ply --no-antialiased --background 0,0,0")
     assert "fitted: its line of how" in run(capsys, "info f.ply")
+
+
+MARKED = {  # file: what it holds
+    "brush.ply": lambda: ["Exported from Brush", "SplatRenderMode: mip"],
+    "postshot.ply": lambda: ["antialiased 1"],
+    "last-word.ply": lambda: ["splatrendermode: default", "Antialiased 1"],
+    "packed.ply": lambda: made.compressed_ply().replace(b"comment by hand", b"comment SplatRenderMode: mip"),
+    "a.spz": lambda: made.spz(3, flags=1),
+    "model.sog": lambda: made.zipped(made.sog(model="antialiased")),
+    "older.sog": lambda: made.zipped(made.sog(antialias=True)),
+}
+UNMARKED = {
+    "none.ply": lambda: ["Exported from Brush", "SplatRenderMode: default"],
+    "last-word.ply": lambda: ["SplatRenderMode: mip", "antialiased 0"],
+    "prose.ply": lambda: ["not antialiased 1 bit", "SplatRenderMode: mipmaps"],
+    "a.spz": lambda: made.spz(3),
+    "surfels.sog": lambda: made.zipped(made.sog(model="2dgs", antialias=False)),
+}
+
+
+def marked(name: str, holds) -> None:
+    if isinstance(content := holds(), bytes):
+        Path(name).write_bytes(content)
+    else:
+        shifted().save(name, content)
+
+
+@pytest.mark.parametrize("name", MARKED)
+def test_what_a_file_says_of_anti_aliasing_decides_in_every_format(capsys, name):
+    marked(name, MARKED[name])
+    image, out = picture(capsys, name)
+    assert out.count("anti-aliasing: the file says that it was trained so (without: --no-antialiased)") == 1
+    asserted, _ = picture(capsys, f"{name} --antialiased")
+    otherwise, silent = picture(capsys, f"{name} --no-antialiased")
+    assert np.array_equal(image, asserted) and "anti-aliasing" not in silent
+    assert "anti-aliasing: trained with it" in run(capsys, f"info {name}")
+    if name not in ("a.spz", "packed.ply") and not name.endswith(".sog"):  # whose Gaussians are large
+        assert not np.array_equal(image, otherwise)
+    with pytest.warns(UserWarning, match="antialiased=True"):
+        Gaussians.load(name)
+
+
+@pytest.mark.parametrize("name", UNMARKED)
+def test_no_other_word_on_anti_aliasing_decides(capsys, name):
+    marked(name, UNMARKED[name])
+    assert "anti-aliasing" not in picture(capsys, name)[1] + run(capsys, f"info {name}")
+
+
+@pytest.mark.parametrize("end", ["ply", "spz"])
+def test_scenes_drawn_with_anti_aliasing_say_so_when_they_are_written(capsys, end):
+    for index, options in enumerate(("plain.ply --antialiased", "brush.ply")):
+        marked("brush.ply", MARKED["brush.ply"])
+        run(capsys, f"encode {options} -o o.png --save-gaussians {index}.{end} {COMMON}")
+        assert "trained so" in picture(capsys, f"{index}.{end}")[1]
+    fitted("f.ply", antialiased=True)
+    run(capsys, f"encode f.ply --no-antialiased -o o.png --save-gaussians g.{end} {COMMON}")
+    assert "anti-aliasing" not in picture(capsys, f"g.{end}")[1]
+    fitted("f.spz", antialiased=True)
+    assert "trained so" in picture(capsys, "f.spz")[1]
+    assert "cannot say" in run(capsys, f"prune brush.ply -o g.splat --contribution-cut 1e-3 {COMMON}")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from PIL import features
-from scene_formats import sog, written
+from scene_formats import gsplat_png, sog, streamed, written
 
 from lightfield_gs import Panel, Rig, SplatterNet, load_photo
 from lightfield_gs.base.assumptions import Assumption
@@ -88,6 +88,27 @@ def _read_sog_meta(path: Path) -> Any:
     return read_scene(folder)
 
 
+def _read_lod_meta(path: Path) -> Any:
+    """A lod-meta.json beside files that are good."""
+    folder = path.with_name("streamed")
+    if not folder.exists():
+        folder.mkdir()
+        streamed(folder)
+    with reading(path):
+        (folder / "lod-meta.json").write_bytes(path.read_bytes())
+    return read_scene(folder)
+
+
+def _read_gsplat_meta(path: Path) -> Any:
+    """A meta.json of gsplat's PNG compression beside images that are good."""
+    folder = path.with_name("gsplat")
+    if not folder.exists():
+        gsplat_png(folder)
+    with reading(path):
+        (folder / "meta.json").write_bytes(path.read_bytes())
+    return read_scene(folder)
+
+
 def _read_sog_image(path: Path) -> Any:
     """An image among others that are good."""
     folder = path.with_name("sog-image")
@@ -144,6 +165,10 @@ READERS = {
     "spz-inside": Reader(".bin", _read_spz_inside, "spz-inside"),
     "sog": Reader(".sog", lambda path: read_scene(path).gaussians.validate(), "sog"),
     "sog-meta": Reader(".json", _read_sog_meta, "sog-meta"),
+    "lod-meta": Reader(".json", _read_lod_meta, "lod-meta"),
+    "gsplat-meta": Reader(".json", _read_gsplat_meta, "gsplat-meta"),
+    "scene-zip": Reader(".zip", lambda path: read_scene(path).gaussians.validate(), "scene-zip"),
+    "scene-gzip": Reader(".ply.gz", lambda path: read_scene(path).gaussians.validate(), "scene-gzip"),
     "sog-image": Reader(".webp", _read_sog_image, "sog-image"),
     "image": Reader(".png", _read_image, "image"),
     "cut-out": Reader(".png", load_photo, "image"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import math
 import shutil
@@ -68,6 +69,15 @@ def _scenes(folder: Path) -> None:
     (folder / "big-endian.ply").write_bytes(header.encode() + body + struct.pack(">H", 640) + b"\n")
 
 
+def _moving_scene(path: Path) -> None:
+    """Two Gaussians with the properties of Spacetime Gaussians."""
+    names = [*"xyz", "trbf_center", "trbf_scale", *(f"motion_{i}" for i in range(9)), *(f"f_dc_{i}" for i in range(3))]
+    names += ["opacity", *(f"scale_{i}" for i in range(2)), *(f"{n}_{i}" for n in ("rot", "omega") for i in range(4))]
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 2\n"
+    header += "".join(f"property float {name}\n" for name in names) + "end_header\n"
+    path.write_bytes(header.encode() + np.linspace(0.1, 1, 2 * len(names), dtype="<f4").tobytes())
+
+
 def _scene_formats(folders: dict[str, Path]) -> None:
     """Every format and version, packed by hand."""
     for version in (1, 2, 3):
@@ -84,6 +94,14 @@ def _scene_formats(folders: dict[str, Path]) -> None:
         (folders["sog"] / f"v{version}.sog").write_bytes(scene_formats.zipped(files))
         (folders["sog-meta"] / f"v{version}.json").write_bytes(files["meta.json"])
     (folders["sog"] / "deflated.sog").write_bytes(scene_formats.zipped(files, zipfile.ZIP_DEFLATED, "scene/"))
+    with tempfile.TemporaryDirectory() as temporary:
+        for name, maker in (("lod", scene_formats.streamed), ("gsplat", scene_formats.gsplat_png)):
+            made = maker(Path(temporary))
+            source = made / ("lod-meta.json" if name == "lod" else "meta.json")
+            (folders[f"{name}-meta"] / "small.json").write_bytes(source.read_bytes())
+    plain = (folders["ply"] / "degree0.ply").read_bytes()
+    (folders["scene-zip"] / "one.zip").write_bytes(scene_formats.zipped({"in/a.ply": plain}, zipfile.ZIP_DEFLATED))
+    (folders["scene-gzip"] / "one.ply.gz").write_bytes(gzip.compress(plain, mtime=0))
     (folders["sog-image"] / "small.webp").write_bytes(files["sh0.webp"])
 
 
@@ -190,6 +208,7 @@ def main() -> None:
         Image.linear_gradient("L").resize((16, 12)).convert("RGB").save(folders["heif"] / "small.avif", quality=50)
     _batches(folders["batch-list"], folders["batch-manifest"])
     _scenes(folders["ply"])
+    _moving_scene(folders["ply"] / "moving.ply")
     _scene_formats(folders)
     _images(folders["image"], {"panel": "small"})
     np.save(folders["depth-npy"] / "millimetres.npy", np.arange(1, 13, dtype=np.uint16).reshape(3, 4))

@@ -17,7 +17,7 @@ from lightfield_gs.commands.options.values import camera_choice
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.axes import DEFAULT_UP, UP_AXES, Up, stated_up
-from lightfield_gs.scene.fitted import fit_comments, stated_fit
+from lightfield_gs.scene.fitted import drawn_comments, stated_fit, trained_antialiased
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.files import SceneFile
@@ -188,6 +188,8 @@ def brought_along(file: SceneFile) -> list[tuple[str, str]]:
     try:
         fitted = stated_fit(file.comments)
         fit = [] if fitted is None else [("fitted", fitted.words())]
+        if trained_antialiased(file.comments) == "trained":
+            fit.append(("anti-aliasing", "trained with it, the file says, and drawn with it"))
     except InputError as error:
         fit = [("fitted", str(error))]
     return fit + _cameras_along(file)
@@ -209,7 +211,7 @@ def comments_of(args: argparse.Namespace, panel: Panel, file: SceneFile | None, 
     """Lines for the header of a file of the Gaussians, so that it is seen as it was drawn; rig: in its coordinates."""
     from lightfield_gs.panels.own_camera import framing_comment
 
-    known = fit_comments(file.comments) if file is not None else []
+    known = drawn_comments(file.comments if file is not None else (), args.antialiased)
     if file is not None and (args.up or stated_up(file.comments)):
         known.append(f"Vertical Axis: {axes_of(args.up, file).axis}")
     return known + ([] if rig is None else [framing_comment(rig, panel)])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from lightfield_gs.base.errors import named
 from lightfield_gs.commands.options.values import background, within
-from lightfield_gs.scene.fitted import rgb, stated_fit
+from lightfield_gs.scene.fitted import rgb, stated_fit, trained_antialiased
 
 if TYPE_CHECKING:
     from lightfield_gs.scene.files import SceneFile
@@ -22,7 +22,7 @@ def add_antialiased(add: Callable[..., argparse.Action]) -> None:
         action=argparse.BooleanOptionalAction,
         help="for scenes trained with anti-aliasing (Mip-Splatting, gsplat's antialiased mode), which look too bright "
         "and too thick without: what a pixel blurs becomes fainter by as much (default: as the file says that "
-        "lightfield-gs fitted it, else without)",
+        "it was trained, else without)",
     )
 
 
@@ -51,13 +51,14 @@ def settle_drawing(args: argparse.Namespace, file: SceneFile | None) -> list[str
     """Sets those of args.antialiased and args.background that the command has and that nobody gave; lines on what was
     taken from the file. file: None for a photo. Raises InputError where the file's word on its fit cannot be read."""
     open_ones = [name for name in ("antialiased", "background") if getattr(args, name, ()) is None]
+    comments = file.comments if file is not None and open_ones else ()
     with named(args.input):
-        fitted = stated_fit(file.comments) if file is not None and open_ones else None
+        fitted, trained = stated_fit(comments), trained_antialiased(comments)
     said = []
     if "antialiased" in open_ones:
-        args.antialiased = fitted is not None and fitted.antialiased
+        args.antialiased = trained is not None
         if args.antialiased:
-            said.append("drawn with anti-aliasing: the file says that it was fitted so (without: --no-antialiased)")
+            said.append(f"drawn with anti-aliasing: the file says that it was {trained} so (without: --no-antialiased)")
     if "background" in open_ones:
         args.background = (fitted and fitted.background) or _WHITE
         if fitted is not None and fitted.background is not None:

@@ -15,8 +15,10 @@ from lightfield_gs.commands.options.depth_map import add_depth, has_depth
 from lightfield_gs.commands.options.detail import add_detail
 from lightfield_gs.commands.options.estimated import depth_file, is_estimated
 from lightfield_gs.commands.options.photo import ReadPhoto, photo_scene, read_photo
+from lightfield_gs.commands.options.values import within
 from lightfield_gs.io.atomic import check_output_path
 from lightfield_gs.io.scenes.stored import check_written_suffix, is_scene_path
+from lightfield_gs.io.scenes.unread import refuse_unread
 
 if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
@@ -50,14 +52,22 @@ def add_scene(
     add_depth(add)
     add_detail(add)
     add("--checkpoint", type=Path, metavar="FILE", help="weights of the network, .safetensors (default: those inside)")
-    add_skip_invalid(add)
+    add_reading(add)
 
 
-def add_skip_invalid(add: Callable[..., argparse.Action]) -> None:
+def add_reading(add: Callable[..., argparse.Action]) -> None:
+    """How a file of Gaussians is read."""
     add(
         "--skip-invalid",
         action="store_true",
         help="leave out Gaussians whose values have no meaning (not finite, a rotation of zeros), and say how many",
+    )
+    add(
+        "--time",
+        type=within(-1e6, 1e6),
+        metavar="T",
+        help="the time at which Gaussians that move (Spacetime Gaussians) are drawn, mostly 0..1 of their film "
+        "(default: in its middle, which is said)",
     )
 
 
@@ -66,7 +76,8 @@ def check_scene_options(args: argparse.Namespace) -> None:
     if _is_scene_file(args):
         _refuse(args, _PHOTO_OPTIONS, f"is for photos, and {args.input} is a file of Gaussians")
     else:
-        _refuse(args, ("skip_invalid", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
+        refuse_unread(args.input)
+        _refuse(args, ("skip_invalid", "time", "up", "camera"), f"is for files of Gaussians, and {args.input} is none")
     if _is_scene_file(args) or not has_depth(args):
         _refuse(args, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     else:
@@ -94,11 +105,11 @@ def check_scene_path(path: Path) -> None:
     check_written_suffix(path)
 
 
-def read_noted(path: Path, skip_invalid: bool) -> SceneFile:
+def read_noted(path: Path, skip_invalid: bool, time: float | None = None) -> SceneFile:
     """What a file of Gaussians holds; says what looks wrong in it, and what was left out."""
     from lightfield_gs.scene.files import read_scene
 
-    scene = read_scene(path, skip_invalid=skip_invalid)
+    scene = read_scene(path, skip_invalid=skip_invalid, time=time)
     for words in scene.notes:
         note(f"{path}: {words}")
     return scene
@@ -113,7 +124,7 @@ def say_origin(path: Path, gaussians: Gaussians) -> None:
 def read_source(args: argparse.Namespace) -> SceneFile | ReadPhoto:
     """What the files of the input hold; nothing is computed yet. Raises InputError."""
     if _is_scene_file(args):
-        file = read_noted(args.input, args.skip_invalid)
+        file = read_noted(args.input, args.skip_invalid, args.time)
         say_origin(args.input, file.gaussians)
         return file
     _note_quilt(args.input)

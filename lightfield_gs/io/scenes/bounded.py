@@ -9,17 +9,17 @@ from typing import Any
 
 from lightfield_gs.base.errors import InputError
 
-_ALWAYS_BYTES = 1 << 24  # what may come out of a file of any size: some hundred thousand Gaussians
-_MOST_RATIO = 64  # scenes shrink by 1.2 to 10; only blank ones by more
+ALWAYS_BYTES = 1 << 24  # what may come out of a file of any size: some hundred thousand Gaussians
+MOST_RATIO = 64  # scenes shrink by 1.2 to 10; only blank ones by more
 _GZIP = 31  # zlib's number for a gzip header and the largest window
 
 
 def check_promise(path: Path, promised_bytes: int, stored_bytes: int) -> None:
     """Raises InputError where so few stored bytes cannot be that much data, before any memory is taken for it."""
-    if promised_bytes > max(_ALWAYS_BYTES, _MOST_RATIO * stored_bytes):
+    if promised_bytes > max(ALWAYS_BYTES, MOST_RATIO * stored_bytes):
         raise InputError(
             f"{path}: {promised_bytes} bytes are promised by {stored_bytes} compressed ones, more than "
-            f"{_MOST_RATIO} to one; it is cut, or its counts are wrong"
+            f"{MOST_RATIO} to one; it is cut, or its counts are wrong"
         )
 
 

@@ -36,8 +36,9 @@ def float_step(coordinates: np.ndarray) -> float:
     return float(np.spacing(np.abs(coordinates).astype(np.float32)).max())
 
 
-def about_values(log_scales: np.ndarray, logits: np.ndarray, means: np.ndarray) -> list[str]:
-    """Notes on numbers as they are stored that look like the values themselves, not their log or logit."""
+def about_values(log_scales: np.ndarray, logits: np.ndarray | None, means: np.ndarray) -> list[str]:
+    """Notes on numbers as they are stored that look like the values themselves, not their log or logit. logits: None
+    where the file has none."""
     if len(means) < _LEAST_COUNT:
         return []
     notes = []
@@ -52,6 +53,8 @@ def about_values(log_scales: np.ndarray, logits: np.ndarray, means: np.ndarray) 
             f"one unit, in a scene of {extent:.3g}: they look like standard deviations themselves; export the "
             "file with their logarithms"
         )
+    if logits is None:
+        return notes
     low, high = np.nanmin(logits), np.nanmax(logits)
     if low >= 0 and 0 < high <= 1:
         notes.append(

@@ -11,10 +11,10 @@ from lightfield_gs.base.errors import InputError
 
 # For each field the properties that it comes from, and what is wrong where it is not finite
 _REASONS = {
-    "means": (("x", "y", "z"), "a centre that is not finite"),
-    "quaternions": (("rot_0", "rot_1", "rot_2", "rot_3"), "a rotation that is not finite"),
+    "means": (("x", "y", "z", "motion_"), "a centre that is not finite"),
+    "quaternions": (("rot_0", "rot_1", "rot_2", "rot_3", "omega_"), "a rotation that is not finite"),
     "scales": (("scale_0", "scale_1", "scale_2", "filter_3D"), "a scale that is no number or overflows"),
-    "opacities": (("opacity",), "an opacity that is no number"),
+    "opacities": (("opacity", "trbf_"), "an opacity that is no number"),
     "sh": (("f_dc_", "red", "green", "blue", "f_rest_"), "a colour that is not finite"),
 }
 _ZERO_ROTATION = "a rotation of zeros"
@@ -69,6 +69,7 @@ def _named(record: np.void | None, index: int, fields: dict[str, np.ndarray]) ->
         for name in record.dtype.names or ():
             if name.startswith(beginnings) and (words := _without_meaning(name, float(record[name]))):
                 return f"{name} of Gaussian {index} is {words}"
+        return f"Gaussian {index} has {reason}"
     where = f"the rotation of Gaussian {index} is" if record is None else f"rot_0..rot_3 of Gaussian {index} are"
     return f"{where} all zero, which is no rotation"
 

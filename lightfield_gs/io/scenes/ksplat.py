@@ -16,7 +16,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.not_what_it_says import refuse_stand_in
-from lightfield_gs.io.scenes.stored_scene import StoredScene, expect_some, harmonics_of_colours, settled
+from lightfield_gs.io.scenes.stored_scene import StoredScene, expect_some, harmonics_of_colours, same_degree, settled
 
 _HEADER_BYTES, _SECTION_BYTES = 4096, 1024
 _HEADER = struct.Struct("<BB2xIIIIH2x3fff")
@@ -72,12 +72,7 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
     found = _sections(path, data, sections, level)
     expect_some(path, sum(section.count for section in found))
     parts = [_gaussians(path, data, section, level, (low, high)) for section in found if section.count]
-    most_sh = max(part["sh"].shape[1] for part in parts)
-    for part in parts:
-        part["sh"] = np.pad(part["sh"], ((0, 0), (0, most_sh - part["sh"].shape[1]), (0, 0)))
-    fields, notes = settled(
-        path, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, skip_invalid
-    )
+    fields, notes = settled(path, same_degree(parts), skip_invalid)
     return StoredScene(fields, notes=notes, kind=f".ksplat version {major}.{minor}, compression level {level}")
 
 

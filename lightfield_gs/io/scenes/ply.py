@@ -2,7 +2,8 @@
 
 Stored are x y z, the log of the standard deviations (scale_0..2), the logit of the opacity, the quaternion wxyz
 (rot_0..3) and the spherical harmonics: f_dc_0..2, and f_rest_* channel by channel (all of red, then green, then blue).
-In place of f_dc there may be red, green and blue: colours, not coefficients.
+In place of f_dc there may be red, green and blue: colours, not coefficients. 2D Gaussians (2DGS) have no scale_2, and
+others an opacity of one byte. Gaussians that move have more properties: see motion.py.
 """
 
 from __future__ import annotations
@@ -16,15 +17,21 @@ from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.scenes import doubts, filter_3d
+from lightfield_gs.io.scenes import doubts, filter_3d, motion
 from lightfield_gs.io.scenes.invalid import check_or_skip
 from lightfield_gs.io.scenes.ply_header import HEADER_LIMIT_BYTES, Element, Header
+from lightfield_gs.io.scenes.stored_scene import HIGH_DEGREE_NOTE
 
 _CENTRE = ("x", "y", "z")
 _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _RGB = ("red", "green", "blue")
 _SHAPE = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
-_REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1), degree 0..3
+_FLAT = "scale_2"  # which 2D Gaussians lack
+_FLAT_NOTE = f"there is no {_FLAT}: they are 2D Gaussians (2DGS), and drawn as flat discs"
+_BYTE_OPACITY_NOTE = "opacity has one byte and is taken for 0..255"
+_ANCHORS = ("f_anchor_feat_", "f_offset_")
+_REST_COUNTS = (0, 9, 24, 45, 72)  # 3 ((degree + 1)^2 - 1), degree 0..4
+_MOST_BANDS = 15  # above degree 0, that are drawn
 _TINY = np.finfo(np.float32).tiny
 _MAX_LOGIT = 20.0  # above 17.4 the sigmoid is 1 in float32
 _ROWS_AT_ONCE = 2048  # so few that they and what becomes of them stay in the cache, which is eleven times as quick
@@ -50,7 +57,20 @@ def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
     names = tuple(column.name for column in vertex.properties)
     required = (*_CENTRE, *(_DC if _is_harmonic(names) else ()), *_SHAPE)
     missing = [name for name in required if name not in names]
-    if missing and not set(_SHAPE) & set(names) and set(_CENTRE) <= set(names):
+    if missing and any(name.startswith(_ANCHORS) for name in names):
+        raise InputError(
+            f"{path}: these are anchors of Scaffold-GS, Octree-GS or the like, of which networks beside the file make "
+            "Gaussians for each view; write those as a 3DGS .ply with its program, or fit the photographs: "
+            "lightfield-gs fit"
+        )
+    if missing == [_FLAT]:
+        missing = []
+    if missing and any(f"scalar_{name}" in names for name in missing):
+        raise InputError(
+            f"{path}: properties begin with scalar_, as CloudCompare renames those of Gaussians; give the .ply from "
+            "before, and edit it in SuperSplat, which keeps them"
+        )
+    if missing and not set(_SHAPE[1:]) & set(names) and set(_CENTRE) <= set(names):
         kind = "mesh" if has_faces else "point cloud, the start of a fit to photographs"
         raise InputError(
             f"{path}: missing {', '.join(missing)}; this is a {kind}, and no scene of Gaussians; give "
@@ -67,7 +87,7 @@ def _check_properties(path: Path, vertex: Element, has_faces: bool) -> None:
         )
     rest = _rest_names(names)
     if len(rest) not in _REST_COUNTS or any(name not in names for name in rest):
-        raise InputError(f"{path}: {len(rest)} properties f_rest_*; expected f_rest_0 on, 0, 9, 24 or 45 of them")
+        raise InputError(f"{path}: {len(rest)} properties f_rest_*; expected f_rest_0 on, 0, 9, 24, 45 or 72 of them")
 
 
 def _is_harmonic(names: Sequence[str]) -> bool:
@@ -80,20 +100,30 @@ def _rest_names(names: Sequence[str]) -> list[str]:
 
 
 def fields_of(
-    path: Path, records: np.ndarray, skip_invalid: bool = False
+    path: Path, records: np.ndarray, skip_invalid: bool = False, time: float | None = None
 ) -> tuple[dict[str, np.ndarray], tuple[float, float, float], list[str]]:
     """The five fields of the Gaussians (see scene/gaussians.py) as float32 arrays, of vertices whose header has been
     checked; the origin that their centres are given from; and notes on what looks wrong in them.
 
     An infinite logit is the opacity 1 or, as what underflows float32, the smallest normal number, which is never drawn;
     so opacities are in (0, 1]. Scales likewise: the log -inf is a flat disc.
-    skip_invalid: leaves out the Gaussians that `check_or_skip` complains of. Raises InputError.
+    skip_invalid: leaves out the Gaussians that `check_or_skip` complains of. time: at which those that move are drawn,
+    see motion.py. Raises InputError.
     """
-    log_scales, logits = _columns(records, _SHAPE[1:4]), _columns(records, _SHAPE[:1])[:, 0]
+    names = records.dtype.names or ()
+    log_scales, logits = _columns(records, [name for name in _SHAPE[1:4] if name in names]), None
     with np.errstate(over="ignore", under="ignore"):
         scales = np.exp(log_scales)
-        opacities = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
-    has_filter = filter_3d.PROPERTY in (records.dtype.names or ())
+        if records.dtype["opacity"] == np.uint8:
+            opacities = _columns(records, _SHAPE[:1])[:, 0] / np.float32(255)
+        else:
+            logits = _columns(records, _SHAPE[:1])[:, 0]
+            opacities = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
+    decided = [] if logits is not None else [_BYTE_OPACITY_NOTE]
+    if _FLAT not in names:
+        scales = np.pad(scales, ((0, 0), (0, 1)))
+        decided.append(_FLAT_NOTE)
+    has_filter = filter_3d.PROPERTY in names
     if has_filter:
         scales, opacities = filter_3d.filtered(scales, opacities, _columns(records, (filter_3d.PROPERTY,))[:, 0])
     means, origin = _centres(records, scales)
@@ -105,8 +135,17 @@ def fields_of(
         "opacities": opacities,
         "sh": sh,
     }
+    if motion.is_moving(names):
+        moved = motion.moved(path, records, time)
+        with np.errstate(over="ignore", invalid="ignore"):
+            fields["means"] = (means + moved.shifts).astype(np.float32)
+            fields["quaternions"] = (fields["quaternions"] + moved.turns).astype(np.float32)
+            fields["opacities"] = (opacities * moved.shares).astype(np.float32)
+        decided += moved.notes
+    elif time is not None:
+        raise InputError(f"{path}: its Gaussians do not move (trbf_center, motion_0 on); leave out --time")
     fields, skipped = check_or_skip(path, records, fields, skip_invalid)
-    notes += [filter_3d.NOTE] if has_filter else []
+    notes = [*decided, *notes, *motion.still_notes(path, names), *([filter_3d.NOTE] if has_filter else [])]
     notes += [*skipped, *doubts.about_values(log_scales, logits, means), *doubts.about_steps(records, scales)]
     for name in ("scales", "opacities"):
         np.maximum(fields[name], _TINY, out=fields[name])
@@ -138,12 +177,19 @@ def _centres(records: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, tuple
 
 
 def _harmonics(records: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """sh [N, K, 3], and a note where red, green and blue had to be guessed at."""
+    """sh [N, K, 3], and notes on what was left out, or had to be guessed at."""
     names = records.dtype.names or ()
     bands = len(_rest_names(names)) // 3
-    rest = [f"f_rest_{channel * bands + band}" for band in range(bands) for channel in range(3)]
+    drawn = min(bands, _MOST_BANDS)
+    rest = [f"f_rest_{channel * bands + band}" for band in range(drawn) for channel in range(3)]
     first = _DC if _is_harmonic(names) else _RGB
-    sh, notes = _columns(records, (*first, *rest)).reshape(len(records), 1 + bands, 3), []
+    sh = _columns(records, (*first, *rest)).reshape(len(records), 1 + drawn, 3)
+    notes = [HIGH_DEGREE_NOTE] if drawn < bands else []
+    if first is _DC and motion.is_moving(names):
+        are_colours, words = motion.holds_colours(sh[:, 0])
+        notes.append(words)
+        if are_colours:
+            sh[:, 0] = (sh[:, 0] - np.float32(0.5)) / np.float32(SH_CONSTANT)
     if first is _RGB:
         kind, full = records.dtype["red"], 255.0
         if kind.kind == "f" and not np.nanmax(sh[:, 0], initial=0) > 1:

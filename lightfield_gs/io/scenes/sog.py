@@ -17,8 +17,9 @@ import numpy as np
 
 from lightfield_gs.base.checks import is_row, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
+from lightfield_gs.io.scenes import render_mode, sog_gsplat
 from lightfield_gs.io.scenes.sog_files import META, SogFiles
-from lightfield_gs.io.scenes.stored_scene import ANTIALIASED_NOTE, StoredScene, completed, settled
+from lightfield_gs.io.scenes.stored_scene import HIGH_DEGREE_NOTE, StoredScene, completed, settled
 
 _COEFFICIENTS = {1: 3, 2: 8, 3: 15}  # above degree 0, by bands
 _IN_A_ROW = 64  # entries of the palette
@@ -34,6 +35,10 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
     """See stored.py. path: a folder, its meta.json or a ZIP. Raises InputError."""
     with SogFiles(path) as files, named(path), np.errstate(over="ignore"):
         meta = files.meta()
+        if sog_gsplat.is_compressed(meta):
+            fields, is_cut = sog_gsplat.fields_of(files, meta)
+            fields, notes = settled(path, fields, skip_invalid)
+            return StoredScene(fields, notes=notes + [HIGH_DEGREE_NOTE] * is_cut, kind=sog_gsplat.KIND)
         version = whole_number(f"{META}: version", meta.get("version", 1), 1, 2)
         count = whole_number(f"{META}: count", _count(meta), 1, _MOST)
         means, quats, scales, sh0 = (_part(meta, name) for name in ("means", "quats", "scales", "sh0"))
@@ -53,8 +58,14 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
         is_zip, is_lossy = not path.is_dir() and path.name.lower() != META, files.is_lossy
     fields, notes = settled(path, fields, skip_invalid)
     notes += [_LOSSY_NOTE] if is_lossy else []
-    notes += [ANTIALIASED_NOTE] if meta.get("antialias") is True else []
-    return StoredScene(fields, notes=notes, kind=f"SOG version {version}, {'a ZIP' if is_zip else 'a folder'}")
+    kind = f"SOG version {version}, {'a ZIP' if is_zip else 'a folder'}"
+    return StoredScene(fields, comments=_comments(meta), notes=notes, kind=kind)
+
+
+def _comments(meta: _Meta) -> tuple[str, ...]:
+    """How it was trained: by the key model, which older files call antialias."""
+    model = meta.get("model", meta.get("antialias"))
+    return (render_mode.ANTIALIASED,) if model is True or str(model).lower() == "antialiased" else ()
 
 
 def _part(meta: _Meta, name: str) -> _Meta:

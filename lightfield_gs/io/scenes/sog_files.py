@@ -24,7 +24,7 @@ META = "meta.json"
 _META_BYTES = 1 << 20
 _IMAGE_BYTES = 1 << 29
 _NAME_LENGTH = 120
-_BAD_ZIP = (
+BAD_ZIP = (
     zipfile.BadZipFile,
     zlib.error,
     struct.error,
@@ -47,25 +47,26 @@ _LOSSY = b"VP8 "  # the chunk of a lossy WebP; a lossless one has VP8L
 
 
 class SogFiles:
-    """path: a folder, its meta.json, or a ZIP. Raises InputError otherwise."""
+    """path: a folder, its meta.json, or a ZIP, whose `folder` is None. Raises InputError otherwise."""
 
     def __init__(self, path: Path) -> None:
         self.path, self._zip = path, None
         self.is_lossy = False
         self._prefix = ""
+        self.folder: Path | None = None
         if path.is_dir() or path.name.lower() == META:
-            self._folder = path if path.is_dir() else path.parent
+            self.folder = path if path.is_dir() else path.parent
             return
         try:
             self._zip = zipfile.ZipFile(path)
             names = self._zip.namelist()
-        except _BAD_ZIP as error:
+        except BAD_ZIP as error:
             refuse_stand_in(path)
             raise InputError(
                 f"{path} is no .sog: expected a ZIP of {META} and WebP images ({_words(error)}); it is cut or else"
             ) from None
         if META not in names:  # as made by packing the folder
-            inner = [name for name in names if name.count("/") == 1 and name.endswith("/" + META)]
+            inner = [name for name in names if name.endswith("/" + META) and not name.startswith("__MACOSX/")]
             if len(inner) != 1:
                 raise InputError(f"{path} is no .sog: the ZIP has no {META}")
             self._prefix = inner[0][: -len(META)]
@@ -120,8 +121,8 @@ class SogFiles:
         check_promise(self.path, 4 * pixels, stored)
 
     def _bytes(self, name: str, most_bytes: int) -> bytes:
-        if self._zip is None:
-            data = _read(self._folder / name, most_bytes)
+        if self.folder is not None:
+            data = _read(self.folder / name, most_bytes)
         else:
             data = self._unpacked(self._prefix + name, most_bytes)
         if len(data) > most_bytes:
@@ -138,7 +139,7 @@ class SogFiles:
         try:
             with self._zip.open(info) as file:
                 return file.read(most_bytes + 1)
-        except _BAD_ZIP as error:
+        except BAD_ZIP as error:
             raise InputError(f"{self.path}: cannot unpack {shown(name)} ({_words(error)}); download it again") from None
 
 

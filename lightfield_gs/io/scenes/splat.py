@@ -42,8 +42,9 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
     return StoredScene(fields, notes=notes, kind=KIND)
 
 
-def write(path: str | Path, fields: dict[str, np.ndarray]) -> list[str]:
-    """Writes float64 fields of N >= 1 valid Gaussians; returns what is lost, a line each. Raises InputError."""
+def write(path: str | Path, fields: dict[str, np.ndarray], antialiased: bool = False) -> list[str]:
+    """Writes float64 fields of N >= 1 valid Gaussians; returns what is lost, a line each. antialiased: whether they
+    were trained so. Raises InputError."""
     rows = np.empty(len(fields["means"]), _RECORD)
     lengths = np.linalg.norm(fields["quaternions"], axis=1, keepdims=True)
     rows["means"], rows["scales"] = fields["means"], fields["scales"]
@@ -52,5 +53,9 @@ def write(path: str | Path, fields: dict[str, np.ndarray]) -> list[str]:
     rows["rotation"] = np.clip(np.round(128 + 128 * fields["quaternions"] / lengths), 0, 255)
     with atomic_path(path) as temporary:
         rows.tofile(temporary)
-    lost = ["a .splat holds no harmonics above degree 0: colours no longer vary with the direction of view"]
-    return lost if fields["sh"].shape[1] > 1 else []
+    lost = []
+    if fields["sh"].shape[1] > 1:
+        lost.append("a .splat holds no harmonics above degree 0: colours no longer vary with the direction of view")
+    if antialiased:
+        lost.append("a .splat cannot say that it was trained with anti-aliasing: draw it with --antialiased")
+    return lost

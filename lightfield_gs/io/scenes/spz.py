@@ -17,9 +17,9 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.atomic import atomic_path
-from lightfield_gs.io.scenes import doubts
+from lightfield_gs.io.scenes import doubts, render_mode
 from lightfield_gs.io.scenes.spz_streams import ANTIALIASED, COEFFICIENTS, MAGIC, Streams, read_streams
-from lightfield_gs.io.scenes.stored_scene import ANTIALIASED_NOTE, StoredScene, completed, settled
+from lightfield_gs.io.scenes.stored_scene import HIGH_DEGREE_NOTE, StoredScene, completed, settled
 
 AXES_COMMENT = "Vertical Axis: -y"  # after the turn; before it y is up, as the format says
 _TURN = np.array([1.0, -1.0, -1.0])
@@ -58,10 +58,9 @@ def read(path: Path, skip_invalid: bool) -> StoredScene:
     }
     fields, notes = settled(path, fields, skip_invalid)
     if streams.degree == len(COEFFICIENTS) - 1:
-        notes.append("harmonics of degree 4 were left out; those of degree 0..3 are drawn")
-    if streams.flags & ANTIALIASED:
-        notes.append(ANTIALIASED_NOTE)
-    return StoredScene(fields, comments=(AXES_COMMENT,), notes=notes, kind=kind(streams.version))
+        notes.append(HIGH_DEGREE_NOTE)
+    comments = (AXES_COMMENT, *([render_mode.ANTIALIASED] if streams.flags & ANTIALIASED else []))
+    return StoredScene(fields, comments=comments, notes=notes, kind=kind(streams.version))
 
 
 def kind(version: int) -> str:
@@ -86,15 +85,16 @@ def _rotations(streams: Streams, stored: np.ndarray) -> np.ndarray:
     return np.roll(completed(three, words >> 30), 1, axis=1)  # stored as xyzw
 
 
-def write(path: str | Path, fields: dict[str, np.ndarray]) -> list[str]:
-    """Writes float64 fields of N >= 1 valid Gaussians as version 3; returns what is lost, a line each. InputError."""
+def write(path: str | Path, fields: dict[str, np.ndarray], antialiased: bool = False) -> list[str]:
+    """Writes float64 fields of N >= 1 valid Gaussians as version 3; returns what is lost, a line each. antialiased:
+    whether the file says that they were trained so. Raises InputError."""
     means, sh = fields["means"] * _TURN, fields["sh"] * _SIGNS[: fields["sh"].shape[1]]
     bits = _fraction_bits(path, means, fields["scales"])
     whole = np.round(means * (1 << bits)).astype(np.int32)
     logs = np.log(fields["scales"])
     degree = COEFFICIENTS.index(sh.shape[1])
     body = [
-        struct.pack("<4sIIBBBB", MAGIC, _WRITTEN_VERSION, len(means), degree, bits, 0, 0),
+        struct.pack("<4sIIBBBB", MAGIC, _WRITTEN_VERSION, len(means), degree, bits, ANTIALIASED * antialiased, 0),
         np.stack([whole >> shift & 255 for shift in (0, 8, 16)], -1).astype(np.uint8).tobytes(),
         _byte(fields["opacities"] * 255),
         _byte((sh[:, 0] * _COLOUR_SCALE + 0.5) * 255),

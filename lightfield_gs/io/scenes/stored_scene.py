@@ -12,7 +12,7 @@ from lightfield_gs.base.harmonics import SH_CONSTANT
 from lightfield_gs.io.scenes.invalid import check_or_skip
 
 TINY = np.finfo(np.float32).tiny
-ANTIALIASED_NOTE = "the file says that it was trained with anti-aliasing: --antialiased (Python: antialiased=True)"
+HIGH_DEGREE_NOTE = "harmonics of degree 4 were left out; those of degree 0..3 are drawn"
 
 
 @dataclass
@@ -46,6 +46,14 @@ def settled(path: Path, fields: dict[str, np.ndarray], skip_invalid: bool) -> tu
     for name in ("scales", "opacities"):
         fields[name] = np.maximum(fields[name], TINY)
     return fields, notes
+
+
+def same_degree(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The fields of several parts of a scene as those of one, of the highest degree of harmonics among them."""
+    most = max(part["sh"].shape[1] for part in parts)
+    for part in parts:
+        part["sh"] = np.pad(part["sh"], ((0, 0), (0, most - part["sh"].shape[1]), (0, 0)))
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def harmonics_of_colours(colours: np.ndarray) -> np.ndarray:
