@@ -41,7 +41,7 @@ class Sequence:
             yield from ((number, self.files[number]) for number in numbers)
             return
         wanted, name = set(numbers), folder / f"{self.path.stem}.png"
-        for number, pixels in enumerate(_decoded(self.path)):
+        for number, pixels in enumerate(decoded_frames(self.path)):
             if number in wanted:
                 write_image(name, pixels)
                 yield number, name
@@ -124,7 +124,7 @@ def _of_video(path: Path) -> Sequence:
     return Sequence(path, count, fps=None if not rate else Fraction(rate))
 
 
-def _decoded(path: Path) -> Iterator[np.ndarray]:
+def decoded_frames(path: Path) -> Iterator[np.ndarray]:
     """The frames as they are seen, uint8 [H, W, 3]."""
     with _opened(path) as (container, stream):
         for frame in container.decode(stream):
