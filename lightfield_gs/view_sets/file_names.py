@@ -129,19 +129,22 @@ def _row(folder: Path, names: list[_Name], varying: list[int]) -> list[Path]:
     """By the number that varies."""
     found = {k: _values(folder, names, k) for k in varying}
     telling = {k: values for k, values in found.items() if len(set(values)) == len(names)}
-    if not telling:
-        if len(varying) == 1:
-            twice = Counter(found[varying[0]]).most_common(1)[0][0]
-            raise InputError(f"{folder}: expected each view once, number {_written(twice)} comes more than once")
+    by_name = {k: values for k, values in telling.items() if _label(names[0], k) in _OF_VIEWS}
+    even = {k: values for k, values in telling.items() if not _missing(values)[0]}
+    if len(varying) == 1 and not telling:
+        twice = Counter(found[varying[0]]).most_common(1)[0][0]
+        raise InputError(f"{folder}: expected each view once, number {_written(twice)} comes more than once")
+    if len(varying) > 1 and not by_name and not even:  # as of times
         ordered = [name.path for name in sorted(names, key=lambda name: name.natural)]
         assume(f"the views of {folder} are in the order of all numbers in their names: {_listed(ordered)}")
         return ordered
-    by_name = {k: values for k, values in telling.items() if _label(names[0], k) in _OF_VIEWS}
-    even = {k: values for k, values in telling.items() if not _missing(values)[0]}
-    for better in (by_name, even):
-        if better and len(set(map(_order, telling.values()))) > 1:
-            telling = better
-    if len(set(map(_order, telling.values()))) > 1:
+    if by_name and _differ(telling):
+        telling = by_name
+        word = _label(names[0], next(iter(by_name)))
+        assume(f"the views of {folder} are in the order of the number after '{word}'; others tell another order")
+    if even and _differ(telling):
+        telling = even
+    if _differ(telling):
         one, other = (names[0].parts[k].whole for k in list(telling)[:2])
         raise InputError(
             f"{folder}: expected one number that tells the order of the views, got two that tell different ones, {one} "
@@ -150,6 +153,11 @@ def _row(folder: Path, names: list[_Name], varying: list[int]) -> list[Path]:
     values = min(telling.values(), key=lambda values: _missing(values)[0])
     _check_gaps(folder, values)
     return [names[index].path for index in _order(values)]
+
+
+def _differ(found: dict[int, tuple[Fraction, ...]]) -> bool:
+    """Whether these numbers tell different orders."""
+    return len(set(map(_order, found.values()))) > 1
 
 
 def _order(values: Sequence[Fraction]) -> tuple[int, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from lightfield_gs.io.images import as_floats
 
 _SMALL_PX = 96  # a side at most that views are compared at, so that fine texture does not count
-_APART, _ALIKE = 2.0, 1.4  # times the difference of neighbours: more is a jump, less is none
+_APART = 2.0  # times the difference of neighbours, above which there is a jump
 _LEAST_DIFFERENCE = 0.2 / 255  # of neighbours: views that hardly differ tell nothing
 
 
@@ -43,7 +43,7 @@ def rows_join_otherwise(tile: Callable[[int, int], np.ndarray], columns: int, ro
             back.append(_apart(last, ends[0]))
         ends = first, last
     usual = max(float(np.mean(along)), _LEAST_DIFFERENCE)
-    return min(onwards) > _APART * usual and max(back) < _ALIKE * usual
+    return min(onwards) > _APART * max(usual, *back)
 
 
 def looks_like_rows(view: Callable[[int], np.ndarray], side: int) -> bool:

@@ -108,3 +108,30 @@ def test_what_says_nothing_is_refused():
         fit_lens([replace(place, corners_px=CORNERS[::-1]) for place in good], START)
     with pytest.raises(InputError, match="pixel_pitch_mm"):
         fit_lens(good, replace(START, pixel_pitch_mm=None))
+
+
+def test_photographs_that_are_turned_or_mirrored_are_refused():
+    true, upright = perturbed(START), np.array([[90.0, 60.0], [690.0, 60.0], [690.0, 398.0], [90.0, 398.0]])
+    good = places(true, corners=upright)
+    found = [replace(place, corners_px=None) for place in good]
+    assert worst_views(fit_lens(found, START).panel, true) < 0.02
+    for words, taken in (
+        ("are mirrored", lambda photo: photo[:, ::-1]),
+        ("are turned by 180 degrees", lambda photo: photo[::-1, ::-1]),
+        ("are turned by 90 degrees", lambda photo: np.rot90(photo)),
+    ):
+        turned = [replace(place, photos=tuple(taken(photo).copy() for photo in place.photos)) for place in found]
+        with pytest.raises(InputError, match=words):
+            fit_lens(turned, START)
+
+
+def test_photographs_of_unlike_exposure_spread_far_about_the_lens():
+    """Which `calibrate fit` says from a fifth of a view on."""
+    true = perturbed(START)
+    good = fit_lens(places(true), START)
+    dark = [
+        replace(place, photos=(place.photos[0], (place.photos[1] * 0.8).astype(np.uint8), place.photos[2]))
+        for place in places(true)
+    ]
+    assert max(place.spread_views for place in good.places) < 0.1
+    assert min(place.spread_views for place in fit_lens(dark, START).places) > 0.3
